@@ -1,0 +1,190 @@
+"""The base of every node: configuration as ROS parameters, bench clock, diagnostics, a clean end."""
+
+import dataclasses
+import signal
+import sys
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
+
+from mrd_base.clock import BenchClock
+from mrd_base.config import from_mapping, key_of, to_mapping
+from mrd_base.errors import InputError
+
+LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+RECORDED = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+
+# Sections of bench.yaml that stand under /** and reach every node, whether it uses them or not.
+SHARED = {"time_scale", "limits"}
+
+# Parameters that rclpy itself declares or reads.
+_ROS = {"use_sim_time", "start_type_description_service"}
+
+C = TypeVar("C")
+
+
+class BenchNode(Node, Generic[C]):
+    """A node whose parameters are the fields of a frozen dataclass.
+
+    ``-p KEY:=VALUE`` and ``--params-file`` take the YAML keys of `mrd_base.config` (``stroke_mm``; nested fields as
+    ``limits.stroke_mm``). They are read once, at start; an unknown or impossible one stops the node with one line.
+
+    Parameters
+    ----------
+    name : str
+        Default node name.
+    config_type : dataclass type
+        Has a field ``time_scale`` and defaults for all fields.
+
+    Attributes
+    ----------
+    config : dataclass
+        The configuration, in SI.
+    bench : BenchClock
+        The clock by which everything is stamped and timed.
+    """
+
+    def __init__(self, name: str, config_type: type[C]) -> None:
+        super().__init__(name)
+        self.config: C = from_mapping(config_type, self._declare(config_type), f"node {name}")
+        self.bench = BenchClock(typing.cast(Any, self.config).time_scale)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_timer(1.0, self._publish_diagnostics)
+
+    def _declare(self, config_type: type) -> dict[str, Any]:
+        """Declare all parameters and return their values as the mapping that a YAML file would hold."""
+        given: Mapping[str, Parameter] = self._parameter_overrides
+        flat = dict(_flatten(config_type))
+        for key in given:
+            if key not in flat and key.split(".")[0] not in SHARED | _ROS | {"qos_overrides"}:
+                raise InputError(f"node {self.get_name()}: unknown parameter {key} (known: {', '.join(flat)})")
+        nested: dict[str, Any] = {}
+        for key, (field, default) in flat.items():
+            descriptor = ParameterDescriptor(
+                description=field.metadata.get("doc", ""), read_only=True, dynamic_typing=True
+            )
+            try:
+                value = self.declare_parameter(key, default, descriptor).value
+            except InvalidParameterTypeException as error:
+                raise InputError(f"node {self.get_name()}: {key}: {error}") from None
+            # "" stands for None, which ROS parameters do not have.
+            if value is None or (value == "" and default == ""):
+                continue
+            target = nested
+            *path, last = key.split(".")
+            for part in path:
+                target = target.setdefault(part, {})
+            target[last] = value
+        return nested
+
+    def accept_parameter(self, name: str, value: Any, apply: Callable[[Any], None]) -> None:
+        """Declare a parameter that may change while the node runs; ``apply`` raises InputError to refuse it."""
+        self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
+
+        def on_set(parameters: list[Parameter]) -> SetParametersResult:
+            try:
+                for parameter in parameters:
+                    if parameter.name == name:
+                        apply(parameter.value)
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=True)
+
+        self.add_on_set_parameters_callback(on_set)
+
+    def create_bench_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Timer with a period in bench seconds."""
+        return self.create_timer(self.bench.wall(period), callback)
+
+    def stamp(self, bench_time: float | None = None) -> Time:
+        """ROS time of a bench time (default: now)."""
+        seconds = self.bench.now() if bench_time is None else bench_time
+        whole = int(seconds // 1)
+        return Time(sec=whole, nanosec=min(int((seconds - whole) * 1e9), 999_999_999))
+
+    def diagnose(self) -> tuple[str, dict[str, Any]]:
+        """Health in one line ("" is well) and the values worth seeing; nodes extend it."""
+        return "", {}
+
+    def _publish_diagnostics(self) -> None:
+        problem, values = self.diagnose()
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name().lstrip('/')}: state",
+            message=problem or "ok",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def close(self) -> None:
+        """Leave the machine safe: called once on every way out, while ROS may already be gone."""
+
+
+def seconds(stamp: Time) -> float:
+    """Bench time in s of a ROS time."""
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def run_node(factory: Callable[[], BenchNode[Any]]) -> None:
+    """Run a node until SIGINT or SIGTERM; always close it.
+
+    The process leaves with 0 after a signal, with 2 and one line when the node cannot start as configured.
+    """
+    stopping = False
+
+    def stop(_signal: int, _frame: object) -> None:
+        nonlocal stopping
+        stopping = True
+
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    node: BenchNode[Any] | None = None
+    status = 0
+    try:
+        node = factory()
+        executor = rclpy.executors.SingleThreadedExecutor()
+        executor.add_node(node)
+        while not stopping:
+            executor.spin_once(timeout_sec=0.1)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        status = 2
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    sys.exit(status)
+
+
+def _flatten(
+    config_type: type, prefix: str = "", instance: Any = None
+) -> typing.Iterator[tuple[str, tuple[dataclasses.Field[Any], Any]]]:
+    """Dotted YAML keys of a configuration with their fields and defaults in YAML units."""
+    instance = config_type() if instance is None else instance
+    defaults = to_mapping(instance)
+    for field in dataclasses.fields(config_type):
+        key, _ = key_of(field)
+        value = getattr(instance, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from _flatten(type(value), f"{prefix}{key}.", value)
+        else:
+            yield prefix + key, (field, defaults.get(key, ""))
+
+
+__all__ = ["COMMAND", "LATCHED", "RECORDED", "BenchNode", "run_node", "seconds"]

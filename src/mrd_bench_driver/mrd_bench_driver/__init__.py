@@ -1,0 +1,1 @@
+"""The machine: servo, DAQ, coil supply, interlocks, modes."""

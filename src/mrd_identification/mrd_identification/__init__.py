@@ -1,0 +1,1 @@
+"""What the recordings say: fit and gap."""

@@ -1,0 +1,1 @@
+"""What a recording is: the Run, bags, recorder, replay, import."""

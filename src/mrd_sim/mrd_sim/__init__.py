@@ -1,0 +1,1 @@
+"""The simulator: damper models, effects, measuring chain, simulated motor and DAQ."""

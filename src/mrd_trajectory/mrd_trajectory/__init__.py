@@ -1,0 +1,1 @@
+"""What the rod and the coil should do: waveforms, transitions, experiments, limits."""
