@@ -11,6 +11,7 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -50,11 +51,15 @@ class BenchNode(Node, Generic[C]):
 
     Attributes
     ----------
+    dynamic : frozenset of str
+        YAML keys of the configuration that may change while the node runs; each is given to `accept_parameter`.
     config : dataclass
-        The configuration, in SI.
+        The configuration, in SI, as it was at start.
     bench : BenchClock
         The clock by which everything is stamped and timed.
     """
+
+    dynamic: typing.ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, name: str, config_type: type[C]) -> None:
         super().__init__(name)
@@ -73,7 +78,7 @@ class BenchNode(Node, Generic[C]):
         nested: dict[str, Any] = {}
         for key, (field, default) in flat.items():
             descriptor = ParameterDescriptor(
-                description=field.metadata.get("doc", ""), read_only=True, dynamic_typing=True
+                description=field.metadata.get("doc", ""), read_only=key not in self.dynamic, dynamic_typing=True
             )
             try:
                 value = self.declare_parameter(key, default, descriptor).value
@@ -90,8 +95,12 @@ class BenchNode(Node, Generic[C]):
         return nested
 
     def accept_parameter(self, name: str, value: Any, apply: Callable[[Any], None]) -> None:
-        """Declare a parameter that may change while the node runs; ``apply`` raises InputError to refuse it."""
-        self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
+        """Let a parameter change while the node runs; ``apply`` raises InputError to refuse it.
+
+        One that is not in the configuration (see ``dynamic``) is declared here with ``value``.
+        """
+        if not self.has_parameter(name):
+            self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
 
         def on_set(parameters: list[Parameter]) -> SetParametersResult:
             try:
@@ -105,8 +114,8 @@ class BenchNode(Node, Generic[C]):
         self.add_on_set_parameters_callback(on_set)
 
     def create_bench_timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        """Timer with a period in bench seconds."""
-        return self.create_timer(self.bench.wall(period), callback)
+        """Timer with a period in bench seconds; no adjustment of the machine's clock delays it."""
+        return self.create_timer(self.bench.wall(period), callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stamp(self, bench_time: float | None = None) -> Time:
         """ROS time of a bench time (default: now)."""
