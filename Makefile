@@ -1,0 +1,35 @@
+# `make` alone lists the targets. Every target makes the environment and builds what it needs; later runs skip what is done.
+SHELL := /bin/bash
+.SHELLFLAGS := -e -o pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help build demo test lint bench lock clean
+
+PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
+TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
+
+build:  ## make the environment (.venv) and build the packages (install/)
+	@setup/build
+
+demo: build  ## drive the simulated bench, record, replay and identify a damper
+	@. ./env.sh; exec python setup/demo.py
+
+test: build lint  ## check style and types, then run all tests but the slow ones
+	@. ./env.sh; python -m pytest
+
+lint: build  ## check style (ruff) and types (mypy)
+	@. ./env.sh; ruff check; mypy $(addprefix -p ,$(TYPED))
+
+bench: build  ## measure the speed of what must be fast
+	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done
+
+lock:  ## pin the newest packages that fit setup/*.in (needs uv)
+	@cd setup; compile="uv pip compile --quiet --universal --fork-strategy fewest --no-header --no-annotate requirements.in"; \
+	$$compile ros.in --python-version 3.11 --upgrade --output-file wheels.lock; \
+	$$compile --constraints system.in --python-version 3.12 --upgrade --output-file system.lock
+
+clean:  ## remove everything that was made, except recorded runs
+	@rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@find src tests setup benchmarks -name __pycache__ -prune -exec rm -rf {} +
