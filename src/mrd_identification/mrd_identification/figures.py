@@ -1,0 +1,169 @@
+"""Pictures of a fit."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from mrd_identification.identify import Fit, RunResult
+
+Array = NDArray[np.float64]
+
+MEASURED = "#7a8594"
+MODELLED = "#d1495b"
+ACCENT = "#00798c"
+MOST_POINTS = 2500
+"""per line: more are not seen, and make the page heavy."""
+
+_LAYOUT = {
+    "template": "plotly_white",
+    "font": {"family": "system-ui, sans-serif", "size": 13},
+    "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
+    "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.02, "yanchor": "bottom"},
+}
+
+
+def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
+    """Force over velocity (above) and over position (below), measured against model, for the runs that span the errors."""
+    chosen = _spread(results, most)
+    figure = make_subplots(
+        rows=2,
+        cols=len(chosen),
+        subplot_titles=[f"{r.run.name}<br>NRMSE {r.metrics.nrmse:.3f}" for r in chosen],
+        vertical_spacing=0.14,
+        horizontal_spacing=0.06,
+    )
+    for column, result in enumerate(chosen, 1):
+        shown = _window(result)
+        for row, (series, unit) in enumerate(((result.run.velocity, "mm/s"), (result.run.position, "mm")), 1):
+            x = series[shown] * 1e3
+            for force, name, colour in (
+                (result.run.force, "measured", MEASURED),
+                (result.modelled, "model", MODELLED),
+            ):
+                figure.add_trace(
+                    go.Scatter(
+                        x=_rounded(x),
+                        y=_rounded(force[shown]),
+                        name=name,
+                        legendgroup=name,
+                        showlegend=row == column == 1,
+                        line={"color": colour, "width": 1.3},
+                    ),
+                    row,
+                    column,
+                )
+            figure.update_xaxes(title_text=f"{'velocity' if row == 1 else 'position'}, {unit}", row=row, col=column)
+        figure.update_yaxes(title_text="force, N" if column == 1 else None, row=1, col=column)
+        figure.update_yaxes(title_text="force, N" if column == 1 else None, row=2, col=column)
+    figure.update_layout(**_LAYOUT, height=760)
+    figure.update_layout(margin_t=90, legend_y=1.08)
+    return figure
+
+
+def force_over_time(result: RunResult) -> go.Figure:
+    """Force, its error and the coil current over time, for the liveliest seconds of a run."""
+    shown = _window(result)
+    time = _rounded(result.run.time[shown], 4)
+    figure = make_subplots(
+        rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05
+    )
+    force, modelled = result.run.force[shown], result.modelled[shown]
+    for row, series, name, colour in (
+        (1, force, "measured", MEASURED),
+        (1, modelled, "model", MODELLED),
+        (2, modelled - force, "model − measured", ACCENT),
+        (3, result.run.current[shown], "coil current", "#edae49"),
+    ):
+        figure.add_trace(
+            go.Scatter(x=time, y=_rounded(series), name=name, line={"color": colour, "width": 1.3}), row, 1
+        )
+    figure.update_yaxes(title_text="force, N", row=1, col=1)
+    figure.update_yaxes(title_text="error, N", row=2, col=1)
+    figure.update_yaxes(title_text="current, A", row=3, col=1)
+    figure.update_xaxes(title_text="time, s", row=3, col=1)
+    figure.update_layout(**_LAYOUT, height=520, title_text=result.run.name, title_x=0.01)
+    return figure
+
+
+def pareto_front(fit: Fit) -> go.Figure:
+    """The front of NSGA-II, its knee, and where the polish went."""
+    norms = fit.front.norms
+    figure = go.Figure(
+        go.Scatter(
+            x=norms[:, 0], y=norms[:, 1], mode="lines+markers", name="Pareto front",
+            line={"color": MEASURED, "width": 1}, marker={"size": 7},
+        )
+    )
+    knee = norms[fit.front.knee]
+    figure.add_trace(
+        go.Scatter(
+            x=[knee[0]], y=[knee[1]], mode="markers", name="knee",
+            marker={"size": 13, "symbol": "diamond", "color": ACCENT},
+        )
+    )
+    if fit.polished:
+        figure.add_trace(
+            go.Scatter(
+                x=[fit.pooled_fitted.e2], y=[fit.pooled_fitted.einf], mode="markers", name="after least squares",
+                marker={"size": 14, "symbol": "star", "color": MODELLED},
+            )
+        )
+    figure.update_xaxes(title_text="e2 = √ΣE²/k, N")
+    figure.update_yaxes(title_text="einf = max|E|/k, N")
+    figure.update_layout(**_LAYOUT, height=420)
+    return figure
+
+
+def parameters(fit: Fit) -> go.Figure:
+    """Each free parameter with its 95 % interval, relative to its value."""
+    shown = [e for e in fit.estimates if not e.fixed and np.isfinite(e.lower) and e.value != 0][::-1]
+    relative = np.array([[e.lower / e.value, e.upper / e.value] for e in shown]).reshape(-1, 2)
+    relative.sort(axis=1)
+    figure = go.Figure(
+        go.Scatter(
+            x=np.ones(len(shown)),
+            y=[e.parameter.name for e in shown],
+            mode="markers",
+            marker={"color": MODELLED, "size": 9},
+            error_x={
+                "type": "data", "symmetric": False, "array": relative[:, 1] - 1, "arrayminus": 1 - relative[:, 0],
+                "color": MEASURED, "thickness": 2, "width": 6,
+            },
+            hovertext=[f"{e.value:.5g} {e.parameter.unit} [{e.lower:.5g}, {e.upper:.5g}]" for e in shown],
+            hoverinfo="text",
+            showlegend=False,
+        )
+    )
+    figure.update_xaxes(title_text="95 % interval relative to the value")
+    figure.update_yaxes(automargin=True)
+    figure.update_layout(**_LAYOUT, height=420)
+    return figure
+
+
+def _spread(results: Sequence[RunResult], most: int) -> list[RunResult]:
+    """At most ``most`` runs from the best fitted to the worst."""
+    ordered = sorted(results, key=lambda r: r.metrics.nrmse)
+    picks = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round().astype(int))
+    return [ordered[i] for i in picks]
+
+
+def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
+    """Indices of the counted stretch in which force and current vary most, thinned to what a screen shows."""
+    run, counted = result.run, result.counted
+    length = min(int(seconds * run.rate), counted.stop - counted.start)
+    starts = np.linspace(counted.start, counted.stop - length, 12).astype(int)
+
+    def liveliness(start: int) -> float:
+        part = slice(start, start + length)
+        span = float(np.ptp(run.current)) or 1.0
+        return float(np.std(run.force[part]) / np.std(run.force) + np.std(run.current[part]) / span)
+
+    best = max(starts, key=liveliness)
+    return np.arange(best, best + length, max(1, length // MOST_POINTS))
+
+
+def _rounded(series: Array, digits: int = 3) -> Array:
+    return np.round(series, digits)

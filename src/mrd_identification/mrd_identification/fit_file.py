@@ -1,0 +1,181 @@
+"""fit.json: an identified model as a file."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+
+from mrd_base import InputError
+from mrd_identification.identify import Fit
+from mrd_identification.metrics import Metrics
+from mrd_runs import Run
+
+SCHEMA = "mrd-fit/1"
+
+
+@dataclass(frozen=True)
+class StoredFit:
+    """What a fit.json says of a model.
+
+    Attributes
+    ----------
+    model : str
+    values : mapping
+        Parameters by name in SI units.
+    content : mapping
+        The whole file.
+    """
+
+    model: str
+    values: Mapping[str, float]
+    content: Mapping[str, Any]
+
+
+@cache
+def schema(name: str = "fit") -> Any:
+    """JSON Schema of a file that this package writes."""
+    return json.loads(resources.files("mrd_identification").joinpath(f"schemas/{name}.schema.json").read_text())
+
+
+def to_json(fit: Fit) -> dict[str, Any]:
+    """Content of fit.json; floats that are not finite become null."""
+    current = float(np.mean([result.run.current.mean() for result in fit.fitted]))
+    observables = fit.model.observables(fit.values, current) if fit.model.observables else {}
+    return {
+        "schema": SCHEMA,
+        "model": fit.model.id,
+        "equation": fit.model.equation,
+        "source": fit.model.source,
+        "runs": {
+            "fit": [_run(result.run) for result in fit.fitted],
+            "held_out": [_run(result.run) for result in fit.held_out] if fit.held_out_by == "runs" else [],
+            "held_out_by": fit.held_out_by,
+        },
+        "seed": fit.seed,
+        "elapsed_s": round(fit.elapsed, 3),
+        "method": {
+            "search": "NSGA-II",
+            "population": fit.population,
+            "generations": fit.generations,
+            "polished": fit.polished,
+        },
+        "parameters": {
+            estimate.parameter.name: {
+                "value": estimate.value,
+                "ci95": [_finite(estimate.lower), _finite(estimate.upper)],
+                "unit": estimate.parameter.unit,
+                "bounds": [estimate.parameter.lower, estimate.parameter.upper],
+                "fixed": estimate.fixed,
+                "on_bound": estimate.on_bound,
+                "meaning": estimate.parameter.meaning,
+            }
+            for estimate in fit.estimates
+        },
+        "observables": {
+            "current_A": current,
+            "values": {name: {"value": value, "unit": unit} for name, (value, unit) in observables.items()},
+        },
+        "objectives": {
+            "e2_N": fit.pooled_fitted.e2,
+            "einf_N": fit.pooled_fitted.einf,
+            "samples": fit.pooled_fitted.samples,
+        },
+        "pareto_front": [
+            {
+                "e2_N": float(norms[0]),
+                "einf_N": float(norms[1]),
+                "knee": index == fit.front.knee,
+                "parameters": dict(zip(fit.model.names, map(float, theta), strict=True)),
+            }
+            for index, (theta, norms) in enumerate(zip(fit.front.thetas, fit.front.norms, strict=True))
+        ],
+        "metrics": {
+            "fit": _metrics(fit.pooled_fitted),
+            "held_out": _metrics(fit.pooled_held_out) if fit.pooled_held_out else None,
+            "per_run": [
+                {"run": result.run.name, "judged": judged, **_metrics(result.metrics)}
+                for judged, results in (("fit", fit.fitted), ("held_out", fit.held_out))
+                for result in results
+            ],
+        },
+        "condition": _finite(fit.condition),
+        "warnings": list(fit.warnings),
+        "versions": {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", "pymoo")},
+    }
+
+
+def write_fit(fit: Fit, folder: str | Path) -> Path:
+    """Write fit.json into ``folder`` and return its path; the file is whole or not there."""
+    content = to_json(fit)
+    jsonschema.validate(content, schema())
+    path = Path(folder) / "fit.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    partial.replace(path)
+    return path
+
+
+def read_fit(path: str | Path) -> StoredFit:
+    """Read a fit.json.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is no fit.json of this version.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        jsonschema.validate(content, schema())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise InputError(f"{path}: is not JSON ({error})") from None
+    except jsonschema.ValidationError as error:
+        field = "/".join(map(str, error.absolute_path)) or "the file"
+        raise InputError(f"{path}: {field}: {error.message.splitlines()[0]}; expected a fit.json of {SCHEMA}") from None
+    values = {name: entry["value"] for name, entry in content["parameters"].items()}
+    return StoredFit(content["model"], values, content)
+
+
+def _run(run: Run) -> dict[str, Any]:
+    return {
+        "name": run.name,
+        "source": str(run.info.get("source", "")),
+        "samples": len(run),
+        "rate_hz": run.rate,
+        "duration_s": run.duration,
+    }
+
+
+def _metrics(of: Metrics) -> dict[str, Any]:
+    return {
+        "samples": of.samples,
+        "rmse_N": of.rmse,
+        "nrmse": _finite(of.nrmse),
+        "fit_percent": _finite(of.fit_percent),
+        "vaf": _finite(of.vaf),
+        "e2_N": of.e2,
+        "einf_N": of.einf,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+__all__ = ["SCHEMA", "StoredFit", "read_fit", "schema", "to_json", "write_fit"]

@@ -1,0 +1,270 @@
+"""Identify a damper model from recordings: NSGA-II, its knee, then least squares."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mrd_sim.models import DamperModel, Parameter, find_model
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_identification.metrics import Metrics, metrics
+from mrd_identification.nsga2 import Front, search
+from mrd_identification.polish import intervals, polish
+from mrd_identification.problem import Problem, Recording, free_parameters, prepare
+from mrd_runs import Run
+
+Array = NDArray[np.float64]
+
+POPULATION = 100
+GENERATIONS = 60
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified parameter.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    value : float
+    lower, upper : float
+        95 % interval; nan where there is none (fixed, on a bound, or not determined).
+    fixed : bool
+        Kept at ``value``, not searched.
+    on_bound : bool
+    """
+
+    parameter: Parameter
+    value: float
+    lower: float
+    upper: float
+    fixed: bool
+    on_bound: bool
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A run against the model that did or did not see it.
+
+    Attributes
+    ----------
+    run : Run
+    modelled : ndarray (n,)
+        Force in N at every sample.
+    counted : slice
+        Samples that the metrics count.
+    metrics : Metrics
+    """
+
+    run: Run
+    modelled: Array
+    counted: slice
+    metrics: Metrics
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An identified model.
+
+    Attributes
+    ----------
+    model : DamperModel
+    theta : ndarray (parameters,)
+    estimates : tuple of Estimate
+    front : Front
+        Of NSGA-II, before the polish.
+    polished : bool
+    fitted, held_out : tuple of RunResult
+        Without held-out runs of their own, each fitted run is judged by a fit to the others; a single run has nobody to
+        judge it, and ``held_out`` is empty.
+    held_out_by : str
+        "runs", "leave-one-run-out" or "none".
+    pooled_fitted, pooled_held_out : Metrics or None
+        Over all samples of the runs together.
+    seed, population, generations : int
+    elapsed : float
+        s.
+    condition : float
+        Condition number of the scaled sensitivities.
+    warnings : tuple of str
+        What limits the trust in this fit, in plain words.
+    """
+
+    model: DamperModel
+    theta: Array
+    estimates: tuple[Estimate, ...]
+    front: Front
+    polished: bool
+    fitted: tuple[RunResult, ...]
+    held_out: tuple[RunResult, ...]
+    held_out_by: str
+    pooled_fitted: Metrics
+    pooled_held_out: Metrics | None
+    seed: int
+    population: int
+    generations: int
+    elapsed: float
+    condition: float
+    warnings: tuple[str, ...]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name, in SI units."""
+        return dict(zip(self.model.names, map(float, self.theta), strict=True))
+
+
+def identify(
+    runs: Sequence[Run],
+    model: str,
+    *,
+    held_out: Sequence[Run] = (),
+    population: int = POPULATION,
+    generations: int = GENERATIONS,
+    seed: int = 0,
+    polish_result: bool = True,
+    start: Mapping[str, float] | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Fit:
+    """Identify the parameters of a damper model from runs, all jointly.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        What is fitted.
+    model : str
+        Id of a model, e.g. ``"bouc_wen"``.
+    held_out : sequence of Run
+        What judges the fit.
+    population, generations, seed : int
+        NSGA-II's.
+    polish_result : bool
+        Least squares from the knee of the front.
+    start : mapping, optional
+        Parameters from which the population starts beside its random members, and the values of those not searched.
+    progress : callable, optional
+        Called after every generation with its number and the smallest NRMSE so far.
+
+    Returns
+    -------
+    Fit
+        The same for the same input and seed.
+
+    Raises
+    ------
+    InputError
+        For an unknown model, no runs, or runs whose rod or force does not move.
+    """
+    began = time.monotonic()
+    damper = find_model(model)
+    if not runs:
+        raise InputError("no runs to identify from")
+    if population < 8 or generations < 1:
+        raise InputError(f"population {population} and generations {generations}: expected at least 8 and 1")
+    for run in (*runs, *held_out):
+        if np.ptp(run.position) == 0 or np.ptp(run.force) == 0:
+            quantity = "position" if np.ptp(run.position) == 0 else "force"
+            raise InputError(f"{run.name}: {quantity} never changes; nothing can be identified from it")
+    recordings = [prepare(run) for run in runs]
+    judges = [prepare(run) for run in held_out]
+    free, notes = free_parameters(damper, runs)
+    base = damper.vector(start or {})
+    for index, parameter in enumerate(damper.parameters):
+        if index not in free and parameter.free and (start is None or parameter.name not in start):
+            base[index] = 0.0 if parameter.lower <= 0.0 else parameter.lower
+    problem = Problem(damper, recordings, free, base)
+    spread = float(np.std(np.concatenate([r.force for r in recordings])))
+    samples = sum(len(r.force) for r in recordings)
+
+    def report(generation: int, e2: float) -> None:
+        if progress is not None:
+            progress(generation, e2 * np.sqrt(samples) / spread)
+
+    front = search(problem, population, generations, seed, report)
+    theta = front.thetas[front.knee]
+    if polish_result:
+        theta = polish(problem, theta)
+    fitted = tuple(_judge(damper, theta, recording) for recording in recordings)
+    if judges:
+        held, by = tuple(_judge(damper, theta, judge) for judge in judges), "runs"
+    elif len(recordings) > 1:
+        held, by = _leave_one_out(problem, theta, polish_result), "leave-one-run-out"
+    else:
+        held, by = (), "none"
+    uncertainty = intervals(problem, theta)
+    estimates = tuple(
+        Estimate(
+            parameter,
+            float(theta[index]),
+            float(uncertainty.lower[free.index(index)]) if index in free else float("nan"),
+            float(uncertainty.upper[free.index(index)]) if index in free else float("nan"),
+            index not in free,
+            index in free and bool(uncertainty.on_bound[free.index(index)]),
+        )
+        for index, parameter in enumerate(damper.parameters)
+    )
+    return Fit(
+        model=damper,
+        theta=theta,
+        estimates=estimates,
+        front=front,
+        polished=polish_result,
+        fitted=fitted,
+        held_out=held,
+        held_out_by=by,
+        pooled_fitted=pooled(fitted),
+        pooled_held_out=pooled(held) if held else None,
+        seed=seed,
+        population=population,
+        generations=generations,
+        elapsed=time.monotonic() - began,
+        condition=uncertainty.condition,
+        warnings=(*notes, *_warnings(estimates, uncertainty.correlation, problem, by)),
+    )
+
+
+def pooled(results: Sequence[RunResult]) -> Metrics:
+    """Metrics over all counted samples of several runs."""
+    measured = np.concatenate([r.run.force[r.counted] for r in results])
+    return metrics(measured, np.concatenate([r.modelled[r.counted] for r in results]))
+
+
+def _judge(model: DamperModel, theta: Array, recording: Recording) -> RunResult:
+    modelled = model.force(theta, recording.path)
+    return RunResult(
+        recording.run, modelled, recording.counted, metrics(recording.force, modelled[recording.counted])
+    )
+
+
+def _leave_one_out(problem: Problem, theta: Array, refit: bool) -> tuple[RunResult, ...]:
+    """Each run judged by a fit to the others; the refit starts from the joint fit."""
+    results = []
+    for index, recording in enumerate(problem.recordings):
+        others = [*problem.recordings[:index], *problem.recordings[index + 1 :]]
+        rest = Problem(problem.model, others, problem.free, problem.base)
+        at = polish(rest, theta) if refit else theta
+        results.append(_judge(problem.model, at, recording))
+    return tuple(results)
+
+
+def _warnings(
+    estimates: Sequence[Estimate], correlation: Array, problem: Problem, held_out_by: str
+) -> list[str]:
+    found = []
+    for estimate in estimates:
+        parameter = estimate.parameter
+        if estimate.on_bound:
+            side = "lower" if abs(estimate.value - parameter.lower) < abs(estimate.value - parameter.upper) else "upper"
+            found.append(
+                f"{parameter.name} ended on its {side} bound, {f'{estimate.value:g} {parameter.unit}'.rstrip()}: "
+                "the runs want a value beyond it, or say nothing about it"
+            )
+        elif not estimate.fixed and not estimate.upper - estimate.lower < 2 * abs(estimate.value):
+            found.append(f"{parameter.name} is not determined: its 95 % interval is wider than twice its value")
+    names = [p.name for p in problem.parameters]
+    for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > 0.98, 1)), strict=True):
+        found.append(f"{names[i]} and {names[j]} cannot be told apart well: correlation {correlation[i, j]:.3f}")
+    if held_out_by == "none":
+        found.append("one run only: nothing judges the fit; record another, or give --held-out")
+    return found

@@ -1,0 +1,98 @@
+"""NSGA-II over the two error norms, a whole population per evaluation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.core.callback import Callback
+from pymoo.core.problem import Problem as PymooProblem
+from pymoo.operators.sampling.lhs import LHS
+from pymoo.optimize import minimize
+
+from mrd_identification.problem import Problem
+
+Array = NDArray[np.float64]
+_WORST = 1e30  # stands for a force that is not finite: pymoo compares numbers
+
+
+@dataclass(frozen=True)
+class Front:
+    """Non-dominated candidates, by rising e2.
+
+    Attributes
+    ----------
+    thetas : ndarray (candidates, parameters)
+    norms : ndarray (candidates, 2)
+        e2 and einf in N.
+    knee : int
+        The candidate that gives up least of both.
+    """
+
+    thetas: Array
+    norms: Array
+    knee: int
+
+
+def search(
+    problem: Problem,
+    population: int,
+    generations: int,
+    seed: int,
+    progress: Callable[[int, float], None] | None = None,
+) -> Front:
+    """Search the unit box of a problem by NSGA-II (Deb et al., 2002).
+
+    Parameters
+    ----------
+    problem : Problem
+    population, generations, seed : int
+    progress : callable, optional
+        Called with the generation and the smallest e2 in N.
+    """
+
+    class Objectives(PymooProblem):  # type: ignore[misc]
+        def __init__(self) -> None:
+            constraints = problem.constraints(problem.base[None]).shape[1]
+            super().__init__(n_var=len(problem.free), n_obj=2, n_ieq_constr=constraints, xl=0.0, xu=1.0)
+
+        def _evaluate(self, x: Array, out: dict[str, Any], *_: Any, **__: Any) -> None:
+            thetas = problem.theta(x)
+            out["F"] = np.nan_to_num(problem.norms(thetas), posinf=_WORST)
+            out["G"] = problem.constraints(thetas)
+
+    class Report(Callback):  # type: ignore[misc]
+        def notify(self, algorithm: Any) -> None:
+            if progress is not None:
+                progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min()))
+
+    start = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
+    start[0] = problem.unit(problem.base)
+    result = minimize(
+        Objectives(),
+        NSGA2(pop_size=population, sampling=start),
+        ("n_gen", generations),
+        seed=seed,
+        callback=Report(),
+        verbose=False,
+    )
+    # Without an admissible candidate pymoo returns none: the least inadmissible one goes on to the polish.
+    found = result.opt if result.X is None else None
+    unit = np.atleast_2d(result.X if found is None else found.get("X"))
+    norms = np.atleast_2d(result.F if found is None else found.get("F"))
+    order = np.argsort(norms[:, 0], kind="stable")
+    return Front(problem.theta(unit[order]), norms[order], knee(norms[order]))
+
+
+def knee(norms: Array) -> int:
+    """Index of the knee of a front: the point farthest below the line between its ends, both norms scaled to 0..1.
+
+    Das (1999), normal-boundary characterisation of the knee. A front of one or two points has no bulge; the one with the
+    smaller sum of scaled norms is taken.
+    """
+    low, high = norms.min(axis=0), norms.max(axis=0)
+    scaled = (norms - low) / np.where(high > low, high - low, 1.0)
+    # The ends are (0, 1) and (1, 0): distance from their line grows as the sum falls.
+    return int(np.argmin(scaled.sum(axis=1)))

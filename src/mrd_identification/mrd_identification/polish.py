@@ -1,0 +1,121 @@
+"""Least squares from the knee of the front, and what it says of the parameters' uncertainty."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from mrd_identification.problem import Problem
+
+Array = NDArray[np.float64]
+
+_BORDER = 1e-6  # of the unit box: closer than this is on the bound
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Uncertainty of the free parameters.
+
+    Attributes
+    ----------
+    lower, upper : ndarray (free,)
+        95 % interval; nan where the parameter cannot be determined or lies on a bound.
+    correlation : ndarray (free, free)
+    on_bound : ndarray (free,) of bool
+    condition : float
+        Condition number of the scaled sensitivity matrix.
+    """
+
+    lower: Array
+    upper: Array
+    correlation: Array
+    on_bound: NDArray[np.bool_]
+    condition: float
+
+
+def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> Array:
+    """Local least squares on all counted residuals within the bounds, from ``theta``.
+
+    A constraint that a step would break is kept by a steep residual of its own.
+    """
+    wall = 1e3 * np.sqrt(sum(len(r.force) for r in problem.recordings))
+
+    def residuals(unit: Array) -> Array:
+        at = problem.theta(unit)
+        broken = np.maximum(problem.constraints(at[None])[0], 0.0)
+        return np.concatenate([problem.residuals(at), wall * broken])
+
+    def jacobian(unit: Array) -> Array:
+        at = problem.theta(unit)
+        inner = problem.jacobian(unit, problem.residuals(at))
+        limits = problem.constraints(at[None])[0]
+        if not limits.size:
+            return inner
+        step = 1e-7
+        moved = problem.constraints(problem.theta(unit + step * np.eye(len(unit))))
+        outer = np.where(limits > 0, (moved - limits) / step, 0.0).T
+        return np.vstack([inner, wall * outer])
+
+    # trf needs a start strictly inside.
+    start = np.clip(problem.unit(theta), 1e-4, 1 - 1e-4)
+    found = least_squares(
+        residuals, start, jac=jacobian, bounds=(0.0, 1.0), x_scale="jac", max_nfev=max_evaluations, xtol=1e-10, ftol=1e-10
+    )
+    on_lower, on_upper = found.x < _BORDER, found.x > 1 - _BORDER
+    return np.asarray(problem.theta(np.where(on_lower, 0.0, np.where(on_upper, 1.0, found.x))))
+
+
+def intervals(problem: Problem, theta: Array) -> Intervals:
+    """95 % intervals from the sensitivities at ``theta``.
+
+    Residuals of a damper model are strongly correlated in time, so the covariance is the sandwich (JᵀJ)⁻¹ M (JᵀJ)⁻¹ whose
+    middle M sums the scores Jᵀr over blocks longer than that correlation (Liang & Zeger, 1986), and Student's t counts
+    blocks, not samples.
+    """
+    unit = problem.unit(theta)
+    residuals = problem.residuals(theta)
+    jacobian = problem.jacobian(unit, residuals)
+    on_bound = (unit < _BORDER) | (unit > 1 - _BORDER)
+    norm = np.linalg.norm(jacobian, axis=0)
+    seen = (norm > 0) & ~on_bound
+    count = len(unit)
+    lower = np.full(count, np.nan)
+    upper = np.full(count, np.nan)
+    correlation = np.eye(count)
+    if not seen.any():
+        return Intervals(lower, upper, correlation, on_bound, np.inf)
+    scaled = jacobian[:, seen] / norm[seen]
+    _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+    inverse = (vt.T / np.maximum(singular, singular[0] * 1e-10) ** 2) @ vt
+    scores = np.vstack(
+        [block.sum(axis=0)[None] for block in np.array_split(scaled * residuals[:, None], _blocks(problem, residuals))]
+    )
+    blocks = len(scores)
+    covariance = inverse @ (scores.T @ scores) @ inverse * blocks / max(blocks - seen.sum(), 1)
+    deviation = np.sqrt(np.diag(covariance))
+    correlation[np.ix_(seen, seen)] = covariance / np.outer(deviation, deviation)
+    half = student.ppf(0.975, max(blocks - int(seen.sum()), 1)) * deviation / norm[seen]
+    parameters = [p for p, use in zip(problem.parameters, seen, strict=True) if use]
+    middle = theta[np.array(problem.free)[seen]]
+    width = half * problem.scale(theta)[seen]
+    for i, j in enumerate(np.flatnonzero(seen)):
+        if parameters[i].log:
+            factor = np.exp(width[i] / middle[i])
+            lower[j], upper[j] = middle[i] / factor, middle[i] * factor
+        else:
+            lower[j], upper[j] = middle[i] - width[i], middle[i] + width[i]
+    return Intervals(lower, upper, correlation, on_bound, condition)
+
+
+def _blocks(problem: Problem, residuals: Array) -> int:
+    """Number of blocks: each at least ten correlation times of the residual long, and 20 to 400 in all."""
+    spectrum = np.abs(np.fft.rfft(residuals - residuals.mean(), 2 * len(residuals))) ** 2
+    autocorrelation = np.fft.irfft(spectrum)[: len(residuals)]
+    if autocorrelation[0] <= 0:
+        return 20
+    below = np.flatnonzero(autocorrelation < 0.1 * autocorrelation[0])
+    length = 10 * int(below[0]) if below.size else len(residuals)
+    return int(np.clip(len(residuals) // max(length, 1), 20, 400))

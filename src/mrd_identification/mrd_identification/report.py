@@ -1,0 +1,76 @@
+"""fit.html: a fit for a person to look at."""
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from mrd_identification import figures
+from mrd_identification.identify import Fit
+
+_HOW = {
+    "runs": "held-out runs",
+    "leave-one-run-out": "each run held out in turn",
+    "none": "the fitted run itself",
+}
+
+
+def sentence(fit: Fit) -> str:
+    """The fit in one sentence."""
+    judge = fit.pooled_held_out or fit.pooled_fitted
+    where = "on runs it has not seen" if fit.pooled_held_out else "on the run it was fitted to"
+    return (
+        f"The model explains {judge.vaf:.1f} % of the force's variance {where}; "
+        f"its error is {judge.rmse:.1f} N rms, {100 * judge.nrmse:.1f} % of the force's standard deviation."
+    )
+
+
+def write_report(fit: Fit, folder: str | Path) -> Path:
+    """Write fit.html, which needs no network, into ``folder`` and return its path."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("mrd_identification"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters["figures"] = four_figures
+    judged = fit.held_out or fit.fitted
+    current = float(np.mean([result.run.current.mean() for result in fit.fitted]))
+    metrics = fit.pooled_held_out or fit.pooled_fitted
+    worst = max(judged, key=lambda result: result.metrics.nrmse)
+    page = environment.get_template("fit.html.j2").render(
+        title=f"{fit.model.title} model of {len(fit.fitted)} run{'s' if len(fit.fitted) > 1 else ''}",
+        sentence=sentence(fit),
+        plotly=get_plotlyjs(),
+        loops=_html(figures.loops(judged)),
+        over_time=_html(figures.force_over_time(worst)),
+        front=_html(figures.pareto_front(fit)),
+        intervals=_html(figures.parameters(fit)),
+        headline=[
+            (f"NRMSE, {_HOW[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
+            ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),
+            ("rmse", f"{metrics.rmse:.2f} N"),
+            ("variance accounted for", f"{metrics.vaf:.2f} %"),
+            ("e2", f"{metrics.e2:.4f} N"),
+            ("einf", f"{metrics.einf:.4f} N"),
+            ("samples", f"{metrics.samples}"),
+        ],
+        fit=fit,
+        observables=fit.model.observables(fit.values, current) if fit.model.observables else {},
+        current=current,
+        rows=[("fitted", r) for r in fit.fitted] + [("held out", r) for r in fit.held_out],
+    )
+    path = Path(folder) / "fit.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def four_figures(value: float) -> str:
+    """Number with four significant figures, as a table wants it."""
+    return f"{value:.4g}"
+
+
+def _html(figure: go.Figure) -> Any:
+    return figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})

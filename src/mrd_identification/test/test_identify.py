@@ -1,0 +1,193 @@
+"""Identification gives back what made the data, says how sure it is, and judges on runs it has not seen."""
+
+import json
+
+import numpy as np
+import pytest
+from mrd_base import InputError
+from mrd_identification import identify, metrics, read_fit, write_fit
+from mrd_identification.nsga2 import knee
+from mrd_identification.problem import Problem, free_parameters, prepare
+from mrd_identification.report import write_report
+from mrd_runs import Run
+from mrd_sim.models import MODELS, find_model
+from mrd_sim.path import make_path
+
+RATE = 500.0
+
+
+def simulated(model, values, *, seconds=6.0, seed=0, noise=0.0, current=None, name=None):
+    """A run of a model along a multisine with a switching current."""
+    random = np.random.default_rng(seed)
+    time = np.arange(int(RATE * seconds)) / RATE
+    position = np.zeros_like(time)
+    velocity, acceleration = position.copy(), position.copy()
+    for frequency, amplitude in ((0.5, 9e-3), (1.5, 4e-3), (3.5, 1.2e-3), (5.5, 0.5e-3)):
+        w, phase = 2 * np.pi * frequency, random.uniform(0, 2 * np.pi)
+        position += amplitude * np.sin(w * time + phase)
+        velocity += amplitude * w * np.cos(w * time + phase)
+        acceleration -= amplitude * w**2 * np.sin(w * time + phase)
+    if current is None:
+        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3, 0.4], len(time) // 50 + 1), 50)[: len(time)]
+    else:
+        current = np.full(len(time), current)
+    damper = find_model(model)
+    force = damper.force(damper.vector(values), make_path(time, position, velocity, acceleration, current))
+    force = force + noise * random.standard_normal(len(time))
+    return Run(name or f"run{seed}", time, position, velocity, current, force)
+
+
+TRUTH = {
+    "yield_force": 70.0, "yield_force_per_A": 950.0, "yield_travel": 2e-4, "shape": 0.75, "viscous": 1100.0,
+    "viscous_per_A": 2200.0, "stiffness": 1800.0, "offset": -45.0, "coil_lag": 0.006,
+}
+
+
+@pytest.fixture(scope="module")
+def bouc_wen_fit():
+    runs = [simulated("bouc_wen", TRUTH, seed=seed, noise=0.5) for seed in (1, 2)]
+    return identify(
+        runs, "bouc_wen", held_out=[simulated("bouc_wen", TRUTH, seed=3, noise=0.5)],
+        population=40, generations=25, seed=4,
+    )
+
+
+def test_bouc_wen_is_recovered(bouc_wen_fit):
+    for name, value in TRUTH.items():
+        assert bouc_wen_fit.values[name] == pytest.approx(value, rel=0.03), name
+    assert bouc_wen_fit.pooled_held_out.nrmse < 0.005
+    assert bouc_wen_fit.held_out_by == "runs"
+
+
+def test_intervals_are_near_the_truth_and_not_vacuous(bouc_wen_fit):
+    free = [e for e in bouc_wen_fit.estimates if not e.fixed]
+    assert len(free) >= 9
+    for estimate in free:
+        if estimate.parameter.name not in TRUTH:
+            continue
+        width = estimate.upper - estimate.lower
+        assert 0 < width < 0.2 * abs(estimate.value), estimate.parameter.name
+        # The model of the test has no error but noise: the truth lies within a few widths.
+        assert abs(estimate.value - TRUTH[estimate.parameter.name]) < 2 * width, estimate.parameter.name
+
+
+def test_front_is_sorted_and_non_dominated(bouc_wen_fit):
+    norms = bouc_wen_fit.front.norms
+    assert np.all(np.diff(norms[:, 0]) >= 0)
+    assert np.all(np.diff(norms[:, 1]) <= 0)
+    assert bouc_wen_fit.pooled_fitted.e2 <= norms[0, 0] * 1.0001
+
+
+def test_same_seed_same_result():
+    run = simulated("bingham", {"offset": 20.0}, seed=5, noise=1.0, seconds=3)
+    first, second = (identify([run], "bingham", population=16, generations=5, seed=9) for _ in range(2))
+    assert np.array_equal(first.theta, second.theta)
+    assert np.array_equal(first.front.norms, second.front.norms)
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS if m != "bouc_wen"])
+def test_every_model_fits_its_own_data(model):
+    runs = [simulated(model, {}, seed=seed) for seed in (1, 2)]
+    fit = identify(runs, model, population=40, generations=20, seed=1)
+    assert fit.held_out_by == "leave-one-run-out"
+    assert fit.pooled_held_out.nrmse < 0.02
+
+
+def test_without_polish_the_knee_is_the_result():
+    run = simulated("bingham", {}, seconds=3, noise=1.0)
+    fit = identify([run], "bingham", population=16, generations=8, seed=2, polish_result=False)
+    assert np.array_equal(fit.theta, fit.front.thetas[fit.front.knee])
+
+
+def test_what_the_runs_cannot_tell_is_fixed_and_said():
+    constant = [simulated("bouc_wen", {}, seed=seed, current=0.3) for seed in (1, 2)]
+    free, notes = free_parameters(find_model("bouc_wen"), constant)
+    names = [find_model("bouc_wen").names[i] for i in free]
+    assert "coil_lag" not in names
+    assert "yield_force_per_A" not in names
+    assert len(notes) == 2
+    two_levels = [simulated("bouc_wen", {}, current=0.1), simulated("bouc_wen", {}, current=0.3)]
+    free, notes = free_parameters(find_model("bouc_wen"), two_levels)
+    names = [find_model("bouc_wen").names[i] for i in free]
+    assert "coil_lag" not in names
+    assert "yield_force_per_A" in names
+
+
+def test_constraints_hold_in_the_result():
+    """Data of a loop outside class I are fitted with the nearest dissipative one."""
+    run = simulated("bouc_wen", {"shape": 0.35, "yield_travel": 5e-4}, seconds=4)
+    fit = identify([run], "bouc_wen", population=30, generations=15, seed=1)
+    assert fit.values["shape"] >= 0.5 - 1e-3
+
+
+def test_unit_box_round_trip():
+    model = find_model("modified_bouc_wen")
+    run = simulated("modified_bouc_wen", {})
+    free, _ = free_parameters(model, [run])
+    problem = Problem(model, [prepare(run)], free, model.defaults)
+    unit = np.random.default_rng(0).random((5, len(free)))
+    assert np.allclose([problem.unit(theta) for theta in problem.theta(unit)], unit)
+
+
+def test_jacobian_matches_central_differences():
+    model = find_model("bouc_wen")
+    run = simulated("bouc_wen", TRUTH, noise=1.0)
+    free, _ = free_parameters(model, [run])
+    problem = Problem(model, [prepare(run)], free, model.vector(TRUTH))
+    unit = problem.unit(model.vector(TRUTH))
+    jacobian = problem.jacobian(unit, problem.residuals(problem.theta(unit)))
+    for column in range(len(free)):
+        step = np.zeros(len(unit))
+        step[column] = 1e-5
+        central = (problem.residuals(problem.theta(unit + step)) - problem.residuals(problem.theta(unit - step))) / 2e-5
+        assert np.linalg.norm(jacobian[:, column] - central) < 0.01 * np.linalg.norm(central)
+
+
+def test_norms_are_the_papers():
+    measured = np.array([1.0, 2.0, 3.0, 4.0])
+    found = metrics(measured, measured + np.array([0.0, 3.0, 0.0, -4.0]))
+    assert found.e2 == pytest.approx(5 / 4)
+    assert found.einf == pytest.approx(4 / 4)
+    assert found.rmse == pytest.approx(2.5)
+    assert found.nrmse == pytest.approx(2.5 / np.std(measured))
+
+
+def test_knee_is_the_bulge():
+    assert knee(np.array([[0.0, 1.0], [0.1, 0.2], [0.5, 0.15], [1.0, 0.0]])) == 1
+    assert knee(np.array([[3.0, 4.0]])) == 0
+
+
+def test_fit_file_round_trip_and_schema(bouc_wen_fit, tmp_path):
+    path = write_fit(bouc_wen_fit, tmp_path)
+    stored = read_fit(path)
+    assert stored.model == "bouc_wen"
+    assert stored.values == pytest.approx(bouc_wen_fit.values)
+    assert sum(point["knee"] for point in stored.content["pareto_front"]) == 1
+    content = json.loads(path.read_text())
+    del content["parameters"]["offset"]["unit"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="parameters/offset: 'unit' is a required property"):
+        read_fit(path)
+    path.write_text("{")
+    with pytest.raises(InputError, match="is not JSON"):
+        read_fit(path)
+
+
+def test_report_needs_no_network(bouc_wen_fit, tmp_path):
+    page = write_report(bouc_wen_fit, tmp_path).read_text()
+    assert "<script src=" not in page
+    assert "yield_force_per_A" in page
+    assert page.count("Plotly.newPlot") >= 4
+
+
+def test_unusable_input_is_one_line():
+    run = simulated("bingham", {}, seconds=2)
+    still = Run("still", run.time, 0 * run.position, 0 * run.velocity, run.current, run.force)
+    with pytest.raises(InputError, match="unknown model nosuch"):
+        identify([run], "nosuch")
+    with pytest.raises(InputError, match="no runs"):
+        identify([], "bingham")
+    with pytest.raises(InputError, match="still: position never changes"):
+        identify([still], "bingham")
+    with pytest.raises(InputError, match="population 2"):
+        identify([run], "bingham", population=2)

@@ -1,0 +1,47 @@
+"""Polynomial in velocity with one branch for rising and one for falling velocity."""
+
+from numba import njit
+
+from mrd_sim.models.model import Array, DamperModel, Quantity
+
+DEGREE = 5
+REFERENCE_SPEED = 0.1
+"""m/s; powers of velocity are taken relative to it, so that all coefficients are forces of like size."""
+
+
+@njit(cache=True, nogil=True)
+def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
+    terms = q.shape[1] // 2
+    for k in range(len(x)):
+        first = 0 if a[k] >= 0.0 else terms
+        s = v[k] / REFERENCE_SPEED
+        total = 0.0
+        for i in range(terms - 1, -1, -1):
+            total = total * s + q[k, first + i]
+        force[k] = total
+
+
+def _coefficients(branch: str, words: str) -> tuple[Quantity, ...]:
+    return tuple(
+        Quantity(
+            f"a{i}_{branch}",
+            f"a{i}^{branch}",
+            "N",
+            f"coefficient of (x'/v_r)^{i} while velocity {words}",
+            100.0 if i == 1 else 0.0,
+            -2000.0,
+            2000.0,
+            (500.0 if i == 1 else 0.0, -4000.0, 4000.0),
+        )
+        for i in range(DEGREE + 1)
+    )
+
+
+MODEL = DamperModel(
+    id="polynomial",
+    title="Two-branch polynomial",
+    equation="F = sum_i a_i^± (x' / v_r)^i, + for x'' >= 0 and - for x'' < 0, v_r = 0.1 m/s",
+    source="Choi, Lee & Park (2001), degree 6; Tianjun & Changfu (2009), degree 5 as here",
+    quantities=(*_coefficients("rising", "rises"), *_coefficients("falling", "falls")),
+    kernel=_force,
+)

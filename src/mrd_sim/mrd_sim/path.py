@@ -1,0 +1,71 @@
+"""The path along which a damper model is integrated: samples plus the vertices where the rod reverses."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Path:
+    """Motion and current on the vertices of a polyline, in SI units.
+
+    Hysteresis depends on the turning points of the motion, which rarely fall on a sample: a vertex is inserted wherever the
+    velocity changes sign between two samples, and the models integrate exactly from vertex to vertex.
+
+    Attributes
+    ----------
+    dt : ndarray (m,)
+        s since the previous vertex; 0 at the first.
+    position, velocity, acceleration : ndarray (m,)
+        m, m/s, m/s².
+    current : ndarray (m,)
+        A.
+    samples : ndarray (n,) of int
+        Which vertices are samples.
+    """
+
+    dt: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    current: Array
+    samples: NDArray[np.intp]
+
+
+def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:
+    """Build a path from equally long series, inserting the reversal vertices.
+
+    The turning point follows from the cubic that matches position and velocity at both neighbours, at the instant where the
+    velocity, taken as linear, passes zero.
+    """
+    before = np.flatnonzero(velocity[:-1] * velocity[1:] < 0)
+    after = before + 1
+    fraction = velocity[before] / (velocity[before] - velocity[after])
+    step = time[after] - time[before]
+    f2, f3 = fraction**2, fraction**3
+    turning = (
+        (2 * f3 - 3 * f2 + 1) * position[before]
+        + (f3 - 2 * f2 + fraction) * step * velocity[before]
+        + (3 * f2 - 2 * f3) * position[after]
+        + (f3 - f2) * step * velocity[after]
+    )
+
+    def between(series: Array) -> Array:
+        return (1 - fraction) * series[before] + fraction * series[after]
+
+    def insert(series: Array, vertices: Array) -> Array:
+        return np.ascontiguousarray(np.insert(series, after, vertices), dtype=np.float64)
+
+    instants = insert(time, between(time))
+    is_sample = np.insert(np.ones(len(time), dtype=bool), after, False)
+    return Path(
+        dt=np.diff(instants, prepend=instants[0]),
+        position=insert(position, turning),
+        velocity=insert(velocity, np.zeros(len(before))),
+        acceleration=insert(acceleration, between(acceleration)),
+        current=insert(current, between(current)),
+        samples=np.flatnonzero(is_sample),
+    )
