@@ -4,17 +4,24 @@ import time
 from dataclasses import dataclass, field
 
 
+def _uptime() -> float:
+    # Unlike time.monotonic() it runs on while the machine is suspended; or else a node started after that would disagree
+    # with the others by the time slept.
+    return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
 def _epoch() -> float:
-    return time.time() - time.monotonic()
+    return time.time() - _uptime()
 
 
 @dataclass(frozen=True)
 class BenchClock:
     """Seconds of bench time; they pass ``time_scale`` times as fast as on the wall.
 
-    It follows the machine's monotonic clock, which all processes share: nodes with the same ``time_scale`` agree on the
-    time without exchanging a message, and no clock adjustment stops a watchdog. At ``time_scale`` 1 the zero is the Unix
-    epoch; a simulation that runs faster or slower counts from the machine's start.
+    It follows the time since the machine's start, which all processes share: nodes with the same ``time_scale`` agree on
+    the time without exchanging a message, and no clock adjustment stops a watchdog. At ``time_scale`` 1 the zero is the
+    Unix epoch as the node found it: nodes started before and after the machine's clock was set differ by as much. A
+    simulation that runs faster or slower counts from the machine's start.
 
     Parameters
     ----------
@@ -33,7 +40,7 @@ class BenchClock:
 
     def now(self) -> float:
         """Bench time in s."""
-        return self._zero + self.time_scale * time.monotonic()
+        return self._zero + self.time_scale * _uptime()
 
     def wall(self, duration: float) -> float:
         """Wall-clock length in s of a ``duration`` in bench seconds."""

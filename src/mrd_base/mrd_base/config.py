@@ -8,9 +8,10 @@ with one line. The same declarations become ROS parameters (`mrd_base.nodes`) an
 import dataclasses
 import difflib
 import math
+import sys
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,12 +33,21 @@ _SI: dict[str, tuple[str, float]] = {
     "ms": ("_ms", 1e-3),
     "Hz": ("_hz", 1.0),
     "N": ("_N", 1.0),
+    "N/A": ("_N_per_A", 1.0),
+    "N s/m": ("_N_s_per_m", 1.0),
+    "N s/m/A": ("_N_s_per_m_per_A", 1.0),
     "A": ("_A", 1.0),
     "mA": ("_mA", 1e-3),
     "mA/s": ("_mA_per_s", 1e-3),
     "V": ("_V", 1.0),
     "kg": ("_kg", 1.0),
     "degC": ("_degC", 1.0),
+    "ohm": ("_ohm", 1.0),
+    "mH": ("_mH", 1e-3),
+    "A/V": ("_A_per_V", 1.0),
+    "mV/V": ("_mV_per_V", 1e-3),
+    "mV/A": ("_mV_per_A", 1e-3),
+    "mV/g": ("_mV_per_g", 1e-3 / 9.80665),
 }
 
 
@@ -83,10 +93,11 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
     """Parse YAML text that holds a mapping; ``where`` names it in errors."""
     try:
         content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: e.g. a date that does not exist
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark else ""
-        raise InputError(f"{where}:{line} is not YAML ({getattr(error, 'problem', error)})") from None
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise InputError(f"{where}:{line} is not YAML ({problem})") from None
     if not isinstance(content, dict):
         raise InputError(f"{where}: holds {type(content).__name__}, expected a mapping of names to values")
     return content
@@ -103,8 +114,24 @@ def read_node_parameters(path: str | Path, node: str) -> dict[str, Any]:
         entry = content.get(pattern, {})
         if not isinstance(entry, dict) or not isinstance(entry.get("ros__parameters", {}), dict):
             raise InputError(f"{path}: {pattern} holds no ros__parameters mapping")
-        merged.update(entry.get("ros__parameters", {}))
+        merged = _merge(merged, entry.get("ros__parameters", {}))
     return merged
+
+
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Key by key, as ROS does: a section of ``above`` leaves the other keys of that section as they are."""
+    merged = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(below.get(key), dict)
+        merged[key] = _merge(below[key], value) if both else value
+    return merged
+
+
+def unknown_key(key: object, known: Collection[str]) -> str:
+    """What to say of a key that is not known: the nearest one, and all."""
+    near = difflib.get_close_matches(str(key), known, 1)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    return f"{key}{hint} (known: {', '.join(known)})"
 
 
 def from_mapping(
@@ -134,9 +161,7 @@ def from_mapping(
     known = {key_of(field, units)[0]: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
     for key in mapping:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"{where}: unknown key {key}{hint} (known: {', '.join(known)})")
+            raise InputError(f"{where}: unknown key {unknown_key(key, known)}")
     values: dict[str, Any] = {}
     for key, field in known.items():
         if key in mapping:
@@ -167,10 +192,12 @@ def to_mapping(instance: Any, *, units: Mapping[str, str] | None = None) -> dict
 
 
 def _from_si(value: Any, factor: float) -> Any:
-    if isinstance(value, bool) or not isinstance(value, float):
-        return value
-    # 15 digits undo the rounding of the factor: 0.055 m is written as 55.0 mm.
-    return float(f"{value / factor:.15g}")
+    return _scaled(value, 1 / factor) if isinstance(value, float) else value
+
+
+def _scaled(value: float, factor: float) -> float:
+    # 15 digits undo the rounding of the product: 8.399 mm are 0.008399 m, as if written so, and back.
+    return value if factor == 1 else float(f"{value * factor:.15g}")
 
 
 def _meaning(field: dataclasses.Field[Any]) -> str:
@@ -195,14 +222,14 @@ def _convert(
         return from_mapping(typing.cast(type, hint), value, where, units=units)
     if origin is tuple:
         if not isinstance(value, list | tuple) or not value:
-            raise InputError(f"{where}: found {_show(value)}, expected a list{_meaning(field)}")
+            raise InputError(f"{where}: found {_show(value)}, expected a list of at least one{_meaning(field)}")
         item = typing.get_args(hint)[0]
         return tuple(_convert(item, entry, f"{where}[{i}]", field, units) for i, entry in enumerate(value))
     if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
             raise InputError(f"{where}: found {_show(value)}, expected a finite number{_meaning(field)}")
-        key, factor = key_of(field, units)
-        return _bounded(float(value) * factor, where, field, factor)
+        _, factor = key_of(field, units)
+        return _bounded(_scaled(float(value), factor), where, field, factor)
     if hint is int:
         if isinstance(value, bool) or not isinstance(value, int):
             raise InputError(f"{where}: found {_show(value)}, expected a whole number{_meaning(field)}")
@@ -215,7 +242,6 @@ def _convert(
 def _bounded(value: Any, where: str, field: dataclasses.Field[Any], factor: float) -> Any:
     lower, upper = field.metadata.get("lower", -math.inf), field.metadata.get("upper", math.inf)
     if not lower <= value <= upper:
-        raise InputError(
-            f"{where}: found {value / factor:g}, expected {lower / factor:g} to {upper / factor:g}{_meaning(field)}"
-        )
+        found = value if isinstance(value, int) else f"{value / factor:.9g}"
+        raise InputError(f"{where}: found {found}, expected {lower / factor:g} to {upper / factor:g}{_meaning(field)}")
     return value

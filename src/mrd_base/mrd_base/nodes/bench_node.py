@@ -11,16 +11,18 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
+from rclpy.utilities import remove_ros_args
 
 from mrd_base.clock import BenchClock
-from mrd_base.config import from_mapping, key_of, to_mapping
+from mrd_base.config import from_mapping, key_of, to_mapping, unknown_key
 from mrd_base.errors import InputError
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -72,18 +74,16 @@ class BenchNode(Node, Generic[C]):
         """Declare all parameters and return their values as the mapping that a YAML file would hold."""
         given: Mapping[str, Parameter] = self._parameter_overrides
         flat = dict(_flatten(config_type))
+        others = (SHARED | _ROS | {"qos_overrides"}) - {key.split(".")[0] for key in flat}
         for key in given:
-            if key not in flat and key.split(".")[0] not in SHARED | _ROS | {"qos_overrides"}:
-                raise InputError(f"node {self.get_name()}: unknown parameter {key} (known: {', '.join(flat)})")
+            if key not in flat and key.split(".")[0] not in others:
+                raise InputError(f"node {self.get_name()}: unknown parameter {unknown_key(key, flat)}")
         nested: dict[str, Any] = {}
         for key, (field, default) in flat.items():
             descriptor = ParameterDescriptor(
                 description=field.metadata.get("doc", ""), read_only=key not in self.dynamic, dynamic_typing=True
             )
-            try:
-                value = self.declare_parameter(key, default, descriptor).value
-            except InvalidParameterTypeException as error:
-                raise InputError(f"node {self.get_name()}: {key}: {error}") from None
+            value = self.declare_parameter(key, default, descriptor).value
             # "" stands for None, which ROS parameters do not have.
             if value is None or (value == "" and default == ""):
                 continue
@@ -145,11 +145,11 @@ class BenchNode(Node, Generic[C]):
 
 def seconds(stamp: Time) -> float:
     """Bench time in s of a ROS time."""
-    return stamp.sec + 1e-9 * stamp.nanosec
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def run_node(factory: Callable[[], BenchNode[Any]]) -> None:
-    """Run a node until SIGINT or SIGTERM; always close it.
+    """Run a node until SIGINT, SIGTERM or the end of its terminal (SIGHUP); always close it.
 
     The process leaves with 0 after a signal, with 2 and one line when the node cannot start as configured.
     """
@@ -159,12 +159,14 @@ def run_node(factory: Callable[[], BenchNode[Any]]) -> None:
         nonlocal stopping
         stopping = True
 
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup: outlives its terminal by intention
+        signal.signal(signal.SIGHUP, stop)
     node: BenchNode[Any] | None = None
     status = 0
     try:
+        _init()
         node = factory()
         executor = rclpy.executors.SingleThreadedExecutor()
         executor.add_node(node)
@@ -179,6 +181,24 @@ def run_node(factory: Callable[[], BenchNode[Any]]) -> None:
             node.destroy_node()
         rclpy.try_shutdown()
     sys.exit(status)
+
+
+def _init() -> None:
+    """Start ROS with the process's arguments, or say in one line what is wrong with them."""
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # or it would say the same at length
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        others = remove_ros_args(sys.argv)[1:]
+    except UnknownROSArgsError as error:
+        raise InputError(f"unknown ROS arguments {error}") from None
+    except RCLError as error:
+        reason = str(error).removeprefix("failed to initialize rcl: ").split(", at /")[0]
+        raise InputError(" ".join(reason.split())) from None
+    finally:
+        set_logger_level("rcl", LoggingSeverity.UNSET)
+    others = remove_ros_args(sys.argv)[1:]
+    if others:
+        raise InputError(f"unknown argument {others[0]}; parameters and remappings stand after --ros-args")
 
 
 def _flatten(

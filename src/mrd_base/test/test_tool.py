@@ -1,0 +1,57 @@
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+PROGRAM = """
+import sys, time
+from mrd_base import InputError, run_tool
+
+def refuse():
+    raise InputError("a.csv: column force_N is missing")
+
+def write():
+    open("/nowhere/out.json", "w")
+
+def wait():
+    print("ready", flush=True)
+    time.sleep(30)
+
+def chatter():
+    for line in range(100_000):
+        print("line", line)
+
+run_tool({"done": lambda: print("done"), "refuse": refuse, "write": write, "wait": wait, "chatter": chatter}[sys.argv[1]])
+"""
+
+
+@pytest.mark.parametrize(
+    ("work", "status", "stdout", "stderr"),
+    [
+        ("done", 0, "done\n", ""),
+        ("refuse", 2, "", "error: a.csv: column force_N is missing\n"),
+        ("write", 2, "", "error: /nowhere/out.json: No such file or directory\n"),
+    ],
+)
+def test_a_tool_ends_with_its_status_and_at_most_one_line(work, status, stdout, stderr):
+    tool = subprocess.run([sys.executable, "-c", PROGRAM, work], capture_output=True, text=True)
+    assert (tool.returncode, tool.stdout, tool.stderr) == (status, stdout, stderr)
+
+
+def test_ctrl_c_ends_a_tool_with_130():
+    tool = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, "wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert tool.stdout.readline() == "ready\n"
+    time.sleep(0.05)
+    tool.send_signal(signal.SIGINT)
+    _, stderr = tool.communicate(timeout=10)
+    assert (tool.returncode, stderr) == (130, "interrupted\n")
+
+
+def test_a_reader_who_leaves_early_causes_no_complaint():
+    pipeline = ["bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "bash", sys.executable, "-c", PROGRAM, "chatter"]
+    shell = subprocess.run(pipeline, capture_output=True, text=True)
+    assert (shell.returncode, shell.stdout, shell.stderr) == (0, "line 0\n", "")

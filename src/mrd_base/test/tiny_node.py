@@ -1,0 +1,43 @@
+"""A node with nothing to do, for the tests."""
+
+from dataclasses import dataclass
+
+from mrd_base import InputError, quantity
+from mrd_base.nodes.bench_node import BenchNode, run_node
+
+
+@dataclass(frozen=True)
+class Limits:
+    stroke: float = quantity(0.055, "mm", "travel of the damper", lower=1e-3, upper=1)
+    force: float = quantity(800.0, "N")
+
+
+@dataclass(frozen=True)
+class Config:
+    time_scale: float = quantity(1.0, lower=0.01, upper=100)
+    limits: Limits = Limits()
+    port: str = quantity("/dev/ttyUSB0", doc="serial line")
+    gains: tuple[float, ...] = quantity((1.0, 2.0))
+    offset: float | None = quantity(None, "mm")
+    rate: float = quantity(25.0, "Hz", lower=1, upper=2000)
+
+
+class TinyNode(BenchNode[Config]):
+    dynamic = frozenset({"rate_hz"})
+
+    def __init__(self) -> None:
+        super().__init__("tiny", Config)
+        self.accept_parameter("rate_hz", self.config.rate, self.set_rate)
+        print(self.config, flush=True)
+
+    def set_rate(self, rate: float) -> None:
+        if not 1 <= rate <= 2000:
+            raise InputError(f"rate_hz: found {rate:g}, expected 1 to 2000")
+        print("rate", rate, flush=True)
+
+    def close(self) -> None:
+        print("closed", flush=True)
+
+
+if __name__ == "__main__":
+    run_node(TinyNode)
