@@ -187,12 +187,12 @@ def _init() -> None:
     """Start ROS with the process's arguments, or say in one line what is wrong with them."""
     set_logger_level("rcl", LoggingSeverity.FATAL)  # or it would say the same at length
     try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         others = remove_ros_args(sys.argv)[1:]
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         raise InputError(f"unknown ROS arguments {error}") from None
     except RCLError as error:
-        reason = str(error).removeprefix("failed to initialize rcl: ").split(", at /")[0]
+        reason = str(error).removeprefix("Failed to parse ROS arguments: ").split(", at /")[0]
         raise InputError(" ".join(reason.split())) from None
     finally:
         set_logger_level("rcl", LoggingSeverity.UNSET)
