@@ -196,7 +196,6 @@ def _init() -> None:
         raise InputError(" ".join(reason.split())) from None
     finally:
         set_logger_level("rcl", LoggingSeverity.UNSET)
-    others = remove_ros_args(sys.argv)[1:]
     if others:
         raise InputError(f"unknown argument {others[0]}; parameters and remappings stand after --ros-args")
 
