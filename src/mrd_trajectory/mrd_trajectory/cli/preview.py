@@ -1,0 +1,92 @@
+"""Checks an experiment against the bench's limits and shows what it will do; moves nothing."""
+
+import argparse
+import os
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+
+from mrd_base import InputError, run_tool
+from mrd_trajectory.experiment import read_experiment
+from mrd_trajectory.plan import Plan, plan
+from mrd_trajectory.settings import read_settings
+from mrd_trajectory.waveforms import waveform_table
+
+# More points than a screen has columns only make the page slow.
+_POINTS = 20_000
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="preview", description=__doc__)
+    parser.add_argument("experiment", nargs="?", metavar="EXPERIMENT.yaml")
+    parser.add_argument("--bench", default=os.environ.get("MRD_BENCH"), help="with the limits; default: $MRD_BENCH")
+    parser.add_argument("--output", metavar="PREVIEW.html", help="page with position, velocity, acceleration and current")
+    parser.add_argument("--waveforms", action="store_true", help="list the waveforms and their parameters")
+    arguments = parser.parse_args()
+    if not arguments.waveforms and not arguments.experiment:
+        parser.error("give an EXPERIMENT.yaml, or --waveforms")
+    run_tool(lambda: _work(arguments))
+
+
+def _work(arguments: argparse.Namespace) -> None:
+    if arguments.waveforms:
+        print(_table(("waveform", "under rod", "under coil", "default", "meaning"), *map(astuple, waveform_table())))
+    if not arguments.experiment:
+        return
+    settings = read_settings(arguments.bench)
+    experiment = read_experiment(arguments.experiment)
+    try:
+        planned = plan(experiment, settings.limits, settings.force_envelope)
+    except InputError as error:
+        raise InputError(f"{arguments.experiment}: {error}") from None
+    start, end = planned.body
+    print(f"{experiment.name}: {planned.duration:.2f} s, of which the waveforms {start:.2f} to {end:.2f} s\n")
+    rows = [(p.quantity, f"{p.value:.4g}", f"{p.limit:.4g}", p.unit) for p in planned.peaks]
+    print(_table(("peak", "value", "limit", "unit"), *rows))
+    if arguments.output:
+        _write_page(planned, Path(arguments.output))
+        print(f"\n{Path(arguments.output).resolve()}")
+
+
+def _table(*lines: tuple[str, ...]) -> str:
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    padded = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return "\n".join(line.rstrip() for line in padded)
+
+
+def _write_page(planned: Plan, path: Path) -> None:
+    from plotly.subplots import make_subplots
+
+    time = np.linspace(0, planned.duration, min(_POINTS, int(planned.duration * 1000) + 2))
+    at = planned.at(time)
+    panels = [
+        ("position in mm", at.position * 1e3),
+        ("velocity in mm/s", at.velocity * 1e3),
+        ("acceleration in m/s²", at.acceleration),
+        ("coil current in mA", at.current * 1e3),
+    ]
+    figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
+    for row, (title, series) in enumerate(panels, 1):
+        # Steps of the current are steps: a slanted line would show currents that never flow.
+        line = {"width": 1, "shape": "hv" if row == len(panels) else "linear"}
+        figure.add_scattergl(x=time, y=series, line=line, name=title, row=row, col=1)
+        figure.update_yaxes(title_text=title, row=row, col=1)
+    for edge in planned.body:
+        figure.add_vline(x=edge, line={"width": 1, "dash": "dot"})
+    figure.update_xaxes(title_text="time in s", row=len(panels), col=1)
+    experiment = planned.experiment
+    figure.update_layout(
+        title=f"{experiment.name}: {experiment.description}", height=900, showlegend=False, template="plotly_white"
+    )
+    temporary = path.with_name(path.name + ".part")
+    try:
+        temporary.write_text(figure.to_html(include_plotlyjs=True), encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+if __name__ == "__main__":
+    main()

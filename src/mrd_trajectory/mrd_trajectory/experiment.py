@@ -1,0 +1,104 @@
+"""An experiment: what the rod and the coil should do, as a YAML file."""
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
+from mrd_base.config import key_of, parse_yaml
+from mrd_trajectory.transition import KINDS
+from mrd_trajectory.waveforms import UNITS, Constant, Waveform, name_of, waveform_type
+
+# Column of a trace that holds a channel's levels.
+_COLUMNS = {"rod": "position_m", "coil": "current_A"}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to do; `mrd_trajectory.plan.plan` works out how, within the bench's limits."""
+
+    name: str = quantity(unit="", doc="letters, digits, - and _; names the recording")
+    duration: float = quantity(unit="s", doc="of the waveforms, once; transitions come on top", lower=0.01, upper=3600)
+    rate: float = quantity(unit="Hz", doc="samples per second", lower=25, upper=2000)
+    rod: Waveform = quantity(Constant(), "", "position of the rod, 0 at mid-stroke, > 0 extends")
+    coil: Waveform = quantity(Constant(), "", "current of the coil")
+    repeats: int = quantity(1, "", "how often the waveforms run", lower=1, upper=1000)
+    transition: str = quantity("quintic", "", f"how the rod gets from setpoint to setpoint: {', '.join(KINDS)}")
+    description: str = quantity("", "", "what it is for")
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name):
+            raise InputError(f"name: found {self.name!r}, expected 1 to 64 letters, digits, - and _")
+        if self.transition not in KINDS:
+            raise InputError(f"transition: found {self.transition!r}, expected one of {', '.join(KINDS)}")
+
+
+def read_experiment(path: str | Path) -> Experiment:
+    """Read an experiment from a YAML file.
+
+    Raises
+    ------
+    InputError
+        With one line that names file, field, what was found and what was expected.
+    """
+    return _experiment(read_yaml(path), str(path), Path(path).resolve().parent)
+
+
+def parse_experiment(text: str, where: str, folder: Path | None = None) -> Experiment:
+    """Read an experiment from YAML text.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Names the text in errors.
+    folder : Path, optional
+        Where relative files lie; without it they are refused.
+    """
+    return _experiment(parse_yaml(text, where), where, folder)
+
+
+def format_experiment(experiment: Experiment) -> str:
+    """YAML text of an experiment; `parse_experiment` reads it back."""
+    mapping: dict[str, Any] = {}
+    for field in dataclasses.fields(experiment):
+        value = getattr(experiment, field.name)
+        if isinstance(value, Waveform):
+            mapping[field.name] = {"waveform": name_of(value), **to_mapping(value, units=UNITS[field.name])}
+        elif value != field.default:
+            mapping[key_of(field)[0]] = value
+    return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
+
+
+def write_experiment(experiment: Experiment, path: str | Path) -> None:
+    """Write an experiment to a YAML file."""
+    Path(path).write_text(format_experiment(experiment), encoding="utf-8")
+
+
+def _experiment(mapping: dict[str, Any], where: str, folder: Path | None) -> Experiment:
+    waveforms = {
+        channel: _waveform(mapping[channel], channel, f"{where}: {channel}", folder)
+        for channel in UNITS
+        if channel in mapping
+    }
+    return from_mapping(Experiment, {**mapping, **waveforms}, where)
+
+
+def _waveform(mapping: Any, channel: str, where: str, folder: Path | None) -> Waveform:
+    if not isinstance(mapping, Mapping) or "waveform" not in mapping:
+        raise InputError(f"{where}: expected a mapping with the key waveform and the waveform's parameters")
+    try:
+        cls = waveform_type(mapping["waveform"])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    parameters = {key: value for key, value in mapping.items() if key != "waveform"}
+    waveform = from_mapping(cls, parameters, where, units=UNITS[channel])
+    try:
+        return waveform.placed(folder, _COLUMNS[channel])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None

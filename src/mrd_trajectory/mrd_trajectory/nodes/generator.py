@@ -1,0 +1,125 @@
+"""Generator: streams the setpoints of a loaded experiment, and of nothing else."""
+
+from typing import Any
+
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from mrd_base import InputError
+from mrd_base.nodes.bench_node import COMMAND, LATCHED, BenchNode, run_node
+from mrd_interfaces.msg import Setpoint
+from mrd_interfaces.srv import LoadExperiment
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import Plan, plan
+from mrd_trajectory.settings import GeneratorSettings
+
+
+class Generator(BenchNode[GeneratorSettings]):
+    """Load once, start once: after every end an experiment must be loaded again.
+
+    The rod is expected at rest at mid-stroke when an experiment starts; whoever starts it has homed it. Whenever the stream
+    ends early, the servo brings the rod to rest by itself.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("generator", GeneratorSettings)
+        self._plan: Plan | None = None
+        self._start = self._last = 0.0
+        self._state = "idle"
+        self._why = ""
+        self._stopped = False
+        self._setpoints = self.create_publisher(Setpoint, "setpoint", COMMAND)
+        self._states = self.create_publisher(String, "experiment_state", LATCHED)
+        self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
+        self.create_service(LoadExperiment, "load_experiment", self._load)
+        self.create_service(Trigger, "start_experiment", self._start_experiment)
+        self.create_service(Trigger, "abort_experiment", self._abort)
+        self._timer = self.create_bench_timer(1 / self.config.setpoint_rate, self._tick)
+        self._timer.cancel()
+        self._enter("idle")
+
+    def _enter(self, state: str, why: str = "") -> None:
+        self._state, self._why = state, why
+        if state != "running":
+            self._timer.cancel()
+        self._states.publish(String(data=state))
+        self.get_logger().info(f"{state}{': ' + why if why else ''}")
+
+    def _load(self, request: LoadExperiment.Request, response: LoadExperiment.Response) -> LoadExperiment.Response:
+        if self._state == "running":
+            response.message = "an experiment is running; abort it first"
+            return response
+        self._plan = None
+        try:
+            experiment = parse_experiment(request.experiment, "experiment")
+            self._plan = plan(experiment, self.config.limits, self.config.force_envelope)
+        except InputError as error:
+            response.message = str(error)
+            self._enter("idle", response.message)
+            return response
+        response.success, response.duration, response.rate = True, self._plan.duration, experiment.rate
+        self._enter("loaded", f"{experiment.name}, {self._plan.duration:.1f} s")
+        return response
+
+    def _start_experiment(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._stopped:
+            response.message = "the emergency stop is latched; call reset_fault first"
+        elif self._state != "loaded":
+            response.message = f"no experiment is loaded ({self._state}); call load_experiment first"
+        else:
+            self._start = self._last = self.bench.now()
+            self._timer.reset()
+            self._enter("running")
+            self._tick()
+            response.success = True
+        return response
+
+    def _abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = True
+        if self._state == "running":
+            self._enter("aborted", "asked to")
+        else:
+            response.message = f"nothing was running ({self._state})"
+        return response
+
+    def _on_emergency_stop(self, message: Bool) -> None:
+        self._stopped = message.data
+        if message.data and self._state == "running":
+            self._enter("aborted", "emergency stop")
+
+    def _tick(self) -> None:
+        if self._state != "running" or self._plan is None:
+            return
+        now = self.bench.now()
+        if now - self._last > self.config.stall:
+            # The rod has been stopped meanwhile; going on where the plan is now would make it jump.
+            self._enter("aborted", f"no setpoint for {now - self._last:.3g} s; the machine is too busy")
+            return
+        self._last = now
+        at = self._plan.at(now - self._start)
+        message = Setpoint(
+            position=float(at.position),
+            velocity=float(at.velocity),
+            acceleration=float(at.acceleration),
+            coil_current=float(at.current),
+        )
+        message.header.stamp = self.stamp(now)
+        self._setpoints.publish(message)
+        if now - self._start >= self._plan.duration:
+            self._enter("done")
+
+    def diagnose(self) -> tuple[str, dict[str, Any]]:
+        values: dict[str, Any] = {"state": self._state, "emergency stop": self._stopped}
+        if self._plan is not None:
+            values["experiment"] = self._plan.experiment.name
+            if self._state == "running":
+                values["elapsed"] = f"{self._last - self._start:.1f} of {self._plan.duration:.1f} s"
+        return (self._why if self._state == "aborted" else ""), values
+
+
+def main() -> None:
+    run_node(Generator)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""The catalogue of waveforms. A new one is a file and a line in `WAVEFORMS`."""
+
+import dataclasses
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from mrd_base import InputError
+from mrd_base.config import key_of
+from mrd_trajectory.waveforms.aprbs import Aprbs
+from mrd_trajectory.waveforms.chirp import Chirp
+from mrd_trajectory.waveforms.constant import Constant
+from mrd_trajectory.waveforms.multisine import Multisine
+from mrd_trajectory.waveforms.prbs import Prbs
+from mrd_trajectory.waveforms.ramp import Ramp
+from mrd_trajectory.waveforms.sine import Sine
+from mrd_trajectory.waveforms.staircase import Staircase
+from mrd_trajectory.waveforms.step import Step
+from mrd_trajectory.waveforms.trace import Trace
+from mrd_trajectory.waveforms.triangle import Triangle
+from mrd_trajectory.waveforms.waveform import UNITS, Corners, Holds, Samples, Shape, Smooth, Waveform
+
+WAVEFORMS: MappingProxyType[str, type[Waveform]] = MappingProxyType(
+    {
+        "constant": Constant,
+        "sine": Sine,
+        "triangle": Triangle,
+        "step": Step,
+        "staircase": Staircase,
+        "ramp": Ramp,
+        "chirp": Chirp,
+        "multisine": Multisine,
+        "prbs": Prbs,
+        "aprbs": Aprbs,
+        "trace": Trace,
+    }
+)
+
+
+def waveform_type(name: object) -> type[Waveform]:
+    """Class of a waveform by its name in the catalogue."""
+    if not isinstance(name, str) or name not in WAVEFORMS:
+        raise InputError(f"unknown waveform {name} (known: {', '.join(WAVEFORMS)})")
+    return WAVEFORMS[name]
+
+
+def name_of(waveform: Waveform) -> str:
+    """Name of a waveform in the catalogue."""
+    return next(name for name, cls in WAVEFORMS.items() if cls is type(waveform))
+
+
+@dataclass(frozen=True)
+class WaveformParameter:
+    """One row of the catalogue's table."""
+
+    waveform: str
+    rod_key: str
+    coil_key: str
+    default: str
+    meaning: str
+
+
+def waveform_table() -> list[WaveformParameter]:
+    """Every parameter of every waveform by its YAML keys, for help texts and documentation."""
+    return [
+        WaveformParameter(
+            name,
+            key_of(field, UNITS["rod"])[0],
+            key_of(field, UNITS["coil"])[0],
+            "required" if field.default is dataclasses.MISSING else str(field.default),
+            field.metadata["doc"],
+        )
+        for name, cls in WAVEFORMS.items()
+        for field in dataclasses.fields(cls)  # type: ignore[arg-type]
+    ]
+
+
+__all__ = [
+    "UNITS",
+    "WAVEFORMS",
+    "Constant",
+    "Corners",
+    "Holds",
+    "Samples",
+    "Shape",
+    "Smooth",
+    "Waveform",
+    "WaveformParameter",
+    "name_of",
+    "waveform_table",
+    "waveform_type",
+]

@@ -1,0 +1,40 @@
+"""A sine whose frequency rises or falls exponentially."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mrd_base import quantity
+from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform
+
+
+@dataclass(frozen=True)
+class Chirp(Waveform):
+    """Exponential sweep from ``start`` to ``end`` within the duration of the experiment.
+
+    With ``constant_speed`` the amplitude falls as the frequency rises, so that the peak rate stays the same.
+    """
+
+    amplitude: float = quantity(unit="level", doc="half of peak to peak; with constant_speed: at the start", lower=0)
+    start: float = quantity(unit="Hz", doc="first frequency", lower=1e-3, upper=100)
+    end: float = quantity(unit="Hz", doc="last frequency", lower=1e-3, upper=100)
+    constant_speed: bool = quantity(False, "", "keep amplitude × frequency instead of the amplitude")
+    offset: float = quantity(0.0, "level", "mean")
+
+    def shape(self, duration: float) -> Smooth:
+        growth = np.log(self.end / self.start) / duration
+        decay = growth if self.constant_speed else 0.0
+
+        def motion(time: Array) -> tuple[Array, Array, Array]:
+            # Level = offset + a sin φ with φ' = 2π f(t), f and a exponential; expm1 keeps equal ends (growth 0) exact.
+            rate = 2 * np.pi * self.start * np.exp(growth * time)
+            phase = 2 * np.pi * self.start * (np.expm1(growth * time) / growth if growth else time)
+            amplitude = self.amplitude * np.exp(-decay * time)
+            sine, cosine = amplitude * np.sin(phase), amplitude * np.cos(phase)
+            return (
+                self.offset + sine,
+                rate * cosine - decay * sine,
+                (decay**2 - rate**2) * sine + (growth - 2 * decay) * rate * cosine,
+            )
+
+        return Smooth(motion, max(self.start, self.end))

@@ -1,0 +1,31 @@
+"""One ramp from level to level, for quasi-static tests."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mrd_base import InputError, quantity
+from mrd_trajectory.waveforms.waveform import Corners, Waveform
+
+
+@dataclass(frozen=True)
+class Ramp(Waveform):
+    """Hold ``start`` for ``dwell``, go to ``end`` at constant slope, hold it."""
+
+    start: float = quantity(unit="level", doc="held first")
+    end: float = quantity(unit="level", doc="held last")
+    slope: float = quantity(unit="level/s", doc="steepness of the ramp", lower=0)
+    dwell: float = quantity(0.0, "s", "time at the start level", lower=0)
+
+    def __post_init__(self) -> None:
+        if self.slope == 0:
+            raise InputError("the slope of a ramp must be > 0")
+
+    def shape(self, duration: float) -> Corners:
+        arrival = self.dwell + abs(self.end - self.start) / self.slope
+        if arrival > duration * (1 + 1e-9):
+            raise InputError(f"the ramp ends at {arrival:.4g} s, after duration_s {duration:g}; raise duration_s")
+        return Corners(
+            np.array([0.0, self.dwell, arrival, max(duration, arrival)]),
+            np.array([self.start, self.start, self.end, self.end]),
+        )

@@ -1,0 +1,26 @@
+"""A sine, the waveform of most published damper tests."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mrd_base import quantity
+from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform
+
+
+@dataclass(frozen=True)
+class Sine(Waveform):
+    """``offset + amplitude sin(2π frequency t)``."""
+
+    amplitude: float = quantity(unit="level", doc="half of peak to peak", lower=0)
+    frequency: float = quantity(unit="Hz", doc="of the sine", lower=1e-3, upper=100)
+    offset: float = quantity(0.0, "level", "mean")
+
+    def shape(self, duration: float) -> Smooth:
+        rate = 2 * np.pi * self.frequency
+
+        def motion(time: Array) -> tuple[Array, Array, Array]:
+            sine, cosine = self.amplitude * np.sin(rate * time), self.amplitude * np.cos(rate * time)
+            return self.offset + sine, rate * cosine, -(rate**2) * sine
+
+        return Smooth(motion, self.frequency)

@@ -1,0 +1,22 @@
+"""Levels one after the other."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mrd_base import InputError, quantity
+from mrd_trajectory.waveforms.waveform import Holds, Waveform, repeated
+
+
+@dataclass(frozen=True)
+class Staircase(Waveform):
+    """Each level in turn for ``hold``, from the first again after the last."""
+
+    levels: tuple[float, ...] = quantity(unit="level", doc="in the order of their turns")
+    hold: float = quantity(unit="s", doc="time at each level", lower=1e-3)
+
+    def shape(self, duration: float) -> Holds:
+        if duration / self.hold > 1e6:
+            raise InputError("the staircase has more than a million steps; raise hold_s")
+        count = len(self.levels)
+        return Holds(*repeated(np.arange(count) * self.hold, self.levels, count * self.hold, duration))
