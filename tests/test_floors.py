@@ -1,0 +1,183 @@
+"""The rules of the house that a reader cannot see from one file: who may import whom, and where ROS ends."""
+
+import ast
+import importlib.metadata
+import inspect
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ament_index_python import get_package_prefix
+
+SOURCES = Path(__file__).resolve().parents[1] / "src"
+
+FLOORS = {
+    "mrd_base": set(),
+    "mrd_trajectory": {"mrd_base"},
+    "mrd_runs": {"mrd_base"},
+    "mrd_sim": {"mrd_base", "mrd_trajectory", "mrd_runs"},
+    # Apart from the simulator: an error in the driver must show against the simulated motor, not be shared with it.
+    "mrd_bench_driver": {"mrd_base", "mrd_trajectory", "mrd_runs"},
+    "mrd_identification": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim"},
+}
+
+EXECUTABLES = {
+    "mrd_base": set(),
+    "mrd_trajectory": {"generator", "preview"},
+    "mrd_runs": {"recorder", "replay", "import_csv", "info"},
+    "mrd_sim": {"plant", "simulate", "models"},
+    "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
+    "mrd_identification": {"identifier", "identify"},
+}
+
+ROSDEP = {
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+    "serial": "python3-serial",
+    "jsonschema": "python3-jsonschema",
+    "jinja2": "python3-jinja2",
+    "tqdm": "python3-tqdm",
+    "psutil": "python3-psutil",
+}
+WITHOUT_ROSDEP_KEY = {"numba", "pymoo", "rosbags", "mcap", "plotly", "rich"}
+OPTIONAL = {"nidaqmx"}
+
+
+def is_ros(module: str) -> bool:
+    package = module.partition(".")[0]
+    return package in ("rclpy", "std_srvs", "ament_index_python") or package.endswith(("_msgs", "_interfaces"))
+
+
+# Imports every module of a package but its nodes, where ROS cannot be imported.
+IMPORT_WITHOUT_ROS = f"""
+import importlib, pkgutil, sys
+
+{inspect.getsource(is_ros)}
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        if is_ros(name):
+            raise ImportError(f"{{name}} is ROS")
+
+sys.meta_path.insert(0, NoRos())
+package = importlib.import_module(sys.argv[1])
+for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+    if ".nodes" not in module.name:
+        importlib.import_module(module.name)
+        print(module.name)
+"""
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and full name of every module that a syntax tree imports, wherever in it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.lineno, node.module or ""
+            # `from mrd_x import nodes` names a module too.
+            yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
+
+
+def at_import(tree: ast.Module) -> ast.Module:
+    """What runs when the module is imported: everything but the bodies of functions."""
+
+    class WithoutFunctions(ast.NodeTransformer):
+        def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
+            return None
+
+    return WithoutFunctions().visit(tree)
+
+
+def modules(package: str) -> Iterator[tuple[Path, ast.Module]]:
+    for file in sorted((SOURCES / package / package).rglob("*.py")):
+        yield file, ast.parse(file.read_text(encoding="utf-8"), str(file))
+
+
+def in_nodes(file: Path) -> bool:
+    return "nodes" in file.relative_to(SOURCES).parts
+
+
+def test_every_package_has_its_floor():
+    packages = {file.parent.name for file in SOURCES.glob("*/package.xml")}
+    assert packages == {*FLOORS, "mrd_interfaces"}
+    assert FLOORS.keys() == EXECUTABLES.keys()
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_a_package_imports_only_from_the_floors_below(package):
+    allowed = FLOORS[package] | {package, "mrd_interfaces"}
+    wrong = [
+        f"{file}:{line} imports {name}"
+        for file, tree in modules(package)
+        for line, name in imports(tree)
+        if name.startswith("mrd_") and name.partition(".")[0] not in allowed
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_ros_and_messages_are_known_to_nodes_only(package):
+    wrong = [
+        f"{file}:{line} imports {name}"
+        for file, tree in modules(package)
+        for line, name in imports(tree)
+        if not in_nodes(file) and (is_ros(name) or (name.startswith("mrd_") and ".nodes" in name))
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_the_daq_library_is_optional(package):
+    wrong = [
+        f"{file}:{line}"
+        for file, tree in modules(package)
+        for line, name in imports(at_import(tree))
+        if name.startswith("nidaqmx")
+    ]
+    assert not wrong
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_the_core_works_where_ros_is_absent(package):
+    """From the sources, with no variable of ROS set: as in a notebook."""
+    environment = {
+        "PATH": os.environ["PATH"],
+        "HOME": os.environ.get("HOME", "/"),
+        "PYTHONPATH": os.pathsep.join(str(SOURCES / name) for name in [package, *FLOORS[package]]),
+    }
+    core = subprocess.run(
+        [sys.executable, "-c", IMPORT_WITHOUT_ROS, package], env=environment, capture_output=True, text=True
+    )
+    assert core.returncode == 0, core.stderr
+    expected = [file for file, _ in modules(package) if not in_nodes(file)]
+    assert len(core.stdout.split()) == len(expected) - 1  # the package's own __init__ is not among its modules
+
+
+@pytest.mark.parametrize("package", EXECUTABLES)
+def test_every_executable_stands_where_ros2_run_finds_it(package):
+    points = importlib.metadata.distribution(package).entry_points.select(group="console_scripts")
+    assert {point.name for point in points} >= EXECUTABLES[package]
+    for point in points:
+        program = Path(get_package_prefix(package), "lib", package, point.name)
+        assert os.access(program, os.X_OK), f"{program} is missing: make build"
+        assert callable(point.load())
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_what_the_sources_import_is_declared(package):
+    """`colcon build` orders packages by package.xml, rosdep installs by it, pip by setup/requirements.in."""
+    declared = (SOURCES / package / "package.xml").read_text(encoding="utf-8")
+    needed = {name.partition(".")[0] for _, tree in modules(package) for _, name in imports(tree)}
+    for name in needed - sys.stdlib_module_names - {package, *OPTIONAL}:
+        if name.startswith("mrd_") or is_ros(name):
+            assert f"<depend>{name}</depend>" in declared
+        elif name in ROSDEP:
+            assert f"<exec_depend>{ROSDEP[name]}</exec_depend>" in declared
+        else:
+            assert name in WITHOUT_ROSDEP_KEY
+            assert re.search(rf"<!-- No rosdep key[^>]*\b{name}\b", declared), f"{name} is not named in package.xml"
