@@ -1,20 +1,20 @@
 """What a recording is, wherever it came from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """One recording: equally long, finite series in SI units.
+
+    Two runs are equal only when they are the same object, so that a run can key a cache.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Run:
     force: Array
     acceleration: Array | None = None
     temperature: Array | None = None
-    info: Mapping[str, Any] = field(default=_NOTHING, repr=False)
+    info: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -60,3 +60,7 @@ class Run:
     def duration(self) -> float:
         """From the first to the last sample, in s."""
         return float(self.time[-1] - self.time[0])
+
+    def renamed(self, name: str) -> "Run":
+        """The same recording under another name."""
+        return replace(self, name=name)

@@ -1,0 +1,222 @@
+"""`read_run`: a run from whatever holds it."""
+
+import hashlib
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_runs.bag import Bag, read_bag
+from mrd_runs.blocks import Blocks, decode_blocks
+from mrd_runs.csv_file import read_csv
+from mrd_runs.definitions import SAMPLES_TYPE
+from mrd_runs.run import Run
+from mrd_runs.series import make_run
+
+Array = NDArray[np.float64]
+
+# Topics of an imported CSV that blocks of equally spaced samples cannot carry: the exact value of each sample.
+IMPORTED = ("time_s", "velocity_mps", "temperature_C")
+
+
+def read_run(path: str | Path) -> Run:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path : path
+        A bag folder, an ``.mcap`` or ``.db3`` file, or a CSV file with the header ``time_s,position_m,current_A,force_N``
+        and optionally ``acceleration_mps2``, ``velocity_mps``, ``temperature_C``.
+
+    Returns
+    -------
+    Run
+        ``info`` holds ``source``, ``format``, ``checksum``, ``notes``, ``lost`` (samples missing by their sequence numbers),
+        ``recovered`` (whether the bag had not been closed), and for a bag what it says of itself: ``experiment``,
+        ``experiment_name``, ``calibration``, ``versions``, ``seed``, ``started``, ``jitter_s``.
+
+    Raises
+    ------
+    InputError
+        For anything that is no usable recording, in one line.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; expected a bag folder, an .mcap, .db3 or .csv file")
+    if path.is_dir() or path.suffix in {".mcap", ".db3"}:
+        return _read_bag_run(path)
+    if path.suffix.lower() not in {".csv", ".txt", ""}:
+        raise InputError(f"{path}: unknown kind of file; expected a bag folder, an .mcap, .db3 or .csv file")
+    columns, notes, lines = read_csv(path)
+    info = {"source": str(path), "format": "csv", "checksum": _checksum(path), "notes": notes, "lost": 0, "recovered": False}
+    return make_run(path.stem, columns, info, where=str(path), place=lambda index: f"line {lines[index]}")
+
+
+def read_runs(paths: Iterable[str | Path]) -> list[Run]:
+    """Read recordings and give each a name of its own.
+
+    Raises
+    ------
+    InputError
+        As `read_run`; also when two paths hold the same recording.
+    """
+    runs: list[Run] = []
+    for path in paths:
+        run = read_run(path)
+        for other in runs:
+            if other.info["checksum"] == run.info["checksum"]:
+                raise InputError(f"{path}: is the same recording as {other.info['source']}; give each recording once")
+        taken = {other.name for other in runs}
+        if run.name in taken:
+            base = f"{Path(path).resolve().parent.name}/{run.name}"
+            run = run.renamed(next(name for name in _candidates(base) if name not in taken))
+        runs.append(run)
+    return runs
+
+
+def _candidates(base: str) -> Iterable[str]:
+    yield base
+    number = 2
+    while True:
+        yield f"{base}-{number}"
+        number += 1
+
+
+def _checksum(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def samples_topic(bag: Bag, where: str) -> str:
+    """Name of the topic that holds the samples.
+
+    Raises
+    ------
+    InputError
+        When there is none, or more than one.
+    """
+    found = [name for name, topic in bag.topics.items() if topic.message_type == SAMPLES_TYPE]
+    if not found:
+        present = ", ".join(f"{name} ({topic.message_type})" for name, topic in sorted(bag.topics.items())) or "none"
+        raise InputError(f"{where}: holds no topic of type {SAMPLES_TYPE}; topics in it: {present}")
+    preferred = [name for name in found if name.rsplit("/", 1)[-1] == "samples"]
+    if len(preferred or found) > 1:
+        raise InputError(f"{where}: holds several topics of samples ({', '.join(found)}); expected one")
+    return (preferred or found)[0]
+
+
+def _read_bag_run(path: Path) -> Run:
+    where = str(path)
+    bag = read_bag(path, {"samples", "run_info", "calibration", *IMPORTED})
+    topic = samples_topic(bag, where)
+    if not bag.topics[topic].messages and not topic.endswith("samples"):
+        bag = read_bag(path)
+    try:
+        blocks = decode_blocks(bag.topics[topic].messages, bag.types)
+        info = _self_description(bag)
+    # A damaged message or a definition of other fields: rosbags raises whatever the bytes lead to.
+    except Exception as error:
+        raise InputError(f"{where}: the messages of {topic} cannot be read ({' '.join(str(error).split())})") from None
+    columns, timing = _assemble(blocks, where)
+    for name in IMPORTED:
+        exact = _imported(bag, name)
+        if exact is not None and len(exact) == len(columns["time_s"]):
+            columns[name] = exact
+    notes = list(info.get("notes", ()))
+    if bag.recovered:
+        notes.append(f"the bag was not closed: {len(columns['time_s'])} samples recovered")
+    if timing["lost"]:
+        notes.append(f"{timing['lost']} samples are missing by their sequence numbers")
+    info |= timing | {"source": where, "format": bag.file.suffix.lstrip("."), "checksum": _checksum(bag.file)}
+    info |= {"topic": topic, "recovered": bag.recovered, "notes": notes}
+    return make_run(path.stem if path.is_file() else path.resolve().name, columns, info, where=where)
+
+
+def _assemble(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Columns of the samples on the clock of the DAQ, and what the stamps say of it."""
+    columns = {
+        "position_m": blocks.series["position"],
+        "current_A": blocks.series["coil_current"],
+        "force_N": blocks.series["force"],
+        "acceleration_mps2": blocks.series["acceleration"],
+    }
+    # A bench without accelerometer says so with NaN.
+    if np.isnan(columns["acceleration_mps2"]).all():
+        del columns["acceleration_mps2"]
+    if len(blocks.stamp) == 0:
+        return {"time_s": np.empty(0), **columns}, {"lost": 0, "jitter_s": 0.0}
+    usable = np.isfinite(blocks.period) & (blocks.period > 0)
+    if not usable.all():
+        index = int(np.argmin(usable))
+        raise InputError(f"{where}: block {index} has the sample period {blocks.period[index]} s, expected a positive one")
+    missing = blocks.sequence[1:] - (blocks.sequence + blocks.count)[:-1]
+    since = 1e-9 * (blocks.stamp - blocks.stamp[0])
+    # One stretch is as long as one clock counts on: the DAQ was not restarted, its rate not changed. Within it, sample
+    # numbers tell the time; between stretches the stamps do.
+    cuts = np.flatnonzero((missing < 0) | (np.abs(np.diff(blocks.period)) > 1e-9 * blocks.period[0])) + 1
+    time, jitter = [], 0.0
+    for first, last in zip([0, *cuts], [*cuts, len(since)], strict=True):
+        # Dividing by a whole rate gives 0.007, multiplying by the period 0.007000000000000001.
+        rate = 1 / blocks.period[first]
+        rate = round(rate) if abs(rate - round(rate)) < 1e-6 * rate else rate
+        count = blocks.count[first:last]
+        numbers = blocks.sequence[first:last] - blocks.sequence[first]
+        jitter = max(jitter, float(np.std(since[first:last] - numbers / rate)))
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        time.append(since[first] + (np.repeat(numbers, count) + within) / rate)
+    timing = {
+        "lost": int(missing[missing > 0].sum()),
+        "jitter_s": jitter,
+        "first_stamp_s": float(blocks.stamp[0] * 1e-9),
+    }
+    return {"time_s": np.concatenate(time), **columns}, timing
+
+
+def _last(bag: Bag, name: str) -> Any:
+    """Last message of the topic with this last part of its name."""
+    for topic, entry in bag.topics.items():
+        if topic.rsplit("/", 1)[-1] == name and entry.messages:
+            return bag.types.deserialize_cdr(entry.messages[-1], entry.message_type)
+    return None
+
+
+def _imported(bag: Bag, name: str) -> Array | None:
+    for topic, entry in bag.topics.items():
+        if topic.endswith(f"/imported/{name}") and entry.messages:
+            return np.concatenate([np.asarray(message.data, np.float64) for message in bag.decode(topic)])
+    return None
+
+
+def _self_description(bag: Bag) -> dict[str, Any]:
+    """What the bag says of itself, from its first message and the latched calibration."""
+    info: dict[str, Any] = {}
+    message = _last(bag, "run_info")
+    if message is not None:
+        content = json.loads(message.data)
+        info |= content if isinstance(content, dict) else {}
+    experiment = info.get("experiment")
+    if experiment:
+        try:
+            content = yaml.safe_load(experiment)
+            info["experiment_name"] = content.get("name", "") if isinstance(content, dict) else ""
+        except yaml.YAMLError:
+            info["experiment_name"] = ""
+    calibration = _last(bag, "calibration")
+    if calibration is not None:
+        info["calibration"] = {
+            quantity: {"unit": unit, "channel": channel, "gain": float(gain), "zero_V": float(zero)}
+            for quantity, unit, channel, gain, zero in zip(
+                calibration.quantity,
+                calibration.unit,
+                calibration.channel,
+                calibration.gain,
+                calibration.zero,
+                strict=False,
+            )
+        } | {"device": calibration.device}
+    return info
