@@ -6,11 +6,12 @@ Prints the time of one NSGA-II evaluation (100 candidates, 60 000 samples, both 
 import time
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
+
 from mrd_identification.problem import Problem, free_parameters, prepare
 from mrd_runs import Run
 from mrd_sim.models import MODELS
-from rich.console import Console
-from rich.table import Table
 
 CANDIDATES, RATE, SECONDS = 100, 1000.0, 60.0
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mrd_sim.models import DamperModel, Parameter, find_model
 from numpy.typing import NDArray
 
 from mrd_base import InputError
@@ -14,6 +13,7 @@ from mrd_identification.nsga2 import Front, search
 from mrd_identification.polish import intervals, polish
 from mrd_identification.problem import Problem, Recording, free_parameters, prepare
 from mrd_runs import Run
+from mrd_sim.models import DamperModel, Parameter, find_model
 
 Array = NDArray[np.float64]
 

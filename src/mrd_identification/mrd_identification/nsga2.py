@@ -53,7 +53,7 @@ def search(
         Called with the generation and the smallest e2 in N.
     """
 
-    class Objectives(PymooProblem):  # type: ignore[misc]
+    class Objectives(PymooProblem):
         def __init__(self) -> None:
             constraints = problem.constraints(problem.base[None]).shape[1]
             super().__init__(n_var=len(problem.free), n_obj=2, n_ieq_constr=constraints, xl=0.0, xu=1.0)
@@ -63,7 +63,7 @@ def search(
             out["F"] = np.nan_to_num(problem.norms(thetas), posinf=_WORST)
             out["G"] = problem.constraints(thetas)
 
-    class Report(Callback):  # type: ignore[misc]
+    class Report(Callback):
         def notify(self, algorithm: Any) -> None:
             if progress is not None:
                 progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min()))

@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from mrd_sim.models import DamperModel, Parameter
-from mrd_sim.path import Path, make_path
 from numpy.typing import NDArray
 
 from mrd_runs import Run
 from mrd_runs.motion import motion
+from mrd_sim.models import DamperModel, Parameter
+from mrd_sim.path import Path, make_path
 
 Array = NDArray[np.float64]
 
@@ -136,7 +136,7 @@ class Problem:
         """Constraint values (candidates, c), <= 0 where admissible."""
         if self.model.constraints is None:
             return np.zeros((len(thetas), 0))
-        return self.model.constraints(dict(zip(self.model.names, thetas.T, strict=True)))
+        return np.asarray(self.model.constraints(dict(zip(self.model.names, thetas.T, strict=True))))
 
 
 def free_parameters(model: DamperModel, runs: Sequence[Run]) -> tuple[tuple[int, ...], list[str]]:

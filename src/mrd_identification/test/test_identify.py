@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+
 from mrd_base import InputError
 from mrd_identification import identify, metrics, read_fit, write_fit
 from mrd_identification.nsga2 import knee

@@ -15,6 +15,7 @@ from mrd_runs.bag import Bag, read_bag
 from mrd_runs.blocks import Blocks, decode_blocks
 from mrd_runs.csv_file import read_csv
 from mrd_runs.definitions import SAMPLES_TYPE
+from mrd_runs.description import describe_calibration
 from mrd_runs.run import Run
 from mrd_runs.series import make_run
 
@@ -122,7 +123,7 @@ def _read_bag_run(path: Path) -> Run:
     # A damaged message or a definition of other fields: rosbags raises whatever the bytes lead to.
     except Exception as error:
         raise InputError(f"{where}: the messages of {topic} cannot be read ({' '.join(str(error).split())})") from None
-    columns, timing = _assemble(blocks, where)
+    columns, timing = assemble(blocks, where)
     for name in IMPORTED:
         exact = _imported(bag, name)
         if exact is not None and len(exact) == len(columns["time_s"]):
@@ -137,7 +138,7 @@ def _read_bag_run(path: Path) -> Run:
     return make_run(path.stem if path.is_file() else path.resolve().name, columns, info, where=where)
 
 
-def _assemble(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[str, Any]]:
+def assemble(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns of the samples on the clock of the DAQ, and what the stamps say of it."""
     columns = {
         "position_m": blocks.series["position"],
@@ -208,15 +209,5 @@ def _self_description(bag: Bag) -> dict[str, Any]:
             info["experiment_name"] = ""
     calibration = _last(bag, "calibration")
     if calibration is not None:
-        info["calibration"] = {
-            quantity: {"unit": unit, "channel": channel, "gain": float(gain), "zero_V": float(zero)}
-            for quantity, unit, channel, gain, zero in zip(
-                calibration.quantity,
-                calibration.unit,
-                calibration.channel,
-                calibration.gain,
-                calibration.zero,
-                strict=False,
-            )
-        } | {"device": calibration.device}
+        info["calibration"] = describe_calibration(calibration)
     return info

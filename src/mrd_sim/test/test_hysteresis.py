@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mrd_sim.hysteresis import advance, slope
 from scipy.integrate import solve_ivp
+
+from mrd_sim.hysteresis import advance, slope
 
 
 def reference(w, travel, sigma, n):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from mrd_base import InputError
 from mrd_sim.damper import Damper
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import make_path
-
-from mrd_base import InputError
 
 EVERY = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 

@@ -4,7 +4,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from mrd_sim.models import MODELS, find_model
 from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
@@ -12,6 +11,7 @@ from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import GENERATIONS, POPULATION, identify
 from mrd_identification.report import sentence, write_report
 from mrd_runs import read_runs
+from mrd_sim.models import MODELS, find_model
 
 
 def main() -> None:

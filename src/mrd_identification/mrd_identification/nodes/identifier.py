@@ -1,17 +1,147 @@
-"""Identification as a node: the same fit as the tool's, from recorded runs or from the samples it hears."""
+"""Identification as a node: the same fit as the tool's, from recorded runs or from the samples that it hears."""
 
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from mrd_base import quantity
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.task import Future
+
+from mrd_base import InputError, quantity
+from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
+from mrd_identification.fit_file import write_fit
+from mrd_identification.identify import GENERATIONS, POPULATION, Fit, identify
+from mrd_identification.report import sentence, write_report
+from mrd_interfaces.action import Identify
+from mrd_interfaces.msg import BenchSamples
+from mrd_runs import read_runs
+from mrd_runs.live import HeardSamples
 
 
 @dataclass(frozen=True)
-class IdentifierConfig:
+class IdentifierSettings:
     """Parameters of the identifier node."""
 
     time_scale: float = quantity(1.0, "", "bench seconds per wall second", lower=1e-3, upper=1e3)
-    longest: float = quantity(600.0, "s", "of samples kept for a fit; older ones are dropped", lower=1.0, upper=86400.0)
+    most_blocks: int = quantity(100_000, "", "blocks of samples kept for a fit; older ones are forgotten", lower=1)
 
 
-class Cancelled(Exception):
+class CancelledError(Exception):
     """The client does not want the fit any more."""
+
+
+class Identifier(BenchNode[IdentifierSettings]):
+    """Listens to ``samples`` and serves ``identify``, one fit at a time, beside the executor's thread."""
+
+    def __init__(self) -> None:
+        super().__init__("identifier", IdentifierSettings)
+        self._heard = HeardSamples(self.config.most_blocks)
+        self._busy = False
+        self._stopping = threading.Event()
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="fit")
+        self.create_subscription(BenchSamples, "samples", self._heard.append, RECORDED, raw=True)
+        self._server = ActionServer(
+            self,
+            Identify,
+            "identify",
+            self._execute,
+            goal_callback=self._accept,
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+        )
+
+    def _accept(self, _goal: Identify.Goal) -> GoalResponse:
+        return GoalResponse.REJECT if self._busy else GoalResponse.ACCEPT
+
+    async def _execute(self, goal: Any) -> Identify.Result:
+        request: Identify.Goal = goal.request
+        generations = request.generations or GENERATIONS
+        self._busy = True
+
+        def progress(generation: int, nrmse: float) -> None:
+            if goal.is_cancel_requested or self._stopping.is_set():
+                raise CancelledError
+            feedback = Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse)
+            goal.publish_feedback(feedback)
+
+        result = Identify.Result()
+        try:
+            fit, folder = await self._in_worker(lambda: self._fit(request, generations, progress))
+        except InputError as error:
+            result.message = str(error)
+            goal.abort()
+        except CancelledError:
+            result.message = "cancelled"
+            goal.canceled()
+        else:
+            _fill(result, fit, folder)
+            goal.succeed()
+        finally:
+            self._busy = False
+        self.get_logger().info(result.message)
+        return result
+
+    async def _in_worker(self, work: Callable[[], Any]) -> Any:
+        done: Future = Future(executor=self.executor)
+
+        def run() -> None:
+            try:
+                done.set_result(work())
+            except Exception as error:
+                done.set_exception(error)
+
+        self._worker.submit(run)
+        return await done
+
+    def _fit(
+        self, request: Identify.Goal, generations: int, progress: Callable[[int, float], None]
+    ) -> tuple[Fit, Path]:
+        if not request.output:
+            raise InputError("output is empty; expected the folder for fit.json and fit.html")
+        if request.runs:
+            every = read_runs([*request.runs, *request.held_out])
+            runs, held_out = every[: len(request.runs)], every[len(request.runs) :]
+        else:
+            runs, held_out = [self._heard.run("heard")], read_runs(request.held_out)
+        fit = identify(
+            runs,
+            request.model,
+            held_out=held_out,
+            population=request.population or POPULATION,
+            generations=generations,
+            seed=request.seed,
+            polish_result=request.polish,
+            progress=progress,
+        )
+        folder = Path(request.output)
+        write_fit(fit, folder)
+        write_report(fit, folder)
+        return fit, folder
+
+    def diagnose(self) -> tuple[str, dict[str, Any]]:
+        return "", {"blocks heard": len(self._heard), "fitting": self._busy}
+
+    def close(self) -> None:
+        self._stopping.set()
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+
+def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
+    judge = fit.pooled_held_out or fit.pooled_fitted
+    result.success = True
+    result.message = sentence(fit)
+    result.fit = str((folder / "fit.json").resolve())
+    result.report = str((folder / "fit.html").resolve())
+    result.parameter = [estimate.parameter.name for estimate in fit.estimates]
+    result.unit = [estimate.parameter.unit for estimate in fit.estimates]
+    result.value = [estimate.value for estimate in fit.estimates]
+    result.lower = [estimate.lower for estimate in fit.estimates]
+    result.upper = [estimate.upper for estimate in fit.estimates]
+    result.nrmse, result.e2, result.einf = judge.nrmse, judge.e2, judge.einf
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_identification identifier``."""
+    run_node(Identifier)

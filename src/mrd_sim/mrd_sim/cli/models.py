@@ -2,10 +2,10 @@
 
 import argparse
 
-from mrd_base import run_tool
 from rich.console import Console
 from rich.table import Table
 
+from mrd_base import run_tool
 from mrd_sim.models import MODELS, DamperModel, find_model
 
 

@@ -1,0 +1,48 @@
+"""Simulate a damper along an experiment or a recorded motion."""
+
+import argparse
+from pathlib import Path
+
+from mrd_base import InputError, run_tool
+from mrd_base.config import parse_yaml
+from mrd_runs import read_run
+from mrd_sim.models import MODELS
+from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
+from mrd_trajectory.experiment import read_experiment
+from mrd_trajectory.plan import plan
+from mrd_trajectory.settings import read_settings
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_sim simulate``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Parse, simulate, write."""
+    parser = argparse.ArgumentParser(
+        prog="simulate",
+        description="Simulate a damper along an experiment's setpoints or a recorded motion and current; writes a CSV.",
+    )
+    parser.add_argument("input", metavar="EXPERIMENT.yaml|RUN", help="experiment, or bag, .mcap, .db3 or CSV")
+    parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
+    parser.add_argument(
+        "--parameters", default="", metavar="'{NAME: VALUE}'", help="in SI; those not named have the model's default"
+    )
+    parser.add_argument("--bench", metavar="FILE", help="bench.yaml whose limits the experiment keeps")
+    parser.add_argument("--output", required=True, metavar="FILE.csv", help="must not exist")
+    arguments = parser.parse_args()
+
+    values: dict[str, float] = {}
+    for name, value in (parse_yaml(arguments.parameters, "--parameters") if arguments.parameters else {}).items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"--parameters: {name} is {value!r}, expected a number")
+        values[str(name)] = float(value)
+    if Path(arguments.input).suffix in {".yaml", ".yml"}:
+        settings = read_settings(arguments.bench)
+        planned = plan(read_experiment(arguments.input), settings.limits, settings.force_envelope)
+        run = simulate_plan(planned, arguments.model, values)
+    else:
+        run = simulate_run(read_run(arguments.input), arguments.model, values)
+    write_csv(run, arguments.output)
+    print(f"{arguments.output}: {len(run)} samples, force {run.force.min():.0f} to {run.force.max():.0f} N")
