@@ -16,13 +16,14 @@ setup(
         ("share/" + package, ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "ni": ["nidaqmx"]},
     zip_safe=True,
     entry_points={
         "console_scripts": [
             "servo = mrd_bench_driver.nodes.servo:main",
             "daq = mrd_bench_driver.nodes.daq:main",
             "supervisor = mrd_bench_driver.nodes.supervisor:main",
+            "bench = mrd_bench_driver.nodes.bench:main",
             "sizing = mrd_bench_driver.cli.sizing:main",
         ]
     },

@@ -1,0 +1,36 @@
+"""Where the volts come from: the DAQ's backends. A new one is a file and a line in the catalogue."""
+
+from collections.abc import Callable
+
+from mrd_base import BenchClock, InputError
+from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
+from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock, Wiring
+from mrd_bench_driver.acquisition.ni_usb_6216 import NiUsb6216
+from mrd_bench_driver.acquisition.simulated import Simulated
+
+BACKENDS: dict[str, Callable[[Wiring, BenchClock], Backend]] = {
+    "simulated": Simulated,
+    "ni_usb_6216": NiUsb6216,
+}
+
+
+def make_backend(name: str, wiring: Wiring, clock: BenchClock) -> Backend:
+    """Backend of the catalogue, not opened yet."""
+    if name not in BACKENDS:
+        raise InputError(f"backend is {name!r}, expected one of {', '.join(BACKENDS)}")
+    if name != "simulated" and clock.time_scale != 1:
+        raise InputError(f"time_scale is {clock.time_scale:g}, expected 1 with backend {name}, a real bench")
+    return BACKENDS[name](wiring, clock)
+
+
+__all__ = [
+    "BACKENDS",
+    "AcquisitionError",
+    "Averager",
+    "Backend",
+    "Simulated",
+    "VoltBlock",
+    "Wiring",
+    "averaging_ratio",
+    "make_backend",
+]

@@ -1,0 +1,206 @@
+"""Runs the whole bench: starts its nodes as processes, runs an experiment, says what was recorded, ends all of it."""
+
+import argparse
+import datetime
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from mrd_base import InputError, run_tool
+from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_parts
+from mrd_interfaces.action import RunExperiment
+from mrd_trajectory.experiment import format_experiment, read_experiment
+from mrd_trajectory.plan import plan
+from mrd_trajectory.settings import read_settings
+
+_START_TIMEOUT = 60.0
+_CANCEL_TIMEOUT = 90.0
+
+
+class BenchClient:
+    """Somebody at the bench: waits for it and has experiments run.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the bench's nodes.
+    watch : callable
+        Called often while waiting; what it raises ends the wait.
+    """
+
+    def __init__(self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(f"bench_client_{os.getpid()}", namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._watch = watch
+        self._action = ActionClient(self.node, RunExperiment, "run_experiment")
+
+    def __enter__(self) -> "BenchClient":
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._action.destroy()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def spin(self, until: Callable[[], bool], timeout: float, *, watch: bool = True) -> bool:
+        """Let messages in until something is so, ``timeout`` wall seconds at most; whether it is."""
+        deadline = time.monotonic() + timeout
+        while not until():
+            if time.monotonic() > deadline:
+                return False
+            if watch:
+                self._watch()
+            self._executor.spin_once(timeout_sec=0.05)
+        return True
+
+    def wait_until_up(self, names: set[str], timeout: float = _START_TIMEOUT) -> None:
+        """Wait until all nodes are seen and the supervisor takes orders."""
+        namespace = self.node.get_namespace()
+
+        def seen() -> set[str]:
+            return {name for name, space in self.node.get_node_names_and_namespaces() if space == namespace}
+
+        if not self.spin(lambda: names <= seen() and self._action.server_is_ready(), timeout):
+            missing = ", ".join(sorted(names - seen())) or "the action of the supervisor"
+            raise InputError(f"the bench did not come up within {timeout:g} s: {missing} missing; look at the logs")
+
+    def run_experiment(
+        self, experiment: str, bag: Path, seed: int, feedback: Callable[[Any], None] = lambda _feedback: None
+    ) -> Any:
+        """Run an experiment and wait for its end; the action's result.
+
+        When ``watch`` raises meanwhile, the experiment is cancelled first, and its end waited for.
+        """
+        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
+        sent = self._action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        if not self.spin(sent.done, 10.0):
+            raise InputError("the supervisor did not take the order within 10 s; look at its log")
+        handle: ClientGoalHandle = sent.result()
+        ended = handle.get_result_async()
+        try:
+            self.spin(ended.done, float("inf"))
+        except BaseException:
+            handle.cancel_goal_async()
+            self.spin(ended.done, _CANCEL_TIMEOUT, watch=False)
+            raise
+        return ended.result().result
+
+
+class _Signals:
+    """Ctrl-C and SIGTERM as a question; the second one does not wait for an answer."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, _number: int, _frame: object) -> None:
+        self.count += 1
+        if self.count > 1:
+            raise KeyboardInterrupt
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt when there was one."""
+        if self.count:
+            raise KeyboardInterrupt
+
+
+def main() -> None:
+    """Run the tool."""
+    parser = argparse.ArgumentParser(prog="bench", description=__doc__)
+    parser.add_argument("experiment", nargs="?", metavar="EXPERIMENT.yaml", help="without: up until Ctrl-C")
+    parser.add_argument("--bench", type=Path, default=os.environ.get("MRD_BENCH"), help="default: $MRD_BENCH")
+    parser.add_argument("--plant", type=Path, help="what is simulated; default: plant.yaml beside the --bench file")
+    parser.add_argument("--simulated", action="store_true", help="start the simulated plant, motor and converter included")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="for bag and logs; default: runs/NAME-TIME")
+    parser.add_argument("--time-scale", type=float, help="bench seconds per wall second, with --simulated only")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random")
+    arguments = parser.parse_args()
+    if arguments.bench is None:
+        parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
+    if arguments.time_scale not in (None, 1) and not arguments.simulated:
+        parser.error("--time-scale needs --simulated: a real bench has one time")
+    if not 0 <= arguments.seed < 2**31:
+        parser.error("--seed is a whole number from 0 to 2147483647")
+    run_tool(lambda: _work(arguments))
+
+
+def _work(arguments: argparse.Namespace) -> None:
+    settings = read_settings(arguments.bench)
+    name, text, duration = "bench", "", 0.0
+    if arguments.experiment:
+        experiment = read_experiment(arguments.experiment)
+        try:
+            duration = plan(experiment, settings.limits, settings.force_envelope).duration
+        except InputError as error:
+            raise InputError(f"{arguments.experiment}: {error}") from None
+        # As text that needs no file beside it: the nodes do not know where the experiment came from.
+        name, text = experiment.name, format_experiment(experiment)
+    plant = None
+    if arguments.simulated:
+        plant = arguments.plant or arguments.bench.parent / "plant.yaml"
+        if not plant.is_file():
+            raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
+    output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+    output = output.resolve()
+    bag, logs = output / "bag", output / "log"
+    if text and bag.exists():
+        raise InputError(f"{bag}: exists already; choose another --output, nothing recorded is overwritten")
+    parts = bench_parts(
+        arguments.bench, plant, logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed
+    )
+    signals = _Signals()
+    try:
+        with BenchProcesses(parts, logs) as processes:
+
+            def watch() -> None:
+                signals.check()
+                processes.check()
+
+            with BenchClient(processes.namespace, watch) as client:
+                client.wait_until_up(set(processes.parts))
+                if not text:
+                    print(f"the bench is up, in namespace {processes.namespace}; logs: {logs}; Ctrl-C ends it", flush=True)
+                    client.spin(lambda: False, float("inf"))
+                print(f"{name}: {duration:.1f} s of bench time; logs: {logs}", flush=True)
+                result = client.run_experiment(text, bag, arguments.seed, _progress)
+    except ProcessDiedError as error:
+        _clear_progress()
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+    _clear_progress()
+    if result.bag:
+        print(f"{result.bag}: {result.samples} samples, {result.duration:.2f} s, {result.lost} lost")
+    if not result.success:
+        print(f"error: {result.message}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _progress(feedback: Any) -> None:
+    if sys.stderr.isatty():
+        line = f"{feedback.phase:10} {feedback.elapsed:6.1f} of {feedback.duration:.1f} s"
+        print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+
+
+def _clear_progress() -> None:
+    if sys.stderr.isatty():
+        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""When the bench must stop, and what it may do next."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrd_base import InputError, from_mapping, read_node_parameters
+from mrd_bench_driver.interlocks import HEALTH, HOMING, INTERLOCKS, Snapshot, Tolerances, check, stale_limit
+from mrd_bench_driver.modes import TRANSITIONS, Mode, change
+from mrd_trajectory.limits import Limits
+
+BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
+LIMITS, TOLERANCES = Limits(), Tolerances()
+WELL = Snapshot(
+    sample_age=0.03,
+    block=0.02,
+    position=0.01,
+    force=100.0,
+    speed=0.1,
+    current=0.5,
+    servo_age=0.02,
+    servo_connected=True,
+    servo_position=0.01,
+    servo_speed=0.1,
+    following_error=0.0005,
+)
+
+within = st.builds(
+    Snapshot,
+    sample_age=st.floats(0, 0.1),
+    block=st.floats(0.0005, 0.04),
+    position=st.floats(-0.02675, 0.02675),
+    force=st.floats(-800, 800),
+    speed=st.floats(-0.25, 0.25) | st.just(math.nan),
+    current=st.floats(-0.1, 1.1),
+    servo_age=st.floats(0, 0.15),
+    servo_connected=st.just(True),
+    servo_fault=st.just(""),
+    servo_position=st.floats(-0.02675, 0.02675) | st.just(math.nan),
+    servo_speed=st.floats(-0.25, 0.25),
+    following_error=st.floats(-0.005, 0.005),
+    setpoint_age=st.floats(0, 0.15),
+)
+
+
+@given(within)
+def test_nothing_trips_within_the_limits(now: Snapshot) -> None:
+    for interlocks in (INTERLOCKS, HOMING, HEALTH):
+        assert check(now, LIMITS, TOLERANCES, interlocks) is None
+
+
+BEYOND = {
+    "stale samples": {"sample_age": st.floats(0.1001, 1e6) | st.just(math.inf), "block": st.floats(0.0005, 0.04)},
+    "lost servo": {"servo_age": st.floats(0.1501, 1e6) | st.sampled_from([math.inf, math.nan])},
+    "servo fault": {"servo_fault": st.sampled_from(["over-temperature", "?"])},
+    "stale setpoint": {"setpoint_age": st.floats(0.1501, 1e6)},
+    "stroke": {"position": st.floats(0.02676, 1) | st.floats(-1, -0.02676)},
+    "speed": {"servo_speed": st.floats(0.2501, 10) | st.floats(-10, -0.2501)},
+    "force": {"force": st.floats(800.1, 1e5) | st.floats(-1e5, -800.1) | st.just(math.nan)},
+    "following error": {"following_error": st.floats(0.0051, 1) | st.floats(-1, -0.0051) | st.just(math.nan)},
+    "current": {"current": st.floats(1.1001, 10) | st.floats(-10, -0.1001) | st.just(math.nan)},
+}
+
+
+@given(now=within, name=st.sampled_from(sorted(BEYOND)), data=st.data())
+def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
+    now: Snapshot, name: str, data: st.DataObject
+) -> None:
+    beyond = {field: data.draw(values) for field, values in BEYOND[name].items()}
+    trip = check(dataclasses.replace(now, **beyond), LIMITS, TOLERANCES)
+    assert trip is not None
+    assert trip.interlock == name
+    if name != "servo fault":
+        assert not abs(trip.value) <= abs(trip.limit)
+        assert "; " in trip.line
+        assert "\n" not in trip.line
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"position": -0.0271}, "the rod is at -27.10 mm by the LVDT, limit ±26.75 mm"),
+        ({"servo_position": 0.0271}, "the rod is at 27.10 mm by the encoder"),
+        ({"speed": -0.3}, "the rod moves at -300 mm/s by the LVDT, limit 250 mm/s"),
+        ({"servo_connected": False}, "the motor does not answer; check its power and the serial line"),
+        ({"sample_age": math.inf}, "no sample came, limit 100 ms"),
+        ({"current": -0.2}, "-0.200 A through the coil, allowed -0.100 to 1.100 A"),
+    ],
+)
+def test_a_trip_names_its_sensor(change: dict[str, float], line: str) -> None:
+    trip = check(dataclasses.replace(WELL, **change), LIMITS, TOLERANCES)
+    assert trip is not None
+    assert line in trip.line
+
+
+def test_sources_that_fell_silent_come_before_what_they_said_last() -> None:
+    trip = check(dataclasses.replace(WELL, sample_age=1.0, force=5000.0), LIMITS, TOLERANCES)
+    assert trip is not None
+    assert trip.interlock == "stale samples"
+
+
+def test_homing_may_begin_beyond_the_limit_of_the_stroke_but_not_where_the_damper_cannot_be() -> None:
+    at_the_end = dataclasses.replace(WELL, position=0.0276, servo_position=math.nan)
+    assert check(at_the_end, LIMITS, TOLERANCES, HOMING) is None
+    assert check(at_the_end, LIMITS, TOLERANCES) is not None
+    for position in (0.0295, math.nan):
+        trip = check(dataclasses.replace(WELL, position=position), LIMITS, TOLERANCES, HOMING)
+        assert trip is not None
+        assert trip.interlock == "stroke"
+
+
+def test_a_fault_may_be_reset_beyond_the_stroke_and_with_the_servo_in_fault_but_not_blind() -> None:
+    stuck = dataclasses.replace(WELL, position=0.0276, servo_fault="position error", following_error=0.01)
+    assert check(stuck, LIMITS, TOLERANCES, HEALTH) is None
+    assert check(dataclasses.replace(stuck, servo_connected=False), LIMITS, TOLERANCES, HEALTH) is not None
+    assert check(dataclasses.replace(stuck, sample_age=1.0), LIMITS, TOLERANCES, HEALTH) is not None
+
+
+def test_nothing_heard_yet_is_not_well() -> None:
+    assert check(Snapshot(), LIMITS, TOLERANCES) is not None
+
+
+@given(st.floats(0, 10))
+def test_samples_are_stale_after_100_to_150_ms(block: float) -> None:
+    assert 0.1 <= stale_limit(block) <= 0.15
+    assert stale_limit(0.04) == 0.1
+    assert stale_limit(0.05) == 0.125
+
+
+def test_the_shipped_tolerances_are_the_defaults() -> None:
+    parameters = read_node_parameters(BENCH, "supervisor")
+    assert from_mapping(Tolerances, parameters["interlocks"], "interlocks") == TOLERANCES
+
+
+# Modes
+
+
+@given(st.lists(st.sampled_from(Mode)))
+def test_a_fault_is_left_to_idle_only_and_can_always_come(wishes: list[Mode]) -> None:
+    mode = Mode.IDLE
+    for wish in wishes:
+        if wish in TRANSITIONS[mode]:
+            assert mode is not Mode.FAULT or wish is Mode.IDLE
+            # The rod never passes from one activity to another that nobody armed.
+            assert not (mode in (Mode.IDENTIFICATION, Mode.CONTROL) and wish.may_move)
+            mode = change(mode, wish)
+            assert mode is wish
+        else:
+            assert wish is not Mode.FAULT or mode is Mode.FAULT
+            with pytest.raises(InputError, match=f"from {mode} to {wish}"):
+                change(mode, wish)
+
+
+def test_every_mode_is_reached_and_left_to_idle() -> None:
+    assert {mode for targets in TRANSITIONS.values() for mode in targets} == set(Mode)
+    assert all(Mode.IDLE in targets for mode, targets in TRANSITIONS.items() if mode is not Mode.IDLE)
+
+
+def test_a_refusal_says_what_to_do_first() -> None:
+    with pytest.raises(InputError, match="cannot go from fault to homing; remove the cause, then call reset_fault"):
+        change(Mode.FAULT, Mode.HOMING)
+    with pytest.raises(InputError, match="from control to identification; call stop"):
+        change(Mode.CONTROL, Mode.IDENTIFICATION)
+
+
+def test_modes_have_the_numbers_of_the_message() -> None:
+    messages = pytest.importorskip("mrd_interfaces.msg")
+    assert {mode.name: int(mode) for mode in Mode} == {
+        mode.name: getattr(messages.BenchState, mode.name) for mode in Mode
+    }
