@@ -1,0 +1,56 @@
+"""``ros2 run mrd_bench_driver sizing``: the paper's Eqs 4–8 for this drive or another."""
+
+import argparse
+import sys
+
+from rich.console import Console
+from rich.table import Table
+
+from mrd_base import run_tool
+from mrd_bench_driver.sizing import Sizing, compare
+
+# Option: field, unit for people per SI unit, meaning.
+_OPTIONS = {
+    "torque-Nm": ("torque", 1.0, "continuous torque of the motor"),
+    "peak-torque-Nm": ("peak_torque", 1.0, "peak torque of the motor"),
+    "ratio": ("ratio", 1.0, "of the gearbox"),
+    "efficiency": ("efficiency", 1.0, "of the gearbox"),
+    "pinion-mm": ("pinion", 1e3, "pitch diameter of the pinion"),
+    "module-mm": ("module", 1e3, "of pinion and rack"),
+    "no-load-rpm": ("no_load_speed", 60.0, "motor speed without load at its rated voltage"),
+    "rated-V": ("rated_voltage", 1.0, "rated voltage of the motor"),
+    "rated-A": ("rated_current", 1.0, "motor current at the continuous torque"),
+    "supply-V": ("supply_voltage", 1.0, "voltage of the supply"),
+    "supply-A": ("supply_current", 1.0, "current of the supply"),
+    "load-N": ("load", 1.0, "force that the tests need"),
+    "damper-pp-N": ("damper_peak_to_peak", 1.0, "peak-to-peak force of the damper at full current"),
+    "damper-off-pp-N": ("damper_off_peak_to_peak", 1.0, "peak-to-peak force of the damper without current"),
+    "speed-mm-per-s": ("speed", 1e3, "rod speed that the tests need"),
+}
+
+
+def _work() -> None:
+    parser = argparse.ArgumentParser(prog="sizing", description=__doc__.split(": ", 1)[1], allow_abbrev=False)
+    default = Sizing()
+    for option, (field, factor, meaning) in _OPTIONS.items():
+        value = getattr(default, field) * factor
+        # --speed-rpm is what the paper's Eq. 8 calls the motor's speed.
+        names = [f"--{option}"] + (["--speed-rpm"] if option == "no-load-rpm" else [])
+        parser.add_argument(*names, dest=field, type=float, default=value, help=f"{meaning} (default {value:g})")
+    given = vars(parser.parse_args())
+    sizing = Sizing(**{field: given[field] / factor for field, factor, _ in _OPTIONS.values()})
+
+    table = Table(title="Drive of the bench")
+    table.add_column("quantity", overflow="fold")
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("paper prints", justify="right", no_wrap=True)
+    table.add_column("why they differ, what it means", overflow="fold")
+    for row in compare(sizing):
+        table.add_row(row.name, row.value, row.printed, row.why)
+    # Into a file or a pipe, a table as narrow as a terminal would be folded for nobody.
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+def main() -> None:
+    """Run the tool."""
+    run_tool(_work)

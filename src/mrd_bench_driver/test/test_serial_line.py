@@ -1,0 +1,130 @@
+"""The line over a pseudo-terminal: whole replies or an error, in time."""
+
+import os
+import pty
+import select
+import threading
+import time
+import tty
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrd_base import BenchClock
+from mrd_bench_driver.serial_line import Interrupted, LineLost, SerialLine, Wake
+from mrd_bench_driver.smartmotor import ReplyError
+
+
+class Far:
+    """The far end: answers each request with the next script of (wait, bytes)."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = pty.openpty()
+        tty.setraw(self.slave)
+        self.wake = Wake()
+        self.line = SerialLine(os.ttyname(self.slave), 115200, BenchClock(), self.wake)
+        self.line.drain()
+
+    def ask(self, *script: tuple[float, bytes], count: int = 1, timeout: float = 0.05):
+        def answer() -> None:
+            select.select([self.master], [], [], 1.0)
+            os.read(self.master, 1024)
+            for wait, data in script:
+                time.sleep(wait)
+                os.write(self.master, data)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            return [reply for reply, _ in self.line.ask(b"RPA\r", count, timeout)]
+        finally:
+            thread.join()
+
+
+@pytest.fixture(scope="module")
+def shared():
+    far = Far()
+    yield far
+    far.line.close()
+    os.close(far.master)
+    os.close(far.slave)
+
+
+@pytest.fixture
+def far():
+    far = Far()
+    yield far
+    far.line.close()
+
+
+def test_whole_and_split_replies(far):
+    assert far.ask((0, b"-12345\r")) == [b"-12345"]
+    assert far.ask((0, b"-12"), (0.01, b"345\r")) == [b"-12345"]
+    assert far.ask((0, b"1\r2"), (0.01, b"\r"), count=2) == [b"1", b"2"]
+
+
+@pytest.mark.parametrize(
+    ("script", "line"),
+    [
+        ([], "no reply in time"),
+        ([(0, b"-12")], "half a reply"),
+        ([(0, b"1\r2\r")], "after the last reply"),
+        ([(0, b"x" * 400)], "without an end"),
+    ],
+)
+def test_what_is_wrong_is_refused_and_forgotten(far, script, line):
+    with pytest.raises(ReplyError, match=line):
+        far.ask(*script)
+    assert far.ask((0, b"7\r")) == [b"7"]
+
+
+def test_a_late_reply_is_not_the_next_answer(far):
+    with pytest.raises(ReplyError, match="no reply"):
+        far.ask()
+    far.line.drain()
+    os.write(far.master, b"111\r")
+    time.sleep(0.01)
+    with pytest.raises(ReplyError, match="nobody had asked"):
+        far.line.ask(b"RPA\r", 1, 0.05)
+    assert far.ask((0, b"7\r")) == [b"7"]
+
+
+def test_trickling_bytes_do_not_stretch_the_timeout(far):
+    begin = time.monotonic()
+    with pytest.raises(ReplyError):
+        far.ask(*[(0.01, b"1")] * 15)
+    assert time.monotonic() - begin < 0.25
+
+
+def test_wake_breaks_off_at_once(far):
+    threading.Timer(0.02, far.wake.set).start()
+    begin = time.monotonic()
+    with pytest.raises(Interrupted):
+        far.ask(timeout=1.0)
+    assert time.monotonic() - begin < 0.1
+
+
+def test_unplugged(far):
+    os.close(far.slave)
+    os.close(far.master)
+    with pytest.raises(LineLost, match=r"is gone|does not take"):
+        far.line.ask(b"RPA\r", 1, 0.05)
+    far.line.close()
+
+
+def test_a_port_that_is_not_there_or_taken(far):
+    with pytest.raises(LineLost, match="cannot be opened"):
+        SerialLine("/dev/does-not-exist", 9600, BenchClock(), far.wake)
+    with pytest.raises(LineLost, match="cannot be opened"):
+        SerialLine(os.ttyname(far.slave), 9600, BenchClock(), far.wake)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.binary(max_size=300))
+def test_any_bytes_give_lines_or_a_refusal(shared, data):
+    try:
+        (reply,) = shared.ask((0, data or b"\r"), timeout=0.005)
+    except ReplyError:
+        return
+    assert reply == (data or b"\r").split(b"\r")[0].strip(b"\n")
