@@ -174,8 +174,13 @@ def _shape(waveform: Waveform, channel: str, duration: float) -> Shape:
         raise InputError(f"{channel}: {error}") from None
 
 
-def _smooth(shape: Smooth, duration: float) -> PPoly:
+def _smooth(shape: Smooth, channel: str, duration: float) -> PPoly:
     count = max(2, math.ceil(duration * shape.highest_frequency * _POINTS))
+    if count > 1_000_000:
+        raise InputError(
+            f"{channel}: {shape.highest_frequency:.4g} Hz for {duration:.4g} s are too many periods to plan; "
+            "reduce duration_s and raise repeats"
+        )
     times = np.linspace(0, duration, count + 1)
     return hermite(times, *shape.motion(times))
 
@@ -185,7 +190,7 @@ def _coil(experiment: Experiment, limits: Limits) -> PPoly:
     shape = _shape(experiment.coil, "coil", experiment.duration)
     match shape:
         case Smooth():
-            path = _smooth(shape, experiment.duration)
+            path = _smooth(shape, "coil", experiment.duration)
         case Holds():
             path = PPoly(shape.levels[None, :], np.append(shape.times, max(experiment.duration, shape.times[-1]) + 1))
         case Corners() | Samples():
@@ -211,7 +216,7 @@ def _rod(experiment: Experiment, limits: Limits, moving: Limits) -> PPoly:
     shape = _shape(experiment.rod, "rod", experiment.duration)
     match shape:
         case Smooth():
-            return _smooth(shape, experiment.duration)
+            return _smooth(shape, "rod", experiment.duration)
         case Samples():
             spline = CubicSpline(shape.times, shape.levels)
             return joined([PPoly(spline.c, spline.x)])
@@ -277,6 +282,14 @@ def _rounded(shape: Corners, experiment: Experiment, limits: Limits) -> PPoly:
 
 
 def _transition(experiment: Experiment, start: State, end: State, limits: Limits, where: str) -> PPoly:
+    """Way to or from the waveform: at half the pace that the limits allow, since no one is in a hurry, if that can be."""
+    gentle = dataclasses.replace(
+        limits, speed=limits.speed / 2, acceleration=limits.acceleration / 4, jerk=limits.jerk / 8
+    )
+    try:
+        return transition(experiment.transition, start, end, gentle)
+    except InputError:
+        pass
     try:
         return transition(experiment.transition, start, end, limits)
     except InputError as error:

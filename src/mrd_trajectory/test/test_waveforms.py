@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mrd_base import InputError, from_mapping, to_mapping
 from mrd_trajectory.waveforms import UNITS, WAVEFORMS, Smooth, waveform_table, waveform_type
 from mrd_trajectory.waveforms.aprbs import Aprbs
@@ -87,7 +88,7 @@ def test_table_names_the_keys_of_both_channels():
 def test_smooth_waveforms_give_their_own_derivatives(waveform):
     motion = waveform.shape(5.0).motion
     times, h = np.linspace(0.1, 4.9, 400), 1e-4
-    level, rate, curvature = motion(times)
+    _, rate, curvature = motion(times)
     later, earlier = motion(times + h), motion(times - h)
     np.testing.assert_allclose((later[0] - earlier[0]) / (2 * h), rate, atol=1e-5 * np.abs(rate).max())
     np.testing.assert_allclose((later[1] - earlier[1]) / (2 * h), curvature, atol=1e-5 * np.abs(curvature).max())
@@ -100,6 +101,7 @@ def test_chirp_keeps_its_speed_when_asked():
     assert last == pytest.approx(first, rel=0.02)
 
 
+@settings(deadline=None)
 @given(order=st.integers(2, 11), seed=st.integers(0, 1000))
 def test_prbs_is_a_maximal_length_sequence(order, seed):
     period = 2**order - 1
@@ -126,6 +128,7 @@ def test_prbs_holds_whole_bits():
     assert (np.diff(shape.levels) != 0).all()
 
 
+@settings(deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 30))
 def test_aprbs_visits_all_levels_for_times_in_bounds(seed, count):
     shape = Aprbs(0.0, 0.4, 0.03, 0.2, count, seed).shape(20.0)

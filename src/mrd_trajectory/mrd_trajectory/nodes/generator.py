@@ -70,7 +70,7 @@ class Generator(BenchNode[GeneratorSettings]):
             self._start = self._last = self.bench.now()
             self._timer.reset()
             self._enter("running")
-            self._tick()
+            self._publish(self._start)
             response.success = True
         return response
 
@@ -88,13 +88,18 @@ class Generator(BenchNode[GeneratorSettings]):
             self._enter("aborted", "emergency stop")
 
     def _tick(self) -> None:
-        if self._state != "running" or self._plan is None:
+        if self._state != "running":  # the timer may have been due when the run ended
             return
         now = self.bench.now()
         if now - self._last > self.config.stall:
             # The rod has been stopped meanwhile; going on where the plan is now would make it jump.
             self._enter("aborted", f"no setpoint for {now - self._last:.3g} s; the machine is too busy")
-            return
+        else:
+            self._publish(now)
+
+    def _publish(self, now: float) -> None:
+        """Publish the setpoint of a bench time; the one after the plan's end is the last."""
+        assert self._plan is not None
         self._last = now
         at = self._plan.at(now - self._start)
         message = Setpoint(

@@ -1,0 +1,207 @@
+"""The generator as a process: it streams what it was asked to, when it was asked to, and stops."""
+
+import os
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from mrd_base.clock import BenchClock
+from mrd_base.nodes.bench_node import COMMAND, LATCHED, seconds
+from mrd_interfaces.msg import Setpoint
+from mrd_interfaces.srv import LoadExperiment
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.force import ForceEnvelope
+from mrd_trajectory.limits import Limits
+from mrd_trajectory.plan import plan
+
+TEXT = """
+name: short
+duration_s: 2.0
+rate_hz: 100
+rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 1.0}
+coil: {waveform: prbs, low_mA: 0, high_mA: 150, bit_s: 0.2}
+"""
+SCALE = 2.0
+
+
+class Bench:
+    """The rest of the bench: hears the generator and calls it."""
+
+    def __init__(self):
+        self.node = rclpy.create_node("rest_of_the_bench", namespace="test")
+        self.setpoints, self.states = [], []
+        everything = QoSProfile(depth=1000, reliability=COMMAND.reliability)
+        self.node.create_subscription(Setpoint, "setpoint", self.setpoints.append, everything)
+        self.node.create_subscription(String, "experiment_state", lambda state: self.states.append(state.data), LATCHED)
+        self.stop = self.node.create_publisher(Bool, "emergency_stop", LATCHED)
+        services = {"load_experiment": LoadExperiment, "start_experiment": Trigger, "abort_experiment": Trigger}
+        self.callers = {name: self.node.create_client(kind, name) for name, kind in services.items()}
+
+    def until(self, condition, timeout=10.0):
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, f"timed out; states so far: {self.states}"
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def during(self, wall):
+        end = time.monotonic() + wall
+        while time.monotonic() < end:
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+
+    def call(self, name, **fields):
+        client = self.callers[name]
+        assert client.wait_for_service(timeout_sec=10.0)
+        future = client.call_async(client.srv_type.Request(**fields))
+        self.until(future.done)
+        return future.result()
+
+
+@pytest.fixture
+def start_generator(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    processes = []
+
+    def start(*parameters):
+        arguments = [part for parameter in (f"time_scale:={SCALE}", *parameters) for part in ("-p", parameter)]
+        processes.append(
+            subprocess.Popen(
+                ["ros2", "run", "mrd_trajectory", "generator", "--ros-args", "-r", "__ns:=/test", *arguments],
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        )
+        return processes[-1]
+
+    yield start
+    for process in processes:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        process.communicate(timeout=10)
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID", str(100 + os.getpid() % 100)))
+    rclpy.init()
+    bench = Bench()
+    yield bench
+    bench.node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_streams_the_plan_and_comes_to_rest(bench, start_generator):
+    process = start_generator()
+    bench.until(lambda: bench.states == ["idle"])
+    refused = bench.call("start_experiment")
+    assert not refused.success
+    assert "no experiment is loaded" in refused.message
+
+    loaded = bench.call("load_experiment", experiment=TEXT)
+    expected = plan(parse_experiment(TEXT, "t"), Limits(), ForceEnvelope())
+    assert loaded.success, loaded.message
+    assert (loaded.duration, loaded.rate) == (pytest.approx(expected.duration), 100.0)
+    bench.during(0.3)
+    assert bench.setpoints == []  # nothing moves that was not asked to
+
+    before = BenchClock(SCALE).now()
+    assert bench.call("start_experiment").success
+    assert not bench.call("load_experiment", experiment=TEXT).success  # not while it runs
+    assert not bench.call("start_experiment").success
+    bench.until(lambda: bench.states[-1] == "done")
+    bench.during(0.2)
+
+    stamps = np.array([seconds(message.header.stamp) for message in bench.setpoints])
+    start = stamps[0]
+    assert before <= start <= before + 1.0
+    assert np.median(np.diff(stamps)) == pytest.approx(0.01, rel=0.1)
+    at = expected.at(stamps - start)
+    for field, values in zip(("position", "velocity", "acceleration", "coil_current"), at, strict=True):
+        heard = np.array([getattr(message, field) for message in bench.setpoints])
+        # The stamp is cut to nanoseconds, so a switch of the coil may fall on either side of it.
+        close = np.isclose(heard, values, atol=1e-5)
+        assert close.mean() > 0.98, field
+        assert close.all() or field == "coil_current"
+    last = bench.setpoints[-1]
+    assert (last.position, last.velocity, last.acceleration, last.coil_current) == (0, 0, 0, 0)
+    assert stamps[-1] - start >= expected.duration
+
+    again = bench.call("start_experiment")
+    assert not again.success
+    assert "load_experiment first" in again.message
+    assert bench.states == ["idle", "loaded", "running", "done"]
+    process.terminate()
+    assert process.wait(timeout=10) == 0
+
+
+def test_what_exceeds_the_limits_is_not_loaded_and_forgets_the_one_before(bench, start_generator):
+    start_generator("limits.stroke_mm:=30.0")
+    assert bench.call("load_experiment", experiment=TEXT).success
+    refused = bench.call("load_experiment", experiment=TEXT.replace("amplitude_mm: 5", "amplitude_mm: 14"))
+    assert not refused.success
+    assert refused.message == "rod: position ±14 mm exceeds ±13.5 mm; reduce amplitude_mm from 14 to 13.5"
+    assert not bench.call("start_experiment").success
+    bench.during(0.2)
+    assert bench.setpoints == []
+
+
+@pytest.mark.parametrize("how", ["abort", "emergency stop"])
+def test_a_stop_stops_the_stream(bench, start_generator, how):
+    start_generator()
+    assert bench.call("load_experiment", experiment=TEXT).success
+    assert bench.call("start_experiment").success
+    bench.until(lambda: len(bench.setpoints) > 20)
+    if how == "abort":
+        assert bench.call("abort_experiment").success
+    else:
+        bench.stop.publish(Bool(data=True))
+    bench.until(lambda: bench.states[-1] == "aborted")
+    count = len(bench.setpoints)
+    bench.during(0.3)
+    assert len(bench.setpoints) == count
+    assert not bench.call("start_experiment").success
+    bench.during(0.2)
+    assert len(bench.setpoints) == count
+
+
+def test_a_latched_emergency_stop_keeps_it_from_starting(bench, start_generator):
+    bench.stop.publish(Bool(data=True))  # before the generator lives: latched
+    start_generator()
+    assert bench.call("load_experiment", experiment=TEXT).success
+    bench.during(0.3)
+    refused = bench.call("start_experiment")
+    assert not refused.success
+    assert refused.message == "the emergency stop is latched; call reset_fault first"
+    bench.stop.publish(Bool(data=False))
+    bench.during(0.3)
+    assert bench.call("start_experiment").success
+    bench.until(lambda: bench.setpoints)
+
+
+def test_after_a_stall_it_does_not_go_on(bench, start_generator):
+    # A stopped process, not a stopped `ros2 run`: the stand-in replaces itself by the node.
+    process = start_generator()
+    assert bench.call("load_experiment", experiment=TEXT).success
+    assert bench.call("start_experiment").success
+    bench.until(lambda: len(bench.setpoints) > 20)
+    process.send_signal(signal.SIGSTOP)
+    bench.during(0.4)
+    count = len(bench.setpoints)
+    process.send_signal(signal.SIGCONT)
+    bench.until(lambda: bench.states[-1] == "aborted")
+    bench.during(0.2)
+    assert len(bench.setpoints) == count
+
+
+def test_a_wrong_parameter_is_one_line(start_generator):
+    process = start_generator("setpoint_rate:=100.0")
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert err.startswith("error: node generator: unknown parameter setpoint_rate")

@@ -1,0 +1,71 @@
+"""preview: what it prints and writes, and how it ends."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from mrd_trajectory.cli import preview
+
+CONFIG = Path(__file__).parents[3] / "config"
+PAPER = str(CONFIG / "experiments" / "paper.yaml")
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["preview", *map(str, arguments)])
+        monkeypatch.setenv("MRD_BENCH", str(CONFIG / "bench.yaml"))
+        try:
+            preview.main()
+            status = 0
+        except SystemExit as end:
+            status = end.code
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def test_prints_duration_and_peaks_beside_limits(run):
+    status, out, err = run(PAPER)
+    assert (status, err) == (0, "")
+    lines = [line.split() for line in out.splitlines()]
+    assert out.startswith("paper: 60.23 s, of which the waveforms 0.12 to 60.12 s")
+    assert ["position", "5", "26", "mm"] in lines
+    assert ["largest", "current", "150", "1000", "mA"] in lines
+
+
+def test_writes_a_page_that_needs_no_network(run, tmp_path):
+    status, out, _ = run(PAPER, "--output", tmp_path / "paper.html")
+    page = (tmp_path / "paper.html").read_text()
+    assert status == 0
+    assert str(tmp_path / "paper.html") in out
+    assert "position in mm" in page
+    assert "<script src=" not in page
+    assert [path.name for path in tmp_path.iterdir()] == ["paper.html"]
+
+
+def test_lists_the_waveforms(run):
+    status, out, _ = run("--waveforms")
+    assert status == 0
+    row = next(line for line in out.splitlines() if "slope_mA_per_s" in line)
+    assert row.split()[:4] == ["triangle", "slope_mm_per_s", "slope_mA_per_s", "required"]
+
+
+def test_limits_come_from_the_bench_file(run, tmp_path):
+    text = (CONFIG / "bench.yaml").read_text()
+    assert "stroke_mm: 55.0" in text
+    (tmp_path / "bench.yaml").write_text(text.replace("stroke_mm: 55.0", "stroke_mm: 10.0"))
+    status, _, err = run(PAPER, "--bench", tmp_path / "bench.yaml", "--output", tmp_path / "paper.html")
+    assert status == 2
+    assert err == f"error: {PAPER}: rod: position ±5 mm exceeds ±3.5 mm; reduce amplitude_mm from 5 to 3.5\n"
+    assert not (tmp_path / "paper.html").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["nowhere.yaml"], [PAPER, "--bench", "nowhere.yaml"], [PAPER, "--output", "/nowhere/a.html"], []]
+)
+def test_unusable_arguments_end_with_2(run, arguments):
+    status, _, err = run(*arguments)
+    assert status == 2
+    assert err.strip()
