@@ -104,7 +104,8 @@ def test_python_without_venv(machine):
 
 
 def test_python_without_headers(machine):
-    machine.python("python3", without="sysconfig", instead='def get_path(name): return "/nowhere"')
+    instead = 'import sysconfig; sysconfig.get_path = lambda name: "/nowhere"'
+    machine.python("python3", without="sitecustomize", instead=instead)
     assert machine.refusal() == f"python3 has no C headers: sudo apt install python{VERSION}-dev"
 
 
