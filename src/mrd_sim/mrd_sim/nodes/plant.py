@@ -1,0 +1,114 @@
+"""The simulated bench: the motor on a serial port, everything else on the terminals of the simulated DAQ."""
+
+import array
+import threading
+from typing import ClassVar
+
+from sensor_msgs.msg import JointState
+
+from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_interfaces.msg import AnalogInput, AnalogOutput
+from mrd_sim.motor import SerialLine
+from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
+
+_BLOCK = 0.01  # bench seconds
+_SHORTEST = 0.004  # wall seconds between blocks, for a bench that runs much faster than real time
+_LONGEST = 0.1  # bench seconds in one block, when the machine was busy elsewhere
+
+
+class PlantNode(BenchNode[PlantConfig]):
+    """Advances the plant by its bench clock: late when it must be, but never by leaving something out.
+
+    The stepping has a thread of its own: an executor's timer costs more than the whole simulation.
+    """
+
+    dynamic: ClassVar[frozenset[str]] = frozenset({"fault"})
+
+    def __init__(self) -> None:
+        super().__init__("plant", PlantConfig)
+        self.plant = Plant(self.config, self.bench.now())
+        self.line = SerialLine(self.plant.motor, self.bench, self.config.port_link)
+        self._slowest = 0.0
+        self._analog_input = self.create_publisher(AnalogInput, "analog_input", RECORDED)
+        # The truth, which no real bench knows: for tests.
+        self._true_state = self.create_publisher(JointState, "plant/true_state", 10)
+        self.create_subscription(AnalogOutput, "analog_output", self._on_analog_output, LATCHED)
+        self.accept_parameter("fault", "", self._set_fault)
+        self._set_fault(self.config.fault)
+        self._closing = threading.Event()
+        self._stepper = threading.Thread(target=self._run, name="plant", daemon=True)
+        self._stepper.start()
+
+    def _set_fault(self, fault: str) -> None:
+        check_fault(fault)
+        with self.line.lock:
+            self.plant.set_fault(fault, self.bench.now())
+        if fault == "unplug":
+            self.line.unplug()
+        else:
+            self.line.plug()
+
+    def _on_analog_output(self, message: AnalogOutput) -> None:
+        with self.line.lock:
+            self.plant.command_coil(message.coil_command, seconds(message.header.stamp))
+
+    def _run(self) -> None:
+        period = max(self.bench.wall(_BLOCK), _SHORTEST)
+        while not self._closing.wait(max(period - self.bench.wall(self.bench.now() - self.plant.time), 0.0)):
+            self._step()
+
+    def _step(self) -> None:
+        now = self.bench.now()
+        self._slowest = max(self._slowest, now - self.plant.time)
+        while now - self.plant.time >= 1.0 / self.config.hardware_rate:
+            with self.line.lock:
+                block = self.plant.advance(min(now, self.plant.time + _LONGEST))
+            if block is None:
+                break
+            self._publish(block)
+
+    def _publish(self, block: Block) -> None:
+        if self.plant.fault != "freeze_daq":
+            message = AnalogInput(
+                sample_period=block.sample_period,
+                sequence=block.sequence,
+                channels=block.channels,
+                voltage=array.array("d", block.voltage.tobytes()),
+            )
+            message.header.stamp = self.stamp(block.time)
+            self._analog_input.publish(message)
+        state = JointState(
+            name=["rod"],
+            position=[float(block.position[-1])],
+            velocity=[float(block.velocity[-1])],
+            effort=[float(block.force[-1])],
+        )
+        state.header.stamp = self.stamp(self.plant.time)
+        self._true_state.publish(state)
+
+    def diagnose(self) -> tuple[str, dict[str, object]]:
+        """Port, fault, and how far the simulation fell behind the bench clock at worst."""
+        problem = ""
+        if not self._stepper.is_alive():
+            problem = "the simulation has died; its error is on stderr"
+        elif self.plant.fault:
+            problem = f"fault on purpose: {self.plant.fault}"
+        elif not self.line.plugged:
+            problem = "the serial line has died; its error is on stderr"
+        slowest, self._slowest = self._slowest, 0.0
+        return problem, {
+            "port": self.line.link,
+            "worst delay, s": round(slowest, 4),
+            "temperature, degC": round(self.plant.motor.drive.temperature, 1),
+        }
+
+    def close(self) -> None:
+        """Stop the simulation and take the serial port away."""
+        self._closing.set()
+        self._stepper.join()
+        self.line.close()
+
+
+def main() -> None:
+    """Run the node."""
+    run_node(PlantNode)

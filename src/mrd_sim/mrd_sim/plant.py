@@ -1,0 +1,241 @@
+"""The simulated bench between the serial line and the terminals of the DAQ."""
+
+import math
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError, quantity
+from mrd_base.config import parse_yaml
+from mrd_sim.damper import Damper
+from mrd_sim.motor.drive import RATE, MotorConfig
+from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
+from mrd_sim.sensing import MeasuringChain, SensorsConfig
+from mrd_sim.supply import CoilSupply
+
+Array = NDArray[np.float64]
+
+FAULTS = {
+    "": "all is well",
+    **LINE_FAULTS,
+    "unplug": "the serial line is pulled; plugged in again afterwards",
+    "reset": "the motor's supply fails for an instant: 9600 baud, all forgotten",
+    "jam": "the rod is held where it is",
+    "freeze_daq": "no analog samples come",
+}
+"""What can go wrong on purpose. A fault holds as long as it is set."""
+
+
+@dataclass(frozen=True)
+class DamperConfig:
+    """The damper under test."""
+
+    model: str = quantity("bouc_wen", "", "id of a damper model (ros2 run mrd_sim models)")
+    parameters: str = quantity(
+        "{yield_force: 80.0, yield_force_per_A: 900.0, yield_travel: 0.000125, viscous: 900.0, viscous_per_A: 2500.0, "
+        "stiffness: 1500.0, offset: -45.0}",
+        "",
+        "YAML text, name: value in SI; those not named have the model's default",
+    )
+    stroke: float = quantity(0.055, "mm", "between its ends, where the rod stops", lower=1e-3, upper=1)
+
+    def build(self) -> Damper:
+        """Make the damper, at rest and unloaded."""
+        values = parse_yaml(self.parameters, "damper.parameters") if self.parameters.strip() else {}
+        for name, value in values.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"damper.parameters: {name} is {value!r}, expected a number")
+        return Damper(self.model, {str(name): float(value) for name, value in values.items()})
+
+
+@dataclass(frozen=True)
+class PlantConfig:
+    """What the simulated bench is; the section ``plant`` of plant.yaml."""
+
+    time_scale: float = quantity(1.0, "", "bench seconds per wall second", lower=0.01, upper=1000)
+    port_link: str = quantity("~/.ros/mrd_bench/motor", "", "link to the serial port of the simulated motor")
+    seed: int = quantity(1, "", "of all noise", lower=0, upper=2**31 - 1)
+    hardware_rate: float = quantity(2000.0, "Hz", "of the converter; as in the section daq", lower=1, upper=8000)
+    start_position: float = quantity(-0.008, "mm", "where the rod stands at first", lower=-0.5, upper=0.5)
+    fault: str = quantity("", "", f"one of: {', '.join(FAULTS)[2:]}; may change while the bench runs")
+    damper: DamperConfig = field(default_factory=DamperConfig)
+    motor: MotorConfig = field(default_factory=MotorConfig)
+    supply: CoilSupply = field(default_factory=CoilSupply)
+    sensors: SensorsConfig = field(default_factory=SensorsConfig)
+
+    def __post_init__(self) -> None:
+        if RATE % self.hardware_rate:
+            raise InputError(f"hardware_rate_hz is {self.hardware_rate:g}, expected a whole fraction of {RATE:g}")
+        if abs(self.start_position) > self.damper.stroke / 2:
+            raise InputError(
+                f"start_position_mm is {1e3 * self.start_position:g}, "
+                f"expected within the stroke, ± {500 * self.damper.stroke:g}"
+            )
+        check_fault(self.fault)
+
+
+def check_fault(fault: str) -> None:
+    """Refuse a fault that is not known."""
+    if fault not in FAULTS:
+        raise InputError(f"unknown fault {fault} (known: {', '.join(FAULTS)[2:]})")
+
+
+@dataclass(frozen=True)
+class Block:
+    """What happened in a stretch of bench time.
+
+    Attributes
+    ----------
+    time : float
+        Bench time of the first sample of the converter, s.
+    sample_period : float
+        s between its samples.
+    sequence : int
+        Number of its first sample since the start.
+    channels : tuple of str
+        Terminals.
+    voltage : ndarray (channels, n)
+        V at the terminals.
+    position, velocity, acceleration, force, current : ndarray (m,)
+        The truth, at the motor's rate; the last value belongs to the last sample of the converter.
+    """
+
+    time: float
+    sample_period: float
+    sequence: int
+    channels: tuple[str, ...]
+    voltage: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+    current: Array
+
+
+class Plant:
+    """Motor, damper, coil and sensors, advanced in blocks of bench time.
+
+    Parameters
+    ----------
+    config : PlantConfig
+    start : float
+        Bench time at which everything is switched on, s.
+
+    Attributes
+    ----------
+    motor : SmartMotor
+        Fed with serial bytes from outside.
+
+    Raises
+    ------
+    InputError
+        For a damper that cannot be built or two sensors on one terminal.
+    """
+
+    def __init__(self, config: PlantConfig, start: float = 0.0) -> None:
+        self.config = config
+        self.damper = config.damper.build()
+        line_seed, sensor_seed = np.random.SeedSequence(config.seed).spawn(2)
+        self.motor = SmartMotor(
+            config.motor,
+            start=start,
+            position=config.start_position,
+            stroke=config.damper.stroke,
+            seed=int(line_seed.generate_state(1)[0]),
+        )
+        self._decimation = int(RATE / config.hardware_rate)
+        self._sensors = MeasuringChain(
+            [getattr(config.sensors, entry.name) for entry in fields(config.sensors)],
+            RATE,
+            self._decimation,
+            np.random.default_rng(sensor_seed),
+        )
+        self._start = start
+        self._sequence = 0
+        self._current = 0.0
+        self._volts = 0.0
+        self._commands: list[tuple[float, float]] = []
+        self._fault = ""
+        self.set_fault(config.fault, start)
+
+    @property
+    def time(self) -> float:
+        """Bench time up to which the bench was simulated, s."""
+        return self._start + self._sequence / self.config.hardware_rate
+
+    @property
+    def fault(self) -> str:
+        """The fault that holds now."""
+        return self._fault
+
+    def set_fault(self, fault: str, time: float) -> None:
+        """Let a fault of `FAULTS` begin and the one before end; "" for none."""
+        check_fault(fault)
+        if fault == "reset" and self._fault != "reset":
+            self.motor.advance(time)
+            self.motor.power_cycle(time)
+        self.motor.faults = {fault} & LINE_FAULTS.keys()
+        self.motor.drive.jammed = fault == "jam"
+        self._fault = fault
+
+    def command_coil(self, volts: float, time: float) -> None:
+        """Put volts on the control input of the coil supply from a bench time on."""
+        if not math.isfinite(volts):
+            raise InputError(f"coil_command is {volts}, expected volts")
+        self._commands.append((time, volts))
+        self._commands.sort(key=lambda command: command[0])
+
+    def advance(self, until: float) -> Block | None:
+        """Simulate up to the last converter sample before a bench time; None when there is none yet."""
+        config = self.config
+        # A double holds the time of today to a quarter of a microsecond.
+        samples = math.floor((until - self._start) * config.hardware_rate + 1e-3) - self._sequence
+        if samples <= 0:
+            return None
+        count = samples * self._decimation
+        dt = 1.0 / RATE
+
+        # Drive: the motor's trajectories become motion of the rod.
+        self.motor.advance(self.time + samples / config.hardware_rate)
+        position, velocity, acceleration, stop_force = self.motor.take_motion(count)
+
+        # Magnetics: the control voltage becomes coil current.
+        current = config.supply.advance(dt, self._control_voltage(count), self._current)
+        self._current = float(current[-1])
+
+        # Fluid: motion and current become damper force.
+        force = self.damper.advance(dt, position, velocity, acceleration, current)
+        # The rod feels it in the next block; between load and encoder lies all of the servo's stiffness.
+        self.motor.drive.load = float(force[-1])
+
+        # Structure: at the end of its stroke the rod stands against the body, through the load cell.
+        force = force + stop_force
+
+        # Sensing: everything becomes volts at the converter's terminals.
+        supply = np.full(count, config.sensors.current.supply)
+        voltage = self._sensors.read(np.stack([position, force, current, supply, acceleration]))
+
+        first = self._sequence
+        self._sequence += samples
+        return Block(
+            time=self._start + (first + 1) / config.hardware_rate,
+            sample_period=1.0 / config.hardware_rate,
+            sequence=first,
+            channels=self._sensors.channels,
+            voltage=voltage,
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            force=force,
+            current=current,
+        )
+
+    def _control_voltage(self, count: int) -> Array:
+        """Volts on the coil supply's input over the next block; commands of the past count from its start."""
+        volts = np.full(count, self._volts)
+        end = self.time + count / RATE
+        while self._commands and self._commands[0][0] < end:
+            time, self._volts = self._commands.pop(0)
+            volts[max(int((time - self.time) * RATE), 0) :] = self._volts
+        return volts

@@ -1,0 +1,179 @@
+"""The simulated bench."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError, from_mapping, read_node_parameters
+from mrd_sim.damper import Damper
+from mrd_sim.plant import DamperConfig, Plant, PlantConfig
+
+CONFIG = Path(__file__).resolve().parents[3] / "config" / "plant.yaml"
+
+
+def started(config=None, **fields):
+    """A plant whose motor is ready to move."""
+    plant = Plant(config or PlantConfig(**fields))
+    plant.advance(0.6)
+    plant.motor.feed(b"EIGN(W,0) ZS EL=8000 ADT=1638 VT=655360 ", plant.time)
+    plant.advance(0.7)
+    return plant
+
+
+def run(plant, until, step=0.01):
+    """Blocks up to a bench time."""
+    blocks = []
+    while plant.time < until - 1e-9:
+        block = plant.advance(min(plant.time + step, until))
+        if block is not None:
+            blocks.append(block)
+    return blocks
+
+
+def joined(blocks, name):
+    return np.concatenate([getattr(block, name) for block in blocks], axis=-1)
+
+
+def test_the_shipped_file_is_the_default():
+    mapping = read_node_parameters(CONFIG, "plant")
+    config = from_mapping(PlantConfig, mapping, str(CONFIG))
+    assert config.damper.build().theta.tolist() == PlantConfig().damper.build().theta.tolist()
+    assert config == PlantConfig(damper=config.damper)
+
+
+def test_blocks_join_without_a_gap():
+    plant = started()
+    sequence, time = round(plant.time * 2000), plant.time
+    for step in (0.01, 0.0007, 0.05, 0.1):
+        block = plant.advance(plant.time + step)
+        assert block.sequence == sequence
+        assert block.time == pytest.approx(time + 1 / 2000)
+        sequence += block.voltage.shape[1]
+        time = block.time + (block.voltage.shape[1] - 1) * block.sample_period
+        assert time == pytest.approx(plant.time)
+        assert len(block.position) == 4 * block.voltage.shape[1]
+    assert plant.advance(plant.time + 0.0004) is None
+
+
+def test_at_bench_times_of_today_nothing_is_lost_to_rounding():
+    start = 1.8e9 + 0.123
+    plant = Plant(PlantConfig(), start)
+    count = sum(block.voltage.shape[1] for block in (plant.advance(start + 0.01 * k) for k in range(1, 101)) if block)
+    assert abs(count - 2000) <= 1
+    assert plant.time == pytest.approx(start + 1.0, abs=6e-4)
+
+
+def test_the_rod_moves_and_the_damper_answers():
+    plant = started(start_position=-0.008)
+    plant.motor.feed(b"MV VT=65536 G ", plant.time)
+    blocks = run(plant, 2.5)
+    position, velocity = joined(blocks, "position"), joined(blocks, "velocity")
+    force, volts = joined(blocks, "force"), joined(blocks, "voltage")
+    assert position[0] == pytest.approx(-0.008, abs=1e-5)
+    assert velocity[-1] == pytest.approx(0.0050265, rel=1e-3)
+    # Past yield: F_y + c0 v + k0 x + f0.
+    assert force[-1] == pytest.approx(80 + 900 * velocity[-1] + 1500 * position[-1] - 45, abs=0.5)
+    assert volts[0, -200:].mean() == pytest.approx(0.002 + 200 * position[-800:].mean(), abs=0.002)
+    assert volts[1, -200:].mean() == pytest.approx(0.005 + 1.002 * force[-800:].mean() * 5 / 980.665, abs=0.002)
+
+
+def test_coil_command_holds_from_its_time():
+    plant = started()
+    begin = plant.time
+    plant.command_coil(2.5, begin + 0.0331)
+    plant.command_coil(5.0, begin - 1.0)
+    blocks = run(plant, begin + 0.1)
+    current = joined(blocks, "current")
+    assert current[0] > 0
+    assert current[int(0.0329 * 8000)] == pytest.approx(1.0, abs=1e-6)
+    assert current[int(0.0335 * 8000)] < 0.99
+    assert current[-1] == pytest.approx(0.5, abs=1e-6)
+    with pytest.raises(InputError, match="nan"):
+        plant.command_coil(float("nan"), begin)
+
+
+def test_more_current_more_force():
+    forces = []
+    for volts in (0.0, 2.5, 5.0):
+        plant = started()
+        plant.command_coil(volts, 0.0)
+        plant.motor.feed(b"MV VT=131072 G ", plant.time)
+        forces.append(run(plant, 2.0)[-1].force[-1])
+    assert forces[0] < forces[1] < forces[2]
+
+
+def test_the_same_seed_gives_the_same_volts():
+    def volts(seed, step):
+        plant = started(seed=seed)
+        plant.motor.feed(b"PT=4000 G ", plant.time)
+        return joined(run(plant, 1.5, step), "voltage")
+
+    first = volts(1, 0.01)
+    np.testing.assert_array_equal(volts(1, 0.01), first)
+    assert not np.array_equal(volts(2, 0.01), first)
+
+
+def test_a_damper_in_blocks_is_the_damper_in_one():
+    plant = started()
+    plant.command_coil(2.0, 0.0)
+    plant.motor.feed(b"PT=9000 G ", plant.time)
+    blocks = run(plant, 2.0)
+    whole = PlantConfig().damper.build().advance(
+        1 / 8000,
+        *(joined(blocks, name) for name in ("position", "velocity", "acceleration", "current")),
+    )
+    # Hysteretic state differs at first; after yield it does not.
+    np.testing.assert_allclose(joined(blocks, "force")[8000:], whole[8000:], atol=1e-6)
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_the_rod_cannot_leave_the_stroke(direction):
+    plant = started(start_position=direction * 0.02)
+    plant.motor.feed(b"MV VT=%d G " % (direction * 131072), plant.time)
+    blocks = run(plant, 3.0)
+    assert np.max(np.abs(joined(blocks, "position"))) <= 0.0275 + 1e-12
+    # The load cell feels the stop up to its amplifier's end.
+    assert np.max(direction * joined(blocks, "voltage")[1]) == pytest.approx(10.0, abs=0.01)
+    assert not plant.motor.drive.on
+
+
+def test_jam_holds_the_rod_until_it_is_cleared():
+    plant = started()
+    plant.motor.feed(b"MV VT=65536 G ", plant.time)
+    run(plant, 1.0)
+    plant.set_fault("jam", plant.time)
+    jammed = run(plant, 1.2)
+    assert np.ptp(joined(jammed, "position")) == 0.0
+    plant.set_fault("", plant.time)
+    assert np.ptp(joined(run(plant, 1.4), "position")) > 0
+
+
+def test_reset_acts_once():
+    plant = started()
+    plant.motor.feed(b"BAUD(0)=115200 ", plant.time)
+    run(plant, 1.0)
+    assert plant.motor.baud == 115200
+    plant.set_fault("reset", plant.time)
+    assert plant.motor.baud == 9600
+    run(plant, 1.6)
+    plant.motor.feed(b"BAUD(0)=38400 ", plant.time)
+    run(plant, 1.8)
+    plant.set_fault("reset", plant.time)
+    assert plant.motor.baud == 38400
+
+
+def test_bad_configurations_are_refused():
+    with pytest.raises(InputError, match="unknown fault fire"):
+        PlantConfig(fault="fire")
+    with pytest.raises(InputError, match="whole fraction"):
+        PlantConfig(hardware_rate=3000.0)
+    with pytest.raises(InputError, match="within the stroke"):
+        PlantConfig(start_position=0.03)
+    with pytest.raises(InputError, match="unknown model honey"):
+        Plant(PlantConfig(damper=DamperConfig(model="honey")))
+    with pytest.raises(InputError, match="stiffness is 'soft'"):
+        Plant(PlantConfig(damper=DamperConfig(parameters="stiffness: soft")))
+    with pytest.raises(InputError, match="unknown parameter sweetness"):
+        Plant(PlantConfig(damper=DamperConfig(parameters="sweetness: 1.0")))
+    assert isinstance(DamperConfig(parameters=" ").build(), Damper)

@@ -1,0 +1,160 @@
+"""The pseudo-terminal of the simulated motor."""
+
+import os
+import time
+
+import pytest
+import serial
+
+from mrd_base import BenchClock, InputError
+from mrd_sim.motor import MotorConfig, SerialLine, SmartMotor
+
+
+@pytest.fixture
+def link(tmp_path):
+    return tmp_path / "bench" / "motor"
+
+
+def make_line(link, time_scale=1.0):
+    bench = BenchClock(time_scale)
+    return SerialLine(SmartMotor(MotorConfig(), start=bench.now() - 1.0), bench, link)
+
+
+@pytest.fixture
+def line(link):
+    made = make_line(link)
+    made.plug()
+    yield made
+    made.close()
+
+
+def open_port(link, baud=9600):
+    return serial.Serial(str(link), baud, timeout=0.5, write_timeout=0.5, exclusive=True)
+
+
+def ask(port, query):
+    port.write(query)
+    return port.read_until(b"\r")
+
+
+def test_the_link_lives_as_long_as_the_line(link):
+    line = make_line(link)
+    assert not os.path.lexists(link)
+    line.plug()
+    assert os.readlink(link).startswith("/dev/pts/")
+    assert link.parent.stat().st_mode & 0o077 == 0
+    line.close()
+    assert not os.path.lexists(link)
+    line.close()
+
+
+def test_the_driver_talks_and_may_come_back(line):
+    for _ in range(2):
+        with open_port(line.link) as port:
+            assert ask(port, b"RRES ") == b"8000\r"
+            assert ask(port, b"RRES\r") == b"8000\r"
+
+
+def test_the_line_is_as_slow_as_its_baud_rate(line):
+    with open_port(line.link) as port:
+        start = time.monotonic()
+        assert ask(port, b" " * 91 + b"RRES ") == b"8000\r"
+        assert time.monotonic() - start > 101 * 10 / 9600 + 0.0035
+
+
+def test_rates_that_differ_give_garbage(line):
+    with open_port(line.link, 38400) as port:
+        assert ask(port, b"RRES ") != b"8000\r"
+    with open_port(line.link, 9600) as port:
+        port.write(b" \x80 BAUD(0)=115200 ")
+        time.sleep(0.05)
+        port.baudrate = 115200
+        assert ask(port, b"RRES ") == b"8000\r"
+
+
+def test_bench_time_may_run_faster(link):
+    line = make_line(link, time_scale=20.0)
+    line.plug()
+    try:
+        with open_port(link) as port:
+            start = time.monotonic()
+            assert ask(port, b" " * 960 + b"RRES ") == b"8000\r"
+            assert 0.04 < time.monotonic() - start < 0.3
+    finally:
+        line.close()
+
+
+def test_unplugging_fails_the_driver_and_plugging_in_serves_the_next(line):
+    with open_port(line.link) as port:
+        ask(port, b"RRES ")
+        line.unplug()
+        assert not line.plugged
+        assert not os.path.lexists(line.link)
+        with pytest.raises((serial.SerialException, OSError)):
+            ask(port, b"RRES ")
+    line.plug()
+    with open_port(line.link) as port:
+        assert ask(port, b"RRES ") == b"8000\r"
+
+
+def test_a_driver_that_does_not_read_blocks_nobody(line):
+    with open_port(line.link) as port:
+        port.write(b"BAUD(0)=115200 ")
+        time.sleep(0.05)
+        port.baudrate = 115200
+        line.motor.config = MotorConfig(turnaround=0.0)
+        for _ in range(10):
+            port.write(b"RRES " * 100)
+        time.sleep(0.6)
+        assert line.plugged
+        port.reset_input_buffer()
+        time.sleep(0.1)
+        assert line.plugged
+
+
+def test_two_motors_do_not_share_a_link(line):
+    with pytest.raises(InputError, match="another simulated motor"):
+        make_line(line.link)
+
+
+@pytest.mark.parametrize("kind", ["file", "directory", "link"])
+def test_what_is_not_ours_is_not_replaced(tmp_path, kind):
+    link = tmp_path / "motor"
+    if kind == "file":
+        link.write_text("precious")
+    elif kind == "directory":
+        link.mkdir()
+    else:
+        link.symlink_to("/dev/null")
+    with pytest.raises(InputError, match="something else"):
+        make_line(link)
+    assert os.path.lexists(link)
+
+
+def test_a_link_left_by_a_killed_simulator_is_replaced(tmp_path):
+    link = tmp_path / "motor"
+    link.symlink_to("/dev/pts/4095")
+    line = make_line(link)
+    line.plug()
+    assert link.exists()
+    # Killed: the link stays, the terminal's number may be given to someone else.
+    line._owner.close()
+    heir = make_line(link)
+    heir.plug()
+    assert os.readlink(link) == os.ttyname(heir._slave)
+    heir.close()
+    line.unplug()
+
+
+def test_no_place_for_the_link(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        make_line(tmp_path / "file" / "motor")
+
+
+def test_reading_after_close_is_an_end_not_a_hang(line):
+    port = open_port(line.link)
+    line.close()
+    with pytest.raises((serial.SerialException, OSError)):
+        ask(port, b"RRES ")
+    port.close()
