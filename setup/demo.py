@@ -19,6 +19,7 @@ from mrd_base.config import parse_yaml
 from mrd_base.domain import claim_domain
 from mrd_identification.fit_file import read_fit
 from mrd_interfaces.action import Identify
+from mrd_runs import read_runs
 from mrd_sim.models import find_model
 
 EXPERIMENT, PLANT = Path("config/experiments/demo.yaml"), Path("config/plant.yaml")
@@ -107,8 +108,11 @@ def demo() -> None:
     result = identify(bag, output)
     fit = read_fit(result.fit).content
     (heard,) = fit["runs"]["fit"]
+    (run,) = read_runs([str(bag)])
+    if heard["samples"] != len(run):
+        raise InputError(f"{bag}: holds {len(run)} samples, of which the identifier heard {heard['samples']}")
     rows = compare(Path(result.fit), PLANT)
-    print(f"\nrecorded and replayed {heard['samples']} samples, {heard['duration_s']:.1f} s: {bag}")
+    print(f"\nrecorded and replayed {len(run)} samples, {run.duration:.1f} s: {bag}")
     print(f"identified {MODEL} in {fit['elapsed_s']:.0f} s: NRMSE {100 * result.nrmse:.2f} %, e2 {result.e2:.3g} N, "
           f"einf {result.einf:.3g} N, k = {heard['samples']}")  # fmt: skip
     print(f"{'at ' + format(fit['observables']['current_A'], '.3f') + ' A':24}{'identified':>12}{'simulated':>12}")
