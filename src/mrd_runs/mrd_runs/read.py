@@ -139,7 +139,21 @@ def _read_bag_run(path: Path) -> Run:
 
 
 def assemble(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns of the samples on the clock of the DAQ, and what the stamps say of it."""
+    """Columns of the samples for `make_run`, on the clock of the DAQ, and what the stamps say of it.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        In the order of recording.
+    where : str
+        Prefix of error messages.
+
+    Returns
+    -------
+    columns : dict of str to ndarray (n,)
+    timing : dict
+        ``lost`` samples by their numbers, ``jitter_s`` of the stamps about the sample clock, ``first_stamp_s``.
+    """
     columns = {
         "position_m": blocks.series["position"],
         "current_A": blocks.series["coil_current"],

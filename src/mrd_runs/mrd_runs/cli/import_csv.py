@@ -1,0 +1,33 @@
+"""Make bags of CSV files."""
+
+import argparse
+from pathlib import Path
+
+from mrd_base import InputError, run_tool
+from mrd_runs import read_runs
+from mrd_runs.import_csv import import_run, targets
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="import_csv", description="Make a bag of each CSV file.")
+    parser.add_argument(
+        "csv",
+        nargs="+",
+        type=Path,
+        metavar="CSV",
+        help="header time_s,position_m,current_A,force_N; optionally acceleration_mps2, velocity_mps, temperature_C",
+    )
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the bags")
+    arguments = parser.parse_args()
+    run_tool(lambda: _import(arguments.csv, arguments.output))
+
+
+def _import(files: list[Path], output: Path) -> None:
+    for file in files:
+        if file.is_dir() or file.suffix in {".mcap", ".db3"}:
+            raise InputError(f"{file}: is a bag already; expected a CSV file")
+    # All files are read and all targets checked before the first bag is written.
+    runs = read_runs(files)
+    for run, path in zip(runs, targets(runs, output), strict=True):
+        import_run(run, path)
+        print(f"{path}: {len(run)} samples")
