@@ -230,9 +230,11 @@ def _moves(shape: Holds, experiment: Experiment, limits: Limits) -> PPoly:
     """Rest at each level; a move to the next starts when its time comes."""
     _check_position(experiment.rod, float(np.abs(shape.levels).max()), limits)
     seconds = " or ".join(key_of(field)[0] for field in fields_in(experiment.rod, "s"))
-    ends = np.append(shape.times[1:], max(experiment.duration, shape.times[-1] + 1e-3))
-    paths, position = [], float(shape.levels[0])
-    for time, end, level in zip(shape.times, ends, shape.levels, strict=True):
+    changes = np.diff(shape.levels, prepend=np.nan) != 0
+    times, levels = shape.times[changes], shape.levels[changes]
+    ends = np.append(times[1:], max(experiment.duration, times[-1] + 1e-3))
+    paths, position = [], float(levels[0])
+    for time, end, level in zip(times, ends, levels, strict=True):
         if time >= experiment.duration:
             break
         move = transition(experiment.transition, State(position), State(float(level)), limits)

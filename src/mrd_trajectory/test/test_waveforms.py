@@ -175,9 +175,8 @@ def test_corners_and_holds_are_where_they_are_said_to_be():
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda: Ramp(0.0, 0.1, 0.0),
         lambda: Ramp(0.0, 0.1, 0.01).shape(5.0),
-        lambda: Triangle(0.0, 0.1),
+        lambda: Multisine(0.01, 1.0, 100.0, 1000.0),
         lambda: Aprbs(0.0, 0.1, 0.2, 0.1),
         lambda: Prbs(0.0, 0.1, 1e-3).shape(3600.0),
         lambda: Triangle(1e-9, 0.1).shape(1.0),

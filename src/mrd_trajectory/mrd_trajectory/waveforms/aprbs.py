@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Holds, Waveform
+from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
 
 
 @dataclass(frozen=True)
@@ -15,10 +15,10 @@ class Aprbs(Waveform):
     ``count`` levels equally spaced from ``low`` to ``high`` come in shuffled rounds, each equally often.
     """
 
-    low: float = quantity(unit="level", doc="lowest level")
-    high: float = quantity(unit="level", doc="highest level")
-    shortest: float = quantity(unit="s", doc="shortest hold", lower=1e-3)
-    longest: float = quantity(unit="s", doc="longest hold", lower=1e-3)
+    low: float = level_field("lowest level")
+    high: float = level_field("highest level")
+    shortest: float = quantity(unit="s", doc="shortest hold", lower=1e-3, upper=3600)
+    longest: float = quantity(unit="s", doc="longest hold", lower=1e-3, upper=3600)
     count: int = quantity(16, "", "number of different levels", lower=2, upper=1000)
     seed: int = quantity(0, "", "of levels and holds", lower=0)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import quantity
-from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform
+from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform, level_field
 
 
 @dataclass(frozen=True)
@@ -15,11 +15,11 @@ class Chirp(Waveform):
     With ``constant_speed`` the amplitude falls as the frequency rises, so that the peak rate stays the same.
     """
 
-    amplitude: float = quantity(unit="level", doc="half of peak to peak; with constant_speed: at the start", lower=0)
+    amplitude: float = level_field("half of peak to peak; with constant_speed: at the start", lower=0)
     start: float = quantity(unit="Hz", doc="first frequency", lower=1e-3, upper=100)
     end: float = quantity(unit="Hz", doc="last frequency", lower=1e-3, upper=100)
     constant_speed: bool = quantity(False, "", "keep amplitude × frequency instead of the amplitude")
-    offset: float = quantity(0.0, "level", "mean")
+    offset: float = level_field("mean", 0.0)
 
     def shape(self, duration: float) -> Smooth:
         growth = np.log(self.end / self.start) / duration

@@ -4,15 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mrd_base import quantity
-from mrd_trajectory.waveforms.waveform import Holds, Waveform
+from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
 
 
 @dataclass(frozen=True)
 class Constant(Waveform):
     """One level throughout."""
 
-    level: float = quantity(0.0, "level", "held throughout")
+    level: float = level_field("held throughout", 0.0)
 
     def shape(self, duration: float) -> Holds:
         return Holds(np.zeros(1), np.array([self.level]))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform
+from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform, level_field
 
 TRIALS = 200
 
@@ -19,7 +19,7 @@ class Multisine(Waveform):
     the level and of its rate, is smallest.
     """
 
-    amplitude: float = quantity(unit="level", doc="peak", lower=0)
+    amplitude: float = level_field("peak", lower=0)
     lowest: float = quantity(unit="Hz", doc="lowest frequency", lower=1e-3, upper=100)
     highest: float = quantity(unit="Hz", doc="highest frequency", lower=1e-3, upper=100)
     period: float = quantity(unit="s", doc="after which it repeats; its inverse spaces the lines", lower=0.01, upper=3600)
@@ -27,9 +27,13 @@ class Multisine(Waveform):
         1.0, "", "amplitude ∝ frequency^−rolloff; 0: equal levels, 1: equal rates", lower=-2, upper=4
     )
     seed: int = quantity(0, "", "of the phases", lower=0)
-    offset: float = quantity(0.0, "level", "mean")
+    offset: float = level_field("mean", 0.0)
 
     def __post_init__(self) -> None:
+        if self.highest * self.period > 4000:
+            raise InputError(
+                f"highest_hz {self.highest:g} is more than 4000 times 1/period_s = {1 / self.period:g} Hz; reduce period_s"
+            )
         if not len(self._harmonics()):
             raise InputError(
                 f"no odd multiple of 1/period_s = {1 / self.period:g} Hz lies between lowest_hz {self.lowest:g} and "

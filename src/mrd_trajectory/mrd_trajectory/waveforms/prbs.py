@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import max_len_seq
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Holds, Waveform
+from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
 
 
 @dataclass(frozen=True)
@@ -16,9 +16,9 @@ class Prbs(Waveform):
     Flat spectrum up to about ``0.44 / bit`` (Golomb, *Shift Register Sequences*, 1967).
     """
 
-    low: float = quantity(unit="level", doc="level of a 0")
-    high: float = quantity(unit="level", doc="level of a 1")
-    bit: float = quantity(unit="s", doc="time of one bit", lower=1e-3)
+    low: float = level_field("level of a 0")
+    high: float = level_field("level of a 1")
+    bit: float = quantity(unit="s", doc="time of one bit", lower=1e-3, upper=3600)
     order: int = quantity(10, "", "bits of the shift register; repeats after 2^order − 1 bits", lower=2, upper=20)
     seed: int = quantity(0, "", "where in the sequence it starts", lower=0)
 

@@ -5,21 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Corners, Waveform
+from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, slope_field
 
 
 @dataclass(frozen=True)
 class Ramp(Waveform):
     """Hold ``start`` for ``dwell``, go to ``end`` at constant slope, hold it."""
 
-    start: float = quantity(unit="level", doc="held first")
-    end: float = quantity(unit="level", doc="held last")
-    slope: float = quantity(unit="level/s", doc="steepness of the ramp", lower=0)
-    dwell: float = quantity(0.0, "s", "time at the start level", lower=0)
-
-    def __post_init__(self) -> None:
-        if self.slope == 0:
-            raise InputError("the slope of a ramp must be > 0")
+    start: float = level_field("held first")
+    end: float = level_field("held last")
+    slope: float = slope_field("steepness of the ramp")
+    dwell: float = quantity(0.0, "s", "time at the start level", lower=0, upper=3600)
 
     def shape(self, duration: float) -> Corners:
         arrival = self.dwell + abs(self.end - self.start) / self.slope

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import quantity
-from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform
+from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform, level_field
 
 
 @dataclass(frozen=True)
 class Sine(Waveform):
     """``offset + amplitude sin(2π frequency t)``."""
 
-    amplitude: float = quantity(unit="level", doc="half of peak to peak", lower=0)
+    amplitude: float = level_field("half of peak to peak", lower=0)
     frequency: float = quantity(unit="Hz", doc="of the sine", lower=1e-3, upper=100)
-    offset: float = quantity(0.0, "level", "mean")
+    offset: float = level_field("mean", 0.0)
 
     def shape(self, duration: float) -> Smooth:
         rate = 2 * np.pi * self.frequency

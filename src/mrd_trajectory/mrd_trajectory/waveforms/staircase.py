@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Holds, Waveform, repeated
+from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field, repeated
 
 
 @dataclass(frozen=True)
 class Staircase(Waveform):
     """Each level in turn for ``hold``, from the first again after the last."""
 
-    levels: tuple[float, ...] = quantity(unit="level", doc="in the order of their turns")
-    hold: float = quantity(unit="s", doc="time at each level", lower=1e-3)
+    levels: tuple[float, ...] = level_field("in the order of their turns")
+    hold: float = quantity(unit="s", doc="time at each level", lower=1e-3, upper=3600)
 
     def shape(self, duration: float) -> Holds:
         if duration / self.hold > 1e6:

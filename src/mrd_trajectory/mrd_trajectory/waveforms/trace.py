@@ -20,7 +20,7 @@ class Trace(Waveform):
 
     file: str = quantity(unit="", doc="CSV with a header; relative to the experiment's file")
     column: str = quantity("", "", "of the levels; default position_m (m) for the rod, current_A (A) for the coil")
-    scale: float = quantity(1.0, "", "factor on the levels")
+    scale: float = quantity(1.0, "", "factor on the levels", lower=-1e6, upper=1e6)
     cutoff: float = quantity(0.0, "Hz", "of a zero-phase low-pass against noise; 0: none", lower=0, upper=1e4)
 
     def placed(self, folder: Path | None, column: str) -> Self:

@@ -2,21 +2,17 @@
 
 from dataclasses import dataclass
 
-from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Corners, Waveform, repeated
+from mrd_base import InputError
+from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeated, slope_field
 
 
 @dataclass(frozen=True)
 class Triangle(Waveform):
     """Straight lines between ``offset ± amplitude`` at one slope, starting upwards from ``offset``."""
 
-    amplitude: float = quantity(unit="level", doc="half of peak to peak", lower=0)
-    slope: float = quantity(unit="level/s", doc="steepness of the lines", lower=0)
-    offset: float = quantity(0.0, "level", "mean")
-
-    def __post_init__(self) -> None:
-        if self.amplitude == 0 or self.slope == 0:
-            raise InputError("amplitude and slope of a triangle must be > 0; use the waveform constant for a rest")
+    amplitude: float = level_field("half of peak to peak", lower=1e-6)
+    slope: float = slope_field("steepness of the lines")
+    offset: float = level_field("mean", 0.0)
 
     def shape(self, duration: float) -> Corners:
         quarter = self.amplitude / self.slope

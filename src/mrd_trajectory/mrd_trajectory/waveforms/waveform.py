@@ -5,10 +5,12 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from mrd_base import quantity
 
 Array = NDArray[np.float64]
 
@@ -77,6 +79,16 @@ class Waveform(abc.ABC):
     def placed(self, folder: Path | None, column: str) -> Self:
         """Resolve what the fields refer to: files lie in ``folder``, the channel is ``column`` in a CSV."""
         return self
+
+
+def level_field(doc: str, default: Any = dataclasses.MISSING, *, lower: float = -10.0) -> Any:
+    """Declare a field in levels: within 10 m or 10 A, so that no arithmetic overflows; the bench's limits come later."""
+    return quantity(default, "level", doc, lower=lower, upper=10.0)
+
+
+def slope_field(doc: str) -> Any:
+    """Declare a field in levels per second."""
+    return quantity(unit="level/s", doc=doc, lower=1e-7, upper=1e3)
 
 
 def repeated(vertices: ArrayLike, levels: ArrayLike, period: float, duration: float) -> tuple[Array, Array]:
