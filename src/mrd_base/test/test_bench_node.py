@@ -48,6 +48,19 @@ def test_parameters_without_ros_args_are_refused_not_ignored():
     assert node.returncode == 2
 
 
+def test_the_command_line_goes_before_the_section_of_the_node_in_a_file(tmp_path):
+    file = tmp_path / "bench.yaml"
+    file.write_text("/**/tiny:\n  ros__parameters: {port: /dev/file, limits: {stroke_mm: 40.0, force_N: 5.0}}\n")
+    node = start("--ros-args", "--params-file", str(file), "-p", "port:=/dev/line", "-p", "limits.stroke_mm:=30")
+    try:
+        config = node.stdout.readline()
+    finally:
+        node.terminate()
+        node.communicate(timeout=20)
+    assert "port='/dev/line'" in config
+    assert "stroke=0.03, force=5.0" in config
+
+
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_parameters_become_the_configuration_and_every_signal_closes_the_node(tmp_path, end):
     file = tmp_path / "bench.yaml"

@@ -1,6 +1,7 @@
 """The base of every node: configuration as ROS parameters, bench clock, diagnostics, a clean end."""
 
 import dataclasses
+import itertools
 import signal
 import sys
 import typing
@@ -10,12 +11,13 @@ from typing import Any, Generic, TypeVar
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, get_parameter_value
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
@@ -64,7 +66,7 @@ class BenchNode(Node, Generic[C]):
     dynamic: typing.ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, name: str, config_type: type[C]) -> None:
-        super().__init__(name)
+        super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
         self.config: C = from_mapping(config_type, self._declare(config_type), f"node {name}")
         self.bench = BenchClock(typing.cast(Any, self.config).time_scale)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -198,6 +200,16 @@ def _init() -> None:
         set_logger_level("rcl", LoggingSeverity.UNSET)
     if others:
         raise InputError(f"unknown argument {others[0]}; parameters and remappings stand after --ros-args")
+
+
+def _command_line_parameters(arguments: list[str]) -> list[Parameter]:
+    """What ``-p NAME:=VALUE`` says: ROS alone would let the section of a node in a parameter file go before it."""
+    found = []
+    for option, argument in itertools.pairwise(arguments):
+        name, assigned, value = argument.partition(":=")
+        if option in {"-p", "--param"} and assigned and ":" not in name:
+            found.append(Parameter.from_parameter_msg(ParameterMessage(name=name, value=get_parameter_value(value))))
+    return found
 
 
 def _flatten(
