@@ -5,19 +5,19 @@ import itertools
 import signal
 import sys
 import typing
+from array import array
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
-from rclpy.parameter import Parameter, get_parameter_value
+from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
@@ -206,9 +206,10 @@ def _command_line_parameters(arguments: list[str]) -> list[Parameter]:
     """What ``-p NAME:=VALUE`` says: ROS alone would let the section of a node in a parameter file go before it."""
     found = []
     for option, argument in itertools.pairwise(arguments):
-        name, assigned, value = argument.partition(":=")
+        name, assigned, text = argument.partition(":=")
         if option in {"-p", "--param"} and assigned and ":" not in name:
-            found.append(Parameter.from_parameter_msg(ParameterMessage(name=name, value=get_parameter_value(value))))
+            value = parameter_value_to_python(get_parameter_value(text))
+            found.append(Parameter(name, value=value.tolist() if isinstance(value, array) else value))
     return found
 
 
