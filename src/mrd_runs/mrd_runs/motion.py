@@ -28,6 +28,8 @@ _STRETCHES, _STRETCH = 8, 2048
 _ORDERS = (3, 4, 5)
 # Time constants of the smoother: up to this many sampling intervals, down to where it interpolates.
 _LONGEST, _INTERPOLATION = 1000.0, 1e8
+# m; no reading of a position is finer.
+_FINEST = 1e-15
 # An accelerometer that disagrees more than this with the position is not one of the rod in m/s² (MMA7361L: ±7.5 %).
 _GAIN_BOUNDS = (0.8, 1.25)
 
@@ -157,7 +159,7 @@ class _Model:
 
 def _quantisation_variance(position: Array) -> float:
     """Least variance of the reading's error, from the step of its digits."""
-    rounding = 8 * np.finfo(float).eps * float(np.abs(position).max())
+    rounding = max(8 * np.finfo(float).eps * float(np.abs(position).max()), _FINEST)
     gaps = np.diff(np.unique(position))
     gaps = gaps[gaps > rounding]
     if len(gaps) == 0:

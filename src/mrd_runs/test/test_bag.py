@@ -1,0 +1,348 @@
+"""Bags: what is written comes back, whatever the end."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+from mrd_base import InputError
+from mrd_runs import read_run
+from mrd_runs.bag import FLUSH_PERIOD, BagWriter, read_bag
+from mrd_runs.blocks import LAYOUT, SERIES, _decode_singly, _decode_table, decode_blocks
+from mrd_runs.definitions import SAMPLES_TYPE, typestore
+from mrd_runs.description import check_recording
+
+
+def test_every_sample_comes_back_bit_by_bit(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns).close()
+    for path in (tmp_path / "run", tmp_path / "run/run.mcap"):
+        run = read_run(path)
+        assert run.name == "run"
+        np.testing.assert_array_equal(run.time, columns["time_s"])
+        np.testing.assert_array_equal(run.position, columns["position_m"])
+        np.testing.assert_array_equal(run.current, columns["current_A"])
+        np.testing.assert_array_equal(run.force, columns["force_N"])
+        np.testing.assert_array_equal(run.acceleration, columns["acceleration_mps2"])
+        assert run.info["lost"] == 0
+        assert not run.info["recovered"]
+
+
+def test_bag_is_an_ordinary_one(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns).close()
+    with Reader(tmp_path / "run") as reader:
+        assert reader.message_count == 50
+        (connection,) = reader.connections
+        assert connection.msgtype == SAMPLES_TYPE
+        assert connection.ext.offered_qos_profiles[0].depth == 200
+    assert (tmp_path / "run/metadata.yaml").exists()
+
+
+def test_type_hashes_are_those_of_ros() -> None:
+    """Or `ros2 bag play` would refuse the types."""
+    import json
+
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        for file in Path(prefix).glob("share/mrd_interfaces/msg/*.json"):
+            described = json.loads(file.read_text())
+            own = next(entry for entry in described["type_hashes"] if entry["type_name"].endswith(f"/{file.stem}"))
+            assert typestore().hash_rihs01(own["type_name"]) == own["hash_string"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
+def test_exception_closes_the_bag(tmp_path: Path, columns, fill_bag, error: type[BaseException]) -> None:
+    def record() -> None:
+        with fill_bag(tmp_path / "run", columns):
+            raise error
+
+    with pytest.raises(error):
+        record()
+    assert len(read_run(tmp_path / "run")) == 1000
+
+
+def test_existing_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    with pytest.raises(InputError, match="exists already"):
+        BagWriter(tmp_path / "run")
+
+
+def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        BagWriter(tmp_path / "file/run")
+
+
+def test_flushed_messages_survive_without_a_close(tmp_path: Path, columns, fill_bag) -> None:
+    writer = fill_bag(tmp_path / "run", columns)
+    writer.flush()
+    run = read_run(tmp_path / "run")
+    assert len(run) == 1000
+    assert run.info["recovered"]
+    assert "the bag was not closed: 1000 samples recovered" in run.info["notes"]
+    writer.close()
+    assert not read_run(tmp_path / "run").info["recovered"]
+
+
+def test_writing_flushes_by_the_stamps_and_by_the_wall(tmp_path: Path, columns, fill_bag) -> None:
+    """1 s of samples in no time: at most a flush period of it is held back."""
+    writer = fill_bag(tmp_path / "fast", columns)
+    assert len(read_run(tmp_path / "fast")) >= 1000 - FLUSH_PERIOD * 1000 - 20
+    writer.close()
+
+
+SPAWNED = """
+    import sys, time
+    sys.path.insert(0, {test!r})
+    from conftest import block_message, series
+    from mrd_runs.bag import BagWriter
+    from mrd_runs.definitions import SAMPLES_TYPE
+    columns = series(60_000)
+    writer = BagWriter(sys.argv[1])
+    writer.add_topic("/samples", SAMPLES_TYPE, depth=200)
+    start = time.monotonic()
+    for first in range(0, 60_000, 20):
+        time.sleep(max(0, start + first / 1000 - time.monotonic()))
+        writer.write_message("/samples", time.time_ns(), block_message(columns, first, first + 20))
+        print(first + 20, flush=True)
+"""
+
+
+@pytest.mark.parametrize("delay", [0.4, 1.1])
+def test_killed_writer_loses_less_than_a_second(tmp_path: Path, delay: float) -> None:
+    code = textwrap.dedent(SPAWNED.format(test=str(Path(__file__).parent)))
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "run")], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(delay)
+    process.send_signal(signal.SIGKILL)
+    written = int(process.stdout.read().split()[-1])
+    process.wait()
+    bag = read_bag(tmp_path / "run")
+    kept = sum(len(block.position) for block in bag.decode("/samples"))
+    assert bag.recovered
+    assert written - kept < 1000
+    assert kept > 0
+
+
+def test_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path, columns, whole_bag, read_or_refuse) -> None:
+    cut = tmp_path / "cut.mcap"
+    lengths = [0]
+    for end in range(1, len(whole_bag), len(whole_bag) // 60):
+        cut.write_bytes(whole_bag[:end])
+        found = read_or_refuse(cut)
+        if isinstance(found, str):
+            assert "\n" not in found
+        else:
+            np.testing.assert_array_equal(found.position, columns["position_m"][: len(found)])
+            lengths.append(len(found))
+    assert len(set(lengths)) > 3
+    assert lengths == sorted(lengths)
+
+
+def test_file_cut_after_closing_is_refused(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns).close()
+    file = tmp_path / "run/run.mcap"
+    file.write_bytes(file.read_bytes()[:-3000])
+    with pytest.raises(InputError, match="has lost its end since"):
+        read_run(tmp_path / "run")
+
+
+@settings(max_examples=60, deadline=None)
+@given(at=st.integers(0, 10**6), junk=st.binary(min_size=1, max_size=40))
+def test_damaged_file_never_gives_more_than_one_line(
+    tmp_path_factory, whole_bag, read_or_refuse, at: int, junk: bytes
+) -> None:
+    damaged = bytearray(whole_bag)
+    at %= len(damaged)
+    damaged[at : at + len(junk)] = junk
+    file = tmp_path_factory.getbasetemp() / "damaged.mcap"
+    file.write_bytes(damaged)
+    found = read_or_refuse(file)
+    assert not isinstance(found, str) or "\n" not in found
+
+
+def write_sqlite(path: Path, columns, block) -> Path:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/bench/samples", SAMPLES_TYPE, typestore=typestore())
+        for first in range(0, 1000, 20):
+            cdr = typestore().serialize_cdr(block(columns, first, first + 20), SAMPLES_TYPE)
+            writer.write(connection, first * 1_000_000, cdr)
+    return path
+
+
+def test_sqlite_bags_and_namespaces(tmp_path: Path, columns, make_block) -> None:
+    folder = write_sqlite(tmp_path / "run", columns, make_block)
+    for path in (folder, folder / "run.db3"):
+        run = read_run(path)
+        assert run.info["topic"] == "/bench/samples"
+        np.testing.assert_array_equal(run.force, columns["force_N"])
+
+
+def test_truncated_sqlite(tmp_path: Path, columns, make_block) -> None:
+    file = write_sqlite(tmp_path / "run", columns, make_block) / "run.db3"
+    (tmp_path / "cut.db3").write_bytes(file.read_bytes()[:5000])
+    with pytest.raises(InputError, match="cannot be read as a bag"):
+        read_run(tmp_path / "cut.db3")
+
+
+def test_bag_without_samples_lists_its_topics(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "other") as writer:
+        writer.add_topic("/chatter", "std_msgs/msg/String")
+        writer.write_message("/chatter", 1, typestore().types["std_msgs/msg/String"]("hello"))
+    with pytest.raises(InputError, match=r"no topic of type .*BenchSamples; topics in it: /chatter \(std_msgs/msg/String\)"):
+        read_run(tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("junk.mcap", b"\x00\xff" * 500, "cannot be read as a bag"),
+        ("empty.mcap", b"", "is empty"),
+        ("junk.db3", b"SQLite format 3\0" + b"junk" * 100, "cannot be read as a bag"),
+        ("empty.db3", b"", "is empty"),
+    ],
+)
+def test_foreign_files(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        read_run(tmp_path / name)
+
+
+def test_folders_that_are_no_bags(tmp_path: Path, columns, fill_bag) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_run(tmp_path / "absent")
+    with pytest.raises(InputError, match=r"without an \.mcap or \.db3"):
+        read_run(tmp_path)
+    fill_bag(tmp_path / "run", columns).close()
+    (tmp_path / "run/run.mcap").unlink()
+    with pytest.raises(InputError, match="storage file is missing"):
+        read_run(tmp_path / "run")
+
+
+def test_missing_blocks_are_counted_and_leave_a_gap_in_time(tmp_path: Path, columns, fill_bag) -> None:
+    writer = fill_bag(tmp_path / "run", columns, skip=(10, 11, 30))
+    writer.close()
+    run = read_run(tmp_path / "run")
+    assert run.info["lost"] == 60
+    assert len(run) == 940
+    assert np.diff(run.time).max() == pytest.approx(0.041)
+    np.testing.assert_array_equal(run.time, np.delete(columns["time_s"], [*range(200, 240), *range(600, 620)]))
+    found = check_recording(tmp_path / "run", "/samples", writer.counts)
+    assert (found.samples, found.lost) == (940, 60)
+    assert "60 of 1000 samples are missing" in found.problem
+
+
+def test_check_finds_what_the_file_lacks(tmp_path: Path, columns, fill_bag) -> None:
+    writer = fill_bag(tmp_path / "run", columns)
+    writer.close()
+    assert check_recording(tmp_path / "run", "/samples", writer.counts).problem == ""
+    assert "3 of /samples" in check_recording(tmp_path / "run", "/samples", {"/samples": 53}).problem
+
+
+def test_daq_restarted_during_the_recording(tmp_path: Path, columns, make_block) -> None:
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_topic("/samples", SAMPLES_TYPE)
+        for start in (1.7e9, 1.7e9 + 3):
+            for first in range(0, 1000, 20):
+                block = make_block(columns, first, first + 20, start)
+                writer.write_message("/samples", int((start + first / 1000) * 1e9), block)
+    run = read_run(tmp_path / "run")
+    assert len(run) == 2000
+    assert run.time[1000] - run.time[999] == pytest.approx(3 - 0.999)
+    assert (np.diff(run.time) > 0).all()
+
+
+def test_stamps_that_jitter_do_not_make_time_jitter(tmp_path: Path, columns, make_block) -> None:
+    rng = np.random.default_rng(0)
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_topic("/samples", SAMPLES_TYPE)
+        for first in range(0, 1000, 20):
+            block = make_block(columns, first, first + 20)
+            block.header.stamp.nanosec = int(np.clip(block.header.stamp.nanosec + rng.normal(0, 1e6), 0, 10**9 - 1))
+            writer.write_message("/samples", first, block)
+    run = read_run(tmp_path / "run")
+    np.testing.assert_array_equal(run.time, columns["time_s"])
+    assert run.info["jitter_s"] == pytest.approx(1e-3, rel=0.4)
+
+
+def test_bag_without_accelerometer(tmp_path: Path, columns, fill_bag) -> None:
+    columns["acceleration_mps2"][:] = np.nan
+    fill_bag(tmp_path / "run", columns).close()
+    assert read_run(tmp_path / "run").acceleration is None
+
+
+def test_nan_in_a_bag(tmp_path: Path, columns, fill_bag) -> None:
+    columns["force_N"][123] = np.nan
+    fill_bag(tmp_path / "run", columns).close()
+    with pytest.raises(InputError, match="sample 123: force_N is nan"):
+        read_run(tmp_path / "run")
+
+
+def test_layout_is_that_of_the_definition() -> None:
+    assert typestore().fielddefs[SAMPLES_TYPE][1] == LAYOUT
+
+
+@settings(max_examples=80, deadline=None)
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=6), st.text("abc/", max_size=9), st.integers(0, 2**40))
+def test_table_decoder_agrees_with_rosbags(counts: list[int], frame: str, sequence: int) -> None:
+    types = typestore().types
+    rng = np.random.default_rng(0)
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](-5, 999), frame)
+    messages = [
+        bytes(
+            typestore().serialize_cdr(
+                types[SAMPLES_TYPE](header, 1e-3, sequence, *(rng.normal(size=count) for _ in SERIES)), SAMPLES_TYPE
+            )
+        )
+        for count in counts
+    ]
+    expected = _decode_singly(messages, typestore())
+    found = decode_blocks(messages, typestore())
+    assert _decode_table(messages[:1]) is not None or counts[0] == 0
+    for name in ("stamp", "period", "sequence", "count"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    for name in SERIES:
+        np.testing.assert_array_equal(found.series[name], expected.series[name])
+
+
+def test_blocks_of_unequal_series(tmp_path: Path, columns, make_block) -> None:
+    block = make_block(columns, 0, 20)
+    block.force = block.force[:19]
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_topic("/samples", SAMPLES_TYPE)
+        writer.write_message("/samples", 1, block)
+    with pytest.raises(InputError, match="unequal lengths"):
+        read_run(tmp_path / "run")
+
+
+def test_reading_needs_no_ros(tmp_path: Path, columns, fill_bag) -> None:
+    """A plain interpreter reads a bag, definitions and all, where nothing of ROS can be imported or found."""
+    fill_bag(tmp_path / "run", columns).close()
+    code = """
+        import sys
+        for name in ("rclpy", "ament_index_python", "mrd_interfaces", "std_msgs", "builtin_interfaces"):
+            sys.modules[name] = None
+        from mrd_runs import read_run
+        print(len(read_run(sys.argv[1])))
+        from mrd_runs.bag import BagWriter
+        from mrd_runs.definitions import SAMPLES_TYPE
+        with BagWriter(sys.argv[1] + "2") as writer:
+            writer.add_topic("/samples", SAMPLES_TYPE)
+    """
+    environment = {key: value for key, value in os.environ.items() if "AMENT" not in key and not key.startswith("ROS")}
+    result = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "run")],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (result.stdout.strip(), result.stderr, result.returncode) == ("1000", "", 0)

@@ -1,0 +1,196 @@
+"""The differentiator."""
+
+import time
+
+import numpy as np
+import pytest
+from scipy.integrate import simpson
+from scipy.linalg import expm
+from scipy.signal import savgol_filter
+
+from mrd_base import InputError
+from mrd_runs import make_run
+from mrd_runs.motion import _Model, _quantisation_variance, _smooth, motion, smooth_motion
+
+FREQUENCIES = 0.5 * np.arange(1, 16, 2)
+AMPLITUDES = 2.5e-3 / FREQUENCIES
+
+
+def multisine(t: np.ndarray, seed: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration of a random-phase odd multisine of 0.5 to 7.5 Hz."""
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(FREQUENCIES))
+    omega = 2 * np.pi * FREQUENCIES[:, None]
+    angle = omega * t + phases[:, None]
+    amplitude = AMPLITUDES[:, None]
+    return (
+        (amplitude * np.sin(angle)).sum(axis=0),
+        (amplitude * omega * np.cos(angle)).sum(axis=0),
+        -(amplitude * omega**2 * np.sin(angle)).sum(axis=0),
+    )
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize(("rate", "n", "windows"), [(1000, 20_000, (9, 25, 41)), (25, 1500, (5, 7, 9))])
+def test_better_than_savitzky_golay_at_every_usual_window(rate: int, n: int, windows: tuple[int, ...]) -> None:
+    t = np.arange(n) / rate
+    x, v, _ = multisine(t)
+    measured = x + np.random.default_rng(2).normal(0, 5e-6, n)
+    ours = rms(smooth_motion(t, measured).velocity - v)
+    theirs = [
+        rms(savgol_filter(measured, window, order, deriv=1, delta=1 / rate) - v)
+        for window in windows
+        for order in (2, 3, 4)
+    ]
+    assert ours < min(theirs)
+
+
+@pytest.mark.parametrize(("rate", "error"), [(25, 1e-3), (100, 1e-5), (1000, 1e-8)])
+def test_noise_free_sine(rate: int, error: float) -> None:
+    t = np.arange(20 * rate) / rate
+    omega = 2 * np.pi * 1.5
+    smoothed = smooth_motion(t, 0.01 * np.sin(omega * t))
+    assert rms(smoothed.velocity / (0.01 * omega) - np.cos(omega * t)) < error
+    assert rms(smoothed.acceleration / (0.01 * omega**2) + np.sin(omega * t)) < 20 * error
+
+
+def test_velocity_std_is_that_of_the_error() -> None:
+    t = np.arange(20_000) / 1000
+    x, v, _ = multisine(t)
+    smoothed = smooth_motion(t, x + np.random.default_rng(3).normal(0, 5e-6, len(t)))
+    assert rms((smoothed.velocity - v) / smoothed.velocity_std) == pytest.approx(1, abs=0.35)
+    # Less is known at the ends.
+    assert smoothed.velocity_std[0] > 2 * smoothed.velocity_std[len(t) // 2]
+    assert smoothed.position_noise == pytest.approx(5e-6, rel=0.05)
+
+
+def test_steady_gains_are_those_of_the_full_recursion() -> None:
+    """A clock that is uneven by less than anything matters takes the other path through the kernels."""
+    t = np.arange(3000) / 1000
+    x, _, a = multisine(t)
+    rng = np.random.default_rng(4)
+    x, a = x + rng.normal(0, 5e-6, len(t)), a + rng.normal(0, 0.05, len(t))
+    uneven = t + np.where(np.arange(len(t)) % 2, 2e-9, 0.0)
+    steady, full = smooth_motion(t, x, a), smooth_motion(uneven, x, a)
+    assert steady.accelerometer is not None
+    np.testing.assert_allclose(steady.velocity, full.velocity, atol=1e-2 * np.median(full.velocity_std))
+    np.testing.assert_allclose(steady.velocity_std, full.velocity_std, rtol=1e-2)
+
+
+def test_matches_the_direct_solution() -> None:
+    """The smoothed states are the best linear estimate: solved here as one dense least-squares problem."""
+    rng = np.random.default_rng(5)
+    n, order, pace = 40, 4, 0.3
+    steps = np.append(rng.uniform(0.5, 1.5, n - 1), 1.0)
+    reading = np.cumsum(rng.normal(size=n))
+    states, variance = _smooth(steps, reading, np.zeros(n), _Model(order, pace, noise=2.0))
+    h = steps * pace
+    precision, rhs = np.zeros((n * order, n * order)), np.zeros(n * order)
+    for k in range(n - 1):
+        F = expm(np.eye(order, k=1) * h[k])
+        # Simpson's rule, composite: exact enough and independent of the closed form.
+        at = np.linspace(0, h[k], 201)
+        columns = np.array([expm(np.eye(order, k=1) * s)[:, -1] for s in at])
+        Q = pace * simpson(columns[:, :, None] * columns[:, None, :], x=at, axis=0)
+        both = np.hstack([-F, np.eye(order)])
+        part = slice(k * order, (k + 2) * order)
+        precision[part, part] += both.T @ np.linalg.solve(Q, both)
+    for k in range(n):
+        precision[k * order, k * order] += 1.0
+        rhs[k * order] += reading[k]
+    covariance = np.linalg.inv(precision)
+    expected = (covariance @ rhs).reshape(n, order)
+    # To a hundredth of the noise: as far as the prior of the first state is felt.
+    np.testing.assert_allclose(states[:, 0], expected[:, 0], atol=1e-2)
+    np.testing.assert_allclose(states[:, 1], expected[:, 1] * pace, atol=1e-2)
+    # In the middle, where neither the prior nor the symmetry of the ends matters.
+    np.testing.assert_allclose(variance[10:-10], 2.0 * pace**2 * np.diag(covariance)[1::order][10:-10], rtol=1e-3)
+
+
+def test_accelerometer_helps_and_its_gain_and_offset_are_found() -> None:
+    t = np.arange(20_000) / 1000
+    x, v, a = multisine(t)
+    rng = np.random.default_rng(6)
+    measured = x + rng.normal(0, 20e-6, len(t))
+    accelerometer = 1.06 * a - 0.4 + rng.normal(0, 0.05, len(t))
+    alone, both = smooth_motion(t, measured), smooth_motion(t, measured, accelerometer)
+    assert both.accelerometer == pytest.approx((1.06, -0.4), abs=0.01)
+    assert rms(both.velocity - v) < 0.7 * rms(alone.velocity - v)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (lambda a, rng: np.full_like(a, 0.3), "constant"),
+        (lambda a, rng: a / 9.80665, "gain"),
+        (lambda a, rng: rng.normal(0, 1.0, len(a)), "accelerometer not used"),
+    ],
+)
+def test_useless_accelerometer_is_left_out(spoil, word: str) -> None:  # type: ignore[no-untyped-def]
+    t = np.arange(8000) / 1000
+    x, _, a = multisine(t)
+    rng = np.random.default_rng(7)
+    measured = x + rng.normal(0, 5e-6, len(t))
+    both, alone = smooth_motion(t, measured, spoil(a, rng)), smooth_motion(t, measured)
+    assert word in both.note
+    assert both.accelerometer is None
+    np.testing.assert_array_equal(both.velocity, alone.velocity)
+
+
+def test_standstill() -> None:
+    smoothed = smooth_motion(np.arange(100) / 25, np.full(100, 0.003))
+    assert not smoothed.velocity.any()
+    np.testing.assert_array_equal(smoothed.position, 0.003)
+
+
+def test_standstill_with_noise_has_no_velocity() -> None:
+    t = np.arange(5000) / 1000
+    noise = np.round(np.random.default_rng(8).normal(0, 5e-6, len(t)) / 1.6e-6) * 1.6e-6
+    smoothed = smooth_motion(t, 0.02 + noise)
+    assert np.abs(smoothed.velocity).max() < 5e-4
+
+
+def test_slow_ramp_of_coarse_steps_is_smooth() -> None:
+    t = np.arange(4000) / 1000
+    step = 20e-6
+    smoothed = smooth_motion(t, np.round(1e-3 * t / step) * step)
+    np.testing.assert_allclose(smoothed.velocity[200:-200], 1e-3, rtol=0.05)
+
+
+def test_gap_in_time() -> None:
+    t = np.arange(4000) / 1000
+    kept = (t < 1.5) | (t > 1.55)
+    x, v, _ = multisine(t)
+    smoothed = smooth_motion(t[kept], (x + np.random.default_rng(9).normal(0, 5e-6, len(t)))[kept])
+    assert rms(smoothed.velocity - v[kept]) < 3e-4
+    assert (smoothed.velocity_std > 0).all()
+
+
+def test_step_of_the_digits() -> None:
+    rng = np.random.default_rng(10)
+    values = 0.01 * np.sin(np.arange(5000) / 50)
+    assert _quantisation_variance(np.round(values / 5e-6) * 5e-6 + 0.0123) == pytest.approx((5e-6) ** 2 / 12, rel=0.2)
+    assert _quantisation_variance(values + rng.normal(0, 5e-6, 5000)) < 1e-29
+
+
+def test_too_short() -> None:
+    with pytest.raises(InputError, match="4 samples"):
+        smooth_motion(np.arange(4.0), np.arange(4.0))
+
+
+def test_motion_of_a_run_is_computed_once(columns: dict[str, np.ndarray]) -> None:
+    run = make_run("run", columns)
+    assert motion(run) is motion(run)
+    np.testing.assert_array_equal(motion(run).velocity, run.velocity)
+    np.testing.assert_array_equal(run.position, columns["position_m"])
+
+
+def test_fast_enough() -> None:
+    t = np.arange(60_000) / 1000
+    x = multisine(t)[0] + np.random.default_rng(11).normal(0, 5e-6, len(t))
+    smooth_motion(t[:2000], x[:2000])
+    start = time.process_time()
+    smooth_motion(t, x)
+    assert time.process_time() - start < 0.5

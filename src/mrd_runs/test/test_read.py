@@ -1,0 +1,172 @@
+"""CSV files, unusable input of every kind, many runs at once."""
+
+import pickle
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrd_base import InputError
+from mrd_runs import make_run, read_run, read_runs
+
+
+def test_csv_comes_back_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
+    shuffled = {"remark": np.zeros(1000)} | dict(reversed(list(columns.items())))
+    shuffled["temperature_C"] = np.linspace(20, 30, 1000)
+    run = read_run(write_csv(tmp_path / "run.csv", shuffled))
+    np.testing.assert_array_equal(run.position, columns["position_m"])
+    np.testing.assert_array_equal(run.force, columns["force_N"])
+    np.testing.assert_array_equal(run.acceleration, columns["acceleration_mps2"])
+    np.testing.assert_array_equal(run.time, columns["time_s"])
+    assert run.temperature is not None
+    assert run.temperature[0] == pytest.approx(293.15)
+    assert run.info["notes"] == ("columns ignored: remark",)
+    assert run.rate == pytest.approx(1000)
+
+
+def test_velocity_of_the_recording_is_taken(tmp_path: Path, columns, write_csv) -> None:
+    columns["velocity_mps"] = 0.0942 * np.cos(2 * np.pi * 1.5 * columns["time_s"])
+    run = read_run(write_csv(tmp_path / "run.csv", columns))
+    np.testing.assert_array_equal(run.velocity, columns["velocity_mps"])
+
+
+def test_windows_line_ends_quotes_blank_lines_and_byte_order_mark(tmp_path: Path, columns, write_csv) -> None:
+    text = write_csv(tmp_path / "run.csv", columns).read_text()
+    first, second, rest = text.split("\n", 2)
+    second = ",".join(f'"{cell}"' for cell in second.split(","))
+    odd = f"\ufeff\n{first} \n\n{second}\n{rest}\n\n"
+    (tmp_path / "odd.csv").write_bytes(odd.replace("\n", "\r\n").encode())
+    np.testing.assert_array_equal(read_run(tmp_path / "odd.csv").position, columns["position_m"])
+
+
+def spoilt(columns: dict[str, np.ndarray], key: str, change: Callable[[np.ndarray], np.ndarray]) -> dict[str, np.ndarray]:
+    return columns | {key: change(columns[key])}
+
+
+def at(index: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
+    def change(values: np.ndarray) -> np.ndarray:
+        values = values.copy()
+        values[index] = value
+        return values
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "message"),
+    [
+        ("force_N", at(41, np.nan), "line 43: force_N is nan, expected a finite number"),
+        ("current_A", at(7, np.inf), "line 9: current_A is inf"),
+        ("time_s", at(500, 0.1), "line 502: time_s is 0.1 after 0.499, expected increasing"),
+        ("time_s", at(500, 0.499), "line 502: time_s is 0.499 after 0.499"),
+        ("time_s", lambda t: t * 1e3, "advances by 1 a sample.*is it in ms"),
+        ("time_s", lambda t: t / 3600, "is it in minutes or hours"),
+        ("position_m", lambda x: x * 1e3, "position_m spans 20.*is it in mm"),
+        ("current_A", lambda i: i * 1e3, "current_A reaches 1.*is it in mA"),
+        ("force_N", lambda f: f * 1e6, "force_N reaches 2.*is it in mN"),
+        ("acceleration_mps2", lambda a: a * 1e5, "is it in mm/s²"),
+    ],
+)
+def test_unusable_values(tmp_path: Path, columns, write_csv, key: str, change, message: str) -> None:
+    file = write_csv(tmp_path / "run.csv", spoilt(columns, key, change))
+    with pytest.raises(InputError, match=message) as caught:
+        read_run(file)
+    assert str(caught.value).startswith(str(file))
+    assert "\n" not in str(caught.value)
+
+
+def test_other_columns_in_other_units(columns) -> None:
+    velocity = 94.2 * np.cos(2 * np.pi * 1.5 * columns["time_s"])
+    with pytest.raises(InputError, match=r"velocity_mps reaches 94.*is it in mm/s"):
+        make_run("run", columns | {"velocity_mps": velocity})
+    with pytest.raises(InputError, match=r"times the derivative of position_m.*is it in mm/s"):
+        make_run("run", columns | {"velocity_mps": velocity / 2})
+    with pytest.raises(InputError, match="is it in K or °F"):
+        make_run("run", columns | {"temperature_C": np.full(1000, 293.0)})
+    run = make_run("run", columns | {"force_N": columns["force_N"] / 1e3})
+    assert any("is it in kN or V?" in note for note in run.info["notes"])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b" \n\n", "is empty"),
+        (b"time_s,position_m,current_A,force_N\n", "holds 0 samples, expected at least 50"),
+        (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0,0,0\n2,0,0,0\n", "holds 3 samples"),
+        (b"time_s,position_m,force_N\n0,0,0\n", r"column current_A is missing \(found: time_s, position_m, force_N\)"),
+        (b"time_s;position_m;current_A;force_N\n0;0;0;0\n", "columns are separated by commas"),
+        (b"0,0,0,0\n", "column time_s, position_m, current_A, force_N is missing"),
+        (b"\x00\x01\x02\xff" * 100, "is no text"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe", "is no text"),
+        (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0,zero,0\n", "line 3: current_A is 'zero', expected a number"),
+        (b"time_s,position_m,current_A,force_N\n0,0,0,0\n\n1,0,,0\n", "line 4: current_A is nothing"),
+        (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0\n", "line 3: has 2 cells, expected 4"),
+        (b"time_s,position_m,current_A,force_N,force_N\n0,0,0,0,0\n", "column force_N stands 2 times"),
+    ],
+)
+def test_unusable_files(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "run.csv").write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        read_run(tmp_path / "run.csv")
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_kind_of_file(tmp_path: Path) -> None:
+    (tmp_path / "run.pdf").write_text("text")
+    with pytest.raises(InputError, match="unknown kind of file"):
+        read_run(tmp_path / "run.pdf")
+
+
+CELLS = "time_s,position_m,current_A,force_N0123456789.e-\n\""
+
+
+@settings(max_examples=200, deadline=None)
+@given(content=st.one_of(st.binary(max_size=300), st.text(CELLS, max_size=300).map(str.encode)))
+def test_any_bytes_give_a_run_or_one_line(tmp_path_factory, read_or_refuse, content: bytes) -> None:
+    file = tmp_path_factory.getbasetemp() / "any.csv"
+    for text in (content, b"time_s,position_m,current_A,force_N\n" + content):
+        file.write_bytes(text)
+        found = read_or_refuse(file)
+        assert not isinstance(found, str) or "\n" not in found
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-0.2, 0.2), min_size=50, max_size=80))
+def test_every_number_survives_the_csv(tmp_path_factory, positions: list[float]) -> None:
+    file = tmp_path_factory.getbasetemp() / "numbers.csv"
+    rows = [f"{index / 100!r},{value!r},0,1" for index, value in enumerate(positions)]
+    file.write_text("time_s,position_m,current_A,force_N\n" + "\n".join(rows))
+    run = read_run(file)
+    assert run.position.tolist() == positions
+    assert np.isfinite(run.velocity).all()
+
+
+def test_names_are_unique_and_recordings_given_once(tmp_path: Path, make_columns, write_csv) -> None:
+    for index, folder in enumerate(("a", "b")):
+        (tmp_path / folder).mkdir()
+        write_csv(tmp_path / folder / "run.csv", make_columns(seed=index))
+    runs = read_runs([tmp_path / "a/run.csv", tmp_path / "b/run.csv"])
+    assert [run.name for run in runs] == ["run", "b/run"]
+    shutil.copy(tmp_path / "a/run.csv", tmp_path / "copy.csv")
+    with pytest.raises(InputError, match=r"copy.csv: is the same recording as .*a/run.csv"):
+        read_runs([tmp_path / "a/run.csv", tmp_path / "copy.csv"])
+
+
+def test_runs_travel_to_other_processes(columns) -> None:
+    run = make_run("run", columns)
+    copy = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(copy.velocity, run.velocity)
+    assert copy.info == run.info
+
+
+def test_all_measured_data_are_readable(measured: list[Path]) -> None:
+    runs = read_runs(measured)
+    for run in runs:
+        assert np.isfinite(run.velocity).all()
+        assert 0.005 < np.abs(run.velocity).max() < 1
+    assert len({run.name for run in runs}) == len(measured)

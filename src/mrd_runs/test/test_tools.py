@@ -1,0 +1,79 @@
+"""The tools `info` and `import_csv`, as processes."""
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mrd_runs import make_run, read_run
+from mrd_runs.summary import count_reversals, summarise
+
+
+def tool(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    command = ["ros2", "run", "mrd_runs", name, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=None)
+
+
+def test_imported_csv_reads_sample_for_sample(tmp_path: Path, make_columns, write_csv) -> None:
+    uneven = make_columns(777, seed=1)
+    uneven["time_s"] = 12.5 + np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 777))
+    uneven["temperature_C"] = np.linspace(20, 31, 777)
+    uneven["velocity_mps"] = np.gradient(uneven["position_m"], uneven["time_s"])
+    plain = {key: value for key, value in make_columns(990, seed=2).items() if key != "acceleration_mps2"}
+    files = [write_csv(tmp_path / "uneven.csv", uneven), write_csv(tmp_path / "plain.csv", plain)]
+    result = tool("import_csv", *files, "--output", tmp_path / "bags")
+    assert (result.returncode, result.stderr) == (0, "")
+    for file in files:
+        there, back = read_run(file), read_run(tmp_path / "bags" / file.stem)
+        for name in ("time", "position", "velocity", "current", "force", "acceleration", "temperature"):
+            np.testing.assert_array_equal(getattr(back, name), getattr(there, name), err_msg=name)
+        assert back.info["imported_from"] == file.name
+
+
+def test_import_overwrites_nothing_and_writes_nothing_half(tmp_path: Path, columns, write_csv) -> None:
+    good = write_csv(tmp_path / "good.csv", columns)
+    (tmp_path / "bad.csv").write_text("time_s\n1\n")
+    result = tool("import_csv", good, tmp_path / "bad.csv", "--output", tmp_path / "bags")
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "bags").exists()
+    assert tool("import_csv", good, "--output", tmp_path / "bags").returncode == 0
+    before = (tmp_path / "bags/good/good.mcap").read_bytes()
+    again = tool("import_csv", good, "--output", tmp_path / "bags")
+    assert again.returncode == 2
+    assert "exists already" in again.stderr
+    assert (tmp_path / "bags/good/good.mcap").read_bytes() == before
+
+
+def test_info_tells_what_a_run_is(tmp_path: Path, columns, fill_bag) -> None:
+    writer = fill_bag(tmp_path / "run", columns, skip=(3,))
+    writer.flush()
+    result = tool("info", tmp_path / "run")
+    assert result.returncode == 0, result.stderr
+    for expected in ("980", "recovered", "20.0", "94.", "lost", "µm"):
+        assert expected in result.stdout
+    writer.close()
+
+
+def test_info_refuses_in_one_line(tmp_path: Path) -> None:
+    result = tool("info", tmp_path / "absent")
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("cycles", [1, 4])
+def test_reversals(cycles: int) -> None:
+    phase = 2 * np.pi * cycles * np.linspace(0, 1, 1000)
+    assert count_reversals(np.cos(phase)) == 2 * cycles
+    assert count_reversals(np.zeros(100)) == 0
+
+
+def test_summary(columns) -> None:
+    figures = summarise(make_run("run", columns))
+    assert figures.stroke == pytest.approx(0.02, rel=0.01)
+    assert figures.peak_speed == pytest.approx(0.01 * 2 * np.pi * 1.5, rel=0.02)
+    assert figures.reversals == 3
+    assert figures.rate == pytest.approx(1000)
