@@ -26,9 +26,9 @@ bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done
 
 lock:  ## pin the newest packages that fit setup/*.in (needs uv)
-	@cd setup; compile="uv pip compile --quiet --universal --fork-strategy fewest --no-header --no-annotate requirements.in"; \
-	$$compile ros.in --python-version 3.11 --upgrade --output-file wheels.lock; \
-	$$compile --constraints system.in --python-version 3.12 --upgrade --output-file system.lock
+	@cd setup; compile="uv pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 --no-header --no-annotate"; \
+	$$compile --upgrade requirements.in ros.in --output-file wheels.lock; \
+	$$compile --upgrade requirements.in --constraints system.in --output-file system.lock
 
 clean:  ## remove everything that was made, except recorded runs
 	@rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
