@@ -183,6 +183,7 @@ def test_ros_for_another_python(machine):
 
 
 def test_building_what_is_built_takes_no_time():
+    subprocess.run(["make", "build"], cwd=ROOT, capture_output=True, check=True)
     began = time.perf_counter()
     built = subprocess.run(["make", "build"], cwd=ROOT, capture_output=True, text=True)
     assert (built.returncode, built.stderr) == (0, "")
