@@ -1,5 +1,6 @@
 """Bags: what is written comes back, whatever the end."""
 
+import json
 import os
 import signal
 import subprocess
@@ -48,13 +49,13 @@ def test_bag_is_an_ordinary_one(tmp_path: Path, columns, fill_bag) -> None:
 
 def test_type_hashes_are_those_of_ros() -> None:
     """Or `ros2 bag play` would refuse the types."""
-    import json
-
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        for file in Path(prefix).glob("share/mrd_interfaces/msg/*.json"):
-            described = json.loads(file.read_text())
-            own = next(entry for entry in described["type_hashes"] if entry["type_name"].endswith(f"/{file.stem}"))
-            assert typestore().hash_rihs01(own["type_name"]) == own["hash_string"]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    files = [file for prefix in prefixes for file in Path(prefix).glob("share/mrd_interfaces/msg/*.json")]
+    assert files
+    for file in files:
+        described = json.loads(file.read_text())
+        own = next(entry for entry in described["type_hashes"] if entry["type_name"].endswith(f"/{file.stem}"))
+        assert typestore().hash_rihs01(own["type_name"]) == own["hash_string"]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])

@@ -1,0 +1,272 @@
+"""Recorder and replay as processes, with this test as the rest of the bench."""
+
+import array
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from mrd_base.nodes.bench_node import LATCHED, RECORDED
+from mrd_interfaces.msg import BenchSamples, Calibration, Setpoint
+from mrd_interfaces.srv import StartRecording, StopRecording
+from mrd_runs import read_run
+from mrd_runs.bag import read_bag
+from mrd_runs.blocks import _decode_table
+
+PERIOD = 0.02  # s, of the blocks
+
+
+class Bench:
+    """Publishes blocks of samples, calls services, runs nodes."""
+
+    def __init__(self) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("bench", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self.processes: list[subprocess.Popen[str]] = []
+        self._samples = self.node.create_publisher(BenchSamples, "samples", RECORDED)
+        self.calibration = self.node.create_publisher(Calibration, "calibration", LATCHED)
+        self.setpoint = self.node.create_publisher(Setpoint, "setpoint", RECORDED)
+        self.published: list[tuple[float, int]] = []  # when, and number of the last sample
+        self._clients: dict[str, Any] = {}
+        self._streaming = threading.Event()
+        self._stream: threading.Thread | None = None
+
+    def run(self, executable: str, **parameters: object) -> subprocess.Popen[str]:
+        command = ["ros2", "run", "mrd_runs", executable, "--ros-args"]
+        for key, value in parameters.items():
+            command += ["-p", f"{key}:={value}"]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.processes.append(process)
+        return process
+
+    def publish(self, first: int) -> None:
+        message = BenchSamples(sample_period=1e-3, sequence=first)
+        message.header.stamp.sec = 1000 + first // 1000
+        message.header.stamp.nanosec = first % 1000 * 10**6
+        numbers = np.arange(first, first + 20)
+        message.position = array.array("d", 0.01 * np.sin(numbers / 100))
+        message.force = array.array("d", numbers.astype(float))
+        message.coil_current = array.array("d", np.full(20, 0.15))
+        message.acceleration = array.array("d", -np.sin(numbers / 100))
+        self._samples.publish(message)
+        self.published.append((time.monotonic(), first + 20))
+
+    def stream(self, skip: tuple[int, ...] = ()) -> None:
+        """Publish 1 kHz from another thread, without the blocks of ``skip``."""
+
+        def work() -> None:
+            start = time.monotonic()
+            for block in range(10**6):
+                while (rest := start + block * PERIOD - time.monotonic()) > 0:
+                    time.sleep(rest)
+                if self._streaming.is_set():
+                    return
+                if block not in skip:
+                    self.publish(block * 20)
+
+        self._streaming.clear()
+        self._stream = threading.Thread(target=work)
+        self._stream.start()
+
+    def stop_stream(self) -> None:
+        self._streaming.set()
+        if self._stream:
+            self._stream.join()
+
+    def until(self, condition: Callable[[], Any], timeout: float = 20.0) -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, "timed out"
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def call(self, name: str, kind: Any, **fields: Any) -> Any:
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+            self.until(self._clients[name].service_is_ready)
+            # The service may find the way back a little later than its client finds it; an answer before that is lost.
+            time.sleep(0.3)
+        future = self._clients[name].call_async(kind.Request(**fields))
+        self.until(future.done)
+        return future.result()
+
+    def start_recording(self, bag: Path) -> Any:
+        # A service may be found before the topic is.
+        self.until(lambda: self._samples.get_subscription_count() > 0)
+        return self.call("start_recording", StartRecording, bag=str(bag), experiment="name: demo\n", seed=7)
+
+    def stop_recording(self) -> Any:
+        return self.call("stop_recording", StopRecording)
+
+    def hear(self) -> list[BenchSamples]:
+        heard: list[BenchSamples] = []
+        self.node.create_subscription(BenchSamples, "samples", heard.append, RECORDED)
+        return heard
+
+    def close(self) -> None:
+        self.stop_stream()
+        for process in self.processes:
+            process.kill()
+            process.communicate()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.close()
+
+
+def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path) -> None:
+    bench.calibration.publish(
+        Calibration(quantity=["position"], unit=["m"], channel=["ai0"], gain=[0.005], zero=[0.1], device="simulated")
+    )
+    recorder = bench.run("recorder")
+    bench.stream()
+    bench.until(lambda: len(bench.published) > 10)
+    assert list(tmp_path.iterdir()) == []  # nothing on the disk before the start
+    started = bench.start_recording(tmp_path / "run")
+    assert (started.success, started.bag) == (True, str(tmp_path / "run"))
+    assert not bench.start_recording(tmp_path / "other").success
+    bench.setpoint.publish(Setpoint(position=0.001))
+    count = len(bench.published)
+    bench.until(lambda: len(bench.published) > count + 60)
+    stopped = bench.stop_recording()
+    assert stopped.success, stopped.message
+    assert stopped.lost == 0
+    run = read_run(stopped.bag)
+    assert len(run) == stopped.samples >= 1180
+    first = int(run.force[0])
+    np.testing.assert_array_equal(run.force, np.arange(first, first + len(run)))
+    np.testing.assert_array_equal(run.position, 0.01 * np.sin(np.arange(first, first + len(run)) / 100))
+    assert run.info["experiment_name"] == "demo"
+    assert run.info["seed"] == 7
+    assert run.info["calibration"]["position"] == {"unit": "m", "channel": "ai0", "gain": 0.005, "zero_V": 0.1}
+    assert run.info["versions"]["mrd_runs"]
+    bag = read_bag(tmp_path / "run")
+    assert [message.position for message in bag.decode("/setpoint")] == [0.001]
+    assert _decode_table(bag.topics["/samples"].messages) is not None  # the fast way is the one that ROS's bytes take
+
+    # A second run by the same recorder is as good, and the first one is not touched.
+    before = (tmp_path / "run/run.mcap").read_bytes()
+    assert not bench.start_recording(tmp_path / "run").success
+    assert bench.start_recording(tmp_path / "second").success
+    count = len(bench.published)
+    bench.until(lambda: len(bench.published) > count + 15)
+    assert bench.stop_recording().success
+    assert len(read_run(tmp_path / "second")) >= 280
+    assert (tmp_path / "run/run.mcap").read_bytes() == before
+    assert not bench.stop_recording().success
+    recorder.terminate()
+    assert recorder.wait(10) == 0
+
+
+def test_missing_samples_are_told(bench: Bench, tmp_path: Path) -> None:
+    bench.run("recorder")
+    assert bench.start_recording(tmp_path / "none").success
+    nothing = bench.stop_recording()
+    assert (nothing.success, nothing.samples) == (False, 0)
+    assert "no sample arrived" in nothing.message
+    assert bench.start_recording(tmp_path / "run").success
+    bench.stream(skip=(20, 21))
+    bench.until(lambda: len(bench.published) > 40)
+    stopped = bench.stop_recording()
+    assert not stopped.success
+    assert stopped.lost == 40
+    assert "40 of" in stopped.message
+
+
+def test_recorder_refuses_impossible_folders(bench: Bench, tmp_path: Path) -> None:
+    bench.run("recorder")
+    (tmp_path / "file").write_text("")
+    assert "exists already" in bench.start_recording(tmp_path / "file").message
+    assert "cannot be made" in bench.start_recording(tmp_path / "file/run").message
+    assert "names no bag" in bench.call("start_recording", StartRecording).message
+
+
+@pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
+def test_signals_close_the_bag(bench: Bench, tmp_path: Path, sign: int) -> None:
+    recorder = bench.run("recorder")
+    bench.start_recording(tmp_path / "run")
+    bench.stream()
+    bench.until(lambda: len(bench.published) > 30)
+    recorder.send_signal(sign)
+    assert recorder.wait(10) == 0
+    run = read_run(tmp_path / "run")
+    assert not run.info["recovered"]
+    assert len(run) >= 500
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_killed_recorder_loses_at_most_a_second(bench: Bench, tmp_path: Path, seed: int) -> None:
+    recorder = bench.run("recorder")
+    bench.start_recording(tmp_path / "run")
+    bench.stream()
+    begin = time.monotonic()
+    delay = float(np.random.default_rng(seed).uniform(0.6, 2.5))
+    bench.until(lambda: time.monotonic() > begin + delay)
+    killed = time.monotonic()
+    recorder.kill()
+    recorder.wait()
+    bench.stop_stream()
+    before = max(number for at, number in bench.published if at < killed)
+    run = read_run(tmp_path / "run") if before > 1100 else None
+    kept = len(run) if run else sum(len(block.position) for block in read_bag(tmp_path / "run").decode("/samples"))
+    assert before - kept <= 1000
+    if run:
+        assert run.info["recovered"]
+        assert run.info["experiment_name"] == "demo"
+        np.testing.assert_array_equal(run.force, np.arange(len(run)))
+
+
+def test_replay_loses_nothing_and_keeps_the_stamps(bench: Bench, tmp_path: Path, make_columns, fill_bag) -> None:
+    columns = make_columns(40_000)
+    fill_bag(tmp_path / "run", columns).close()
+    heard = bench.hear()
+    replay = bench.run("replay", bag=tmp_path / "run", speed=0.0, wait_for_subscriber=True, max_rate_hz=1000.0)
+    bench.until(lambda: len(heard) == 2000, timeout=40)
+    assert replay.wait(10) == 0
+    np.testing.assert_array_equal(np.concatenate([block.force for block in heard]), columns["force_N"])
+    assert [block.sequence for block in heard] == list(range(0, 40_000, 20))
+    assert (heard[1].header.stamp.sec, heard[1].header.stamp.nanosec) == (1_700_000_000, 20_000_000)
+
+
+def test_replay_keeps_to_its_speed(bench: Bench, tmp_path: Path, make_columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", make_columns(8000)).close()
+    heard = bench.hear()
+    bench.run("replay", bag=tmp_path / "run", speed=4.0, wait_for_subscriber=True)
+    bench.until(lambda: len(heard) > 0)
+    begin = time.monotonic()
+    bench.until(lambda: len(heard) == 400)
+    assert time.monotonic() - begin == pytest.approx(2.0, abs=0.4)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({}, "bag is missing"),
+        ({"bag": "/nowhere/run"}, "no such file"),
+        ({"bag": "run.csv"}, "expected a bag"),
+        ({"bag": "/nowhere/run", "topics": "[sample]"}, "unknown sample"),
+        ({"bag": "/nowhere/run", "speed": -1.0}, "speed"),
+    ],
+)
+def test_replay_refuses_in_one_line(bench: Bench, parameters: dict[str, object], message: str) -> None:
+    replay = bench.run("replay", **parameters)
+    _, said = replay.communicate(timeout=20)
+    assert replay.returncode == 2
+    assert message in said
+    assert said.count("\n") == 1
