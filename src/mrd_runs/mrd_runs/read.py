@@ -115,7 +115,7 @@ def _read_bag_run(path: Path) -> Run:
     where = str(path)
     bag = read_bag(path, {"samples", "run_info", "calibration", *IMPORTED})
     topic = samples_topic(bag, where)
-    if not bag.topics[topic].messages and not topic.endswith("samples"):
+    if topic.rsplit("/", 1)[-1] != "samples":  # recorded under another name
         bag = read_bag(path)
     try:
         blocks = decode_blocks(bag.topics[topic].messages, bag.types)

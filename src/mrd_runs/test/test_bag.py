@@ -187,6 +187,11 @@ def test_sqlite_bags_and_namespaces(tmp_path: Path, columns, make_block) -> None
         np.testing.assert_array_equal(run.force, columns["force_N"])
 
 
+def test_samples_under_another_name(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns, topic="/bench/old_samples").close()
+    assert len(read_run(tmp_path / "run")) == 1000
+
+
 def test_truncated_sqlite(tmp_path: Path, columns, make_block) -> None:
     file = write_sqlite(tmp_path / "run", columns, make_block) / "run.db3"
     (tmp_path / "cut.db3").write_bytes(file.read_bytes()[:5000])
