@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import datetime
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError, quantity
+from mrd_base.config import parse_yaml
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
 from mrd_bench_driver.interlocks import HEALTH, HOMING, INTERLOCKS, Snapshot, Tolerances, check
 from mrd_bench_driver.modes import Mode, change
@@ -39,7 +41,6 @@ from mrd_bench_driver.procedure import (
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchSamples, BenchState, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
-from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.limits import Limits
 
 # The rod stands at mid-stroke when it is this close, in m.
@@ -376,9 +377,11 @@ class Supervisor(BenchNode[SupervisorConfig]):
 
     def _bag(self, experiment: str) -> str:
         try:
-            name = parse_experiment(experiment, "experiment").name
+            name = str(parse_yaml(experiment, "experiment").get("name"))
         except InputError as error:
             raise RefusedError(str(error)) from None
+        # The generator checks the experiment as a whole; here a name need only be no path.
+        name = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else "experiment"
         return str(Path(self.config.runs) / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}")
 
     def diagnose(self) -> tuple[str, dict[str, Any]]:

@@ -1,0 +1,230 @@
+"""The DAQ as a process, with the plant's terminals played here."""
+
+import array
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, seconds
+from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibration, Setpoint
+
+RATE, BLOCK = 2000.0, 20
+# Volts at rest of ai0 to ai4, of which ai3 is not used.
+REST = (0.4, 0.1, 2.51, 5.0, 1.66)
+
+
+class Terminals:
+    """Sends readings block by block, numbered on ai0, and hears what comes back."""
+
+    def __init__(self, graph: Any) -> None:
+        self.graph = graph
+        self.sequence = 0
+        self.begin = graph.clock.now()
+        self._input = graph.node.create_publisher(AnalogInput, "analog_input", RECORDED)
+        self._setpoint = graph.node.create_publisher(Setpoint, "setpoint", COMMAND)
+        self.emergency_stop = graph.node.create_publisher(Bool, "emergency_stop", LATCHED)
+        self.samples: list[BenchSamples] = graph.hear("samples", BenchSamples, RECORDED)
+        self.calibration: list[Calibration] = graph.hear("calibration", Calibration, LATCHED)
+        self.output: list[AnalogOutput] = graph.hear("analog_output", AnalogOutput, LATCHED)
+        publishers = (self._input, self._setpoint, self.emergency_stop)
+        self.ready = lambda: (
+            all(publisher.get_subscription_count() for publisher in publishers) and self.calibration and self.output
+        )
+
+    def send(self, *, position: float | None = None, lost: bool = False) -> None:
+        if not lost:
+            numbers = self.sequence + np.arange(BLOCK)
+            rows = [np.full(BLOCK, volts) for volts in REST]
+            rows[0] = 1e-4 * numbers if position is None else np.full(BLOCK, position)
+            message = AnalogInput(
+                sample_period=1 / RATE,
+                sequence=self.sequence,
+                channels=[f"ai{k}" for k in range(5)],
+                voltage=array.array("d", np.concatenate(rows).tobytes()),
+            )
+            time = self.begin + self.sequence / RATE
+            message.header.stamp.sec, message.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
+            self._input.publish(message)
+        self.sequence += BLOCK
+
+    def setpoint(self, current: float, age: float = 0.0) -> None:
+        message = Setpoint(coil_current=current)
+        time = self.graph.clock.now() - age
+        message.header.stamp.sec, message.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
+        self._setpoint.publish(message)
+
+    def volts(self) -> float:
+        return self.output[-1].coil_command
+
+    def drive(self, current: float, volts: float) -> None:
+        """Stream a current until its voltage is on the output."""
+
+        def arrived() -> bool:
+            self.setpoint(current)
+            self.graph.during(0.02)
+            return self.volts() == pytest.approx(volts)
+
+        self.graph.until(arrived)
+
+
+@pytest.fixture
+def terminals(graph: Any) -> Terminals:
+    terminals = Terminals(graph)
+    graph.start("daq")
+    graph.until(terminals.ready)
+    return terminals
+
+
+def test_readings_become_samples_without_a_gap_unless_there_was_one(graph: Any, terminals: Terminals) -> None:
+    for index in range(31):
+        terminals.send(lost=index in (10, 11, 20))
+    graph.until(lambda: terminals.samples and terminals.samples[-1].sequence + len(terminals.samples[-1].position) == 310)
+    numbers = np.concatenate([s.sequence + np.arange(len(s.position)) for s in terminals.samples])
+    assert sorted(set(range(310)) - set(numbers.tolist())) == [*range(100, 120), *range(200, 210)]
+    assert np.all(np.diff(numbers) > 0)
+    position = np.concatenate([s.position for s in terminals.samples])
+    # Two readings make a sample: their mean number is 2k + 1/2, at 0.1 mV each and 5 mm/V.
+    np.testing.assert_allclose(position, 5e-3 * 1e-4 * (2 * numbers + 0.5), rtol=1e-9)
+    for sample in terminals.samples:
+        middle = terminals.begin + (2 * sample.sequence + 0.5) / RATE
+        assert seconds(sample.header.stamp) == pytest.approx(middle, abs=1e-6)
+    sample = terminals.samples[0]
+    assert sample.sample_period == 1e-3
+    assert sample.force[0] == pytest.approx(19.6133)
+    assert sample.coil_current[0] == pytest.approx(0.01 / 0.185)
+    assert sample.acceleration[0] == pytest.approx(0.01 * 12.2583125)
+    calibration = terminals.calibration[-1]
+    assert list(calibration.quantity) == ["position", "force", "coil_current", "acceleration"]
+    assert list(calibration.channel) == ["ai0", "ai1", "ai2", "ai4"]
+    assert (calibration.rate, calibration.hardware_rate, calibration.device) == (1000.0, 2000.0, "simulated")
+
+
+def test_the_rate_changes_only_to_a_fraction_of_the_converters(graph: Any, terminals: Terminals) -> None:
+    def set_rate(rate: Any) -> Any:
+        parameters = [Parameter("rate_hz", value=rate).to_parameter_msg()]
+        return graph.call("daq/set_parameters", SetParameters, parameters=parameters).results[0]
+
+    refused = set_rate(30.0)
+    assert not refused.successful
+    assert refused.reason.endswith("the nearest is 30.303 or 29.8507")
+    for _ in range(2):
+        terminals.send()
+    graph.until(lambda: terminals.samples)
+    assert set_rate(25).successful
+    graph.until(lambda: terminals.calibration[-1].rate == 25.0)
+    terminals.samples.clear()
+    for _ in range(12):
+        terminals.send()
+    graph.until(lambda: len(terminals.samples) == 3)
+    assert [sample.sequence for sample in terminals.samples] == [0, 1, 2]
+    assert all(len(sample.position) == 1 and sample.sample_period == 0.04 for sample in terminals.samples)
+    assert terminals.samples[0].position[0] == pytest.approx(5e-3 * 1e-4 * (40 + 79 / 2))
+
+
+def test_the_coil_follows_fresh_setpoints_within_its_limits(graph: Any, terminals: Terminals) -> None:
+    assert terminals.volts() == 0.0
+    terminals.drive(0.5, 2.5)
+    terminals.drive(7.0, 5.0)
+    terminals.drive(-1.0, 0.0)
+    terminals.drive(0.5, 2.5)
+    terminals.drive(math.nan, 0.0)
+    terminals.drive(0.5, 2.5)
+    last = graph.clock.now()
+    graph.until(lambda: terminals.volts() == 0.0)
+    assert 0.05 < seconds(terminals.output[-1].header.stamp) - last < 0.5
+    terminals.setpoint(0.5, age=0.3)
+    graph.during(0.1)
+    assert terminals.volts() == 0.0
+    # A stamp from the future does not keep the coil on.
+    terminals.setpoint(0.5, age=-100.0)
+    graph.until(lambda: terminals.volts() != 0.0)
+    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+
+
+def test_the_emergency_stop_latches_until_reset_fault(graph: Any, terminals: Terminals) -> None:
+    terminals.drive(0.5, 2.5)
+    terminals.emergency_stop.publish(Bool(data=True))
+    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    stopped = len(terminals.output)
+    for _ in range(5):
+        terminals.setpoint(0.5)
+        graph.during(0.02)
+    terminals.emergency_stop.publish(Bool(data=False))
+    for _ in range(5):
+        terminals.setpoint(0.5)
+        graph.during(0.02)
+    assert all(output.coil_command == 0.0 for output in terminals.output[stopped:])
+    assert graph.call("daq/reset_fault", Trigger).success
+    terminals.drive(0.5, 2.5)
+
+
+def test_the_coil_is_at_0_volts_when_the_node_ends(graph: Any, terminals: Terminals) -> None:
+    process = graph.process("daq")
+    terminals.drive(0.5, 2.5)
+    process.terminate()
+    graph.until(lambda: terminals.volts() == 0.0, timeout=2.0)
+    graph.until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    assert graph.log("daq") == ""
+
+
+def test_a_tare_needs_rest(graph: Any, terminals: Terminals) -> None:
+    refused = graph.call("daq/tare", Trigger)
+    assert (refused.success, refused.message[:16]) == (False, "tare: 0 samples,")
+    for _ in range(100):
+        terminals.send(position=0.4)
+    graph.until(lambda: len(terminals.samples) == 50)
+    answer = graph.call("daq/tare", Trigger)
+    assert answer.success
+    assert answer.message == "zero: coil_current 2.5100 V, acceleration 1.6600 V"
+    graph.until(lambda: terminals.calibration[-1].zero[2] == pytest.approx(2.51))
+    assert list(terminals.calibration[-1].zero[:2]) == [0.0, 0.0]
+    for _ in range(2):
+        terminals.send(position=0.4)
+    graph.until(lambda: len(terminals.samples) == 51)
+    assert terminals.samples[-1].coil_current[-1] == pytest.approx(0.0, abs=1e-9)
+    graph.node.create_timer(0.02, lambda: terminals.setpoint(0.5))
+    graph.until(lambda: terminals.volts() != 0.0)
+    assert "the coil is driven" in graph.call("daq/tare", Trigger).message
+
+
+def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(graph: Any, terminals: Terminals) -> None:
+    terminals.drive(0.5, 2.5)
+    terminals._input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
+    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    graph.until(lambda: "the plant has no ai1, ai2, ai4" in graph.log("daq"))
+    for _ in range(3):
+        terminals.send()
+        terminals.setpoint(0.5)
+        graph.during(0.02)
+    assert not terminals.samples
+    assert terminals.volts() == 0.0
+    assert graph.call("daq/reset_fault", Trigger).success
+    for _ in range(4):
+        terminals.send()
+    graph.until(lambda: terminals.samples)
+    terminals.drive(0.5, 2.5)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        ({"rate_hz": 30.0}, "the nearest is 30.303 or 29.8507"),
+        ({"backend": "nidaq"}, "backend is 'nidaq', expected one of simulated, ni_usb_6216"),
+        ({"channels.force.terminal": "SE"}, "terminal is 'SE', expected one of DIFF, RSE, NRSE"),
+        ({"backend": "ni_usb_6216", "time_scale": 2.0}, "time_scale is 2, expected 1"),
+    ],
+)
+def test_a_daq_that_cannot_work_says_one_line(graph: Any, parameters: dict[str, Any], line: str) -> None:
+    process = graph.start("daq", **parameters)
+    assert process.wait(20) == 2
+    said = graph.log("daq")
+    assert said.startswith("error: ")
+    assert line in said
+    assert said.count("\n") == 1
