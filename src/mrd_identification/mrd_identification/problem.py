@@ -99,7 +99,7 @@ class Problem:
             else (theta[index] - p.lower) / (p.upper - p.lower)
             for index, p in zip(self.free, self.parameters, strict=True)
         ]
-        return np.clip(np.array(values), 0.0, 1.0)
+        return np.asarray(np.clip(values, 0.0, 1.0))
 
     def scale(self, theta: Array) -> Array:
         """Derivative of each free parameter to its unit coordinate."""
