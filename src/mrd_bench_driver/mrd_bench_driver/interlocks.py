@@ -8,7 +8,7 @@ from mrd_base import quantity
 from mrd_trajectory.limits import Limits
 
 # Age in s at which samples count as stale: this, or so many blocks where they are longer, yet never beyond the last.
-SAMPLES_STALE, SAMPLES_BLOCKS, SAMPLES_LATEST = 0.1, 2.5, 0.15
+SAMPLES_STALE, SAMPLES_BLOCKS, SAMPLES_LATEST = 0.13, 2.5, 0.15
 
 
 @dataclass(frozen=True)

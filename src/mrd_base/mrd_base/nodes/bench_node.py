@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
+from rclpy.experimental import EventsExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
@@ -150,10 +151,12 @@ def seconds(stamp: Time) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-def run_node(factory: Callable[[], BenchNode[Any]]) -> None:
+def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] = EventsExecutor) -> None:
     """Run a node until SIGINT, SIGTERM or the end of its terminal (SIGHUP); always close it.
 
-    The process leaves with 0 after a signal, with 2 and one line when the node cannot start as configured.
+    The process leaves with 0 after a signal, with 2 and one line when the node cannot start as configured. The events
+    executor takes less than half the processor time of the others, but a whole core while a coroutine waits: nodes whose
+    callbacks await name another.
     """
     stopping = False
 
@@ -170,10 +173,10 @@ def run_node(factory: Callable[[], BenchNode[Any]]) -> None:
     try:
         _init()
         node = factory()
-        executor = rclpy.executors.SingleThreadedExecutor()
-        executor.add_node(node)
+        spinning = executor()
+        spinning.add_node(node)
         while not stopping:
-            executor.spin_once(timeout_sec=0.1)
+            spinning.spin_once(timeout_sec=0.1)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         status = 2

@@ -18,7 +18,8 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.task import Future
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -66,7 +67,10 @@ class SupervisorConfig:
 
 
 class Supervisor(BenchNode[SupervisorConfig]):
-    """Callbacks never wait; what takes time runs in a thread of its own while the interlocks go on."""
+    """Interlocks in the node's own executor, whose callbacks never wait; orders, which do, in threads of another.
+
+    A second node in this process takes the orders, as an executor serves whole nodes.
+    """
 
     def __init__(self) -> None:
         super().__init__("supervisor", SupervisorConfig)
@@ -93,23 +97,31 @@ class Supervisor(BenchNode[SupervisorConfig]):
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, RECORDED)
         self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND)
         self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
-        # A service that waits must not hold up the interlocks, which are in the node's own group.
+        self.create_service(Trigger, "emergency_stop", self._on_stop_service)
+        self.create_bench_timer(self.config.check, self._watch)
+        self._publish_state()
+
+        self._orders = Node("supervisor_orders", start_parameter_services=False, enable_rosout=False)
         group = ReentrantCallbackGroup()
-        self.create_service(Trigger, "emergency_stop", self._on_stop_service, callback_group=group)
-        self.create_service(Trigger, "reset_fault", self._serve(self._reset_fault), callback_group=group)
-        self.create_service(Trigger, "home", self._serve(self._home), callback_group=group)
-        self.create_service(Trigger, "stop", self._serve(self._stop), callback_group=group)
-        self.create_service(SetBool, "control", self._serve(self._control), callback_group=group)
+        for name, kind, work in (
+            ("reset_fault", Trigger, self._reset_fault),
+            ("home", Trigger, self._home),
+            ("stop", Trigger, self._stop),
+            ("control", SetBool, self._control),
+        ):
+            self._orders.create_service(kind, name, _served(work), callback_group=group)
         self._action = ActionServer(
-            self,
+            self._orders,
             RunExperiment,
             "run_experiment",
             self._run_experiment,
             callback_group=group,
             cancel_callback=lambda _goal: CancelResponse.ACCEPT,
         )
-        self.create_bench_timer(self.config.check, self._watch)
-        self._publish_state()
+        # One thread works, the others refuse, cancel and stop.
+        self._taking = MultiThreadedExecutor(num_threads=8)
+        self._taking.add_node(self._orders)
+        threading.Thread(target=self._taking.spin, name="orders", daemon=True).start()
 
     # What is heard
 
@@ -235,21 +247,6 @@ class Supervisor(BenchNode[SupervisorConfig]):
 
     # Services
 
-    def _serve(self, work: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
-        """Callback of a service whose work waits: it runs in a thread, and its line becomes the answer."""
-
-        async def serve(request: Any, response: Any) -> Any:
-            try:
-                response.message = await _in_thread(lambda: work(request))
-                response.success = True
-            except (RefusedError, TrippedError) as error:
-                response.message = str(error)
-            except CancelledError:
-                response.message = "stopped before its end"
-            return response
-
-        return serve
-
     @contextlib.contextmanager
     def _alone(self, what: str) -> Iterator[None]:
         with self._lock:
@@ -334,8 +331,8 @@ class Supervisor(BenchNode[SupervisorConfig]):
 
     # The action
 
-    async def _run_experiment(self, goal: ServerGoalHandle) -> RunExperiment.Result:
-        outcome: Outcome = await _in_thread(lambda: self._run(goal))
+    def _run_experiment(self, goal: ServerGoalHandle) -> RunExperiment.Result:
+        outcome = self._run(goal)
         if outcome.success:
             goal.succeed()
         elif outcome.cancelled and goal.is_cancel_requested:
@@ -395,6 +392,9 @@ class Supervisor(BenchNode[SupervisorConfig]):
             with contextlib.suppress(Exception):
                 self._trip("the supervisor ends")
                 time.sleep(0.2)  # the message leaves before the process does
+        self.peers.close()
+        self._taking.shutdown(timeout_sec=2.0)
+        self._orders.destroy_node()
 
 
 class Machine:
@@ -539,6 +539,7 @@ class Machine:
             if elapsed > duration + max(2.0, 0.02 * duration) + node.bench.time_scale:
                 raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the generator")
             if time.monotonic() - reported > 0.2:
+                node.peers.check("stop_recording")
                 reported = time.monotonic()
                 report(min(elapsed, duration))
             time.sleep(min(node.bench.wall(0.02), 0.02))
@@ -609,23 +610,24 @@ def _farthest(values: np.ndarray[Any, Any]) -> float:
     return float(values[np.argmax(np.abs(values))])
 
 
-def _in_thread(work: Callable[[], Any]) -> Future:
-    """Future of a function that runs in a thread of its own; a coroutine may await it."""
-    future = Future()
+def _served(work: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
+    """Callback of a service whose work returns the answer's line, or raises it."""
 
-    def run() -> None:
+    def serve(request: Any, response: Any) -> Any:
         try:
-            future.set_result(work())
-        except BaseException as error:
-            future.set_exception(error)
+            response.message, response.success = work(request), True
+        except (RefusedError, TrippedError) as error:
+            response.message = str(error)
+        except CancelledError:
+            response.message = "stopped before its end"
+        return response
 
-    threading.Thread(target=run, daemon=True).start()
-    return future
+    return serve
 
 
 def main() -> None:
     """Run the node."""
-    run_node(Supervisor)
+    run_node(Supervisor, SingleThreadedExecutor)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 
 from mrd_base import InputError, quantity
@@ -144,4 +145,4 @@ def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
 
 def main() -> None:
     """Entry point of ``ros2 run mrd_identification identifier``."""
-    run_node(Identifier)
+    run_node(Identifier, SingleThreadedExecutor)
