@@ -108,7 +108,7 @@ Report = Callable[[str, float, float], None]
 
 
 def run_experiment(bench: Bench, order: Order, report: Report) -> Outcome:
-    """Run one experiment; however it ends, setpoints, rod and recorder have been stopped, in this order.
+    """Run one experiment; however it ends, rod, setpoints and recorder have been stopped, in this order.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def run_experiment(bench: Bench, order: Order, report: Report) -> Outcome:
     report : callable
         Takes phase, time in s since the experiment's start and its duration in s.
     """
-    undo: list[Callable[[], None]] = []
+    undo: list[Callable[[], None]] = []  # in the order in which it is to be done
     recorded, recording = Recorded(), False
     planned = Planned(0.0, 0.0)
     problem, cancelled = "", False
@@ -144,14 +144,15 @@ def run_experiment(bench: Bench, order: Order, report: Report) -> Outcome:
         bench.enter(Mode.IDENTIFICATION)
         bench.enable()
         report("recording", 0.0, planned.duration)
-        undo.insert(0, close_bag)
+        undo.append(close_bag)
         bench.start_recording(order)
         recording = True
         report("running", 0.0, planned.duration)
-        undo.append(bench.abort)
+        # The rod first: a generator that hangs must not keep it waiting.
+        undo.insert(1, bench.abort)
         bench.start()
         bench.watch(planned.duration, lambda elapsed: report("running", elapsed, planned.duration))
-        undo.pop()  # the generator has ended by itself
+        undo.remove(bench.abort)  # the generator has ended by itself
         report("stopping", planned.duration, planned.duration)
         bench.settle()
     except CancelledError:
@@ -168,9 +169,9 @@ def run_experiment(bench: Bench, order: Order, report: Report) -> Outcome:
 
 
 def _undo(steps: list[Callable[[], None]]) -> list[str]:
-    """Take back what was done, last first; a step that fails keeps no other from being taken."""
+    """Take back what was done; a step that fails keeps no other from being taken."""
     failures: list[str] = []
-    for step in reversed(steps):
+    for step in steps:
         try:
             step()
         except RefusedError as error:

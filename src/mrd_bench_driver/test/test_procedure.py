@@ -106,10 +106,10 @@ def test_wherever_it_ends_early_everything_that_was_begun_is_put_away(step: str,
     begun, after = bench.done[: bench.done.index(step) + 1], bench.done[bench.done.index(step) + 1 :]
     assert tuple(begun) == COURSE[: len(begun)]
     expected = []
-    if "start" in begun and step != "settle":
-        expected.append("abort")
     if "centre" in begun:
         expected.append("halt")
+    if "start" in begun and step != "settle":
+        expected.append("abort")
     if "start_recording" in begun:
         expected.append("stop_recording")
     assert after == expected
@@ -124,8 +124,8 @@ def test_a_stop_that_fails_keeps_no_other_from_being_tried() -> None:
         }
     )
     outcome = run_experiment(bench, ORDER, lambda *_report: None)
-    assert bench.done[-3:] == ["abort", "halt", "stop_recording"]
-    assert outcome.message == "interlock lost servo; generator is gone; servo is gone"
+    assert bench.done[-3:] == ["halt", "abort", "stop_recording"]
+    assert outcome.message == "interlock lost servo; servo is gone; generator is gone"
     assert outcome.recorded.samples == 1500
 
 
@@ -149,4 +149,4 @@ def test_a_bug_on_the_way_stops_the_bench_too() -> None:
     bench = FakeBench({"watch": ZeroDivisionError()})
     with pytest.raises(ZeroDivisionError):
         run_experiment(bench, ORDER, lambda *_report: None)
-    assert bench.done[-3:] == ["abort", "halt", "stop_recording"]
+    assert bench.done[-3:] == ["halt", "abort", "stop_recording"]

@@ -18,7 +18,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
@@ -79,6 +79,7 @@ class Supervisor(BenchNode[SupervisorConfig]):
         self._message = "started"
         self._busy = ""
         self._halt_asked = threading.Event()
+        self._acting: list[ServerGoalHandle] = []
 
         self._latest = Snapshot()  # its ages are filled in when it is looked at
         self.sample_time = -math.inf
@@ -332,13 +333,17 @@ class Supervisor(BenchNode[SupervisorConfig]):
     # The action
 
     def _run_experiment(self, goal: ServerGoalHandle) -> RunExperiment.Result:
-        outcome = self._run(goal)
-        if outcome.success:
-            goal.succeed()
-        elif outcome.cancelled and goal.is_cancel_requested:
-            goal.canceled()
-        else:
-            goal.abort()
+        self._acting.append(goal)
+        try:
+            outcome = self._run(goal)
+            if outcome.success:
+                goal.succeed()
+            elif outcome.cancelled and goal.is_cancel_requested:
+                goal.canceled()
+            else:
+                goal.abort()
+        finally:
+            self._acting.remove(goal)
         recorded = outcome.recorded
         return RunExperiment.Result(
             success=outcome.success,
@@ -393,6 +398,9 @@ class Supervisor(BenchNode[SupervisorConfig]):
                 self._trip("the supervisor ends")
                 time.sleep(0.2)  # the message leaves before the process does
         self.peers.close()
+        deadline = time.monotonic() + 2.0
+        while self._acting and time.monotonic() < deadline:
+            time.sleep(0.01)
         self._taking.shutdown(timeout_sec=2.0)
         self._orders.destroy_node()
 
@@ -627,7 +635,7 @@ def _served(work: Callable[[Any], str]) -> Callable[[Any, Any], Any]:
 
 def main() -> None:
     """Run the node."""
-    run_node(Supervisor, SingleThreadedExecutor)
+    run_node(Supervisor)
 
 
 if __name__ == "__main__":
