@@ -1,0 +1,60 @@
+"""What the tool `bench` refuses before it starts anything."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from mrd_bench_driver.nodes import bench
+
+CONFIG = Path(__file__).parents[3] / "config"
+GENTLE = "{name: x, duration_s: 1, rate_hz: 25, rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 1}}"
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[object, str]]:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MRD_BENCH", str(CONFIG / "bench.yaml"))
+
+    def nothing_may_start(*_arguments: object, **_more: object) -> None:
+        pytest.fail("a process was started")
+
+    monkeypatch.setattr("subprocess.Popen", nothing_may_start)
+
+    def run(*arguments: str) -> tuple[object, str]:
+        monkeypatch.setattr(sys, "argv", ["bench", *arguments])
+        with pytest.raises(SystemExit) as end:
+            bench.main()
+        return end.value.code, capsys.readouterr().err
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "line"),
+    [
+        (None, ["--simulated"], "x.yaml: cannot be read"),
+        ("name: x", ["--simulated"], "x.yaml: duration_s is missing"),
+        (GENTLE.replace("5,", "30,"), ["--simulated"], "x.yaml: "),
+        (GENTLE, ["--simulated", "--plant", "none.yaml"], "none.yaml: no such file"),
+        (GENTLE, [], "daq has backend simulated; add --simulated"),
+        (GENTLE, ["--bench", "none.yaml"], "none.yaml: cannot be read"),
+        (GENTLE, ["--simulated", "--output", "done"], "bag: exists already; choose another --output"),
+        (GENTLE, ["--time-scale", "2"], "--time-scale needs --simulated"),
+        (GENTLE, ["--simulated", "--seed", "-1"], "--seed is a whole number"),
+    ],
+)
+def test_unusable_input_is_one_line_and_status_2(
+    run: Callable[..., tuple[object, str]], tmp_path: Path, text: str | None, arguments: list[str], line: str
+) -> None:
+    if text is not None:
+        (tmp_path / "x.yaml").write_text(text)
+    (tmp_path / "done" / "bag").mkdir(parents=True)
+    status, said = run("x.yaml", *arguments)
+    assert status == 2
+    assert line in said
+    assert said.splitlines()[-1].count("error: ") == 1
+    assert not (tmp_path / "runs").exists()
