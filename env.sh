@@ -16,8 +16,13 @@ else
     esac
     # `ros2 run` stands in for the real command only where there is none.
     command -v ros2 >/dev/null 2>&1 || export PATH="$PATH:$_mrd_root/setup/bin"
-    # A bench moves a machine: nobody else on the network should find its topics.
-    export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+    # A bench moves a machine: nobody else on the network should find its topics. ROS's own range LOCALHOST would do, but
+    # brings shared memory with it, which config/fastdds.xml tells why not.
+    if [ "${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}" = rmw_fastrtps_cpp ]; then
+        export ROS_AUTOMATIC_DISCOVERY_RANGE=SYSTEM_DEFAULT FASTRTPS_DEFAULT_PROFILES_FILE="$_mrd_root/config/fastdds.xml"
+    else
+        export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
+    fi
     export MRD_BENCH="${MRD_BENCH:-$_mrd_root/config/bench.yaml}"
     export MRD_DATA="${MRD_DATA:-$_mrd_root/../shared/data}"
 fi

@@ -8,6 +8,7 @@ import textwrap
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -194,7 +195,7 @@ def test_building_what_is_built_takes_no_time():
 def test_the_environment_can_be_entered_from_anywhere_and_twice(shell, tmp_path):
     if not shutil.which(shell):
         pytest.skip(f"no {shell} here")
-    names = ["AMENT_PREFIX_PATH", "PATH", "PYTHONPATH", "ROS_AUTOMATIC_DISCOVERY_RANGE", "MRD_BENCH", "MRD_DATA"]
+    names = ["AMENT_PREFIX_PATH", "PATH", "PYTHONPATH", "FASTRTPS_DEFAULT_PROFILES_FILE", "MRD_BENCH", "MRD_DATA"]
     enter = f". {ROOT}/env.sh; for name in {' '.join(names)}; do printenv $name || echo; done"
     clean = {name: os.environ[name] for name in ("HOME", "PATH") if name in os.environ}
     entered = subprocess.run(
@@ -204,7 +205,7 @@ def test_the_environment_can_be_entered_from_anywhere_and_twice(shell, tmp_path)
     lines = entered.stdout.splitlines()
     once, twice = dict(zip(names, lines, strict=False)), dict(zip(names, lines[len(names) :], strict=True))
     assert once == twice
-    assert once["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert Path(once["FASTRTPS_DEFAULT_PROFILES_FILE"]) == ROOT / "config" / "fastdds.xml"
     assert Path(once["MRD_BENCH"]) == ROOT / "config" / "bench.yaml"
     prefixes = once["AMENT_PREFIX_PATH"].split(":")
     assert str(ROOT / "install" / "mrd_base") in prefixes
@@ -245,3 +246,17 @@ def test_the_stand_in_for_ros2_hands_over_arguments_signals_and_status(tmp_path)
         env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert (run.returncode, run.stdout) == (7, "--ros-args -p a:=b c\n")
+
+
+def test_nodes_can_be_reached_from_this_machine_only():
+    """Every socket that a node listens on is bound to the loopback interface, or to the multicast group joined there."""
+    code = "import rclpy; rclpy.init(); node = rclpy.create_node('here'); print('up', flush=True); input()"
+    enter = f". {ROOT}/env.sh && exec python -c \"{code}\""
+    node = subprocess.Popen(["bash", "-c", enter], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert node.stdout.readline() == "up\n"
+        bound = {entry.laddr.ip for entry in psutil.Process(node.pid).net_connections()}
+    finally:
+        node.communicate("\n", timeout=20)
+    assert "127.0.0.1" in bound
+    assert bound <= {"127.0.0.1", "239.255.0.1"}

@@ -12,7 +12,7 @@ _claims: list[int] = []
 def claim_domain() -> int:
     """Put this process and its children into a domain that no other caller on this machine has, until the process ends.
 
-    Sets ``ROS_DOMAIN_ID`` and ``ROS_AUTOMATIC_DISCOVERY_RANGE`` in the environment; call it before ROS starts.
+    Sets ``ROS_DOMAIN_ID`` in the environment; call it before ROS starts.
 
     Returns
     -------
@@ -37,6 +37,6 @@ def claim_domain() -> int:
             continue
         _claims.append(claim)
         os.environ["ROS_DOMAIN_ID"] = str(domain)
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # env.sh has its own way to that
         return domain
     raise RuntimeError(f"all ROS domains from 1 to {_LAST} are taken by other simulated benches and tests")

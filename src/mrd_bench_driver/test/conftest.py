@@ -68,8 +68,7 @@ class Graph:
 
 
 @pytest.fixture
-def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def graph(tmp_path: Path) -> Iterator[Graph]:
     graph = Graph(tmp_path / "log")
     yield graph
     graph.close()

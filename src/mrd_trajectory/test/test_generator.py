@@ -1,6 +1,5 @@
 """The generator as a process: it streams what it was asked to, when it was asked to, and stops."""
 
-import os
 import signal
 import subprocess
 import time
@@ -64,8 +63,7 @@ class Bench:
 
 
 @pytest.fixture
-def start_generator(monkeypatch):
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def start_generator():
     processes = []
 
     def start(*parameters):
@@ -87,9 +85,7 @@ def start_generator(monkeypatch):
 
 
 @pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID", str(100 + os.getpid() % 100)))
+def bench():
     rclpy.init()
     bench = Bench()
     yield bench

@@ -1,0 +1,197 @@
+"""The whole bench as processes: the paper's experiment from serial line to fit, and every fault that must stop the rod."""
+
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+
+from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
+from mrd_bench_driver.nodes.bench import BenchClient
+from mrd_bench_driver.processes import BenchProcesses, Part, bench_parts
+from mrd_identification import read_fit
+from mrd_interfaces.action import Identify, RunExperiment
+from mrd_interfaces.msg import BenchSamples
+from mrd_runs import read_run
+from mrd_trajectory.experiment import format_experiment, read_experiment
+
+ROOT = Path(__file__).resolve().parents[1]
+BENCH, PLANT = ROOT / "config/bench.yaml", ROOT / "config/plant.yaml"
+
+SLOW = 2e-3
+"""m/s; the rod counts as stopped below it."""
+
+LONG = """
+name: long
+duration_s: 30.0
+rate_hz: 500.0
+rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
+coil: {waveform: constant, level_mA: 100.0}
+"""
+
+
+class WholeBench:
+    """All nodes with a simulated plant, and somebody who watches."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.processes = BenchProcesses(bench_parts(BENCH, PLANT, folder / "motor", seed=1), folder / "log")
+
+    def __enter__(self) -> "WholeBench":
+        self.processes.__enter__()
+        self.client = BenchClient(watch=self.processes.check)
+        self.client.wait_until_up(set(self.processes.parts))
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.client.__exit__()
+        self.processes.close()
+
+    def hear(self, topic: str, kind: type, qos: object) -> list:
+        heard: list = []
+        self.client.node.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def fault(self, name: str) -> None:
+        """Break something in the plant."""
+        client = self.client.node.create_client(SetParameters, "plant/set_parameters")
+        assert self.client.spin(client.service_is_ready, 10)
+        value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=name)
+        done = client.call_async(SetParameters.Request(parameters=[Parameter(name="fault", value=value)]))
+        assert self.client.spin(done.done, 5)
+        assert done.result().results[0].successful
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[WholeBench]:
+    with WholeBench(tmp_path) as whole:
+        yield whole
+
+
+@pytest.mark.timeout(300)
+def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_path: Path) -> None:
+    heard = bench.hear("samples", BenchSamples, RECORDED)
+    experiment = format_experiment(read_experiment(ROOT / "config/experiments/paper.yaml"))
+    result = bench.client.run_experiment(experiment, tmp_path / "bag", 3)
+    assert result.success, result.message
+    assert result.lost == 0
+
+    # Sample for sample: what went over the topic is what is in the bag, bit by bit.
+    run = read_run(tmp_path / "bag")
+    assert len(run) == result.samples
+    assert len(run) / 25 == pytest.approx(60.2, abs=1.0)
+    assert run.rate == pytest.approx(25.0)
+    assert run.info["experiment_name"] == "paper"
+    assert run.info["seed"] == 3
+    live = {
+        name: np.concatenate([np.asarray(getattr(block, name)) for block in heard])
+        for name in ("position", "force", "coil_current", "acceleration")
+    }
+    (first,) = np.flatnonzero(live["position"] == run.position[0])
+    within = slice(first, first + len(run))
+    assert np.array_equal(live["position"][within], run.position)
+    assert np.array_equal(live["force"][within], run.force)
+    assert np.array_equal(live["coil_current"][within], run.current)
+    assert np.array_equal(live["acceleration"][within], run.acceleration)
+
+    # What the paper asks for was done: 10 mm of stroke, 150 mA.
+    assert np.ptp(run.position) == pytest.approx(0.01, rel=0.05)
+    assert np.percentile(run.current, 95) == pytest.approx(0.15, abs=0.02)
+
+    # Replayed to the identifier, the same samples give a model.
+    bench.processes.stop("supervisor", "generator", "servo", "daq", "recorder", "plant")
+    bench.processes.parts["identifier"] = Part("mrd_identification", "identifier")
+    bench.processes.start("identifier")
+    action = ActionClient(bench.client.node, Identify, "identify")
+    assert bench.client.spin(action.server_is_ready, 30)
+    replay = subprocess.run(
+        ["ros2", "run", "mrd_runs", "replay", "--ros-args", "-r", "__ns:=/bench", "-p", f"bag:={tmp_path / 'bag'}",
+         "-p", "speed:=0.0", "-p", "wait_for_subscriber:=true"],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert replay.returncode == 0, replay.stderr
+    goal = Identify.Goal(model="bouc_wen", seed=1, population=40, generations=20, polish=True, output=str(tmp_path))
+    sent = action.send_goal_async(goal)
+    assert bench.client.spin(sent.done, 10)
+    ended = sent.result().get_result_async()
+    assert bench.client.spin(ended.done, 120)
+    fit = ended.result().result
+    assert fit.success, fit.message
+    stored = read_fit(fit.fit)
+    assert stored.content["runs"]["fit"][0]["samples"] == len(run)
+    assert fit.nrmse < 0.1
+    action.destroy()
+
+
+def pull_line(bench: WholeBench) -> None:
+    bench.fault("unplug")
+
+
+def freeze_daq(bench: WholeBench) -> None:
+    bench.processes.running["daq"].send_signal(signal.SIGSTOP)
+
+
+def freeze_converter(bench: WholeBench) -> None:
+    bench.fault("freeze_daq")
+
+
+def kill_generator(bench: WholeBench) -> None:
+    bench.processes.kill("generator")
+
+
+def kill_servo(bench: WholeBench) -> None:
+    bench.processes.kill("servo")
+
+
+def press_emergency_stop(bench: WholeBench) -> None:
+    bench.client.node.create_publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=True))
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(
+    "accident", [pull_line, freeze_daq, freeze_converter, kill_generator, kill_servo, press_emergency_stop]
+)
+def test_the_rod_stops_within_200_ms(
+    accident: Callable[[WholeBench], None], bench: WholeBench, tmp_path: Path
+) -> None:
+    truth = bench.hear("plant/true_state", JointState, RECORDED)
+    client = ActionClient(bench.client.node, RunExperiment, "run_experiment")
+    assert bench.client.spin(client.server_is_ready, 10)
+    sent = client.send_goal_async(RunExperiment.Goal(experiment=LONG, bag=str(tmp_path / "bag")))
+    assert bench.client.spin(sent.done, 10)
+    ended = sent.result().get_result_async()
+
+    def fast() -> bool:
+        return bool(truth) and abs(truth[-1].velocity[0]) > 0.04
+
+    # Homing is slower than this: the experiment runs.
+    assert bench.client.spin(fast, 40), ended.result() if ended.done() else "the rod never moved"
+    assert not ended.done(), ended.result().result.message
+    begun = time.time()
+    accident(bench)
+    bench.client.spin(lambda: seconds(truth[-1].header.stamp) > begun + 1.0, 5, watch=False)
+    moving = [
+        seconds(state.header.stamp)
+        for state in truth
+        if seconds(state.header.stamp) > begun and abs(state.velocity[0]) > SLOW
+    ]
+    assert seconds(truth[-1].header.stamp) > begun + 0.9
+    stopped = max(moving, default=begun) - begun
+    if accident is freeze_daq:
+        bench.processes.running["daq"].send_signal(signal.SIGCONT)
+    assert stopped < 0.2, f"{accident.__name__}: the rod went on for {1e3 * stopped:.0f} ms"
+    # The action says why it ended, and what was recorded until then is there.
+    assert bench.client.spin(ended.done, 60, watch=False)
+    result = ended.result().result
+    assert not result.success
+    assert result.message
+    assert len(read_run(tmp_path / "bag")) == result.samples > 100
+    client.destroy()
