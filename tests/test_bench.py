@@ -195,3 +195,22 @@ def test_the_rod_stops_within_200_ms(
     assert result.message
     assert len(read_run(tmp_path / "bag")) == result.samples > 100
     client.destroy()
+
+
+@pytest.mark.timeout(120)
+def test_a_bad_line_never_moves_the_rod(bench: WholeBench, tmp_path: Path) -> None:
+    """Homed and holding, through garbage, split, late, missing and truncated replies."""
+    short = LONG.replace("duration_s: 30.0", "duration_s: 1.0")
+    result = bench.client.run_experiment(short, tmp_path / "bag", 0)
+    assert result.success, result.message
+    truth = bench.hear("plant/true_state", JointState, RECORDED)
+    assert bench.client.spin(lambda: len(truth) > 10, 5)
+    rest = truth[-1].position[0]
+    for fault in ("garbage", "split_reply", "late_reply", "drop_byte", "silence", "reset", "unplug"):
+        bench.fault(fault)
+        bench.client.spin(lambda: False, 1.0)
+        bench.fault("")
+        bench.client.spin(lambda: False, 0.5)
+    positions = np.array([state.position[0] for state in truth])
+    # Without current in its windings the motor gives way to the damper's gas force by its brake only.
+    assert np.abs(positions - rest).max() < 2e-4

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from mrd_base import quantity
 from mrd_trajectory.limits import Limits
 
-# Age in s at which samples count as stale: this, or so many blocks where they are longer, yet never beyond the last.
-SAMPLES_STALE, SAMPLES_BLOCKS, SAMPLES_LATEST = 0.13, 2.5, 0.15
-
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -18,6 +15,7 @@ class Tolerances:
     overspeed: float = quantity(1.25, doc="measured speed, as a multiple of limits.speed", lower=1, upper=3)
     current: float = quantity(0.1, "A", "measured coil current beyond limits.current", lower=0, upper=2)
     following_error: float = quantity(0.005, "mm", "setpoint minus rod position", lower=1e-5, upper=0.1)
+    samples_stale: float = quantity(0.14, "ms", "age of the latest sample", lower=0.08, upper=1)
     servo_stale: float = quantity(0.15, "ms", "age of the latest servo_state", lower=0.02, upper=1)
     setpoint_stale: float = quantity(0.15, "ms", "age of the latest setpoint of an experiment", lower=0.02, upper=1)
 
@@ -28,8 +26,8 @@ class Snapshot:
 
     Attributes
     ----------
-    sample_age, block : float
-        Age in s of the latest sample (inf: none), and length in s of its block.
+    sample_age : float
+        Age in s of the latest sample (inf: none).
     position, force : float
         Value farthest from 0 in the latest block; m, N.
     speed, current : float
@@ -49,7 +47,6 @@ class Snapshot:
     """
 
     sample_age: float = math.inf
-    block: float = 0.0
     position: float = math.nan
     force: float = math.nan
     speed: float = math.nan
@@ -73,14 +70,9 @@ class Trip:
     line: str
 
 
-def stale_limit(block: float) -> float:
-    """Age in s at which samples that come in blocks of so many seconds are stale."""
-    return min(max(SAMPLES_STALE, SAMPLES_BLOCKS * block), SAMPLES_LATEST)
-
-
-def stale_samples(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -> Trip | None:
+def stale_samples(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> Trip | None:
     """The DAQ has gone silent."""
-    limit = stale_limit(now.block)
+    limit = tolerances.samples_stale
     if now.sample_age <= limit:
         return None
     heard = f"the latest sample is {1e3 * now.sample_age:.0f} ms old" if now.sample_age < math.inf else "no sample came"

@@ -11,7 +11,7 @@ from mrd_identification.identify import Fit, RunResult
 
 Array = NDArray[np.float64]
 
-MEASURED = "#7a8594"
+MEASURED = "#aab4c0"
 MODELLED = "#d1495b"
 ACCENT = "#00798c"
 MOST_POINTS = 2500
@@ -28,38 +28,41 @@ _LAYOUT = {
 def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     """Force over velocity (above) and over position (below), measured against model, for the runs that span the errors."""
     chosen = _spread(results, most)
+    # One run: velocity beside position; several: one column each.
+    single = len(chosen) == 1
     figure = make_subplots(
-        rows=2,
-        cols=len(chosen),
-        subplot_titles=[f"{r.run.name}<br>NRMSE {r.metrics.nrmse:.3f}" for r in chosen],
+        rows=1 if single else 2,
+        cols=2 if single else len(chosen),
+        subplot_titles=[] if single else [f"{r.run.name}<br>NRMSE {r.metrics.nrmse:.3f}" for r in chosen],
         vertical_spacing=0.14,
-        horizontal_spacing=0.06,
+        horizontal_spacing=0.08,
     )
-    for column, result in enumerate(chosen, 1):
+    for index, result in enumerate(chosen):
         shown = _window(result)
-        for row, (series, unit) in enumerate(((result.run.velocity, "mm/s"), (result.run.position, "mm")), 1):
-            x = series[shown] * 1e3
-            for force, name, colour in (
-                (result.run.force, "measured", MEASURED),
-                (result.modelled, "model", MODELLED),
+        for axis, (series, title) in enumerate(
+            ((result.run.velocity, "velocity, mm/s"), (result.run.position, "position, mm"))
+        ):
+            row, column = (1, axis + 1) if single else (axis + 1, index + 1)
+            for force, name, line in (
+                (result.run.force, "measured", {"color": MEASURED, "width": 3.5}),
+                (result.modelled, "model", {"color": MODELLED, "width": 1.2}),
             ):
                 figure.add_trace(
                     go.Scatter(
-                        x=_rounded(x),
+                        x=_rounded(series[shown] * 1e3),
                         y=_rounded(force[shown]),
                         name=name,
                         legendgroup=name,
-                        showlegend=row == column == 1,
-                        line={"color": colour, "width": 1.3},
+                        showlegend=index == axis == 0,
+                        line=line,
                     ),
                     row,
                     column,
                 )
-            figure.update_xaxes(title_text=f"{'velocity' if row == 1 else 'position'}, {unit}", row=row, col=column)
-        figure.update_yaxes(title_text="force, N" if column == 1 else None, row=1, col=column)
-        figure.update_yaxes(title_text="force, N" if column == 1 else None, row=2, col=column)
-    figure.update_layout(**_LAYOUT, height=760)
-    figure.update_layout(margin_t=90, legend_y=1.08)
+            figure.update_xaxes(title_text=title, row=row, col=column)
+            figure.update_yaxes(title_text="force, N" if column == 1 else None, row=row, col=column)
+    figure.update_layout(**_LAYOUT, height=440 if single else 760)
+    figure.update_layout(margin_t=50 if single else 90, legend_y=1.02 if single else 1.08)
     return figure
 
 
@@ -71,14 +74,14 @@ def force_over_time(result: RunResult) -> go.Figure:
         rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05
     )
     force, modelled = result.run.force[shown], result.modelled[shown]
-    for row, series, name, colour in (
-        (1, force, "measured", MEASURED),
-        (1, modelled, "model", MODELLED),
-        (2, modelled - force, "model − measured", ACCENT),
-        (3, result.run.current[shown], "coil current", "#edae49"),
+    for row, series, name, colour, width in (
+        (1, force, "measured", MEASURED, 3.5),
+        (1, modelled, "model", MODELLED, 1.2),
+        (2, modelled - force, "model − measured", ACCENT, 1.2),
+        (3, result.run.current[shown], "coil current", "#edae49", 1.2),
     ):
         figure.add_trace(
-            go.Scatter(x=time, y=_rounded(series), name=name, line={"color": colour, "width": 1.3}), row, 1
+            go.Scatter(x=time, y=_rounded(series, 4), name=name, line={"color": colour, "width": width}), row, 1
         )
     figure.update_yaxes(title_text="force, N", row=1, col=1)
     figure.update_yaxes(title_text="error, N", row=2, col=1)

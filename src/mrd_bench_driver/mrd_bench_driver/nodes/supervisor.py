@@ -141,7 +141,6 @@ class Supervisor(BenchNode[SupervisorConfig]):
         self.sample_time = first + (count - 1) * period
         self._latest = dataclasses.replace(
             self._latest,
-            block=count * period,
             position=_farthest(position),
             force=_farthest(force),
             speed=(mean - last_mean) / elapsed if 0 < elapsed < 0.5 else math.nan,

@@ -105,7 +105,7 @@ class Identifier(BenchNode[IdentifierSettings]):
             every = read_runs([*request.runs, *request.held_out])
             runs, held_out = every[: len(request.runs)], every[len(request.runs) :]
         else:
-            runs, held_out = [self._heard.run("heard")], read_runs(request.held_out)
+            runs, held_out = [self._heard.run("live samples")], read_runs(request.held_out)
         fit = identify(
             runs,
             request.model,
