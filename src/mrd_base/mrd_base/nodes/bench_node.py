@@ -174,7 +174,7 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
     try:
         _init()
         node = factory()
-        # What has been imported stays: a full collection that looks through it all would stop a node for a tenth of a second.
+        # What was imported stays: a full collection that looks through it all would stop a node for a tenth of a second.
         gc.collect()
         gc.freeze()
         spinning = executor()
