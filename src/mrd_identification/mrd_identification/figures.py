@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from mrd_identification.identify import Fit, RunResult
+from mrd_runs.motion import motion
 
 Array = NDArray[np.float64]
 
@@ -39,8 +40,9 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     )
     for index, result in enumerate(chosen):
         shown = _window(result)
+        moved = motion(result.run)
         for axis, (series, title) in enumerate(
-            ((result.run.velocity, "velocity, mm/s"), (result.run.position, "position, mm"))
+            ((moved.velocity, "velocity, mm/s"), (moved.position, "position, mm"))
         ):
             row, column = (1, axis + 1) if single else (axis + 1, index + 1)
             for force, name, line in (
@@ -165,7 +167,7 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
         return float(np.std(run.force[part]) / np.std(run.force) + np.std(run.current[part]) / span)
 
     best = max(starts, key=liveliness)
-    return np.arange(best, best + length, max(1, length // MOST_POINTS))
+    return np.arange(best, best + length, -(-length // MOST_POINTS))
 
 
 def _rounded(series: Array, digits: int = 3) -> Array:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
-import numpy as np
 
 from mrd_base import InputError
 from mrd_identification.identify import Fit
@@ -46,8 +45,6 @@ def schema(name: str = "fit") -> Any:
 
 def to_json(fit: Fit) -> dict[str, Any]:
     """Content of fit.json; floats that are not finite become null."""
-    current = float(np.mean([result.run.current.mean() for result in fit.fitted]))
-    observables = fit.model.observables(fit.values, current) if fit.model.observables else {}
     return {
         "schema": SCHEMA,
         "model": fit.model.id,
@@ -79,8 +76,8 @@ def to_json(fit: Fit) -> dict[str, Any]:
             for estimate in fit.estimates
         },
         "observables": {
-            "current_A": current,
-            "values": {name: {"value": value, "unit": unit} for name, (value, unit) in observables.items()},
+            "current_A": fit.current,
+            "values": {name: {"value": value, "unit": unit} for name, (value, unit) in fit.observables.items()},
         },
         "objectives": {
             "e2_N": fit.pooled_fitted.e2,
@@ -111,12 +108,31 @@ def to_json(fit: Fit) -> dict[str, Any]:
     }
 
 
+def make_folder(path: str) -> Path:
+    """Make the folder of the results, before anything is computed for it.
+
+    Raises
+    ------
+    InputError
+        When nothing can be written there.
+    """
+    if not path:
+        raise InputError("--output is empty, expected a folder for the results")
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "fit.part").touch()
+        (folder / "fit.part").unlink()
+    except OSError as error:
+        raise InputError(f"--output {path}: cannot be written ({error.strerror}), expected a folder") from None
+    return folder
+
+
 def write_fit(fit: Fit, folder: str | Path) -> Path:
     """Write fit.json into ``folder`` and return its path; the file is whole or not there."""
     content = to_json(fit)
     jsonschema.validate(content, schema())
     path = Path(folder) / "fit.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".part")
     partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     partial.replace(path)

@@ -1,7 +1,7 @@
 """Identify a damper model from recordings: NSGA-II, its knee, then least squares."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_identification.metrics import Metrics, metrics
 from mrd_identification.nsga2 import Front, search
-from mrd_identification.polish import intervals, polish
+from mrd_identification.polish import Intervals, intervals, polish
 from mrd_identification.problem import Problem, Recording, free_parameters, prepare
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, Parameter, find_model
@@ -110,6 +110,16 @@ class Fit:
     warnings: tuple[str, ...]
 
     @property
+    def current(self) -> float:
+        """Mean coil current in A of the fitted runs."""
+        return float(np.mean([result.run.current.mean() for result in self.fitted]))
+
+    @property
+    def observables(self) -> dict[str, tuple[float, str]]:
+        """What the recordings determine of the damper at `current`: value and unit by name."""
+        return self.model.observables(self.values, self.current) if self.model.observables else {}
+
+    @property
     def values(self) -> dict[str, float]:
         """Parameters by name, in SI units."""
         return dict(zip(self.model.names, map(float, self.theta), strict=True))
@@ -124,7 +134,6 @@ def identify(
     generations: int = GENERATIONS,
     seed: int = 0,
     polish_result: bool = True,
-    start: Mapping[str, float] | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Identify the parameters of a damper model from runs, all jointly.
@@ -141,9 +150,6 @@ def identify(
         NSGA-II's.
     polish_result : bool
         Least squares from the knee of the front.
-    start : mapping, optional
-        Parameters from which the population starts beside its random members, and the values of those not searched.
-    progress : callable, optional
         Called after every generation with its number and the smallest NRMSE so far.
 
     Returns
@@ -168,12 +174,8 @@ def identify(
             raise InputError(f"{run.name}: {quantity} never changes; nothing can be identified from it")
     recordings = [prepare(run) for run in runs]
     judges = [prepare(run) for run in held_out]
-    free, notes = free_parameters(damper, runs)
-    base = damper.vector(start or {})
-    for index, parameter in enumerate(damper.parameters):
-        if index not in free and parameter.free and (start is None or parameter.name not in start):
-            base[index] = 0.0 if parameter.lower <= 0.0 else parameter.lower
-    problem = Problem(damper, recordings, free, base)
+    problem, notes = _problem(damper, recordings)
+    free = problem.free
     spread = float(np.std(np.concatenate([r.force for r in recordings])))
     samples = sum(len(r.force) for r in recordings)
 
@@ -188,21 +190,18 @@ def identify(
     fitted = tuple(_judge(damper, theta, recording) for recording in recordings)
     if judges:
         held, by = tuple(_judge(damper, theta, judge) for judge in judges), "runs"
-    elif len(recordings) > 1:
-        held, by = _leave_one_out(problem, theta, polish_result), "leave-one-run-out"
+    elif len(recordings) > 1 and polish_result:
+        held, by = _leave_one_out(damper, recordings, front), "leave-one-run-out"
     else:
         held, by = (), "none"
     uncertainty = intervals(problem, theta)
+    lower, upper = np.full((2, len(theta)), np.nan)
+    on_bound = np.zeros(len(theta), dtype=bool)
+    lower[list(free)], upper[list(free)] = uncertainty.lower, uncertainty.upper
+    on_bound[list(free)] = uncertainty.on_bound
     estimates = tuple(
-        Estimate(
-            parameter,
-            float(theta[index]),
-            float(uncertainty.lower[free.index(index)]) if index in free else float("nan"),
-            float(uncertainty.upper[free.index(index)]) if index in free else float("nan"),
-            index not in free,
-            index in free and bool(uncertainty.on_bound[free.index(index)]),
-        )
-        for index, parameter in enumerate(damper.parameters)
+        Estimate(parameter, float(theta[i]), float(lower[i]), float(upper[i]), i not in free, bool(on_bound[i]))
+        for i, parameter in enumerate(damper.parameters)
     )
     return Fit(
         model=damper,
@@ -220,7 +219,7 @@ def identify(
         generations=generations,
         elapsed=time.monotonic() - began,
         condition=uncertainty.condition,
-        warnings=(*notes, *_warnings(estimates, uncertainty.correlation, problem, by)),
+        warnings=(*notes, *_warnings(estimates, uncertainty, problem, by)),
     )
 
 
@@ -237,21 +236,36 @@ def _judge(model: DamperModel, theta: Array, recording: Recording) -> RunResult:
     )
 
 
-def _leave_one_out(problem: Problem, theta: Array, refit: bool) -> tuple[RunResult, ...]:
-    """Each run judged by a fit to the others; the refit starts from the joint fit."""
+def _problem(model: DamperModel, recordings: Sequence[Recording]) -> tuple[Problem, list[str]]:
+    """What these recordings can tell about a model; a parameter that they say nothing of is neutral."""
+    free, notes = free_parameters(model, [recording.run for recording in recordings])
+    base = model.defaults.copy()
+    for index, parameter in enumerate(model.parameters):
+        if index not in free and parameter.free:
+            base[index] = max(0.0, parameter.lower)
+    return Problem(model, recordings, free, base), notes
+
+
+def _leave_one_out(model: DamperModel, recordings: Sequence[Recording], front: Front) -> tuple[RunResult, ...]:
+    """Each run judged by a fit to the others: what these alone can tell, from the candidate that suits them best."""
     results = []
-    for index, recording in enumerate(problem.recordings):
-        others = [*problem.recordings[:index], *problem.recordings[index + 1 :]]
-        rest = Problem(problem.model, others, problem.free, problem.base)
-        at = polish(rest, theta) if refit else theta
-        results.append(_judge(problem.model, at, recording))
+    for index, recording in enumerate(recordings):
+        rest, _ = _problem(model, [*recordings[:index], *recordings[index + 1 :]])
+        starts = rest.theta(np.array([rest.unit(theta) for theta in front.thetas]))
+        theta = polish(rest, starts[int(np.argmin(rest.norms(starts)[:, 0]))])
+        results.append(_judge(model, theta, recording))
     return tuple(results)
 
 
 def _warnings(
-    estimates: Sequence[Estimate], correlation: Array, problem: Problem, held_out_by: str
+    estimates: Sequence[Estimate], uncertainty: Intervals, problem: Problem, held_out_by: str
 ) -> list[str]:
     found = []
+    if not np.isfinite([estimate.lower for estimate in estimates]).any():
+        found.append(
+            f"no intervals: the errors are independent over {uncertainty.blocks} stretches only, too few for "
+            f"{len(problem.free)} parameters; record longer or more runs"
+        )
     for estimate in estimates:
         parameter = estimate.parameter
         if estimate.on_bound:
@@ -260,11 +274,13 @@ def _warnings(
                 f"{parameter.name} ended on its {side} bound, {f'{estimate.value:g} {parameter.unit}'.rstrip()}: "
                 "the runs want a value beyond it, or say nothing about it"
             )
-        elif not estimate.fixed and not estimate.upper - estimate.lower < 2 * abs(estimate.value):
+        elif estimate.upper - estimate.lower >= 2 * abs(estimate.value):
             found.append(f"{parameter.name} is not determined: its 95 % interval is wider than twice its value")
     names = [p.name for p in problem.parameters]
+    correlation = uncertainty.correlation
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > 0.98, 1)), strict=True):
         found.append(f"{names[i]} and {names[j]} cannot be told apart well: correlation {correlation[i, j]:.3f}")
     if held_out_by == "none":
-        found.append("one run only: nothing judges the fit; record another, or give --held-out")
+        why = "one run only" if len(problem.recordings) == 1 else "without least squares no run is left out in turn"
+        found.append(f"{why}: nothing judges the fit; give --held-out")
     return found

@@ -1,5 +1,6 @@
 """Least squares from the knee of the front, and what it says of the parameters' uncertainty."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,9 @@ from scipy.stats import t as student
 from mrd_identification.problem import Problem
 
 Array = NDArray[np.float64]
+
+FEWEST_SPARE_BLOCKS = 5
+"""Independent stretches of the residual beyond the number of parameters, below which intervals would be made up."""
 
 _BORDER = 1e-6  # of the unit box: closer than this is on the bound
 
@@ -26,6 +30,8 @@ class Intervals:
     on_bound : ndarray (free,) of bool
     condition : float
         Condition number of the scaled sensitivity matrix.
+    blocks : int
+        Stretches of the residual that count as independent; with too few of them there are no intervals.
     """
 
     lower: Array
@@ -33,6 +39,7 @@ class Intervals:
     correlation: Array
     on_bound: NDArray[np.bool_]
     condition: float
+    blocks: int
 
 
 def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> Array:
@@ -85,19 +92,20 @@ def intervals(problem: Problem, theta: Array) -> Intervals:
     upper = np.full(count, np.nan)
     correlation = np.eye(count)
     if not seen.any():
-        return Intervals(lower, upper, correlation, on_bound, np.inf)
+        return Intervals(lower, upper, correlation, on_bound, np.inf, 0)
     scaled = jacobian[:, seen] / norm[seen]
     _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     inverse = (vt.T / np.maximum(singular, singular[0] * 1e-10) ** 2) @ vt
-    scores = np.vstack(
-        [block.sum(axis=0)[None] for block in np.array_split(scaled * residuals[:, None], _blocks(problem, residuals))]
-    )
-    blocks = len(scores)
-    covariance = inverse @ (scores.T @ scores) @ inverse * blocks / max(blocks - seen.sum(), 1)
+    blocks = _blocks(problem, residuals)
+    if len(blocks) < int(seen.sum()) + FEWEST_SPARE_BLOCKS:
+        return Intervals(lower, upper, correlation, on_bound, condition, len(blocks))
+    scores = np.stack([scaled[block].T @ residuals[block] for block in blocks])
+    spare = len(blocks) - int(seen.sum())
+    covariance = inverse @ (scores.T @ scores) @ inverse * len(blocks) / spare
     deviation = np.sqrt(np.diag(covariance))
     correlation[np.ix_(seen, seen)] = covariance / np.outer(deviation, deviation)
-    half = student.ppf(0.975, max(blocks - int(seen.sum()), 1)) * deviation / norm[seen]
+    half = student.ppf(0.975, spare) * deviation / norm[seen]
     parameters = [p for p, use in zip(problem.parameters, seen, strict=True) if use]
     middle = theta[np.array(problem.free)[seen]]
     width = half * problem.scale(theta)[seen]
@@ -107,15 +115,20 @@ def intervals(problem: Problem, theta: Array) -> Intervals:
             lower[j], upper[j] = middle[i] / factor, middle[i] * factor
         else:
             lower[j], upper[j] = middle[i] - width[i], middle[i] + width[i]
-    return Intervals(lower, upper, correlation, on_bound, condition)
+    return Intervals(lower, upper, correlation, on_bound, condition, len(blocks))
 
 
-def _blocks(problem: Problem, residuals: Array) -> int:
-    """Number of blocks: each at least ten correlation times of the residual long, and 20 to 400 in all."""
+def _blocks(problem: Problem, residuals: Array) -> list[slice]:
+    """Stretches of the residual, each within one run and ten of its correlation times long; at most 400 in all."""
     spectrum = np.abs(np.fft.rfft(residuals - residuals.mean(), 2 * len(residuals))) ** 2
     autocorrelation = np.fft.irfft(spectrum)[: len(residuals)]
-    if autocorrelation[0] <= 0:
-        return 20
     below = np.flatnonzero(autocorrelation < 0.1 * autocorrelation[0])
-    length = 10 * int(below[0]) if below.size else len(residuals)
-    return int(np.clip(len(residuals) // max(length, 1), 20, 400))
+    correlated = int(below[0]) if below.size else len(residuals)
+    length = max(10 * correlated, len(residuals) // 400, 1)
+    blocks, start = [], 0
+    for recording in problem.recordings:
+        samples = len(recording.force)
+        edges = np.linspace(start, start + samples, max(1, samples // length) + 1).astype(int)
+        blocks += [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+        start += samples
+    return blocks

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
@@ -36,7 +35,6 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
     )
     environment.filters["figures"] = four_figures
     judged = fit.held_out or fit.fitted
-    current = float(np.mean([result.run.current.mean() for result in fit.fitted]))
     metrics = fit.pooled_held_out or fit.pooled_fitted
     worst = max(judged, key=lambda result: result.metrics.nrmse)
     page = environment.get_template("fit.html.j2").render(
@@ -57,14 +55,12 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
             ("samples", f"{metrics.samples}"),
         ],
         fit=fit,
-        observables=fit.model.observables(fit.values, current) if fit.model.observables else {},
-        current=current,
         rows=[("fitted", r) for r in fit.fitted] + [("held out", r) for r in fit.held_out],
     )
     path = Path(folder) / "fit.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding="utf-8")
-    return path
+    partial = path.with_suffix(".part")
+    partial.write_text(page, encoding="utf-8")
+    return partial.replace(path)
 
 
 def four_figures(value: float) -> str:

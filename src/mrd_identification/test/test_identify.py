@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from mrd_base import InputError
 from mrd_identification import identify, metrics, read_fit, write_fit
+from mrd_identification.fit_file import make_folder
 from mrd_identification.nsga2 import knee
 from mrd_identification.problem import Problem, free_parameters, prepare
 from mrd_identification.report import write_report
@@ -192,3 +194,66 @@ def test_unusable_input_is_one_line():
         identify([still], "bingham")
     with pytest.raises(InputError, match="population 2"):
         identify([run], "bingham", population=2)
+
+
+def test_a_run_left_out_teaches_nothing():
+    """Two currents: without one of them the other says nothing of the slopes, and the judged error shows it."""
+    runs = [simulated("bingham", {}, seed=1, current=0.1), simulated("bingham", {}, seed=2, current=0.4)]
+    fit = identify(runs, "bingham", population=16, generations=8, seed=1)
+    for index, result in enumerate(fit.held_out):
+        alone = identify([runs[1 - index]], "bingham", held_out=[runs[index]], population=16, generations=8, seed=1)
+        assert result.metrics.nrmse > 0.3
+        assert result.metrics.nrmse == pytest.approx(alone.pooled_held_out.nrmse, rel=0.05)
+
+
+def test_without_polish_no_run_is_left_out_in_turn():
+    runs = [simulated("bingham", {}, seed=seed, seconds=3) for seed in (1, 2)]
+    fit = identify(runs, "bingham", population=16, generations=4, polish_result=False)
+    assert fit.held_out_by == "none"
+    assert any("nothing judges the fit" in warning for warning in fit.warnings)
+
+
+@pytest.mark.parametrize("rate", [25, 100, 1000])
+def test_noise_of_the_current_sensor_is_no_change_of_current(rate):
+    random = np.random.default_rng(rate)
+    time = np.arange(20 * rate) / rate
+    noise = 0.0067 * random.standard_normal(len(time))
+
+    def names(current):
+        run = Run("run", time, np.sin(time), np.cos(time), current, np.cos(time))
+        return [find_model("bingham").names[i] for i in free_parameters(find_model("bingham"), [run])[0]]
+
+    assert "coil_lag" not in names(0.2 + noise)
+    assert "coil_lag" in names(0.2 + 0.05 * (np.sin(5 * time) > 0) + noise)
+    assert "coil_lag" in names(np.where(random.random(len(time) // 5 + 1).repeat(5)[: len(time)] > 0.5, 0.15, 0.0))
+
+
+def test_too_short_a_run_has_no_intervals_and_says_so():
+    run = simulated("bingham", {}, seconds=1.5, noise=1.0)
+    slow = Run("slow", run.time, run.position, run.velocity, run.current, run.force + 30 * np.sin(4 * run.time))
+    fit = identify([slow], "bingham", population=16, generations=8)
+    assert all(np.isnan(estimate.lower) for estimate in fit.estimates)
+    assert any(warning.startswith("no intervals") for warning in fit.warnings)
+
+
+@pytest.mark.parametrize("output", ["", "file", "file/below"])
+def test_an_output_that_cannot_be_written_is_refused_before_the_fit(output, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"--output .*expected a folder"):
+        make_folder(str(tmp_path / output) if output else "")
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_truth_with_correlated_errors():
+    """Of 60 repeats with errors that last 0.1 s, 95 % intervals of every parameter hold the truth in 50 or more."""
+    truth = {"yield_force": 90.0, "viscous": 1500.0, "offset": -40.0}
+    covered = []
+    for seed in range(60):
+        run = simulated("bingham", truth, seed=seed, seconds=12)
+        random = np.random.default_rng(1000 + seed)
+        errors = lfilter([1.0], [1.0, -0.98], random.standard_normal(len(run)))
+        noisy = Run("noisy", run.time, run.position, run.velocity, run.current, run.force + errors)
+        fit = identify([noisy], "bingham", population=16, generations=8, seed=seed)
+        true = find_model("bingham").vector(truth)
+        covered.append([e.lower <= t <= e.upper for e, t in zip(fit.estimates, true, strict=True)])
+    assert (np.sum(covered, axis=0) >= 50).all(), np.sum(covered, axis=0)

@@ -28,10 +28,6 @@ class HeardSamples:
         """Keep one block."""
         self._messages.append(message)
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._messages.clear()
-
     def run(self, name: str) -> Run:
         """The latest recording heard.
 

@@ -5,10 +5,27 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base import InputError
+from mrd_base.config import parse_yaml
 from mrd_sim.models import find_model
 from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
+
+
+def parse_values(text: str, where: str) -> dict[str, float]:
+    """Parameters from YAML text, ``name: value`` in SI; ``where`` names it in errors.
+
+    Raises
+    ------
+    InputError
+        When it is no mapping of names to numbers.
+    """
+    values = parse_yaml(text, where) if text.strip() else {}
+    for name, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{where}: {name} is {value!r}, expected a number")
+    return {str(name): float(value) for name, value in values.items()}
 
 
 class Damper:

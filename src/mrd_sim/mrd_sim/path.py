@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_runs import Run
+from mrd_runs.motion import motion
+
 Array = NDArray[np.float64]
 
 
@@ -33,6 +36,12 @@ class Path:
     acceleration: Array
     current: Array
     samples: NDArray[np.intp]
+
+
+def path_of(run: Run) -> Path:
+    """Path of a recorded run: its smoothed motion and its measured current."""
+    moved = motion(run)
+    return make_path(run.time, moved.position, moved.velocity, moved.acceleration, run.current)
 
 
 def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:

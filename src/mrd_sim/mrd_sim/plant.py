@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
-from mrd_base.config import parse_yaml
-from mrd_sim.damper import Damper
+from mrd_sim.damper import Damper, parse_values
 from mrd_sim.motor.drive import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
 from mrd_sim.sensing import MeasuringChain, SensorsConfig
@@ -42,11 +41,7 @@ class DamperConfig:
 
     def build(self) -> Damper:
         """Make the damper, at rest and unloaded."""
-        values = parse_yaml(self.parameters, "damper.parameters") if self.parameters.strip() else {}
-        for name, value in values.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"damper.parameters: {name} is {value!r}, expected a number")
-        return Damper(self.model, {str(name): float(value) for name, value in values.items()})
+        return Damper(self.model, parse_values(self.parameters, "damper.parameters"))
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class PlantConfig:
     seed: int = quantity(1, "", "of all noise", lower=0, upper=2**31 - 1)
     hardware_rate: float = quantity(2000.0, "Hz", "of the converter; as in the section daq", lower=1, upper=8000)
     start_position: float = quantity(-0.008, "mm", "where the rod stands at first", lower=-0.5, upper=0.5)
-    fault: str = quantity("", "", f"one of: {', '.join(FAULTS)[2:]}; may change while the bench runs")
+    fault: str = quantity("", "", f"one of: {', '.join(filter(None, FAULTS))}; may change while the bench runs")
     damper: DamperConfig = field(default_factory=DamperConfig)
     motor: MotorConfig = field(default_factory=MotorConfig)
     supply: CoilSupply = field(default_factory=CoilSupply)
@@ -78,7 +73,7 @@ class PlantConfig:
 def check_fault(fault: str) -> None:
     """Refuse a fault that is not known."""
     if fault not in FAULTS:
-        raise InputError(f"unknown fault {fault} (known: {', '.join(FAULTS)[2:]})")
+        raise InputError(f"unknown fault {fault} (known: {', '.join(filter(None, FAULTS))})")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from mrd_base import InputError
 from mrd_runs import Run
 from mrd_runs.motion import motion
 from mrd_sim.models import find_model
-from mrd_sim.path import make_path
+from mrd_sim.path import make_path, path_of
 from mrd_trajectory.plan import Plan
 
 
@@ -31,27 +31,28 @@ def simulate_run(run: Run, model: str, values: Mapping[str, float]) -> Run:
     """
     damper = find_model(model)
     moved = motion(run)
-    path = make_path(run.time, moved.position, moved.velocity, moved.acceleration, run.current)
-    force = damper.force(damper.vector(values), path)
+    force = damper.force(damper.vector(values), path_of(run))
     return Run(
         f"{run.name}_{model}", run.time, moved.position, moved.velocity, run.current, force, moved.acceleration,
         info={"source": f"{model} along {run.name}"},
     )
 
 
-def simulate_plan(plan: Plan, model: str, values: Mapping[str, float], rate: float | None = None) -> Run:
+def simulate_plan(plan: Plan, model: str, values: Mapping[str, float]) -> Run:
     """Simulate a model along the setpoints of a plan, as if rod and coil followed them exactly.
 
-    ``rate`` in Hz is that of the experiment unless given.
+    It is integrated at 1 kHz at least, so that steps of the current are steps, and sampled at the experiment's rate.
     """
     damper = find_model(model)
-    rate = plan.experiment.rate if rate is None else rate
-    time = np.arange(int(plan.duration * rate) + 1) / rate
+    steps = int(np.ceil(1000 / plan.experiment.rate))
+    samples = slice(None, None, steps)
+    time = np.arange((len(plan.times()) - 1) * steps + 1) / (steps * plan.experiment.rate)
     at = plan.at(time)
     path = make_path(time, at.position, at.velocity, at.acceleration, at.current)
     force = damper.force(damper.vector(values), path)
     return Run(
-        f"{plan.experiment.name}_{model}", time, at.position, at.velocity, at.current, force, at.acceleration,
+        f"{plan.experiment.name}_{model}", time[samples], at.position[samples], at.velocity[samples], at.current[samples],
+        force[samples], at.acceleration[samples],
         info={"source": f"{model} along the setpoints of {plan.experiment.name}"},
     )
 

@@ -2,12 +2,11 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
-from mrd_identification.fit_file import write_fit
+from mrd_identification.fit_file import make_folder, write_fit
 from mrd_identification.identify import GENERATIONS, POPULATION, identify
 from mrd_identification.report import sentence, write_report
 from mrd_runs import read_runs
@@ -38,6 +37,7 @@ def work() -> None:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
 
     find_model(arguments.model)
+    folder = make_folder(arguments.output)
     runs = read_runs([*arguments.runs, *arguments.held_out])
     fitted, held_out = runs[: len(arguments.runs)], runs[len(arguments.runs) :]
     with tqdm(
@@ -58,7 +58,6 @@ def work() -> None:
             polish_result=not arguments.no_polish,
             progress=progress,
         )
-    folder = Path(arguments.output)
     write_fit(fit, folder)
     report = write_report(fit, folder)
     print(sentence(fit))

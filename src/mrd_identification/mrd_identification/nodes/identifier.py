@@ -13,7 +13,7 @@ from rclpy.task import Future
 
 from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
-from mrd_identification.fit_file import write_fit
+from mrd_identification.fit_file import make_folder, write_fit
 from mrd_identification.identify import GENERATIONS, POPULATION, Fit, identify
 from mrd_identification.report import sentence, write_report
 from mrd_interfaces.action import Identify
@@ -54,12 +54,14 @@ class Identifier(BenchNode[IdentifierSettings]):
         )
 
     def _accept(self, _goal: Identify.Goal) -> GoalResponse:
-        return GoalResponse.REJECT if self._busy else GoalResponse.ACCEPT
+        if self._busy:
+            return GoalResponse.REJECT
+        self._busy = True
+        return GoalResponse.ACCEPT
 
     async def _execute(self, goal: Any) -> Identify.Result:
         request: Identify.Goal = goal.request
         generations = request.generations or GENERATIONS
-        self._busy = True
 
         def progress(generation: int, nrmse: float) -> None:
             if goal.is_cancel_requested or self._stopping.is_set():
@@ -99,8 +101,7 @@ class Identifier(BenchNode[IdentifierSettings]):
     def _fit(
         self, request: Identify.Goal, generations: int, progress: Callable[[int, float], None]
     ) -> tuple[Fit, Path]:
-        if not request.output:
-            raise InputError("output is empty; expected the folder for fit.json and fit.html")
+        folder = make_folder(request.output)
         if request.runs:
             every = read_runs([*request.runs, *request.held_out])
             runs, held_out = every[: len(request.runs)], every[len(request.runs) :]
@@ -116,7 +117,6 @@ class Identifier(BenchNode[IdentifierSettings]):
             polish_result=request.polish,
             progress=progress,
         )
-        folder = Path(request.output)
         write_fit(fit, folder)
         write_report(fit, folder)
         return fit, folder

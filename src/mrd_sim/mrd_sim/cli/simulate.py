@@ -1,11 +1,12 @@
 """Simulate a damper along an experiment or a recorded motion."""
 
 import argparse
+import os
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
-from mrd_base.config import parse_yaml
 from mrd_runs import read_run
+from mrd_sim.damper import parse_values
 from mrd_sim.models import MODELS
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import read_experiment
@@ -29,18 +30,19 @@ def work() -> None:
     parser.add_argument(
         "--parameters", default="", metavar="'{NAME: VALUE}'", help="in SI; those not named have the model's default"
     )
-    parser.add_argument("--bench", metavar="FILE", help="bench.yaml whose limits the experiment keeps")
+    parser.add_argument(
+        "--bench", metavar="FILE", default=os.environ.get("MRD_BENCH"), help="whose limits count; default: $MRD_BENCH"
+    )
     parser.add_argument("--output", required=True, metavar="FILE.csv", help="must not exist")
     arguments = parser.parse_args()
 
-    values: dict[str, float] = {}
-    for name, value in (parse_yaml(arguments.parameters, "--parameters") if arguments.parameters else {}).items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"--parameters: {name} is {value!r}, expected a number")
-        values[str(name)] = float(value)
+    values = parse_values(arguments.parameters, "--parameters")
     if Path(arguments.input).suffix in {".yaml", ".yml"}:
         settings = read_settings(arguments.bench)
-        planned = plan(read_experiment(arguments.input), settings.limits, settings.force_envelope)
+        try:
+            planned = plan(read_experiment(arguments.input), settings.limits, settings.force_envelope)
+        except InputError as error:
+            raise InputError(f"{arguments.input}: {str(error).removeprefix(f'{arguments.input}: ')}") from None
         run = simulate_plan(planned, arguments.model, values)
     else:
         run = simulate_run(read_run(arguments.input), arguments.model, values)

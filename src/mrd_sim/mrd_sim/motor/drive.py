@@ -15,7 +15,7 @@ from mrd_base import quantity
 Array = NDArray[np.float64]
 
 RATE = 8000.0
-"""Samples per second of the trajectory generator and the loops (hardware.md 1.2, PID2)."""
+"""Samples per second of the trajectory generator and the loops (PID2 of the Class 5 motor)."""
 
 COUNTS_PER_REV = 8000
 """Encoder of size-34 motors; 4000 belongs to sizes 17 and 23."""
