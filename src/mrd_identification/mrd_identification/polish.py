@@ -119,12 +119,12 @@ def intervals(problem: Problem, theta: Array) -> Intervals:
 
 
 def _blocks(problem: Problem, residuals: Array) -> list[slice]:
-    """Stretches of the residual, each within one run and ten of its correlation times long; at most 400 in all."""
+    """Stretches of the residual, each within one run and four times as long as its correlation lasts; at most 400 in all."""
     spectrum = np.abs(np.fft.rfft(residuals - residuals.mean(), 2 * len(residuals))) ** 2
     autocorrelation = np.fft.irfft(spectrum)[: len(residuals)]
     below = np.flatnonzero(autocorrelation < 0.1 * autocorrelation[0])
     correlated = int(below[0]) if below.size else len(residuals)
-    length = max(10 * correlated, len(residuals) // 400, 1)
+    length = max(4 * correlated, len(residuals) // 400, 1)
     blocks, start = [], 0
     for recording in problem.recordings:
         samples = len(recording.force)

@@ -249,7 +249,7 @@ def test_intervals_cover_the_truth_with_correlated_errors():
     truth = {"yield_force": 90.0, "viscous": 1500.0, "offset": -40.0}
     covered = []
     for seed in range(60):
-        run = simulated("bingham", truth, seed=seed, seconds=12)
+        run = simulated("bingham", truth, seed=seed, seconds=24)
         random = np.random.default_rng(1000 + seed)
         errors = lfilter([1.0], [1.0, -0.98], random.standard_normal(len(run)))
         noisy = Run("noisy", run.time, run.position, run.velocity, run.current, run.force + errors)
