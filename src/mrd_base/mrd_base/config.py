@@ -8,6 +8,7 @@ with one line. The same declarations become ROS parameters (`mrd_base.nodes`) an
 import dataclasses
 import difflib
 import math
+import re
 import sys
 import types
 import typing
@@ -74,6 +75,30 @@ def key_of(field: dataclasses.Field[Any], units: Mapping[str, str] | None = None
     return field.name + suffix, factor
 
 
+class _Loader(yaml.SafeLoader):
+    """Safe YAML with the floats of YAML 1.2 (``1e3``, which PyYAML takes for text), and no key twice in a mapping."""
+
+    # Where mappings are composed, not where they are built: there, merge keys have put more into them already.
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node: yaml.MappingNode = super().compose_mapping_node(anchor)
+        first: dict[tuple[str, str], yaml.Mark] = {}
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            known = first.setdefault((key.tag, key.value), key.start_mark)
+            if known is not key.start_mark:
+                problem = f"the key {key.value} is there twice, first in line {known.line + 1}; remove one"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+        return node
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
+
+
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML file that holds a mapping.
 
@@ -92,12 +117,14 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 def parse_yaml(text: str, where: str) -> dict[str, Any]:
     """Parse YAML text that holds a mapping; ``where`` names it in errors."""
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: e.g. a date that does not exist
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark else ""
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         raise InputError(f"{where}:{line} is not YAML ({problem})") from None
+    if content is None:
+        raise InputError(f"{where}: is empty, expected a mapping of names to values")
     if not isinstance(content, dict):
         raise InputError(f"{where}: holds {type(content).__name__}, expected a mapping of names to values")
     return content
@@ -107,14 +134,24 @@ def read_node_parameters(path: str | Path, node: str) -> dict[str, Any]:
     """Read what a ROS parameter file says to one node, as nested mapping.
 
     Entries under ``/**`` count for every node, those under ``/**/NODE`` (or ``NODE``, ``/NODE``) go before them.
+
+    Raises
+    ------
+    InputError
+        As `read_yaml`; also when the file is no ROS parameter file.
     """
     merged: dict[str, Any] = {}
     content = read_yaml(path)
+    if not any(isinstance(entry, dict) and "ros__parameters" in entry for entry in content.values()):
+        found = ", ".join(map(str, list(content)[:3])) + (", ..." if len(content) > 3 else "")
+        raise InputError(f"{path}: found {found}, expected a parameter file (`/**: ros__parameters:` with names and values)")
     for pattern in ("/**", f"/**/{node}", f"/{node}", node):
-        entry = content.get(pattern, {})
-        if not isinstance(entry, dict) or not isinstance(entry.get("ros__parameters", {}), dict):
+        if pattern not in content:
+            continue
+        entry = content[pattern]
+        if not isinstance(entry, dict) or not isinstance(entry.get("ros__parameters"), dict):
             raise InputError(f"{path}: {pattern} holds no ros__parameters mapping")
-        merged = _merge(merged, entry.get("ros__parameters", {}))
+        merged = _merge(merged, entry["ros__parameters"])
     return merged
 
 

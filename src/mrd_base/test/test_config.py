@@ -151,7 +151,11 @@ def test_any_text_is_yaml_or_refused(text):
         ("a: 2001-99-99", "x: is not YAML (month must be in 1..12"),
         ("a: \0", "x: is not YAML"),
         ("[" * 3000, "x: is not YAML"),
-        ("", "x: holds NoneType, expected a mapping"),
+        ("", "x: is empty, expected a mapping"),
+        ("# nothing\n", "x: is empty, expected a mapping"),
+        ("- 1", "x: holds list, expected a mapping"),
+        ("a: 1\nb: 2\n'a': 3", "x: line 3 is not YAML (the key a is there twice, first in line 1; remove one)"),
+        ("a:\n  b: {c: 1, c: 1}", "x: line 2 is not YAML (the key c is there twice, first in line 2; remove one)"),
     ],
 )
 def test_yaml_that_cannot_be_used_is_refused_in_one_line(text, message):
@@ -184,6 +188,40 @@ def test_a_node_reads_its_section_over_the_shared_one(tmp_path):
         "limits": {"stroke_mm": 40.0, "current_A": 1.0},
         "port": "/dev/ttyS0",
     }
-    file.write_text("/**: {time_scale: 1.0}\n/**/servo: 3")
+    file.write_text("/**: {ros__parameters: {}}\n/**/servo: 3")
     with pytest.raises(InputError, match=r"bench.yaml: /\*\*/servo holds no ros__parameters mapping"):
         read_node_parameters(file, "servo")
+
+
+@pytest.mark.parametrize("servo", ["3", "{port: x}", "{ros__parameters: 3}", "{ros__parameters: }"])
+def test_a_section_without_parameters_is_refused(tmp_path, servo):
+    file = tmp_path / "bench.yaml"
+    file.write_text(f"/**: {{ros__parameters: {{}}}}\n/**/servo: {servo}")
+    with pytest.raises(InputError, match=r"/\*\*/servo holds no ros__parameters mapping"):
+        read_node_parameters(file, "servo")
+
+
+@pytest.mark.parametrize("text", ["name: demo\nduration_s: 1", "a: {b: 1}", "/**: {time_scale: 1.0}", "/**:"])
+def test_a_file_that_is_no_parameter_file_is_refused(tmp_path, text):
+    file = tmp_path / "demo.yaml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=r"demo.yaml: found .*, expected a parameter file \(`/\*\*: ros__parameters:`"):
+        read_node_parameters(file, "servo")
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False), st.sampled_from(["{!r}", "{:e}", "{:.0E}", "{:.17g}"]))
+def test_every_way_to_write_a_float_is_read_as_number(value, form):
+    text = form.format(value)
+    read = parse_yaml(f"a: {text}", "x")["a"]
+    assert isinstance(read, int | float)
+    assert read == float(text)
+
+
+@pytest.mark.parametrize(("text", "value"), [("1e3", 1e3), ("-2.E-3", -2e-3), (".5e+1", 5.0), ("12", 12), ("e3", "e3")])
+def test_floats_are_those_of_yaml_1_2(text, value):
+    read = parse_yaml(f"a: {text}", "x")["a"]
+    assert (type(read), read) == (type(value), value)
+
+
+def test_merged_mappings_hold_their_keys_once():
+    assert parse_yaml("a: &a {x: 1, y: 2}\nb: {<<: *a, x: 3}\nc: *a", "x")["b"] == {"x": 3, "y": 2}
