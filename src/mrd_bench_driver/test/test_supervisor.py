@@ -230,7 +230,7 @@ BREAKS = [
     ("current", breaking("fakes", "current", 1.3), "1.300 A through the coil, allowed -0.100 to 1.100 A"),
     ("speed", breaking("servo", "velocity", 0.3), "the rod moves at 300 mm/s by the encoder"),
     ("following error", breaking("servo", "following_error", 0.006), "6.00 mm off its setpoint"),
-    ("stale samples", breaking("fakes", "sampling", False), "limit 130 ms; check the daq"),
+    ("stale samples", breaking("fakes", "sampling", False), "limit 140 ms; check the daq"),
     ("lost servo", breaking("fakes", "reporting", False), "limit 150 ms; check the servo node"),
     ("lost servo", breaking("servo", "connected", False), "the motor does not answer; check its power"),
     ("servo fault", breaking("servo", "fault", True), "the motor or its driver stopped"),
