@@ -1,6 +1,7 @@
 """CSV files as bags."""
 
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,9 @@ from mrd_runs.run import Run
 
 # Samples in a block; 20 ms at 1 kHz, as the DAQ sends them.
 _BLOCK = 20
+
+# s; the seconds of a ROS stamp are a 32-bit integer.
+_LAST_STAMP = 2.0**31
 
 
 def import_run(run: Run, path: Path) -> None:
@@ -34,19 +38,33 @@ def import_run(run: Run, path: Path) -> None:
     Raises
     ------
     InputError
-        When the folder exists.
+        When the folder exists, or the recording is longer than stamps reach (68 years). Nothing is left behind then.
     """
     columns, _, _ = read_csv(run.info["source"])
+    stamps = _stamps(columns["time_s"], run.info["source"])
+    made = [folder for folder in path.parents if not folder.exists()]
     writer = BagWriter(path)
     try:
         with writer:
-            _write(run, columns, writer)
+            _write(run, columns, stamps, writer)
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
+        with suppress(OSError):  # one that holds another bag stays
+            for folder in made:
+                folder.rmdir()
         raise
 
 
-def _write(run: Run, columns: dict[str, np.ndarray], writer: BagWriter) -> None:
+def _stamps(time: np.ndarray, source: str) -> np.ndarray:
+    """Stamps of the samples in ns: their times, counted from the first one where ROS has no stamp for them."""
+    if time[0] < 0 or time[-1] >= _LAST_STAMP:
+        time = time - time[0]
+    if time[-1] >= _LAST_STAMP:
+        raise InputError(f"{source}: is {time[-1]:g} s long, expected less than {_LAST_STAMP:.0f} s; look at its time_s")
+    return np.round(time * 1e9).astype(np.int64)
+
+
+def _write(run: Run, columns: dict[str, np.ndarray], stamps: np.ndarray, writer: BagWriter) -> None:
     types = typestore().types
     block_type, array_type = types[SAMPLES_TYPE], types["std_msgs/msg/Float64MultiArray"]
     header, stamp_type = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
@@ -58,8 +76,6 @@ def _write(run: Run, columns: dict[str, np.ndarray], writer: BagWriter) -> None:
         writer.add_topic(f"/imported/{name}", "std_msgs/msg/Float64MultiArray", depth=200)
     info = run_info(started="", imported_from=Path(run.info["source"]).name, notes=list(run.info["notes"]))
     time = columns["time_s"]
-    # Bags know no time before 1970: a recording that starts earlier is stamped from 0.
-    stamps = np.round((time - min(time[0], 0.0)) * 1e9).astype(np.int64)
     writer.write_message("/run_info", int(stamps[0]), types["std_msgs/msg/String"](info))
     none = np.full(len(time), np.nan)
     for first in range(0, len(time), _BLOCK):

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mrd_base import InputError
 from mrd_runs import make_run, read_run
+from mrd_runs.import_csv import import_run
 from mrd_runs.summary import count_reversals, summarise
 
 
@@ -45,6 +47,43 @@ def test_import_overwrites_nothing_and_writes_nothing_half(tmp_path: Path, colum
     assert again.returncode == 2
     assert "exists already" in again.stderr
     assert (tmp_path / "bags/good/good.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("start", [-5.0, 2.0**31 - 0.5, 1e11])
+def test_times_without_a_ros_stamp_come_back(tmp_path: Path, columns, write_csv, start: float) -> None:
+    file = write_csv(tmp_path / "run.csv", columns | {"time_s": start + columns["time_s"]})
+    import_run(read_run(file), tmp_path / "bags/run")
+    np.testing.assert_array_equal(read_run(tmp_path / "bags/run").time, read_run(file).time)
+
+
+@pytest.mark.parametrize("failing", ["typestore", "_stamps"])
+def test_failed_import_leaves_nothing_behind(tmp_path: Path, columns, write_csv, monkeypatch, failing: str) -> None:
+    def fail(*_: object) -> None:
+        raise InputError("no")
+
+    run = read_run(write_csv(tmp_path / "run.csv", columns))
+    monkeypatch.setattr(f"mrd_runs.import_csv.{failing}", fail)
+    with pytest.raises(InputError, match="no"):
+        import_run(run, tmp_path / "new/bags/run")
+    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_recording_longer_than_stamps_reach(tmp_path: Path, columns, write_csv) -> None:
+    columns["time_s"][-1] = 1e11
+    run = read_run(write_csv(tmp_path / "run.csv", columns))
+    with pytest.raises(InputError, match=r"run.csv: is 1e\+11 s long"):
+        import_run(run, tmp_path / "bags/run")
+    assert not (tmp_path / "bags").exists()
+
+
+def test_folders_are_not_imported(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns).close()
+    assert tool("import_csv", tmp_path / "run", "--output", tmp_path / "bags").stderr.endswith(
+        "run: is a bag already; expected a CSV file\n"
+    )
+    assert tool("import_csv", tmp_path, "--output", tmp_path / "bags").stderr.endswith(
+        f"{tmp_path}: is a folder; expected a CSV file\n"
+    )
 
 
 def test_info_tells_what_a_run_is(tmp_path: Path, columns, fill_bag) -> None:

@@ -24,6 +24,8 @@ def main() -> None:
 
 def _import(files: list[Path], output: Path) -> None:
     for file in files:
+        if file.is_dir() and not any((file / name).exists() for name in ("metadata.yaml", f"{file.name}.mcap")):
+            raise InputError(f"{file}: is a folder; expected a CSV file")
         if file.is_dir() or file.suffix in {".mcap", ".db3"}:
             raise InputError(f"{file}: is a bag already; expected a CSV file")
     # All files are read and all targets checked before the first bag is written.
