@@ -187,6 +187,7 @@ def test_the_rod_stops_within_200_ms(
     stopped = max(moving, default=begun) - begun
     if accident is freeze_daq:
         bench.processes.running["daq"].send_signal(signal.SIGCONT)
+    print(f"{accident.__name__}: the rod stood after {1e3 * stopped:.0f} ms")
     assert stopped < 0.2, f"{accident.__name__}: the rod went on for {1e3 * stopped:.0f} ms"
     # The action says why it ended, and what was recorded until then is there.
     assert bench.client.spin(ended.done, 60, watch=False)
