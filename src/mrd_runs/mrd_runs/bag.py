@@ -230,6 +230,9 @@ def _storage_file(path: Path) -> Path:
             if (path / "metadata.yaml").exists():
                 raise InputError(f"{path}: the bag's storage file is missing; expected it beside metadata.yaml")
             raise InputError(f"{path}: is a folder without an .mcap or .db3 file; expected a bag")
+        if len(files) > 1 and not (path / "metadata.yaml").exists():
+            names = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
+            raise InputError(f"{path}: holds {len(files)} storage files and no metadata.yaml; give one of them ({names})")
         path = files[0]
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
@@ -276,7 +279,7 @@ def _recover(file: Path, topics: Collection[str] | None) -> Bag:
 
 
 def _types(definitions: Iterable[tuple[str, Format, str]]) -> Typestore:
-    """Types as the bag defines them; those that an old bag does not define, as the bench does."""
+    """Types as the bag defines them; all as the bench does where an old bag leaves one of them undefined."""
     store, missing = empty_typestore(), False
     for name, kind, text in definitions:
         if name in store.fielddefs:

@@ -140,6 +140,12 @@ def remember(run: Run, smoothed: Motion) -> None:
     _MOTIONS[run] = smoothed
 
 
+def carry_over(run: Run, other: Run) -> None:
+    """Let `motion` answer for ``other``, the same recording, with what has been computed for ``run``."""
+    if run in _MOTIONS:
+        remember(other, _MOTIONS[run])
+
+
 @dataclass(frozen=True)
 class _Model:
     """Stochastic model of a run; lengths in m, times in sampling intervals.

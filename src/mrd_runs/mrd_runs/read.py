@@ -2,15 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.config import parse_yaml
 from mrd_runs.bag import Bag, read_bag
 from mrd_runs.blocks import Blocks, decode_blocks
 from mrd_runs.csv_file import read_csv
@@ -37,7 +37,8 @@ def read_run(path: str | Path) -> Run:
     Returns
     -------
     Run
-        ``info`` holds ``source``, ``format``, ``checksum``, ``notes``, ``lost`` (samples missing by their sequence numbers),
+        ``info`` holds ``source``, ``format``, ``checksum`` (of the samples, whatever file they are in), ``notes``,
+        ``lost`` (samples missing by their sequence numbers),
         ``recovered`` (whether the bag had not been closed), and for a bag what it says of itself: ``experiment``,
         ``experiment_name``, ``calibration``, ``versions``, ``seed``, ``started``, ``jitter_s``.
 
@@ -54,7 +55,8 @@ def read_run(path: str | Path) -> Run:
     if path.suffix.lower() not in {".csv", ".txt", ""}:
         raise InputError(f"{path}: unknown kind of file; expected a bag folder, an .mcap, .db3 or .csv file")
     columns, notes, lines = read_csv(path)
-    info = {"source": str(path), "format": "csv", "checksum": _checksum(path), "notes": notes, "lost": 0, "recovered": False}
+    info: dict[str, Any] = {"source": str(path), "format": "csv", "checksum": _checksum(columns)}
+    info |= {"notes": notes, "lost": 0, "recovered": False}
     return make_run(path.stem, columns, info, where=str(path), place=lambda index: f"line {lines[index]}")
 
 
@@ -88,9 +90,14 @@ def _candidates(base: str) -> Iterable[str]:
         number += 1
 
 
-def _checksum(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def _checksum(columns: Mapping[str, Array]) -> str:
+    """Of what was measured, so that a CSV file and the bag made of it are the same recording."""
+    digest = hashlib.sha256()
+    for name in ("time_s", "position_m", "current_A", "force_N"):
+        values = np.ascontiguousarray(columns[name], np.float64)
+        # Time counts from the first sample, as in a Run.
+        digest.update((values - values[:1] if name == "time_s" else values).tobytes())
+    return digest.hexdigest()
 
 
 def samples_topic(bag: Bag, where: str) -> str:
@@ -119,10 +126,14 @@ def _read_bag_run(path: Path) -> Run:
         bag = read_bag(path)
     try:
         blocks = decode_blocks(bag.topics[topic].messages, bag.types)
-        info = _self_description(bag)
     # A damaged message or a definition of other fields: rosbags raises whatever the bytes lead to.
     except Exception as error:
         raise InputError(f"{where}: the messages of {topic} cannot be read ({' '.join(str(error).split())})") from None
+    try:
+        info = _self_description(bag)
+    except Exception as error:
+        problem = " ".join(str(error).split())
+        raise InputError(f"{where}: run_info or calibration cannot be read ({problem})") from None
     columns, timing = assemble(blocks, where)
     for name in IMPORTED:
         exact = _imported(bag, name)
@@ -133,7 +144,7 @@ def _read_bag_run(path: Path) -> Run:
         notes.append(f"the bag was not closed: {len(columns['time_s'])} samples recovered")
     if timing["lost"]:
         notes.append(f"{timing['lost']} samples are missing by their sequence numbers")
-    info |= timing | {"source": where, "format": bag.file.suffix.lstrip("."), "checksum": _checksum(bag.file)}
+    info |= timing | {"source": where, "format": bag.file.suffix.lstrip("."), "checksum": _checksum(columns)}
     info |= {"topic": topic, "recovered": bag.recovered, "notes": notes}
     return make_run(path.stem if path.is_file() else path.resolve().name, columns, info, where=where)
 
@@ -208,7 +219,7 @@ def _imported(bag: Bag, name: str) -> Array | None:
 
 
 def _self_description(bag: Bag) -> dict[str, Any]:
-    """What the bag says of itself, from its first message and the latched calibration."""
+    """What the bag says of itself, in the last run_info and the last calibration."""
     info: dict[str, Any] = {}
     message = _last(bag, "run_info")
     if message is not None:
@@ -217,9 +228,8 @@ def _self_description(bag: Bag) -> dict[str, Any]:
     experiment = info.get("experiment")
     if experiment:
         try:
-            content = yaml.safe_load(experiment)
-            info["experiment_name"] = content.get("name", "") if isinstance(content, dict) else ""
-        except yaml.YAMLError:
+            info["experiment_name"] = parse_yaml(str(experiment), "experiment").get("name", "")
+        except InputError:
             info["experiment_name"] = ""
     calibration = _last(bag, "calibration")
     if calibration is not None:

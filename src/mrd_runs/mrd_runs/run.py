@@ -62,5 +62,9 @@ class Run:
         return float(self.time[-1] - self.time[0])
 
     def renamed(self, name: str) -> "Run":
-        """The same recording under another name."""
-        return replace(self, name=name)
+        """The same recording under another name, with what has been computed of its motion."""
+        from mrd_runs.motion import carry_over
+
+        renamed = replace(self, name=name)
+        carry_over(self, renamed)
+        return renamed

@@ -233,6 +233,23 @@ def test_folders_that_are_no_bags(tmp_path: Path, columns, fill_bag) -> None:
         read_run(tmp_path / "run")
 
 
+def test_folder_of_several_files_without_metadata_is_refused(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns).close()
+    (tmp_path / "run/metadata.yaml").unlink()
+    (tmp_path / "run/run_1.mcap").write_bytes((tmp_path / "run/run.mcap").read_bytes())
+    with pytest.raises(InputError, match=r"run: holds 2 storage files .* give one of them \(run.mcap, run_1.mcap\)$"):
+        read_run(tmp_path / "run")
+    assert len(read_run(tmp_path / "run/run_1.mcap")) == 1000
+
+
+def test_unreadable_run_info_is_not_blamed_on_the_samples(tmp_path: Path, columns, fill_bag) -> None:
+    with fill_bag(tmp_path / "run", columns) as writer:
+        writer.add_topic("/run_info", "std_msgs/msg/String", latched=True)
+        writer.write_message("/run_info", 0, typestore().types["std_msgs/msg/String"]("{no json"))
+    with pytest.raises(InputError, match=r"run: run_info or calibration cannot be read"):
+        read_run(tmp_path / "run")
+
+
 def test_missing_blocks_are_counted_and_leave_a_gap_in_time(tmp_path: Path, columns, fill_bag) -> None:
     writer = fill_bag(tmp_path / "run", columns, skip=(10, 11, 30))
     writer.close()

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
+from mrd_runs.import_csv import import_run
+from mrd_runs.motion import motion
 
 
 def test_csv_comes_back_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -155,6 +157,21 @@ def test_names_are_unique_and_recordings_given_once(tmp_path: Path, make_columns
     shutil.copy(tmp_path / "a/run.csv", tmp_path / "copy.csv")
     with pytest.raises(InputError, match=r"copy.csv: is the same recording as .*a/run.csv"):
         read_runs([tmp_path / "a/run.csv", tmp_path / "copy.csv"])
+
+
+def test_csv_and_the_bag_made_of_it_are_the_same_recording(tmp_path: Path, make_columns, write_csv) -> None:
+    columns = make_columns() | {"time_s": 12.5 + np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 1000))}
+    file = write_csv(tmp_path / "run.csv", columns)
+    import_run(read_run(file), tmp_path / "bag")
+    with pytest.raises(InputError, match=r"bag: is the same recording as .*run.csv"):
+        read_runs([file, tmp_path / "bag"])
+    other = columns | {"force_N": np.nextafter(columns["force_N"], np.inf)}
+    assert len(read_runs([file, write_csv(tmp_path / "other.csv", other)])) == 2
+
+
+def test_renamed_run_is_not_smoothed_again(columns) -> None:
+    run = make_run("a", columns)
+    assert motion(run.renamed("b")) is motion(run)
 
 
 def test_runs_travel_to_other_processes(columns) -> None:
