@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 from mrd_base import InputError
 
+_SMALLEST, _LARGEST = 1e-9, 1e9
+
 
 @dataclass(frozen=True)
 class Sizing:
@@ -51,15 +53,16 @@ class Sizing:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value:g}, expected a positive number")
+            # Within these bounds, no figure overflows or vanishes.
+            if not _SMALLEST <= value <= _LARGEST:
+                raise InputError(f"{name} is {value:g}, expected a positive number, {_SMALLEST:g} to {_LARGEST:g}")
         if self.efficiency > 1:
             raise InputError(f"efficiency is {self.efficiency:g}, expected at most 1")
         teeth = self.pinion / self.module
-        if abs(teeth - round(teeth)) > 1e-6:
+        if abs(teeth - round(teeth)) > 1e-6 or teeth < 0.5:
             raise InputError(
                 f"a pinion of {1e3 * self.pinion:g} mm with module {1e3 * self.module:g} mm has {teeth:.2f} teeth, "
-                "expected a whole number; change one of them"
+                "expected a whole number; change --pinion-mm or --module-mm"
             )
 
     def rack_force(self, torque: float) -> float:

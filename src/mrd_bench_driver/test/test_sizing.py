@@ -39,7 +39,15 @@ def test_every_misprint_has_its_reason():
 
 @pytest.mark.parametrize(
     ("change", "line"),
-    [({"module": 0.003}, "21.33 teeth"), ({"torque": -1.0}, "positive"), ({"efficiency": 1.1}, "at most 1")],
+    [
+        ({"module": 0.003}, "21.33 teeth"),
+        ({"module": 1e6}, " 0.00 teeth, expected a whole number; change --pinion-mm or --module-mm"),
+        ({"torque": -1.0}, "positive"),
+        ({"damper_peak_to_peak": 5e-324}, "positive"),
+        ({"supply_current": float("inf")}, "positive"),
+        ({"load": float("nan")}, "positive"),
+        ({"efficiency": 1.1}, "at most 1"),
+    ],
 )
 def test_impossible_inputs_are_refused(change, line):
     with pytest.raises(InputError, match=line):
