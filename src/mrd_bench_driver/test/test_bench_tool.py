@@ -44,6 +44,7 @@ def run(
         (GENTLE, ["--bench", "none.yaml"], "none.yaml: cannot be read"),
         (GENTLE, ["--simulated", "--output", "done"], "bag: exists already; choose another --output"),
         (GENTLE, ["--time-scale", "2"], "--time-scale needs --simulated"),
+        *((GENTLE, ["--simulated", f"--time-scale={x}"], "--time-scale is ") for x in ("0", "-2", "nan", "inf", "101")),
         (GENTLE, ["--simulated", "--seed", "-1"], "--seed is a whole number"),
     ],
 )

@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from mrd_base import InputError, run_tool
+from mrd_base.clock import FASTEST, SLOWEST
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_parts
 from mrd_interfaces.action import RunExperiment
 from mrd_trajectory.experiment import format_experiment, read_experiment
@@ -135,6 +136,8 @@ def main() -> None:
         parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
     if arguments.time_scale not in (None, 1) and not arguments.simulated:
         parser.error("--time-scale needs --simulated: a real bench has one time")
+    if arguments.time_scale is not None and not SLOWEST <= arguments.time_scale <= FASTEST:
+        parser.error(f"--time-scale is {arguments.time_scale:g}, expected {SLOWEST:g} to {FASTEST:g}")
     if not 0 <= arguments.seed < 2**31:
         parser.error("--seed is a whole number from 0 to 2147483647")
     run_tool(lambda: _work(arguments))
