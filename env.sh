@@ -24,6 +24,5 @@ else
         export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
     fi
     export MRD_BENCH="${MRD_BENCH:-$_mrd_root/config/bench.yaml}"
-    export MRD_DATA="${MRD_DATA:-$_mrd_root/../shared/data}"
 fi
 unset _mrd_root

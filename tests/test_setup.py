@@ -207,9 +207,19 @@ def test_the_environment_can_be_entered_from_anywhere_and_twice(shell, tmp_path)
     assert once == twice
     assert Path(once["FASTRTPS_DEFAULT_PROFILES_FILE"]) == ROOT / "config" / "fastdds.xml"
     assert Path(once["MRD_BENCH"]) == ROOT / "config" / "bench.yaml"
+    assert once["MRD_DATA"] == ""
     prefixes = once["AMENT_PREFIX_PATH"].split(":")
     assert str(ROOT / "install" / "mrd_base") in prefixes
     assert len(prefixes) == len(set(prefixes))
+
+
+@pytest.mark.parametrize("name", ["MRD_BENCH", "MRD_DATA"])
+def test_what_is_given_is_kept(name):
+    entered = subprocess.run(
+        ["bash", "-c", f". {ROOT}/env.sh; printenv {name}"],
+        env={**os.environ, name: "/given"}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert entered.stdout == "/given\n"
 
 
 def test_an_unbuilt_workspace_says_so(tmp_path):

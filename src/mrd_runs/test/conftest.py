@@ -116,9 +116,11 @@ def write_csv() -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def measured() -> list[Path]:
-    """The measured data, where they are."""
-    folder = Path(os.environ.get("MRD_DATA", Path(__file__).parents[3] / "../shared/data"))
-    files = sorted(folder.glob("*/*.csv"))
-    if not files:
-        pytest.skip(f"no measured data in {folder}; set MRD_DATA")
+    """The measured data, where they are: in $MRD_DATA, or beside the workspace."""
+    beside = Path(__file__).parents[4] / "shared/data"
+    given = os.environ.get("MRD_DATA") or (str(beside) if beside.is_dir() else "")
+    if not given:
+        pytest.skip("no measured data: set MRD_DATA to their folder")
+    files = sorted(Path(given).glob("*/*.csv"))
+    assert files, f"no measured data in {given}"
     return files
