@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import yaml
 
+from mrd_base.clock import FASTEST, SLOWEST
 from mrd_base.errors import InputError
 
 T = TypeVar("T")
@@ -66,6 +67,11 @@ def quantity(
     `from_mapping`. Bounds are inclusive.
     """
     return dataclasses.field(default=default, metadata={"unit": unit, "doc": doc, "lower": lower, "upper": upper})
+
+
+def bench_time_scale() -> Any:
+    """Declare the field ``time_scale`` that every node has."""
+    return quantity(1.0, doc="bench seconds per wall second", lower=SLOWEST, upper=FASTEST)
 
 
 def key_of(field: dataclasses.Field[Any], units: Mapping[str, str] | None = None) -> tuple[str, float]:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from mrd_base import quantity
-from mrd_base.clock import FASTEST, SLOWEST
+from mrd_base.config import bench_time_scale
 from mrd_bench_driver.smartmotor import Drive
 from mrd_trajectory.limits import Limits
 
@@ -13,7 +13,7 @@ from mrd_trajectory.limits import Limits
 class ServoConfig:
     """Parameters of the node ``servo``."""
 
-    time_scale: float = quantity(1.0, "", "bench seconds per wall second", lower=SLOWEST, upper=FASTEST)
+    time_scale: float = bench_time_scale()
     limits: Limits = Limits()
     port: str = quantity("/dev/ttyUSB0", "", "serial port of the motor; /dev/serial/by-id/... survives replugging")
     baud_rate: int = quantity(115200, "", "9600 to 115200; the motor is found at any rate", lower=9600, upper=115200)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
+from mrd_base.config import bench_time_scale
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.motor.drive import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
@@ -48,7 +49,7 @@ class DamperConfig:
 class PlantConfig:
     """What the simulated bench is; the section ``plant`` of plant.yaml."""
 
-    time_scale: float = quantity(1.0, "", "bench seconds per wall second", lower=0.01, upper=1000)
+    time_scale: float = bench_time_scale()
     port_link: str = quantity("~/.ros/mrd_bench/motor", "", "link to the serial port of the simulated motor")
     seed: int = quantity(1, "", "of all noise", lower=0, upper=2**31 - 1)
     hardware_rate: float = quantity(2000.0, "Hz", "of the converter; as in the section daq", lower=1, upper=8000)

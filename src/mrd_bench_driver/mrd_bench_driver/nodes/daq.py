@@ -12,6 +12,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from mrd_base import InputError, quantity
+from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
 from mrd_bench_driver.acquisition import (
     AcquisitionError,
@@ -31,7 +32,7 @@ from mrd_trajectory.limits import Limits
 class DaqConfig:
     """The section ``daq`` of bench.yaml."""
 
-    time_scale: float = quantity(1.0, doc="bench seconds per wall second", lower=0.01, upper=100)
+    time_scale: float = bench_time_scale()
     limits: Limits = Limits()
     backend: str = quantity("simulated", doc="simulated or ni_usb_6216")
     device: str = quantity("Dev1", doc="name of the converter in NI's configuration")

@@ -24,7 +24,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError, quantity
-from mrd_base.config import parse_yaml
+from mrd_base.config import bench_time_scale, parse_yaml
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
 from mrd_bench_driver.interlocks import HEALTH, HOMING, INTERLOCKS, Snapshot, Tolerances, check
 from mrd_bench_driver.modes import Mode, change
@@ -54,7 +54,7 @@ SLOW = 2e-3
 class SupervisorConfig:
     """The section ``supervisor`` of bench.yaml."""
 
-    time_scale: float = quantity(1.0, doc="bench seconds per wall second", lower=0.01, upper=100)
+    time_scale: float = bench_time_scale()
     limits: Limits = Limits()
     interlocks: Tolerances = Tolerances()
     tare: bool = quantity(True, doc="whether every experiment begins with a tare of the channels marked for it")

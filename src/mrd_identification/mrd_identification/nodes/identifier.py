@@ -12,6 +12,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 
 from mrd_base import InputError, quantity
+from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
 from mrd_identification.fit_file import make_folder, write_fit
 from mrd_identification.identify import GENERATIONS, POPULATION, Fit, identify
@@ -26,7 +27,7 @@ from mrd_runs.live import HeardSamples
 class IdentifierSettings:
     """Parameters of the identifier node."""
 
-    time_scale: float = quantity(1.0, "", "bench seconds per wall second", lower=1e-3, upper=1e3)
+    time_scale: float = bench_time_scale()
     most_blocks: int = quantity(100_000, "", "blocks of samples kept for a fit; older ones are forgotten", lower=1)
 
 

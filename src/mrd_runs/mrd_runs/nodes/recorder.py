@@ -7,6 +7,7 @@ from typing import Any
 from std_msgs.msg import Bool
 
 from mrd_base import InputError, quantity
+from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node
 from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
@@ -19,7 +20,7 @@ from mrd_runs.description import check_recording, describe_calibration, run_info
 class RecorderConfig:
     """Configuration of the recorder."""
 
-    time_scale: float = quantity(1.0, doc="bench seconds per wall second", lower=1e-3)
+    time_scale: float = bench_time_scale()
     stale: float = quantity(1.0, "s", "a recording without samples for longer is reported in the diagnostics", lower=0.0)
 
 

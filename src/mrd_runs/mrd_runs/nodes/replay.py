@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.duration import Duration
 
 from mrd_base import InputError, quantity
+from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
 from mrd_interfaces.msg import BenchSamples, ServoState, Setpoint
 from mrd_runs.bag import read_bag
@@ -27,7 +28,7 @@ _SETTLE = 0.5
 class ReplayConfig:
     """Configuration of the replay."""
 
-    time_scale: float = quantity(1.0, doc="bench seconds per wall second", lower=1e-3)
+    time_scale: float = bench_time_scale()
     bag: str = quantity("", doc="bag folder, .mcap or .db3 file")
     speed: float = quantity(1.0, doc="recorded seconds per bench second; 0 is as fast as max_rate_hz allows", lower=0.0)
     max_rate: float = quantity(500.0, "Hz", "messages per second of the wall's clock, at any speed", lower=1.0)
