@@ -150,6 +150,7 @@ def identify(
         NSGA-II's.
     polish_result : bool
         Least squares from the knee of the front.
+    progress : callable, optional
         Called after every generation with its number and the smallest NRMSE so far.
 
     Returns
@@ -175,7 +176,6 @@ def identify(
     recordings = [prepare(run) for run in runs]
     judges = [prepare(run) for run in held_out]
     problem, notes = _problem(damper, recordings)
-    free = problem.free
     spread = float(np.std(np.concatenate([r.force for r in recordings])))
     samples = sum(len(r.force) for r in recordings)
 
@@ -197,8 +197,8 @@ def identify(
     uncertainty = intervals(problem, theta)
     lower, upper = np.full((2, len(theta)), np.nan)
     on_bound = np.zeros(len(theta), dtype=bool)
-    lower[list(free)], upper[list(free)] = uncertainty.lower, uncertainty.upper
-    on_bound[list(free)] = uncertainty.on_bound
+    free = list(problem.free)
+    lower[free], upper[free], on_bound[free] = uncertainty.lower, uncertainty.upper, uncertainty.on_bound
     estimates = tuple(
         Estimate(parameter, float(theta[i]), float(lower[i]), float(upper[i]), i not in free, bool(on_bound[i]))
         for i, parameter in enumerate(damper.parameters)

@@ -37,21 +37,27 @@ class Metrics:
     einf: float
 
 
+def error_norms(error: Array) -> tuple[float, float]:
+    """e2 and einf, the two norms of the followed paper's Eq. 9, of errors in N."""
+    k = len(error)
+    return float(np.sqrt(error @ error)) / k, float(np.max(np.abs(error))) / k
+
+
 def metrics(measured: Array, modelled: Array) -> Metrics:
     """Metrics of two equally long series of force in N."""
     error = measured - modelled
-    k = len(error)
+    e2, einf = error_norms(error)
     spread = float(np.std(measured))
     rmse = float(np.sqrt(np.mean(error**2)))
     # A force that never varies has no scale to compare with.
     nrmse = rmse / spread if spread > 0 else float("inf")
     vaf = 100 * (1 - float(np.var(error)) / spread**2) if spread > 0 else float("-inf")
     return Metrics(
-        samples=k,
+        samples=len(error),
         rmse=rmse,
         nrmse=nrmse,
         fit_percent=100 * (1 - nrmse),
         vaf=vaf,
-        e2=float(np.sqrt(np.sum(error**2))) / k,
-        einf=float(np.max(np.abs(error))) / k,
+        e2=e2,
+        einf=einf,
     )

@@ -78,10 +78,8 @@ def search(
         callback=Report(),
         verbose=False,
     )
-    # Without an admissible candidate pymoo returns none: the least inadmissible one goes on to the polish.
-    found = result.opt if result.X is None else None
-    unit = np.atleast_2d(result.X if found is None else found.get("X"))
-    norms = np.atleast_2d(result.F if found is None else found.get("F"))
+    # Where no candidate is admissible, the least inadmissible one: it goes on to the polish.
+    unit, norms = result.opt.get("X"), result.opt.get("F")
     order = np.argsort(norms[:, 0], kind="stable")
     return Front(problem.theta(unit[order]), norms[order], knee(norms[order]))
 

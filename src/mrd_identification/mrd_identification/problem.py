@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_identification.metrics import error_norms
 from mrd_runs import Run
 from mrd_runs.motion import motion
 from mrd_sim.models import DamperModel, Parameter
@@ -126,9 +127,8 @@ class Problem:
         """The two norms e2 and einf in N, (candidates, 2), of a whole population; inf for a force that is not finite."""
 
         def of(theta: Array) -> tuple[float, float]:
-            error = self.residuals(theta)
-            e2 = float(np.sqrt(error @ error)) / len(error)
-            return (e2, float(np.max(np.abs(error))) / len(error)) if np.isfinite(e2) else (np.inf, np.inf)
+            found = error_norms(self.residuals(theta))
+            return found if np.isfinite(found[0]) else (np.inf, np.inf)
 
         return np.array(list(_WORKERS.map(of, thetas)))
 
