@@ -43,8 +43,6 @@ def read_csv(path: str | Path) -> tuple[dict[str, Array], list[str], list[int]]:
         raw = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    if not raw.strip():
-        raise InputError(f"{path}: is empty; expected the header {','.join(REQUIRED)} and samples")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -53,6 +51,8 @@ def read_csv(path: str | Path) -> tuple[dict[str, Array], list[str], list[int]]:
         raise InputError(f"{path}: is no text; expected a CSV file with the header {','.join(REQUIRED)}")
     lines = text.splitlines()
     filled = [number for number, line in enumerate(lines) if line.strip()]
+    if not filled:
+        raise InputError(f"{path}: is empty; expected the header {','.join(REQUIRED)} and samples")
     header = [name.strip() for name in next(csv.reader([lines[filled[0]]]))]
     _check_header(header, path)
     known = [name for name in header if name in REQUIRED + OPTIONAL]

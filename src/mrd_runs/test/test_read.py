@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mrd_base import InputError
@@ -128,6 +128,7 @@ CELLS = "time_s,position_m,current_A,force_N0123456789.e-\n\""
 
 
 @settings(max_examples=200, deadline=None)
+@example(content=b"\x1c")  # white space as text, not as bytes
 @given(content=st.one_of(st.binary(max_size=300), st.text(CELLS, max_size=300).map(str.encode)))
 def test_any_bytes_give_a_run_or_one_line(tmp_path_factory, read_or_refuse, content: bytes) -> None:
     file = tmp_path_factory.getbasetemp() / "any.csv"
