@@ -117,7 +117,8 @@ class Fit:
     @property
     def observables(self) -> dict[str, tuple[float, str]]:
         """What the recordings determine of the damper at `current`: value and unit by name."""
-        return self.model.observables(self.values, self.current) if self.model.observables else {}
+        of = self.model.observables
+        return of(self.model.at_current(self.theta, self.current)) if of else {}
 
     @property
     def values(self) -> dict[str, float]:

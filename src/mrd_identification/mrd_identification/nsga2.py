@@ -55,13 +55,10 @@ def search(
 
     class Objectives(PymooProblem):
         def __init__(self) -> None:
-            constraints = problem.constraints(problem.base[None]).shape[1]
-            super().__init__(n_var=len(problem.free), n_obj=2, n_ieq_constr=constraints, xl=0.0, xu=1.0)
+            super().__init__(n_var=len(problem.free), n_obj=2, xl=0.0, xu=1.0)
 
         def _evaluate(self, x: Array, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            thetas = problem.theta(x)
-            out["F"] = np.nan_to_num(problem.norms(thetas), posinf=_WORST)
-            out["G"] = problem.constraints(thetas)
+            out["F"] = np.nan_to_num(problem.norms(problem.theta(x)), posinf=_WORST)
 
     class Report(Callback):
         def notify(self, algorithm: Any) -> None:
@@ -78,7 +75,6 @@ def search(
         callback=Report(),
         verbose=False,
     )
-    # Where no candidate is admissible, the least inadmissible one: it goes on to the polish.
     unit, norms = result.opt.get("X"), result.opt.get("F")
     order = np.argsort(norms[:, 0], kind="stable")
     return Front(problem.theta(unit[order]), norms[order], knee(norms[order]))

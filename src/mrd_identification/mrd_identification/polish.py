@@ -43,27 +43,13 @@ class Intervals:
 
 
 def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> Array:
-    """Local least squares on all counted residuals within the bounds, from ``theta``.
-
-    A constraint that a step would break is kept by a steep residual of its own.
-    """
-    wall = 1e3 * np.sqrt(sum(len(r.force) for r in problem.recordings))
+    """Local least squares on all counted residuals within the bounds, from ``theta``."""
 
     def residuals(unit: Array) -> Array:
-        at = problem.theta(unit)
-        broken = np.maximum(problem.constraints(at[None])[0], 0.0)
-        return np.concatenate([problem.residuals(at), wall * broken])
+        return problem.residuals(problem.theta(unit))
 
     def jacobian(unit: Array) -> Array:
-        at = problem.theta(unit)
-        inner = problem.jacobian(unit, problem.residuals(at))
-        limits = problem.constraints(at[None])[0]
-        if not limits.size:
-            return inner
-        step = 1e-7
-        moved = problem.constraints(problem.theta(unit + step * np.eye(len(unit))))
-        outer = np.where(limits > 0, (moved - limits) / step, 0.0).T
-        return np.vstack([inner, wall * outer])
+        return problem.jacobian(unit, residuals(unit))
 
     # trf needs a start strictly inside.
     start = np.clip(problem.unit(theta), 1e-4, 1 - 1e-4)

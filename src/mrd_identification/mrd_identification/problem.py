@@ -132,12 +132,6 @@ class Problem:
 
         return np.array(list(_WORKERS.map(of, thetas)))
 
-    def constraints(self, thetas: Array) -> Array:
-        """Constraint values (candidates, c), <= 0 where admissible."""
-        if self.model.constraints is None:
-            return np.zeros((len(thetas), 0))
-        return np.asarray(self.model.constraints(dict(zip(self.model.names, thetas.T, strict=True))))
-
 
 def free_parameters(model: DamperModel, runs: Sequence[Run]) -> tuple[tuple[int, ...], list[str]]:
     """Which parameters these runs can tell anything about, and a sentence for each group that they cannot."""

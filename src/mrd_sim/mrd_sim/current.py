@@ -1,10 +1,47 @@
-"""From measured current to the coefficients of a model."""
+"""From measured current to the coefficients of a model: coil lag, then a law over current for each coefficient."""
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mrd_sim.dual import exp, tanh
+
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CurrentLaw:
+    """How a coefficient p depends on the effective coil current u.
+
+    Attributes
+    ----------
+    id, equation : str
+        ``p0`` is the value at 0 A, ``p1`` the slope there.
+    code : int
+        Of the law in `coefficients` and `rise`.
+    third : str
+        What is appended to a coefficient's name for the law's third parameter; empty where it has none.
+    """
+
+    id: str
+    equation: str
+    code: int
+    third: str = ""
+
+
+LAWS = {
+    law.id: law
+    for law in (
+        CurrentLaw("constant", "p = p0", 0),
+        CurrentLaw("affine", "p = p0 + p1 u", 1),
+        CurrentLaw("quadratic", "p = p0 + p1 u + p2 u²", 2, "_per_A2"),
+        CurrentLaw("exponential", "p = p0 + p1 I_s (1 - exp(-u / I_s))", 3, "_saturation"),
+        CurrentLaw("tanh", "p = p0 + p1 I_s tanh(u / I_s)", 4, "_saturation"),
+    )
+}
 
 
 @njit(cache=True, nogil=True)
@@ -13,28 +50,66 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
 
     ``state`` holds u and I at the previous vertex and is updated; ``lag`` in s, 0 passes the current through.
     """
-    effective = np.empty_like(current)
+    effective = np.empty(len(current), state.dtype)
     u, before = state[0], state[1]
     for k in range(len(current)):
         now = current[k]
-        if lag <= 0.0:
-            u = now
-        elif dt[k] > 0.0:
+        if dt[k] == 0.0 or lag.real < 1e-9:
+            # So short a lag only delays a ramp.
+            u = now - (lag * (now - before) / dt[k] if dt[k] > 0.0 else 0.0 * lag)
+        else:
             rise = (now - before) / dt[k] * lag
-            u = now - rise + (u - before + rise) * np.exp(-dt[k] / lag)
+            u = now - rise + (u - before + rise) * exp(-dt[k] / lag)
         effective[k] = u
-        before = now
+        before = now + 0.0 * lag
     state[0], state[1] = u, before
     return effective
 
 
 @njit(cache=True, nogil=True)
-def affine_rows(theta: Array, at_zero: NDArray[np.intp], slope: NDArray[np.intp], current: Array) -> Array:
-    """Coefficients (m, quantities) on the vertices: theta[at_zero] + theta[slope] u; a slope index -1 means constant."""
-    rows = np.empty((len(current), len(at_zero)))
-    for j in range(len(at_zero)):
-        a = theta[at_zero[j]]
-        b = theta[slope[j]] if slope[j] >= 0 else 0.0
-        for k in range(len(current)):
-            rows[k, j] = a + b * current[k]
+def _bent(code: int, third: Any, u: Any) -> Any:
+    """What a law multiplies its slope with: the current, bent where the law saturates."""
+    if code < 3:
+        return u + 0.0 * third
+    return third * (1.0 - exp(-u / third) if code == 3 else tanh(u / third))
+
+
+@njit(cache=True, nogil=True)
+def rise(code: int, third: float, current: Array) -> Array:
+    """What the law ``code`` multiplies its slope with, (m,) in A, along the effective current."""
+    found = np.empty_like(current)
+    for k in range(len(current)):
+        found[k] = _bent(code, third, current[k])
+    return found
+
+
+@njit(cache=True, nogil=True)
+def coefficients(theta: Array, codes: NDArray[np.intp], columns: NDArray[np.intp], floors: Array, current: Array) -> Array:
+    """Coefficients (m, quantities) on the vertices.
+
+    Parameters
+    ----------
+    theta : ndarray (parameters,)
+    codes : ndarray (quantities,) of int
+        Law of each quantity.
+    columns : ndarray (quantities, 3) of int
+        Where in ``theta`` its parameters are; -1 for one that its law does not have.
+    floors : ndarray (quantities,)
+        Least value of each: a law that falls with current stops there.
+    current : ndarray (m,)
+        Effective current in A, of the same type as ``theta``.
+    """
+    rows = np.empty((len(current), len(codes)), theta.dtype)
+    for k in range(len(current)):
+        u = current[k]
+        for j in range(len(codes)):
+            value = theta[columns[j, 0]]
+            if codes[j] > 0:
+                third = theta[columns[j, 2]] if columns[j, 2] >= 0 else 0.0 * value
+                value = value + theta[columns[j, 1]] * _bent(codes[j], third, u)
+                if codes[j] == 2:
+                    value = value + third * u * u
+                if value.real < floors[j]:
+                    value = floors[j] + 0.0 * value
+            rows[k, j] = value
     return rows

@@ -4,28 +4,37 @@ The state is normalised, w = z / z0, so that it saturates at ±1 (Ikhouane & Rod
 
     dw/dx = rho (1 - sigma sgn(x') w |w|^(n-1) - (1 - sigma) |w|^n)   for motion in either direction,
 
-with rho = A / z0 in 1/m and sigma = gamma / (beta + gamma) where, as in Spencer et al. (1997), gamma multiplies |x'|.
-Class I (bounded, dissipative) is rho > 0 and sigma >= 1/2. On a stretch without reversal the equation separates; its
-solutions for n = 1 and n = 2 are written out below, so there is no step size to choose and no speed at which it fails.
+with rho = A / z0 in 1/m and sigma = gamma / (beta + gamma) where, as in Spencer et al. (1997), gamma multiplies |x'|. Class I
+(bounded, dissipative) is rho > 0 and sigma >= 1/2, to which the functions below keep. On a stretch without reversal the
+equation separates: v = |w| rises by dv/du = 1 - v^n while loading and falls by dp/du = -(1 + b p^n), b = 2 sigma - 1, while
+unloading from p = |w|, over the travel u in units of 1/rho. For n = 1 and n = 2 the solutions are written out; for other
+exponents the travel, a Gauss hypergeometric function of the state, is inverted by Newton's method. So there is no step size to
+choose and no speed at which the integration fails. All functions take numbers with derivatives (`mrd_sim.dual`).
 """
 
-import math
+from typing import Any
 
 from numba import njit
 
+from mrd_sim.dual import atan, exp, expm1, log, log1p, power, sqrt, tan, tanh
+
+_EULER = 0.5772156649015329
+_ACCURACY = 1e-13
+
 
 @njit(cache=True, nogil=True)
-def slope(w: float, direction: float, sigma: float, n: float) -> float:
+def slope(w: Any, direction: float, sigma: Any, n: Any) -> Any:
     """Slope dw/d(rho x) of the state while the rod moves in ``direction`` (±1)."""
     v = direction * w
-    if v >= 0.0:
-        return float(1.0 - v**n)
-    return float(1.0 + (2.0 * sigma - 1.0) * (-v) ** n)
+    if v.real >= 0.0:
+        return 1.0 - (v * v if n == 2.0 else v if n == 1.0 else power(v, n))
+    p = -v
+    return 1.0 + (2.0 * sigma - 1.0) * (p * p if n == 2.0 else p if n == 1.0 else power(p, n))
 
 
 @njit(cache=True, nogil=True)
-def advance(w: float, travel: float, sigma: float, n: float) -> float:
-    """State after the rod moved by ``travel`` = rho dx without reversal; exact for n = 1 and n = 2.
+def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
+    """State after the rod moved by ``travel`` = rho dx without reversal.
 
     Parameters
     ----------
@@ -34,45 +43,150 @@ def advance(w: float, travel: float, sigma: float, n: float) -> float:
     travel : float
         Displacement in units of the yield travel 1/rho, with sign.
     sigma : float
-        gamma / (beta + gamma), >= 1/2 for a dissipative loop.
+        gamma / (beta + gamma), at least 1/2.
     n : float
-        Exponent, 1 or 2.
+        Exponent, at least 1.
     """
-    if travel == 0.0:
-        return w
-    direction = 1.0 if travel > 0.0 else -1.0
-    h = abs(travel)
+    if travel.real == 0.0:
+        return w + travel * slope(w, 1.0, sigma, n)
+    direction = 1.0 if travel.real > 0.0 else -1.0
+    h = direction * travel
     v = direction * w
-    if v < 0.0:  # unloading towards w = 0
+    if v.real < 0.0:
         p = -v
         b = 2.0 * sigma - 1.0
-        if n == 1.0:
-            crossing = math.log1p(b * p) / b if abs(b) > 1e-12 else p
-            if h < crossing:
-                return -direction * ((p + 1.0 / b) * math.exp(-b * h) - 1.0 / b if abs(b) > 1e-12 else p - h)
-        elif b > 1e-12:
-            root = math.sqrt(b)
-            angle = math.atan(p * root)
-            crossing = angle / root
-            if h < crossing:
-                return -direction * math.tan(angle - root * h) / root
-        elif b < -1e-12:
-            root = math.sqrt(-b)
-            if p * root >= 1.0:  # outside class I: the state cannot cross zero any more
-                return w
-            angle = math.atanh(p * root)
-            crossing = angle / root
-            if h < crossing:
-                return -direction * math.tanh(angle - root * h) / root
-        else:
-            crossing = p
-            if h < crossing:
-                return -direction * (p - h)
-        h -= crossing
-        v = 0.0
+        crossing = _unloading_travel(p, b, n)
+        if h.real < crossing.real:
+            return -direction * _unloaded(p, b, n, h, crossing)
+        h = h - crossing
+        v = 0.0 * v
+    return direction * _loaded(v, n, h)
+
+
+@njit(cache=True, nogil=True)
+def _loaded(v: Any, n: Any, h: Any) -> Any:
+    """State after loading from v >= 0 over the travel h."""
+    if n == 2.0:
+        t = tanh(h)
+        return (v + t) / (1.0 + v * t)
     if n == 1.0:
-        v = 1.0 - (1.0 - v) * math.exp(-h)
-    else:
-        t = math.tanh(h)
-        v = (v + t) / (1.0 + v * t)
-    return direction * v
+        return 1.0 - (1.0 - v) * exp(-h)
+    return _state_at(_loading_travel(v, n) + h, n)
+
+
+@njit(cache=True, nogil=True)
+def _unloading_travel(p: Any, b: Any, n: Any) -> Any:
+    """Travel from the state p >= 0 back to zero, b >= 0: p F(1, 1/n; 1 + 1/n; -b p^n)."""
+    if b.real < 1e-12:
+        # The first term of the series in b, for the sake of its derivative.
+        return p - b * power(p, n + 1.0) / (n + 1.0)
+    if n == 2.0:
+        root = sqrt(b)
+        return atan(p * root) / root
+    if n == 1.0:
+        return log1p(b * p) / b
+    # Pfaff's transformation brings the argument to at most 2/3 for sigma <= 3/2.
+    x = b * power(p, n)
+    z = x / (1.0 + x)
+    term = p / (1.0 + x)
+    total = term
+    for k in range(1, 400):
+        term = term * z * (k / (k + 1.0 / n))
+        total = total + term
+        if abs(term.real) < 1e-17 * abs(total.real):
+            break
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _unloaded(p: Any, b: Any, n: Any, h: Any, crossing: Any) -> Any:
+    """State after unloading from p over the travel h, less than ``crossing``."""
+    if b.real < 1e-12:
+        return p - h - b * (power(p, n + 1.0) - power(p - h, n + 1.0)) / (n + 1.0)
+    if n == 2.0:
+        root = sqrt(b)
+        return tan(root * (crossing - h)) / root
+    if n == 1.0:
+        return expm1(b * (crossing - h)) / b
+    left = crossing - h
+    # The travel is a concave function of the state and never exceeds it: from here Newton's method rises to the root.
+    state = left
+    for _ in range(60):
+        step = (left - _unloading_travel(state, b, n)) * (1.0 + b * power(state, n))
+        state = state + step
+        if abs(step.real) < _ACCURACY:
+            break
+    return state
+
+
+@njit(cache=True, nogil=True)
+def _loading_travel(v: Any, n: Any) -> Any:
+    """Travel from zero to the state 0 <= v < 1: v F(1, 1/n; 1 + 1/n; v^n)."""
+    x = power(v, n)
+    if x.real > 0.5:
+        return _travel_near_saturation(log(1.0 - x) if x.real < 1.0 else -40.0 + 0.0 * x, v, n)
+    term = v
+    total = v
+    for k in range(1, 200):
+        term = term * x
+        total = total + term / (1.0 + n * k)
+        if term.real < 1e-17 * total.real:
+            break
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _travel_near_saturation(log_rest: Any, v: Any, n: Any) -> Any:
+    """The same from ln(1 - v^n), by the series about 1 (Abramowitz & Stegun, 1964, 15.3.10)."""
+    rest = exp(log_rest)
+    b = 1.0 / n
+    weight = b + 0.0 * v
+    digammas = -_EULER - _digamma(b)  # psi(k + 1) - psi(b + k)
+    total = 0.0 * v
+    for k in range(200):
+        term = weight * (digammas - log_rest)
+        total = total + term
+        weight = weight * rest * ((b + k) / (k + 1.0))
+        digammas = digammas + 1.0 / (k + 1.0) - 1.0 / (b + k)
+        if abs(weight.real) < 1e-18:
+            break
+    return v * total
+
+
+@njit(cache=True, nogil=True)
+def _state_at(travel: Any, n: Any) -> Any:
+    """State whose travel from zero is ``travel``: the inverse of `_loading_travel`."""
+    middle = 0.5 ** (1.0 / n.real)
+    split = _loading_travel(middle + 0.0 * travel, n)
+    if travel.real <= split.real:
+        v = travel * (middle / split.real)
+        for _ in range(60):
+            step = (travel - _loading_travel(v, n)) * (1.0 - power(v, n))
+            v = v + step
+            if abs(step.real) < _ACCURACY:
+                break
+        return v
+    # Nearer to saturation the travel is almost linear in the logarithm of what is left.
+    log_rest = -0.6931471805599453 + n * (split - travel)
+    v = power(1.0 - exp(log_rest), 1.0 / n)
+    for _ in range(60):
+        step = (_travel_near_saturation(log_rest, v, n) - travel) * n * power(v, n - 1.0)
+        log_rest = log_rest + step
+        if log_rest.real > -0.69:
+            log_rest = log_rest - (log_rest.real + 0.69)
+        v = power(1.0 - exp(log_rest), 1.0 / n)
+        if abs(step.real) < _ACCURACY * max(1.0, abs(log_rest.real)):
+            break
+    return v
+
+
+@njit(cache=True, nogil=True)
+def _digamma(x: Any) -> Any:
+    """Digamma function of x > 0: recurrence up to 10, then Stirling's series."""
+    total = 0.0 * x
+    while x.real < 10.0:
+        total = total - 1.0 / x
+        x = x + 1.0
+    r = 1.0 / (x * x)
+    series = r * (1.0 / 12 - r * (1.0 / 120 - r * (1.0 / 252 - r * (1.0 / 240 - r / 132))))
+    return total + log(x) - 0.5 / x - series

@@ -30,10 +30,10 @@ def reference(w, travel, sigma, n):
     return direction * v
 
 
-@pytest.mark.parametrize("n", [1.0, 2.0])
-@pytest.mark.parametrize("sigma", [0.3, 0.5, 0.7, 1.0, 1.4])
+@pytest.mark.parametrize("n", [1.0, 1.3, 2.0, 3.5])
+@pytest.mark.parametrize("sigma", [0.5, 0.7, 1.0, 1.4])
 def test_step_agrees_with_a_tight_solver(n, sigma):
-    random = np.random.default_rng(int(100 * sigma + n))
+    random = np.random.default_rng(int(100 * sigma + 10 * n))
     for _ in range(60):
         w, travel = random.uniform(-0.99, 0.99), random.uniform(-4, 4)
         assert advance(w, travel, sigma, n) == pytest.approx(reference(w, travel, sigma, n), abs=1e-10)

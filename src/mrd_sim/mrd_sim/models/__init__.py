@@ -1,5 +1,7 @@
 """The catalogue of damper models: one file and one line each."""
 
+from collections.abc import Mapping
+
 from mrd_base import InputError
 from mrd_sim.models import bingham, bouc_wen, linear_viscous, modified_bouc_wen, polynomial
 from mrd_sim.models.model import DamperModel, Parameter, Quantity
@@ -16,18 +18,17 @@ MODELS: dict[str, DamperModel] = {
 }
 
 
-def find_model(name: str) -> DamperModel:
-    """Model by its id.
+def find_model(name: str, laws: str | Mapping[str, str] | None = None) -> DamperModel:
+    """Model by its id, with current laws as in `DamperModel.with_laws`.
 
     Raises
     ------
     InputError
-        When there is none; lists those there are.
+        When there is none; lists those there are. For an unknown law or coefficient.
     """
-    try:
-        return MODELS[name]
-    except KeyError:
-        raise InputError(f"unknown model {name} (known: {', '.join(MODELS)})") from None
+    if name not in MODELS:
+        raise InputError(f"unknown model {name} (known: {', '.join(MODELS)})")
+    return MODELS[name].with_laws(laws) if laws else MODELS[name]
 
 
 __all__ = ["MODELS", "DamperModel", "Parameter", "Quantity", "find_model"]

@@ -1,8 +1,11 @@
 """Linear viscous damper."""
 
+from dataclasses import replace
+
 from numba import njit
 
-from mrd_sim.models.model import Array, DamperModel, Quantity
+from mrd_sim.models.model import Array, DamperModel
+from mrd_sim.models.quantities import OFFSET, VISCOUS
 
 
 @njit(cache=True, nogil=True)
@@ -17,8 +20,8 @@ MODEL = DamperModel(
     equation="F = c x' + f0",
     source="equivalent viscous damping; first row of the table of models in the followed paper, its dashpot set apart",
     quantities=(
-        Quantity("viscous", "c", "N s/m", "viscous coefficient", 4000.0, 0.0, 5e4, (8000.0, 0.0, 1e5)),
-        Quantity("offset", "f0", "N", "constant force (gas preload)", 0.0, -300.0, 300.0),
+        replace(VISCOUS, symbol="c", default=4000.0, upper=5e4, per_ampere=(8000.0, 0.0, 1e5)),
+        replace(OFFSET, meaning="constant force (gas preload)"),
     ),
     kernel=_force,
 )

@@ -1,26 +1,29 @@
-"""What a damper model is: quantities, current laws, a kernel."""
+"""What a damper model is: quantities with their current laws, and a kernel."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_sim.current import affine_rows, lagged_current
+from mrd_sim.current import LAWS, coefficients, lagged_current, rise
 from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
-Kernel = Callable[[Array, Array, Array, Array, Array, Array, Array], None]
+Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
+
+NO_FLOOR = -1e300
 
 
 @dataclass(frozen=True)
 class Parameter:
     """A number that identification may choose.
 
-    ``log`` asks for a logarithmic scale between the bounds; a parameter that is not ``free`` keeps its default; one with
-    ``choices`` takes no other value.
+    ``log`` asks for a logarithmic scale between the bounds; a parameter that is not ``free`` keeps its default unless it is
+    set or freed by name.
     """
 
     name: str
@@ -31,12 +34,11 @@ class Parameter:
     meaning: str
     log: bool = False
     free: bool = True
-    choices: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A coefficient of a model's equation, constant or affine in the lagged coil current.
+    """A coefficient of a model's equation and how it depends on the lagged coil current.
 
     Parameters
     ----------
@@ -45,9 +47,15 @@ class Quantity:
     default, lower, upper : float
         At 0 A.
     per_ampere : (default, lower, upper), optional
-        Slope over current; None for a coefficient that does not depend on it.
-    log, free, choices
+        Slope over current at 0 A; None for a coefficient that does not depend on it.
+    log, free
         See `Parameter`.
+    multiplies : str
+        What it multiplies, where the force is linear in it: position ``x``, velocity ``v``, one ``1``, or ``term``,
+        something that only the kernel knows. Empty for a coefficient in which the force is not linear; such a one never falls below
+        ``lower``, whatever its law.
+    law : str
+        Id of its current law (`mrd_sim.current.LAWS`), "constant" without a slope.
     """
 
     name: str
@@ -60,19 +68,38 @@ class Quantity:
     per_ampere: tuple[float, float, float] | None = None
     log: bool = False
     free: bool = True
-    choices: tuple[float, ...] = ()
+    multiplies: Literal["", "x", "v", "1", "term"] = ""
+    law: str = "affine"
+
+    @property
+    def code(self) -> int:
+        """Code of its current law."""
+        return LAWS[self.law].code if self.per_ampere else 0
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters that the quantity is made of: its value at 0 A and, where it has one, its slope."""
+        """What its law consists of: value at 0 A, slope there and, where the law has one, a third parameter."""
         at_zero = Parameter(
-            self.name, self.unit, self.default, self.lower, self.upper, self.meaning, self.log, self.free,
-            self.choices,
+            self.name, self.unit, self.default, self.lower, self.upper, self.meaning, self.log, self.free
         )
-        if self.per_ampere is None:
+        if self.per_ampere is None or self.law == "constant":
             return (at_zero,)
         default, lower, upper = self.per_ampere
         unit = f"{self.unit}/A" if self.unit else "1/A"
-        slope = Parameter(f"{self.name}_per_A", unit, default, lower, upper, f"{self.meaning}, slope over current")
+        slope = Parameter(
+            f"{self.name}_per_A", unit, default, lower, upper, f"{self.meaning}, slope over current at 0 A", free=self.free
+        )
+        third = LAWS[self.law].third
+        if third == "_per_A2":
+            most = max(abs(lower), abs(upper))
+            bend = Parameter(
+                self.name + third, f"{unit}²", 0.0, -most, most, f"{self.meaning}, square term over current", free=self.free
+            )
+            return (at_zero, slope, bend)
+        if third == "_saturation":
+            bend = Parameter(
+                self.name + third, "A", 1.5, 0.1, 10.0, f"{self.meaning}, current at which it saturates", True, self.free
+            )
+            return (at_zero, slope, bend)
         return (at_zero, slope)
 
 
@@ -92,15 +119,18 @@ class DamperModel:
     quantities : tuple of Quantity
         Columns of the kernel's first argument, in this order.
     kernel : callable
-        ``kernel(q, state, dt, position, velocity, acceleration, force)``: compiled; ``q`` (m, quantities) holds the
-        coefficients on the vertices, ``state`` is carried from call to call, ``force`` (m,) is filled.
+        ``kernel(q, state, dt, x, v, a, force)``: compiled, for real numbers and for numbers with derivatives
+        (`mrd_sim.dual`); ``q`` (m, quantities) holds the coefficients on the vertices, ``state`` is carried from call to call,
+        ``force`` (m,) is filled. ``dt[0] == 0`` begins a path.
     states : int
         Length of ``state``; all zero is a damper at rest and unloaded.
-    constraints : callable, optional
-        ``constraints(values)`` of a mapping from parameter names to arrays (candidates,): an array (candidates, c) that is
-        ≤ 0 where the candidate is admissible.
+    order : int
+        Order of convergence over the step; 0 where the force is exact along a polyline.
+    dissipative : bool
+        Whether no closed cycle at constant current can yield energy, wherever in its bounds the model is.
     observables : callable, optional
-        ``observables(values, current)``: what the data can determine, as {name: (value, unit)}, at one current in A.
+        ``observables(values)``: what the data can determine, as {name: (value, unit)}, from the coefficients at one current
+        by name of the quantity.
     """
 
     id: str
@@ -110,8 +140,38 @@ class DamperModel:
     quantities: tuple[Quantity, ...]
     kernel: Kernel
     states: int = 0
-    constraints: Callable[[Mapping[str, Array]], Array] | None = None
-    observables: Callable[[Mapping[str, float], float], dict[str, tuple[float, str]]] | None = None
+    order: int = 0
+    dissipative: bool = True
+    observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
+
+    def with_laws(self, laws: str | Mapping[str, str]) -> "DamperModel":
+        """The model with other current laws.
+
+        Parameters
+        ----------
+        laws : str or mapping
+            Id of a law for every coefficient that depends on current, or ids by name of the coefficient.
+
+        Raises
+        ------
+        InputError
+            For an unknown law or coefficient, or one that does not depend on current.
+        """
+        dependent = [quantity.name for quantity in self.quantities if quantity.per_ampere]
+        chosen = dict.fromkeys(dependent, laws) if isinstance(laws, str) else dict(laws)
+        for name, law in chosen.items():
+            if name not in dependent:
+                raise InputError(
+                    f"model {self.id}: no current law for {name} (coefficients that have one: {', '.join(dependent)})"
+                )
+            if law not in LAWS:
+                raise InputError(f"model {self.id}: unknown current law {law} for {name} (known: {', '.join(LAWS)})")
+        return replace(self, quantities=tuple(replace(q, law=chosen.get(q.name, q.law)) for q in self.quantities))
+
+    @cached_property
+    def laws(self) -> dict[str, str]:
+        """Current law of every coefficient that may depend on current."""
+        return {quantity.name: quantity.law for quantity in self.quantities if quantity.per_ampere}
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -129,11 +189,37 @@ class DamperModel:
         return np.array([parameter.default for parameter in self.parameters])
 
     @cached_property
-    def _columns(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Index of each quantity's value at 0 A and of its slope (-1: constant) in a parameter vector."""
-        at_zero = [self.names.index(quantity.name) for quantity in self.quantities]
-        slope = [index + 1 if q.per_ampere else -1 for index, q in zip(at_zero, self.quantities, strict=True)]
-        return np.array(at_zero, dtype=np.intp), np.array(slope, dtype=np.intp)
+    def _codes(self) -> NDArray[np.intp]:
+        """Law of each quantity."""
+        return np.array([quantity.code for quantity in self.quantities], dtype=np.intp)
+
+    @cached_property
+    def _columns(self) -> NDArray[np.intp]:
+        """Where the parameters of each quantity are in a parameter vector, -1 for those that its law does not have."""
+        columns = np.full((len(self.quantities), 3), -1, dtype=np.intp)
+        first = 0
+        for row, quantity in zip(columns, self.quantities, strict=True):
+            count = len(quantity.parameters())
+            row[:count] = np.arange(first, first + count)
+            first += count
+        return columns
+
+    @cached_property
+    def _floors(self) -> Array:
+        """Least value of each quantity on the vertices."""
+        return np.array([NO_FLOOR if quantity.multiplies else quantity.lower for quantity in self.quantities])
+
+    @cached_property
+    def linear(self) -> NDArray[np.intp]:
+        """Indices of the parameters in which the force is linear."""
+        found = [
+            index
+            for quantity, row in zip(self.quantities, self._columns, strict=True)
+            if quantity.multiplies
+            for index in row[: 3 if quantity.code == 2 else 2]
+            if index >= 0
+        ]
+        return np.array(found, dtype=np.intp)
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Parameter vector from names; those not given keep their default.
@@ -150,15 +236,17 @@ class DamperModel:
             index = self.names.index(name)
             parameter = self.parameters[index]
             if not parameter.lower <= value <= parameter.upper:
+                found = f"{value:g} {parameter.unit}".rstrip()
                 raise InputError(
-                    f"model {self.id}: {name} is {value:g} {parameter.unit}, "
-                    f"expected {parameter.lower:g} to {parameter.upper:g}"
+                    f"model {self.id}: {name} is {found}, expected {parameter.lower:g} to {parameter.upper:g}"
                 )
-            if parameter.choices and value not in parameter.choices:
-                known = " or ".join(f"{choice:g}" for choice in parameter.choices)
-                raise InputError(f"model {self.id}: {name} is {value:g}, expected {known}")
             theta[index] = value
         return theta
+
+    def at_current(self, theta: Array, current: float) -> dict[str, float]:
+        """Coefficients by name at one current in A."""
+        row = coefficients(theta, self._codes, self._columns, self._floors, np.array([current]))[0]
+        return {quantity.name: float(value) for quantity, value in zip(self.quantities, row, strict=True)}
 
     def initial_state(self, path: Path) -> Array:
         """State of a damper at rest and unloaded, its effective current equal to the first measured one."""
@@ -170,22 +258,66 @@ class DamperModel:
         Parameters
         ----------
         theta : ndarray (parameters,)
+            Real, or complex where it carries derivatives (`mrd_sim.dual`); so is the force then.
         path : Path
         state : ndarray, optional
             As from `initial_state`; changed in place, so that a following path continues where this one ended.
         """
         if state is None:
             state = self.initial_state(path)
+        state = np.asarray(state, theta.dtype)
         current = lagged_current(theta[-1], state, path.dt, path.current)
-        force = np.empty_like(path.position)
-        at_zero, slope = self._columns
-        self.kernel(
-            affine_rows(theta, at_zero, slope, current),
-            state[2:],
-            path.dt,
-            path.position,
-            path.velocity,
-            path.acceleration,
-            force,
-        )
-        return force[path.samples]
+        rows = coefficients(theta, self._codes, self._columns, self._floors, current)
+        return self._run(rows, state[2:], path)[path.samples]
+
+    def regressors(self, theta: Array, path: Path) -> tuple[Array, Array]:
+        """The force's linear part: ``force = columns @ theta[linear] + rest``.
+
+        Parameters
+        ----------
+        theta : ndarray (parameters,)
+            Its linear parameters do not matter.
+        path : Path
+
+        Returns
+        -------
+        columns : ndarray (samples, linear)
+        rest : ndarray (samples,)
+            Force in N of the parameters in which it is not linear.
+        """
+        state = self.initial_state(path)
+        current = lagged_current(theta[-1], state, path.dt, path.current)
+        rows = coefficients(theta, self._codes, self._columns, self._floors, current)
+        for j, quantity in enumerate(self.quantities):
+            if quantity.multiplies:
+                rows[:, j] = 0.0
+        rest = self._run(rows, state[2:].copy(), path)[path.samples]
+        current = current[path.samples]
+        known = {"x": path.position, "v": path.velocity, "1": np.ones_like(path.position)}
+        columns = np.empty((len(path.samples), len(self.linear)), order="F")
+        filled = 0
+        for j, quantity in enumerate(self.quantities):
+            if not quantity.multiplies:
+                continue
+            if quantity.multiplies == "term":
+                rows[:, j] = 1.0
+                base = self._run(rows, state[2:].copy(), path)[path.samples] - rest
+                rows[:, j] = 0.0
+            else:
+                base = known[quantity.multiplies][path.samples]
+            columns[:, filled] = base
+            filled += 1
+            if quantity.code:
+                third = theta[self._columns[j, 2]] if self._columns[j, 2] >= 0 else 0.0
+                columns[:, filled] = base * rise(quantity.code, third, current)
+                filled += 1
+            if quantity.code == 2:
+                columns[:, filled] = base * current**2
+                filled += 1
+        return columns, rest
+
+    def _run(self, rows: Array, state: Array, path: Path) -> Array:
+        force = np.empty(len(rows), rows.dtype)
+        self.kernel(rows, state, path.dt, path.position, path.velocity, path.acceleration, force)
+        return force
+

@@ -1,12 +1,13 @@
 """Modified Bouc-Wen model of Spencer et al.: a Bouc-Wen element in series with a dashpot."""
 
-import math
+from dataclasses import replace
 
 from numba import njit
 
 from mrd_sim.hysteresis import advance, slope
-from mrd_sim.models.bouc_wen import YIELD, dissipative, observables
+from mrd_sim.models.bouc_wen import observables
 from mrd_sim.models.model import Array, DamperModel, Quantity
+from mrd_sim.models.quantities import EXPONENT, OFFSET, SHAPE, YIELD_FORCE, YIELD_TRAVEL
 
 
 @njit(cache=True, nogil=True)
@@ -37,35 +38,34 @@ def _internal_step(
     d (c0 + c1) = dt (F_y (w + w+(travel - d)) / 2 + k0 (middle - d / 2)) + c0 travel. Its left minus right side grows
     strictly with d, so the root is unique; Newton's method, kept within a bracket, finds it at any speed.
     """
-    total = c0 + c1
-
     # The state stays within ±1, which bounds the root.
     fixed = c0 * travel + dt * k0 * middle
-    scale = total + 0.5 * dt * k0
-    low = (fixed + 0.5 * dt * f_y * (w - 1.0)) / scale
-    high = (fixed + 0.5 * dt * f_y * (w + 1.0)) / scale
-    d = (fixed + dt * f_y * w) / scale
-    d = min(max(d, low), high)
+    scale = c0 + c1 + 0.5 * dt * k0
+    push = 0.5 * dt * f_y
+    low = (fixed + push * (w - 1.0)).real / scale.real
+    high = (fixed + push * (w + 1.0)).real / scale.real
+    d = (fixed + 2.0 * push * w) / scale
+    if not low <= d.real <= high:
+        d = 0.5 * (low + high) + 0.0 * d
     after = w
     for _ in range(60):
         element = travel - d
+        direction = 1.0 if element.real >= 0.0 else -1.0
         after = advance(w, element / x_y, sigma, n)
-        balance = scale * d - fixed - 0.5 * dt * f_y * (w + after)
-        if balance > 0.0:
-            high = d
+        balance = scale * d - fixed - push * (w + after)
+        if balance.real > 0.0:
+            high = d.real
         else:
-            low = d
-        direction = 1.0 if element >= 0.0 else -1.0
-        tangent = scale + 0.5 * dt * f_y * slope(after, direction, sigma, n) / x_y
-        step = d - balance / tangent
-        if not low <= step <= high:
-            step = 0.5 * (low + high)
-        # Newton's last step squares its error: 1e-7 of the yield travel leaves about 1e-13 of it.
-        converged = math.fabs(step - d) <= 1e-7 * x_y or high - low <= 1e-13 * x_y
-        d = step
-        if converged:
-            break
-    return d, advance(w, (travel - d) / x_y, sigma, n)
+            low = d.real
+        bend = slope(after, direction, sigma, n) / x_y
+        step = -balance / (scale + push * bend)
+        # The error after a step of Newton's method is of the order of its square.
+        if abs(step.real) <= 1e-7 * x_y.real or high - low <= 1e-13 * x_y.real:
+            return d + step, after - bend * step
+        d = d + step
+        if not low <= d.real <= high:
+            d = 0.5 * (low + high) + 0.0 * d
+    return d, after
 
 
 MODEL = DamperModel(
@@ -75,18 +75,24 @@ MODEL = DamperModel(
     "x_y w' = z' - sigma |z'| w |w|^(n-1) - (1 - sigma) z' |w|^n with z' = x' - y'",
     source="Spencer, Dyke, Sain & Carlson, J. Eng. Mech. 123 (1997) 230",
     quantities=(
-        *YIELD,
+        YIELD_FORCE,
+        YIELD_TRAVEL,
+        SHAPE,
+        EXPONENT,
         Quantity("viscous", "c0", "N s/m", "viscous coefficient at high speed", 1500.0, 0.0, 2e4, (3000.0, 0.0, 2e4)),
         Quantity(
             "series_viscous", "c1", "N s/m", "dashpot in series, roll-off at low speed", 3e4, 1e3, 3e5,
             (6e4, 0.0, 4e5), log=True,
         ),
         Quantity("stiffness", "k0", "N/m", "stiffness beside the element", 500.0, 0.0, 1e4),
-        Quantity("accumulator_stiffness", "k1", "N/m", "stiffness of the accumulator", 1000.0, 0.0, 1e4),
-        Quantity("offset", "f0", "N", "constant force (gas preload), -k1 x0", 0.0, -300.0, 300.0),
+        Quantity(
+            "accumulator_stiffness", "k1", "N/m", "stiffness of the accumulator", 1000.0, 0.0, 1e4, (0.0, -1e4, 1e4),
+            multiplies="x", law="constant",
+        ),
+        replace(OFFSET, meaning="constant force (gas preload), -k1 x0"),
     ),
     kernel=_force,
     states=3,
-    constraints=dissipative,
+    order=2,
     observables=observables,
 )

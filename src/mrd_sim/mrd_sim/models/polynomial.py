@@ -13,9 +13,9 @@ REFERENCE_SPEED = 0.1
 def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
     terms = q.shape[1] // 2
     for k in range(len(x)):
-        first = 0 if a[k] >= 0.0 else terms
+        first = 0 if a[k].real >= 0.0 else terms
         s = v[k] / REFERENCE_SPEED
-        total = 0.0
+        total = 0.0 * q[k, 0]
         for i in range(terms - 1, -1, -1):
             total = total * s + q[k, first + i]
         force[k] = total
@@ -32,6 +32,7 @@ def _coefficients(branch: str, words: str) -> tuple[Quantity, ...]:
             -2000.0,
             2000.0,
             (500.0 if i == 1 else 0.0, -4000.0, 4000.0),
+            multiplies="term",
         )
         for i in range(DEGREE + 1)
     )
@@ -44,4 +45,5 @@ MODEL = DamperModel(
     source="Choi, Lee & Park (2001), degree 6; Tianjun & Changfu (2009), degree 5 as here",
     quantities=(*_coefficients("rising", "rises"), *_coefficients("falling", "falls")),
     kernel=_force,
+    dissipative=False,
 )
