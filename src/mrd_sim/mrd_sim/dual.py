@@ -1,10 +1,10 @@
 """Elementary functions for numbers that carry a derivative.
 
 A complex number z + i d stands for a value z and its derivative d to some parameter, scaled so small (`STEP`) that d²
-vanishes: complex arithmetic then is the chain rule (complex-step differentiation: Lyness & Moler, 1967; Squire & Trapp, 1998).
-Kernels written with these functions and with comparisons of ``.real`` compile for real numbers, as fast as ever, and for complex
-ones, where they give exact sensitivities at hardly any more cost. NumPy's complex functions are slower, and some lose so small
-an imaginary part.
+vanishes: complex arithmetic then is the chain rule (complex-step differentiation: Lyness & Moler, 1967; Squire & Trapp,
+1998). Kernels written with these functions and with comparisons of ``.real`` compile for real numbers, as fast as ever, and
+for complex ones, where they give exact sensitivities at hardly any more cost. NumPy's complex functions are slower, and some
+lose so small an imaginary part.
 """
 
 import math

@@ -4,12 +4,12 @@ The state is normalised, w = z / z0, so that it saturates at ±1 (Ikhouane & Rod
 
     dw/dx = rho (1 - sigma sgn(x') w |w|^(n-1) - (1 - sigma) |w|^n)   for motion in either direction,
 
-with rho = A / z0 in 1/m and sigma = gamma / (beta + gamma) where, as in Spencer et al. (1997), gamma multiplies |x'|. Class I
-(bounded, dissipative) is rho > 0 and sigma >= 1/2, to which the functions below keep. On a stretch without reversal the
+with rho = A / z0 in 1/m and sigma = gamma / (beta + gamma) where, as in Spencer et al. (1997), gamma multiplies |x'|. Class
+I (bounded, dissipative) is rho > 0 and sigma >= 1/2, to which the functions below keep. On a stretch without reversal the
 equation separates: v = |w| rises by dv/du = 1 - v^n while loading and falls by dp/du = -(1 + b p^n), b = 2 sigma - 1, while
 unloading from p = |w|, over the travel u in units of 1/rho. For n = 1 and n = 2 the solutions are written out; for other
-exponents the travel, a Gauss hypergeometric function of the state, is inverted by Newton's method. So there is no step size to
-choose and no speed at which the integration fails. All functions take numbers with derivatives (`mrd_sim.dual`).
+exponents the travel, a Gauss hypergeometric function of the state, is inverted by Newton's method. So there is no step size
+to choose and no speed at which the integration fails. All functions take numbers with derivatives (`mrd_sim.dual`).
 """
 
 from typing import Any

@@ -52,8 +52,8 @@ class Quantity:
         See `Parameter`.
     multiplies : str
         What it multiplies, where the force is linear in it: position ``x``, velocity ``v``, one ``1``, or ``term``,
-        something that only the kernel knows. Empty for a coefficient in which the force is not linear; such a one never falls below
-        ``lower``, whatever its law.
+        something that only the kernel knows. Empty for a coefficient in which the force is not linear; such a one never
+        falls below ``lower``, whatever its law.
     law : str
         Id of its current law (`mrd_sim.current.LAWS`), "constant" without a slope.
     """
@@ -120,8 +120,8 @@ class DamperModel:
         Columns of the kernel's first argument, in this order.
     kernel : callable
         ``kernel(q, state, dt, x, v, a, force)``: compiled, for real numbers and for numbers with derivatives
-        (`mrd_sim.dual`); ``q`` (m, quantities) holds the coefficients on the vertices, ``state`` is carried from call to call,
-        ``force`` (m,) is filled. ``dt[0] == 0`` begins a path.
+        (`mrd_sim.dual`); ``q`` (m, quantities) holds the coefficients on the vertices, ``state`` is carried from call to
+        call, ``force`` (m,) is filled. ``dt[0] == 0`` begins a path.
     states : int
         Length of ``state``; all zero is a damper at rest and unloaded.
     order : int
