@@ -44,7 +44,7 @@ ROSDEP = {
     "tqdm": "python3-tqdm",
     "psutil": "python3-psutil",
 }
-WITHOUT_ROSDEP_KEY = {"numba", "pymoo", "rosbags", "mcap", "plotly", "rich"}
+WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "mcap", "plotly", "rich"}
 OPTIONAL = {"nidaqmx"}
 
 
