@@ -3,7 +3,19 @@
 from collections.abc import Mapping
 
 from mrd_base import InputError
-from mrd_sim.models import bingham, bouc_wen, linear_viscous, modified_bouc_wen, polynomial
+from mrd_sim.models import (
+    algebraic,
+    bingham,
+    biviscous,
+    bouc_wen,
+    hyperbolic_tangent,
+    hysteretic_biviscous,
+    linear_viscous,
+    modified_bouc_wen,
+    polynomial,
+    quasi_static,
+    sigmoid,
+)
 from mrd_sim.models.model import DamperModel, Parameter, Quantity
 
 MODELS: dict[str, DamperModel] = {
@@ -11,7 +23,13 @@ MODELS: dict[str, DamperModel] = {
     for module in (
         linear_viscous,
         bingham,
+        quasi_static,
+        biviscous,
+        hysteretic_biviscous,
         polynomial,
+        hyperbolic_tangent,
+        algebraic,
+        sigmoid,
         bouc_wen,
         modified_bouc_wen,
     )
