@@ -109,7 +109,7 @@ def pareto_front(fit: Fit) -> go.Figure:
             marker={"size": 13, "symbol": "diamond", "color": ACCENT},
         )
     )
-    if fit.polished:
+    if fit.method.polish:
         figure.add_trace(
             go.Scatter(
                 x=[fit.pooled_fitted.e2], y=[fit.pooled_fitted.einf], mode="markers", name="after least squares",
@@ -145,6 +145,21 @@ def parameters(fit: Fit) -> go.Figure:
     figure.update_xaxes(title_text="95 % interval relative to the value")
     figure.update_yaxes(automargin=True)
     figure.update_layout(**_LAYOUT, height=420)
+    return figure
+
+
+def correlation(fit: Fit) -> go.Figure:
+    """How the errors of the free parameters go together."""
+    names = [estimate.parameter.name for estimate in fit.estimates if not estimate.fixed]
+    figure = go.Figure(
+        go.Heatmap(
+            z=np.round(fit.correlation, 3), x=names, y=names, zmin=-1, zmax=1, colorscale="RdBu", hoverongaps=False,
+            colorbar={"title": "correlation", "thickness": 12},
+        )
+    )
+    figure.update_yaxes(autorange="reversed", automargin=True)
+    figure.update_xaxes(automargin=True, tickangle=45)
+    figure.update_layout(**_LAYOUT, height=460)
     return figure
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 
 from mrd_base import InputError
 from mrd_identification.identify import Fit
 from mrd_identification.metrics import Metrics
 from mrd_runs import Run
 
-SCHEMA = "mrd-fit/1"
+SCHEMA = "mrd-fit/2"
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class StoredFit:
     Attributes
     ----------
     model : str
+    laws : mapping
+        Current law by coefficient.
     values : mapping
         Parameters by name in SI units.
     content : mapping
@@ -33,6 +36,7 @@ class StoredFit:
     """
 
     model: str
+    laws: Mapping[str, str]
     values: Mapping[str, float]
     content: Mapping[str, Any]
 
@@ -50,23 +54,30 @@ def to_json(fit: Fit) -> dict[str, Any]:
         "model": fit.model.id,
         "equation": fit.model.equation,
         "source": fit.model.source,
+        "laws": fit.model.laws,
         "runs": {
-            "fit": [_run(result.run) for result in fit.fitted],
-            "held_out": [_run(result.run) for result in fit.held_out] if fit.held_out_by == "runs" else [],
+            "fit": [run_json(result.run) for result in fit.fitted],
+            "held_out": [run_json(result.run) for result in fit.held_out] if fit.held_out_by == "runs" else [],
             "held_out_by": fit.held_out_by,
         },
-        "seed": fit.seed,
+        "seed": fit.method.seed,
         "elapsed_s": round(fit.elapsed, 3),
         "method": {
-            "search": "NSGA-II",
-            "population": fit.population,
-            "generations": fit.generations,
-            "polished": fit.polished,
+            "search": "NSGA-II, linear parameters by variable projection",
+            "population": fit.method.population,
+            "generations": fit.method.generations,
+            "seeds": fit.method.seeds,
+            "polished": fit.method.polish,
+            "loss": fit.method.loss,
+            "weights": fit.method.weights if isinstance(fit.method.weights, str) else list(fit.method.weights),
+            "run_offsets_N": list(fit.run_offsets) if fit.method.offsets else None,
         },
         "parameters": {
             estimate.parameter.name: {
                 "value": estimate.value,
-                "ci95": [_finite(estimate.lower), _finite(estimate.upper)],
+                "ci95": [finite(estimate.lower), finite(estimate.upper)],
+                "profile_ci95": [finite(estimate.profile_lower), finite(estimate.profile_upper)],
+                "by_seed": list(estimate.seeds),
                 "unit": estimate.parameter.unit,
                 "bounds": [estimate.parameter.lower, estimate.parameter.upper],
                 "fixed": estimate.fixed,
@@ -94,15 +105,20 @@ def to_json(fit: Fit) -> dict[str, Any]:
             for index, (theta, norms) in enumerate(zip(fit.front.thetas, fit.front.norms, strict=True))
         ],
         "metrics": {
-            "fit": _metrics(fit.pooled_fitted),
-            "held_out": _metrics(fit.pooled_held_out) if fit.pooled_held_out else None,
+            "fit": metrics_json(fit.pooled_fitted),
+            "held_out": metrics_json(fit.pooled_held_out) if fit.pooled_held_out else None,
             "per_run": [
-                {"run": result.run.name, "judged": judged, **_metrics(result.metrics)}
+                {"run": result.run.name, "judged": judged, **metrics_json(result.metrics)}
                 for judged, results in (("fit", fit.fitted), ("held_out", fit.held_out))
                 for result in results
             ],
         },
-        "condition": _finite(fit.condition),
+        "nrmse_by_seed": list(fit.seed_errors),
+        "condition": finite(fit.condition),
+        "correlation": {
+            "parameters": [estimate.parameter.name for estimate in fit.estimates if not estimate.fixed],
+            "matrix": np.round(fit.correlation, 6).tolist(),
+        },
         "warnings": list(fit.warnings),
         "versions": {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", "pymoo")},
     }
@@ -130,13 +146,16 @@ def make_folder(path: str) -> Path:
 
 def write_fit(fit: Fit, folder: str | Path) -> Path:
     """Write fit.json into ``folder`` and return its path; the file is whole or not there."""
-    content = to_json(fit)
-    jsonschema.validate(content, schema())
-    path = Path(folder) / "fit.json"
+    return write_json(to_json(fit), "fit", folder)
+
+
+def write_json(content: Mapping[str, Any], name: str, folder: str | Path) -> Path:
+    """Write ``name``.json into ``folder`` after checking it against its schema; the file is whole or not there."""
+    jsonschema.validate(content, schema(name))
+    path = Path(folder) / f"{name}.json"
     partial = path.with_suffix(".part")
     partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    partial.replace(path)
-    return path
+    return partial.replace(path)
 
 
 def read_fit(path: str | Path) -> StoredFit:
@@ -158,10 +177,10 @@ def read_fit(path: str | Path) -> StoredFit:
         field = "/".join(map(str, error.absolute_path)) or "the file"
         raise InputError(f"{path}: {field}: {error.message.splitlines()[0]}; expected a fit.json of {SCHEMA}") from None
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
-    return StoredFit(content["model"], values, content)
+    return StoredFit(content["model"], content["laws"], values, content)
 
 
-def _run(run: Run) -> dict[str, Any]:
+def run_json(run: Run) -> dict[str, Any]:
     return {
         "name": run.name,
         "source": str(run.info.get("source", "")),
@@ -171,19 +190,19 @@ def _run(run: Run) -> dict[str, Any]:
     }
 
 
-def _metrics(of: Metrics) -> dict[str, Any]:
+def metrics_json(of: Metrics) -> dict[str, Any]:
     return {
         "samples": of.samples,
         "rmse_N": of.rmse,
-        "nrmse": _finite(of.nrmse),
-        "fit_percent": _finite(of.fit_percent),
-        "vaf": _finite(of.vaf),
+        "nrmse": finite(of.nrmse),
+        "fit_percent": finite(of.fit_percent),
+        "vaf": finite(of.vaf),
         "e2_N": of.e2,
         "einf_N": of.einf,
     }
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 

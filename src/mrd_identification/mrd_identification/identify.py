@@ -1,24 +1,75 @@
-"""Identify a damper model from recordings: NSGA-II, its knee, then least squares."""
+"""Identify a damper model from recordings: NSGA-II, least squares, and what can be said of the result."""
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_identification.cautions import cautions
+from mrd_identification.cluster import run_on_cluster
 from mrd_identification.metrics import Metrics, metrics
 from mrd_identification.nsga2 import Front, search
-from mrd_identification.polish import Intervals, intervals, polish
-from mrd_identification.problem import Problem, Recording, free_parameters, prepare
+from mrd_identification.polish import polish, polish_front, with_loss_scale
+from mrd_identification.problem import Loss, Problem, Recording, Weights, pose, prepare, run_weights
+from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, Parameter, find_model
 
 Array = NDArray[np.float64]
+Progress = Callable[[int, float], None]
 
-POPULATION = 100
-GENERATIONS = 60
+
+def no_progress(_generation: int, _nrmse: float) -> None:
+    """Nobody wants to know."""
+
+
+POPULATION = 40
+GENERATIONS = 25
+SEEDS = 3
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a model is identified.
+
+    Attributes
+    ----------
+    laws : str or mapping
+        Current laws, see `DamperModel.with_laws`.
+    fixed : mapping
+        Values of parameters that are not searched, by name.
+    freed : collection of str
+        Parameters to be searched that usually keep their default.
+    offsets : bool
+        Let each fitted run have a force offset of its own; held-out runs are judged without one.
+    weights : {"samples", "runs", "force"} or sequence of float
+        What counts alike: samples, runs, or errors relative to a run's force; or a number for each run.
+    loss : {"linear", "soft_l1", "huber"}
+        Of the residuals in least squares.
+    population, generations, seed, seeds : int
+        NSGA-II's; it runs ``seeds`` times, from ``seed`` on.
+    polish : bool
+        Least squares from the front; without it the knee of the first front is the result.
+    profile : bool
+        Intervals from profiles of the objective beside those from the covariance.
+    """
+
+    laws: str | Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    freed: Collection[str] = ()
+    offsets: bool = False
+    weights: Weights | Sequence[float] = "samples"
+    loss: Loss = "linear"
+    population: int = POPULATION
+    generations: int = GENERATIONS
+    seed: int = 0
+    seeds: int = SEEDS
+    polish: bool = True
+    profile: bool = True
 
 
 @dataclass(frozen=True)
@@ -30,7 +81,11 @@ class Estimate:
     parameter : Parameter
     value : float
     lower, upper : float
-        95 % interval; nan where there is none (fixed, on a bound, or not determined).
+        95 % interval from the covariance; nan where there is none (fixed, on a bound, or not determined).
+    profile_lower, profile_upper : float
+        95 % interval from the profile of the objective; an end on the parameter's bound is open. nan where there is none.
+    seeds : tuple of float
+        What each seed of the search came to.
     fixed : bool
         Kept at ``value``, not searched.
     on_bound : bool
@@ -40,6 +95,9 @@ class Estimate:
     value: float
     lower: float
     upper: float
+    profile_lower: float
+    profile_upper: float
+    seeds: tuple[float, ...]
     fixed: bool
     on_bound: bool
 
@@ -71,11 +129,13 @@ class Fit:
     Attributes
     ----------
     model : DamperModel
+    method : Method
     theta : ndarray (parameters,)
     estimates : tuple of Estimate
     front : Front
-        Of NSGA-II, before the polish.
-    polished : bool
+        Of the seed that led to the result, before least squares.
+    seed_errors : tuple of float
+        NRMSE on the fitted runs that each seed came to.
     fitted, held_out : tuple of RunResult
         Without held-out runs of their own, each fitted run is judged by a fit to the others; a single run has nobody to
         judge it, and ``held_out`` is empty.
@@ -83,30 +143,33 @@ class Fit:
         "runs", "leave-one-run-out" or "none".
     pooled_fitted, pooled_held_out : Metrics or None
         Over all samples of the runs together.
-    seed, population, generations : int
-    elapsed : float
-        s.
+    run_offsets : tuple of float
+        Force offset in N of each fitted run, where offsets are free.
+    correlation : ndarray (free, free)
+        Of the estimates that are not fixed, in their order.
     condition : float
         Condition number of the scaled sensitivities.
+    elapsed : float
+        s.
     warnings : tuple of str
         What limits the trust in this fit, in plain words.
     """
 
     model: DamperModel
+    method: Method
     theta: Array
     estimates: tuple[Estimate, ...]
     front: Front
-    polished: bool
+    seed_errors: tuple[float, ...]
     fitted: tuple[RunResult, ...]
     held_out: tuple[RunResult, ...]
     held_out_by: str
     pooled_fitted: Metrics
     pooled_held_out: Metrics | None
-    seed: int
-    population: int
-    generations: int
-    elapsed: float
+    run_offsets: tuple[float, ...]
+    correlation: Array
     condition: float
+    elapsed: float
     warnings: tuple[str, ...]
 
     @property
@@ -131,11 +194,10 @@ def identify(
     model: str,
     *,
     held_out: Sequence[Run] = (),
-    population: int = POPULATION,
-    generations: int = GENERATIONS,
-    seed: int = 0,
-    polish_result: bool = True,
-    progress: Callable[[int, float], None] | None = None,
+    method: Method | None = None,
+    scheduler: str | None = None,
+    progress: Progress = no_progress,
+    **options: Any,
 ) -> Fit:
     """Identify the parameters of a damper model from runs, all jointly.
 
@@ -147,12 +209,15 @@ def identify(
         Id of a model, e.g. ``"bouc_wen"``.
     held_out : sequence of Run
         What judges the fit.
-    population, generations, seed : int
-        NSGA-II's.
-    polish_result : bool
-        Least squares from the knee of the front.
+    method : Method, optional
+        How; the default method otherwise.
+    scheduler : str, optional
+        Address of a dask.distributed scheduler to work on; the result is the same.
     progress : callable, optional
-        Called after every generation with its number and the smallest NRMSE so far.
+        Called after every generation with its number, counted over all seeds, and the smallest NRMSE so far; again and again
+        with the last of these while the rest is computed. What it raises ends the work.
+    **options
+        Fields of `Method` that differ from ``method``, e.g. ``seed=1, laws="quadratic"``.
 
     Returns
     -------
@@ -162,65 +227,139 @@ def identify(
     Raises
     ------
     InputError
-        For an unknown model, no runs, or runs whose rod or force does not move.
+        For an unknown model or option, no runs, or runs whose rod or force does not move.
     """
+    case = Case(tuple(runs), model, tuple(held_out), replace(method or Method(), **options))
+    return identify_all([case], scheduler=scheduler, progress=progress)[0]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One of many identifications: what `identify` takes."""
+
+    runs: tuple[Run, ...]
+    model: str
+    held_out: tuple[Run, ...] = ()
+    method: Method = Method()
+
+
+def identify_all(cases: Sequence[Case], *, scheduler: str | None = None, progress: Progress = no_progress) -> list[Fit]:
+    """Identify many cases, batches of runs or models or both; see `identify`.
+
+    First every seed of every case is searched, then every case is judged. On a cluster each of these is one piece of work.
+    """
+    for case in cases:
+        _check(case)
+    searches = [(case.runs, case.model, case.method, seed) for case in cases for seed in _seeds(case.method)]
+    generations = max((case.method.generations for case in cases), default=0)
+    everything = len(searches) * generations
+    solutions: list[Solution] = []
+    if scheduler is None:
+        for index, search_of in enumerate(searches):
+            solutions.append(solve(*search_of, _shifted(progress, index * generations)))
+    else:
+        solutions = run_on_cluster(scheduler, solve, searches, lambda done: progress(done * generations, np.nan))
+    rest = iter(solutions)
+    verdicts = [
+        (case.runs, case.held_out, case.model, case.method, [next(rest) for _ in _seeds(case.method)]) for case in cases
+    ]
+    if scheduler is not None:
+        return run_on_cluster(scheduler, judge, verdicts)
+    return [judge(*verdict, lambda: progress(everything, np.nan)) for verdict in verdicts]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What one seed came to.
+
+    Attributes
+    ----------
+    front : Front
+        Of NSGA-II.
+    theta : ndarray (parameters,)
+        The optimum of least squares, or the knee of the front.
+    elapsed : float
+        s.
+    """
+
+    front: Front
+    theta: Array
+    elapsed: float
+
+
+def solve(runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = no_progress) -> Solution:
+    """Search by NSGA-II from one seed, then least squares."""
     began = time.monotonic()
-    damper = find_model(model)
-    if not runs:
-        raise InputError("no runs to identify from")
-    if population < 8 or generations < 1:
-        raise InputError(f"population {population} and generations {generations}: expected at least 8 and 1")
-    for run in (*runs, *held_out):
-        if np.ptp(run.position) == 0 or np.ptp(run.force) == 0:
-            quantity = "position" if np.ptp(run.position) == 0 else "force"
-            raise InputError(f"{run.name}: {quantity} never changes; nothing can be identified from it")
-    recordings = [prepare(run) for run in runs]
-    judges = [prepare(run) for run in held_out]
-    problem, notes = _problem(damper, recordings)
-    spread = float(np.std(np.concatenate([r.force for r in recordings])))
-    samples = sum(len(r.force) for r in recordings)
-
-    def report(generation: int, e2: float) -> None:
-        if progress is not None:
-            progress(generation, e2 * np.sqrt(samples) / spread)
-
-    front = search(problem, population, generations, seed, report)
+    problem, _ = _pose(_prepare(runs, method), model, method)
+    to_nrmse = np.sqrt(len(problem.force)) / np.std(problem.force)
+    front = search(problem, method.population, method.generations, seed, lambda g, e2: progress(g, e2 * to_nrmse))
     theta = front.thetas[front.knee]
-    if polish_result:
-        theta = polish(problem, theta)
-    fitted = tuple(_judge(damper, theta, recording) for recording in recordings)
-    if judges:
-        held, by = tuple(_judge(damper, theta, judge) for judge in judges), "runs"
-    elif len(recordings) > 1 and polish_result:
-        held, by = _leave_one_out(damper, recordings, front), "leave-one-run-out"
+    if method.polish:
+        theta = polish_front(with_loss_scale(problem, front), front)
+    return Solution(front, theta, time.monotonic() - began)
+
+
+def judge(
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    model: str,
+    method: Method,
+    solutions: Sequence[Solution],
+    step: Callable[[], None] = lambda: None,
+) -> Fit:
+    """Choose the best of several seeds and find out what can be said of it; ``step`` is called now and then."""
+    began = time.monotonic()
+    recordings = _prepare(runs, method)
+    problem, notes = _pose(recordings, model, method)
+    problem = with_loss_scale(problem, solutions[0].front)
+    best = min(solutions, key=lambda solution: problem.cost(solution.theta))
+    theta = best.theta
+    if method.polish and problem.loss != "linear":
+        theta, _ = polish(problem, theta)  # on the common scale of the loss
+    fitted = tuple(_result(problem.model, theta, recording) for recording in recordings)
+    if held_out:
+        held, by = tuple(_result(problem.model, theta, prepare(run)) for run in held_out), "runs"
+    elif len(runs) > 1 and method.polish:
+        held, by = _leave_one_out(recordings, model, method, [s.front for s in solutions], step), "leave-one-run-out"
     else:
         held, by = (), "none"
-    uncertainty = intervals(problem, theta)
-    lower, upper = np.full((2, len(theta)), np.nan)
-    on_bound = np.zeros(len(theta), dtype=bool)
-    free = list(problem.free)
-    lower[free], upper[free], on_bound[free] = uncertainty.lower, uncertainty.upper, uncertainty.on_bound
+    uncertain = uncertainty(problem, theta, profile=method.profile and method.polish, step=step)
+    at = {index: place for place, index in enumerate(problem.free)}
+
+    def end(of: Array, index: int) -> float:
+        return float(of[at[index]]) if index in at else float("nan")
+
     estimates = tuple(
-        Estimate(parameter, float(theta[i]), float(lower[i]), float(upper[i]), i not in free, bool(on_bound[i]))
-        for i, parameter in enumerate(damper.parameters)
+        Estimate(
+            parameter,
+            float(theta[i]),
+            end(uncertain.lower, i),
+            end(uncertain.upper, i),
+            end(uncertain.profile_lower, i),
+            end(uncertain.profile_upper, i),
+            seeds=tuple(float(solution.theta[i]) for solution in solutions),
+            fixed=i not in at,
+            on_bound=i in at and bool(uncertain.on_bound[at[i]]),
+        )
+        for i, parameter in enumerate(problem.model.parameters)
     )
     return Fit(
-        model=damper,
+        model=problem.model,
+        method=method,
         theta=theta,
         estimates=estimates,
-        front=front,
-        polished=polish_result,
+        front=best.front,
+        seed_errors=tuple(_nrmse(problem, solution.theta) for solution in solutions),
         fitted=fitted,
         held_out=held,
         held_out_by=by,
         pooled_fitted=pooled(fitted),
         pooled_held_out=pooled(held) if held else None,
-        seed=seed,
-        population=population,
-        generations=generations,
-        elapsed=time.monotonic() - began,
-        condition=uncertainty.condition,
-        warnings=(*notes, *_warnings(estimates, uncertainty, problem, by)),
+        run_offsets=tuple(map(float, problem.offset_of_runs(theta))),
+        correlation=uncertain.correlation,
+        condition=uncertain.condition,
+        elapsed=time.monotonic() - began + sum(solution.elapsed for solution in solutions),
+        warnings=(*notes, *cautions(problem, theta, uncertain, [s.theta for s in solutions], by)),
     )
 
 
@@ -230,58 +369,62 @@ def pooled(results: Sequence[RunResult]) -> Metrics:
     return metrics(measured, np.concatenate([r.modelled[r.counted] for r in results]))
 
 
-def _judge(model: DamperModel, theta: Array, recording: Recording) -> RunResult:
-    modelled = model.force(theta, recording.path)
-    return RunResult(
-        recording.run, modelled, recording.counted, metrics(recording.force, modelled[recording.counted])
+def _check(case: Case) -> None:
+    method = case.method
+    find_model(case.model, method.laws)
+    if not case.runs:
+        raise InputError("no runs to identify from")
+    if method.population < 8 or method.generations < 1 or method.seeds < 1:
+        raise InputError(
+            f"population {method.population}, generations {method.generations}, seeds {method.seeds}: "
+            "expected at least 8, 1 and 1"
+        )
+    for run in (*case.runs, *case.held_out):
+        if np.ptp(run.position) == 0 or np.ptp(run.force) == 0:
+            quantity = "position" if np.ptp(run.position) == 0 else "force"
+            raise InputError(f"{run.name}: {quantity} never changes; nothing can be identified from it")
+
+
+def _shifted(progress: Progress, before: int) -> Progress:
+    return lambda generation, nrmse: progress(before + generation, nrmse)
+
+
+def _seeds(method: Method) -> range:
+    return range(method.seed, method.seed + (method.seeds if method.polish else 1))
+
+
+def _prepare(runs: Sequence[Run], method: Method) -> list[Recording]:
+    return [prepare(run, weight) for run, weight in zip(runs, run_weights(runs, method.weights), strict=True)]
+
+
+def _pose(recordings: Sequence[Recording], model: str, method: Method) -> tuple[Problem, list[str]]:
+    problem, notes = pose(
+        find_model(model, method.laws), recordings, fixed=method.fixed, freed=method.freed, offsets=method.offsets
     )
+    return replace(problem, loss=method.loss), notes
 
 
-def _problem(model: DamperModel, recordings: Sequence[Recording]) -> tuple[Problem, list[str]]:
-    """What these recordings can tell about a model; a parameter that they say nothing of is neutral."""
-    free, notes = free_parameters(model, [recording.run for recording in recordings])
-    base = model.defaults.copy()
-    for index, parameter in enumerate(model.parameters):
-        if index not in free and parameter.free:
-            base[index] = max(0.0, parameter.lower)
-    return Problem(model, recordings, free, base), notes
+def _nrmse(problem: Problem, theta: Array) -> float:
+    return float(np.sqrt(np.mean(problem.errors(theta) ** 2)) / np.std(problem.force))
 
 
-def _leave_one_out(model: DamperModel, recordings: Sequence[Recording], front: Front) -> tuple[RunResult, ...]:
+def _result(model: DamperModel, theta: Array, recording: Recording) -> RunResult:
+    modelled = model.force(theta, recording.path)
+    return RunResult(recording.run, modelled, recording.counted, metrics(recording.force, modelled[recording.counted]))
+
+
+def _leave_one_out(
+    recordings: Sequence[Recording], model: str, method: Method, fronts: Sequence[Front], step: Callable[[], None]
+) -> tuple[RunResult, ...]:
     """Each run judged by a fit to the others: what these alone can tell, from the candidate that suits them best."""
+    thetas = np.concatenate([front.thetas for front in fronts])
     results = []
     for index, recording in enumerate(recordings):
-        rest, _ = _problem(model, [*recordings[:index], *recordings[index + 1 :]])
-        starts = rest.theta(np.array([rest.unit(theta) for theta in front.thetas]))
-        theta = polish(rest, starts[int(np.argmin(rest.norms(starts)[:, 0]))])
-        results.append(_judge(model, theta, recording))
+        rest, _ = _pose([*recordings[:index], *recordings[index + 1 :]], model, method)
+        starts, norms = rest.project(rest.theta(rest.unit(thetas)))
+        order = np.argsort(norms[:, 0], kind="stable")
+        front = Front(starts[order], norms[order], 0)
+        theta, _ = polish(with_loss_scale(rest, front), front.thetas[0])
+        results.append(_result(rest.model, theta, recording))
+        step()
     return tuple(results)
-
-
-def _warnings(
-    estimates: Sequence[Estimate], uncertainty: Intervals, problem: Problem, held_out_by: str
-) -> list[str]:
-    found = []
-    if not np.isfinite([estimate.lower for estimate in estimates]).any():
-        found.append(
-            f"no intervals: the errors are independent over {uncertainty.blocks} stretches only, too few for "
-            f"{len(problem.free)} parameters; record longer or more runs"
-        )
-    for estimate in estimates:
-        parameter = estimate.parameter
-        if estimate.on_bound:
-            side = "lower" if abs(estimate.value - parameter.lower) < abs(estimate.value - parameter.upper) else "upper"
-            found.append(
-                f"{parameter.name} ended on its {side} bound, {f'{estimate.value:g} {parameter.unit}'.rstrip()}: "
-                "the runs want a value beyond it, or say nothing about it"
-            )
-        elif estimate.upper - estimate.lower >= 2 * abs(estimate.value):
-            found.append(f"{parameter.name} is not determined: its 95 % interval is wider than twice its value")
-    names = [p.name for p in problem.parameters]
-    correlation = uncertainty.correlation
-    for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > 0.98, 1)), strict=True):
-        found.append(f"{names[i]} and {names[j]} cannot be told apart well: correlation {correlation[i, j]:.3f}")
-    if held_out_by == "none":
-        why = "one run only" if len(problem.recordings) == 1 else "without least squares no run is left out in turn"
-        found.append(f"{why}: nothing judges the fit; give --held-out")
-    return found

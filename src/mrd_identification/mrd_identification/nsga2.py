@@ -43,7 +43,7 @@ def search(
     seed: int,
     progress: Callable[[int, float], None] | None = None,
 ) -> Front:
-    """Search the unit box of a problem by NSGA-II (Deb et al., 2002).
+    """Search by NSGA-II (Deb et al., 2002) the parameters that variable projection does not give.
 
     Parameters
     ----------
@@ -52,32 +52,42 @@ def search(
     progress : callable, optional
         Called with the generation and the smallest e2 in N.
     """
+    searched = np.flatnonzero(~problem.linear)
+    start = problem.unit(problem.base)
+    if not searched.size:
+        thetas, norms = problem.project(problem.base[None])
+        return Front(thetas, norms, 0)
+
+    def candidates(x: Array) -> Array:
+        unit = np.tile(start, (len(x), 1))
+        unit[:, searched] = x
+        return problem.theta(unit)
 
     class Objectives(PymooProblem):
         def __init__(self) -> None:
-            super().__init__(n_var=len(problem.free), n_obj=2, xl=0.0, xu=1.0)
+            super().__init__(n_var=len(searched), n_obj=2, xl=0.0, xu=1.0)
 
         def _evaluate(self, x: Array, out: dict[str, Any], *_: Any, **__: Any) -> None:
-            out["F"] = np.nan_to_num(problem.norms(problem.theta(x)), posinf=_WORST)
+            out["F"] = np.nan_to_num(problem.project(candidates(x))[1], posinf=_WORST)
 
     class Report(Callback):
         def notify(self, algorithm: Any) -> None:
             if progress is not None:
                 progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min()))
 
-    start = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
-    start[0] = problem.unit(problem.base)
+    first = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
+    first[0] = start[searched]
     result = minimize(
         Objectives(),
-        NSGA2(pop_size=population, sampling=start),
+        NSGA2(pop_size=population, sampling=first),
         ("n_gen", generations),
         seed=seed,
         callback=Report(),
         verbose=False,
     )
-    unit, norms = result.opt.get("X"), result.opt.get("F")
+    thetas, norms = problem.project(candidates(result.opt.get("X")))
     order = np.argsort(norms[:, 0], kind="stable")
-    return Front(problem.theta(unit[order]), norms[order], knee(norms[order]))
+    return Front(thetas[order], norms[order], knee(norms[order]))
 
 
 def knee(norms: Array) -> int:

@@ -45,6 +45,7 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         over_time=_html(figures.force_over_time(worst)),
         front=_html(figures.pareto_front(fit)),
         intervals=_html(figures.parameters(fit)),
+        correlation=_html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
         headline=[
             (f"NRMSE, {_HOW[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
             ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),

@@ -10,7 +10,7 @@ from mrd_base import InputError
 from mrd_identification import identify, metrics, read_fit, write_fit
 from mrd_identification.fit_file import make_folder
 from mrd_identification.nsga2 import knee
-from mrd_identification.problem import Problem, free_parameters, prepare
+from mrd_identification.problem import pose, prepare
 from mrd_identification.report import write_report
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
@@ -83,7 +83,7 @@ def test_front_is_sorted_and_non_dominated(bouc_wen_fit):
 
 def test_same_seed_same_result():
     run = simulated("bingham", {"offset": 20.0}, seed=5, noise=1.0, seconds=3)
-    first, second = (identify([run], "bingham", population=16, generations=5, seed=9) for _ in range(2))
+    first, second = (identify([run], "bingham", population=16, generations=5, seed=9, seeds=2) for _ in range(2))
     assert np.array_equal(first.theta, second.theta)
     assert np.array_equal(first.front.norms, second.front.norms)
 
@@ -91,52 +91,135 @@ def test_same_seed_same_result():
 @pytest.mark.parametrize("model", [m for m in MODELS if m != "bouc_wen"])
 def test_every_model_fits_its_own_data(model):
     runs = [simulated(model, {}, seed=seed) for seed in (1, 2)]
-    fit = identify(runs, model, population=40, generations=20, seed=1)
+    fit = identify(runs, model, generations=15, seed=1, seeds=1, profile=False)
     assert fit.held_out_by == "leave-one-run-out"
     assert fit.pooled_held_out.nrmse < 0.02
 
 
 def test_without_polish_the_knee_is_the_result():
     run = simulated("bingham", {}, seconds=3, noise=1.0)
-    fit = identify([run], "bingham", population=16, generations=8, seed=2, polish_result=False)
+    fit = identify([run], "bingham", population=16, generations=8, seed=2, polish=False)
     assert np.array_equal(fit.theta, fit.front.thetas[fit.front.knee])
 
 
+def searched(model, runs, **options):
+    problem, notes = pose(find_model(model), [prepare(run) for run in runs], **options)
+    return [parameter.name for parameter in problem.parameters], notes
+
+
 def test_what_the_runs_cannot_tell_is_fixed_and_said():
-    constant = [simulated("bouc_wen", {}, seed=seed, current=0.3) for seed in (1, 2)]
-    free, notes = free_parameters(find_model("bouc_wen"), constant)
-    names = [find_model("bouc_wen").names[i] for i in free]
+    names, notes = searched("bouc_wen", [simulated("bouc_wen", {}, seed=seed, current=0.3) for seed in (1, 2)])
     assert "coil_lag" not in names
     assert "yield_force_per_A" not in names
     assert len(notes) == 2
-    two_levels = [simulated("bouc_wen", {}, current=0.1), simulated("bouc_wen", {}, current=0.3)]
-    free, notes = free_parameters(find_model("bouc_wen"), two_levels)
-    names = [find_model("bouc_wen").names[i] for i in free]
+    names, notes = searched("bouc_wen", [simulated("bouc_wen", {}, current=0.1), simulated("bouc_wen", {}, current=0.3)])
     assert "coil_lag" not in names
     assert "yield_force_per_A" in names
 
 
+def test_two_currents_bend_no_law():
+    runs = [simulated("bingham", {}, current=level) for level in (0.1, 0.3)]
+    recordings = [prepare(run) for run in runs]
+    problem, notes = pose(find_model("bingham", "tanh"), recordings)
+    assert not any(p.name.endswith("_saturation") for p in problem.parameters)
+    assert any("two points bend no law" in note for note in notes)
+    third = prepare(simulated("bingham", {}, current=0.2))
+    problem, _ = pose(find_model("bingham", "tanh"), [*recordings, third])
+    assert any(p.name.endswith("_saturation") for p in problem.parameters)
+
+
+def test_parameters_can_be_fixed_and_freed():
+    run = simulated("bouc_wen", {}, seconds=2)
+    names, _ = searched("bouc_wen", [run], fixed={"offset": 12.0}, freed=["exponent"])
+    assert "offset" not in names
+    assert "exponent" in names
+    with pytest.raises(InputError, match="unknown parameter nosuch"):
+        searched("bouc_wen", [run], freed=["nosuch"])
+    with pytest.raises(InputError, match="offset is 1e\\+06 N, expected -300 to 300"):
+        searched("bouc_wen", [run], fixed={"offset": 1e6})
+    model = find_model("linear_viscous")
+    with pytest.raises(InputError, match="every parameter is fixed"):
+        searched("linear_viscous", [run], fixed=dict(zip(model.names, model.defaults, strict=True)))
+
+
 def test_unit_box_round_trip():
-    model = find_model("modified_bouc_wen")
-    run = simulated("modified_bouc_wen", {})
-    free, _ = free_parameters(model, [run])
-    problem = Problem(model, [prepare(run)], free, model.defaults)
-    unit = np.random.default_rng(0).random((5, len(free)))
+    problem, _ = pose(find_model("modified_bouc_wen"), [prepare(simulated("modified_bouc_wen", {}))])
+    unit = np.random.default_rng(0).random((5, len(problem.free)))
     assert np.allclose([problem.unit(theta) for theta in problem.theta(unit)], unit)
 
 
-def test_jacobian_matches_central_differences():
-    model = find_model("bouc_wen")
-    run = simulated("bouc_wen", TRUTH, noise=1.0)
-    free, _ = free_parameters(model, [run])
-    problem = Problem(model, [prepare(run)], free, model.vector(TRUTH))
+def weighted_recordings(noise):
+    return [prepare(simulated("bouc_wen", TRUTH, noise=noise, seed=seed), weight) for seed, weight in ((1, 0.5), (2, 2.0))]
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+def test_jacobian_matches_central_differences(offsets):
+    model = find_model("bouc_wen", "tanh")
+    recordings = weighted_recordings(1.0)
+    problem, _ = pose(model, recordings, offsets=offsets)
     unit = problem.unit(model.vector(TRUTH))
-    jacobian = problem.jacobian(unit, problem.residuals(problem.theta(unit)))
-    for column in range(len(free)):
+    jacobian = problem.jacobian(unit)
+    for column in range(len(problem.free)):
         step = np.zeros(len(unit))
-        step[column] = 1e-5
-        central = (problem.residuals(problem.theta(unit + step)) - problem.residuals(problem.theta(unit - step))) / 2e-5
-        assert np.linalg.norm(jacobian[:, column] - central) < 0.01 * np.linalg.norm(central)
+        step[column] = 1e-6
+        central = (problem.residuals(problem.theta(unit + step)) - problem.residuals(problem.theta(unit - step))) / 2e-6
+        assert np.linalg.norm(jacobian[:, column] - central) <= 1e-4 * np.linalg.norm(central)
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+@pytest.mark.parametrize("model", ["bouc_wen", "modified_bouc_wen", "polynomial"])
+def test_projection_is_the_bounded_optimum_of_the_linear_parameters(model, offsets):
+    """No change of a linear parameter within its bounds lowers the error, and the norms are those of the whole model."""
+    damper = find_model(model)
+    recordings = weighted_recordings(3.0)
+    problem, _ = pose(damper, recordings, offsets=offsets)
+    thetas, norms = problem.project(problem.theta(np.random.default_rng(0).random((3, len(problem.free)))))
+    assert np.allclose(norms, problem.norms(thetas), rtol=1e-6)
+    for theta in thetas:
+        gradient = problem.jacobian(problem.unit(theta)).T @ problem.residuals(theta)
+        unit = problem.unit(theta)
+        size = np.linalg.norm(problem.jacobian(unit), axis=0) * np.linalg.norm(problem.residuals(theta))
+        for index in np.flatnonzero(problem.linear):
+            slope = gradient[index] / size[index]
+            assert abs(slope) < 1e-6 or (unit[index] < 1e-9 and slope > 0) or (unit[index] > 1 - 1e-9 and slope < 0)
+
+
+def test_offsets_of_single_runs_do_not_count_and_are_reported():
+    runs = [simulated("bouc_wen", TRUTH, seed=seed) for seed in (1, 2, 3)]
+    shifted = [
+        Run(run.name, run.time, run.position, run.velocity, run.current, run.force + shift)
+        for run, shift in zip(runs, (20.0, -30.0, 10.0), strict=True)
+    ]
+    fit = identify(shifted, "bouc_wen", seed=1, seeds=1, offsets=True, profile=False)
+    assert fit.run_offsets == pytest.approx((20.0, -30.0, 10.0), abs=0.5)
+    assert fit.values["yield_force"] == pytest.approx(TRUTH["yield_force"], rel=0.01)
+    assert fit.values["offset"] == pytest.approx(TRUTH["offset"], abs=0.5)
+
+
+def test_a_robust_loss_withstands_outliers():
+    run = simulated("bingham", {"viscous": 1500.0}, seed=1, noise=1.0)
+    random = np.random.default_rng(0)
+    force = run.force + np.where(random.random(len(run)) < 0.02, 400.0, 0.0)
+    spoilt = Run("spoilt", run.time, run.position, run.velocity, run.current, force)
+    plain, robust = (identify([spoilt], "bingham", seeds=1, loss=loss) for loss in ("linear", "huber"))
+    assert abs(robust.values["offset"]) < 0.3 < abs(plain.values["offset"])
+    widths = [next(e.upper - e.lower for e in fit.estimates if e.parameter.name == "offset") for fit in (plain, robust)]
+    assert widths[1] < 0.5 * widths[0]
+
+
+def test_weights_decide_between_runs_that_disagree():
+    runs = [
+        simulated("linear_viscous", {"viscous": viscous}, seed=1, current=0.0, seconds=seconds)
+        for viscous, seconds in ((2000.0, 2), (4000.0, 5))
+    ]
+
+    def viscous(weights):
+        return identify(runs, "linear_viscous", seeds=1, weights=weights, profile=False).values["viscous"]
+
+    assert viscous("force") < viscous("runs") < viscous("samples")
+    assert viscous([1.0, 1e-6]) == pytest.approx(2000.0, rel=1e-3)
+    with pytest.raises(InputError, match="expected 2 positive numbers"):
+        viscous([1.0, -1.0])
 
 
 def test_norms_are_the_papers():
@@ -192,16 +275,16 @@ def test_unusable_input_is_one_line():
 def test_a_run_left_out_teaches_nothing():
     """Two currents: without one of them the other says nothing of the slopes, and the judged error shows it."""
     runs = [simulated("bingham", {}, seed=1, current=0.1), simulated("bingham", {}, seed=2, current=0.4)]
-    fit = identify(runs, "bingham", population=16, generations=8, seed=1)
+    fit = identify(runs, "bingham", seed=1, seeds=1)
     for index, result in enumerate(fit.held_out):
-        alone = identify([runs[1 - index]], "bingham", held_out=[runs[index]], population=16, generations=8, seed=1)
+        alone = identify([runs[1 - index]], "bingham", held_out=[runs[index]], seed=1, seeds=1)
         assert result.metrics.nrmse > 0.3
         assert result.metrics.nrmse == pytest.approx(alone.pooled_held_out.nrmse, rel=0.05)
 
 
 def test_without_polish_no_run_is_left_out_in_turn():
     runs = [simulated("bingham", {}, seed=seed, seconds=3) for seed in (1, 2)]
-    fit = identify(runs, "bingham", population=16, generations=4, polish_result=False)
+    fit = identify(runs, "bingham", population=16, generations=4, polish=False)
     assert fit.held_out_by == "none"
     assert any("nothing judges the fit" in warning for warning in fit.warnings)
 
@@ -213,8 +296,7 @@ def test_noise_of_the_current_sensor_is_no_change_of_current(rate):
     noise = 0.0067 * random.standard_normal(len(time))
 
     def names(current):
-        run = Run("run", time, np.sin(time), np.cos(time), current, np.cos(time))
-        return [find_model("bingham").names[i] for i in free_parameters(find_model("bingham"), [run])[0]]
+        return searched("bingham", [Run("run", time, np.sin(time), np.cos(time), current, np.cos(time))])[0]
 
     assert "coil_lag" not in names(0.2 + noise)
     assert "coil_lag" in names(0.2 + 0.05 * (np.sin(5 * time) > 0) + noise)
@@ -246,7 +328,7 @@ def test_intervals_cover_the_truth_with_correlated_errors():
         random = np.random.default_rng(1000 + seed)
         errors = lfilter([1.0], [1.0, -0.98], random.standard_normal(len(run)))
         noisy = Run("noisy", run.time, run.position, run.velocity, run.current, run.force + errors)
-        fit = identify([noisy], "bingham", population=16, generations=8, seed=seed)
+        fit = identify([noisy], "bingham", population=16, generations=8, seed=seed, seeds=1, profile=False)
         true = find_model("bingham").vector(truth)
         covered.append([e.lower <= t <= e.upper for e, t in zip(fit.estimates, true, strict=True)])
     assert (np.sum(covered, axis=0) >= 50).all(), np.sum(covered, axis=0)

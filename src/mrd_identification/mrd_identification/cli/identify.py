@@ -5,11 +5,11 @@ import sys
 
 from tqdm import tqdm
 
-from mrd_base import InputError, run_tool
+from mrd_base import run_tool
+from mrd_identification.cli.options import add_method_arguments, add_run_arguments, method, read_arguments_runs
 from mrd_identification.fit_file import make_folder, write_fit
-from mrd_identification.identify import GENERATIONS, POPULATION, identify
+from mrd_identification.identify import identify
 from mrd_identification.report import sentence, write_report
-from mrd_runs import read_runs
 from mrd_sim.models import MODELS, find_model
 
 
@@ -24,39 +24,27 @@ def work() -> None:
         prog="identify",
         description="Identify a damper model from recordings by NSGA-II and least squares; writes fit.json and fit.html.",
     )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
+    add_run_arguments(parser)
     parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
-    parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs that judge the fit")
-    parser.add_argument("--population", type=int, default=POPULATION, help="of NSGA-II (default %(default)s)")
-    parser.add_argument("--generations", type=int, default=GENERATIONS, help="of NSGA-II (default %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
-    parser.add_argument("--no-polish", action="store_true", help="keep the knee of the front as it is")
+    add_method_arguments(parser)
     parser.add_argument("--output", required=True, metavar="DIR", help="where fit.json and fit.html go")
     arguments = parser.parse_args()
-    if arguments.seed < 0:
-        raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
-
-    find_model(arguments.model)
+    how = method(arguments)
+    find_model(arguments.model, how.laws)
     folder = make_folder(arguments.output)
-    runs = read_runs([*arguments.runs, *arguments.held_out])
-    fitted, held_out = runs[: len(arguments.runs)], runs[len(arguments.runs) :]
-    with tqdm(
-        total=arguments.generations, desc="NSGA-II", unit="gen", file=sys.stderr, disable=None, leave=False
-    ) as bar:
+    runs, held_out = read_arguments_runs(arguments)
+    total = how.generations * (how.seeds if how.polish else 1)
+    with tqdm(total=total, desc="NSGA-II", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
 
-        def progress(_generation: int, nrmse: float) -> None:
-            bar.set_postfix_str(f"NRMSE {nrmse:.4f}", refresh=False)
-            bar.update()
+        def progress(generation: int, nrmse: float) -> None:
+            if generation == total:
+                bar.set_description_str("judging", refresh=False)
+            elif nrmse == nrmse:
+                bar.set_postfix_str(f"NRMSE {nrmse:.4f}", refresh=False)
+            bar.update(generation - bar.n)
 
         fit = identify(
-            fitted,
-            arguments.model,
-            held_out=held_out,
-            population=arguments.population,
-            generations=arguments.generations,
-            seed=arguments.seed,
-            polish_result=not arguments.no_polish,
-            progress=progress,
+            runs, arguments.model, held_out=held_out, method=how, scheduler=arguments.scheduler, progress=progress
         )
     write_fit(fit, folder)
     report = write_report(fit, folder)

@@ -15,7 +15,7 @@ from mrd_base import InputError, quantity
 from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
 from mrd_identification.fit_file import make_folder, write_fit
-from mrd_identification.identify import GENERATIONS, POPULATION, Fit, identify
+from mrd_identification.identify import Fit, Method, identify
 from mrd_identification.report import sentence, write_report
 from mrd_interfaces.action import Identify
 from mrd_interfaces.msg import BenchSamples
@@ -62,17 +62,17 @@ class Identifier(BenchNode[IdentifierSettings]):
 
     async def _execute(self, goal: Any) -> Identify.Result:
         request: Identify.Goal = goal.request
-        generations = request.generations or GENERATIONS
+        method = _method(request)
+        generations = method.generations * (method.seeds if method.polish else 1)
 
         def progress(generation: int, nrmse: float) -> None:
             if goal.is_cancel_requested or self._stopping.is_set():
                 raise CancelledError
-            feedback = Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse)
-            goal.publish_feedback(feedback)
+            goal.publish_feedback(Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse))
 
         result = Identify.Result()
         try:
-            fit, folder = await self._in_worker(lambda: self._fit(request, generations, progress))
+            fit, folder = await self._in_worker(lambda: self._fit(request, method, progress))
         except InputError as error:
             result.message = str(error)
             goal.abort()
@@ -100,7 +100,7 @@ class Identifier(BenchNode[IdentifierSettings]):
         return await done
 
     def _fit(
-        self, request: Identify.Goal, generations: int, progress: Callable[[int, float], None]
+        self, request: Identify.Goal, method: Method, progress: Callable[[int, float], None]
     ) -> tuple[Fit, Path]:
         folder = make_folder(request.output)
         if request.runs:
@@ -108,16 +108,7 @@ class Identifier(BenchNode[IdentifierSettings]):
             runs, held_out = every[: len(request.runs)], every[len(request.runs) :]
         else:
             runs, held_out = [self._heard.run("live samples")], read_runs(request.held_out)
-        fit = identify(
-            runs,
-            request.model,
-            held_out=held_out,
-            population=request.population or POPULATION,
-            generations=generations,
-            seed=request.seed,
-            polish_result=request.polish,
-            progress=progress,
-        )
+        fit = identify(runs, request.model, held_out=held_out, method=method, progress=progress)
         write_fit(fit, folder)
         write_report(fit, folder)
         return fit, folder
@@ -128,6 +119,16 @@ class Identifier(BenchNode[IdentifierSettings]):
     def close(self) -> None:
         self._stopping.set()
         self._worker.shutdown(wait=True, cancel_futures=True)
+
+
+def _method(request: Identify.Goal) -> Method:
+    default = Method()
+    return Method(
+        population=request.population or default.population,
+        generations=request.generations or default.generations,
+        seed=request.seed,
+        polish=request.polish,
+    )
 
 
 def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:

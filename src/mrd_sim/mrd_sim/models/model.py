@@ -144,6 +144,12 @@ class DamperModel:
     dissipative: bool = True
     observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process finds the model in its own catalogue: compiled kernels do not travel."""
+        from mrd_sim.models import find_model
+
+        return find_model, (self.id, self.laws)
+
     def with_laws(self, laws: str | Mapping[str, str]) -> "DamperModel":
         """The model with other current laws.
 

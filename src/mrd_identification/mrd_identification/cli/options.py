@@ -1,0 +1,91 @@
+"""Arguments that the tools share, and what they make of them."""
+
+import argparse
+
+from mrd_base import InputError
+from mrd_identification.identify import Method
+from mrd_runs import Run, read_runs
+from mrd_sim.current import LAWS
+
+_DEFAULT = Method()
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Runs to fit and to judge by."""
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
+    parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs that judge the fit")
+
+
+def add_method_arguments(parser: argparse.ArgumentParser) -> None:
+    """How to identify."""
+    parser.add_argument(
+        "--law", action="append", default=[], metavar="[COEFFICIENT=]LAW",
+        help=f"current law of a coefficient, or of all that depend on current: {', '.join(LAWS)}; may be repeated",
+    )
+    parser.add_argument(
+        "--fix", action="append", default=[], metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
+    )
+    parser.add_argument(
+        "--free", action="append", default=[], metavar="PARAMETER",
+        help="search a parameter that usually keeps its default; may be repeated",
+    )
+    parser.add_argument("--offsets", action="store_true", help="let each fitted run have a force offset of its own")
+    parser.add_argument(
+        "--weights", choices=("samples", "runs", "force"), default=_DEFAULT.weights,
+        help="what counts alike: samples, whole runs, or errors relative to a run's force (default %(default)s)",
+    )
+    parser.add_argument(
+        "--loss", choices=("linear", "soft_l1", "huber"), default=_DEFAULT.loss,
+        help="of the residuals: linear, or robust against outliers (default %(default)s)",
+    )
+    parser.add_argument("--population", type=int, default=_DEFAULT.population, help="of NSGA-II (default %(default)s)")
+    parser.add_argument("--generations", type=int, default=_DEFAULT.generations, help="of NSGA-II (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=_DEFAULT.seed, help="same seed, same result (default %(default)s)")
+    parser.add_argument(
+        "--seeds", type=int, default=_DEFAULT.seeds, help="searches, from --seed on; the best counts (default %(default)s)"
+    )
+    parser.add_argument("--no-polish", action="store_true", help="keep the knee of the front as it is")
+    parser.add_argument("--no-profile", action="store_true", help="leave out intervals by profile, the slow part")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="work on the dask cluster of this scheduler")
+
+
+def method(arguments: argparse.Namespace) -> Method:
+    """What the arguments say of the method.
+
+    Raises
+    ------
+    InputError
+        For a seed below 0 or an argument that is not of its form.
+    """
+    if arguments.seed < 0:
+        raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
+    alone = [law for law in arguments.law if "=" not in law]
+    if len(alone) > 1 or (alone and len(arguments.law) > 1):
+        raise InputError(f"--law {' --law '.join(arguments.law)}: expected one law for all, or COEFFICIENT=LAW for each")
+    fixed = {}
+    for text in arguments.fix:
+        name, _, value = text.partition("=")
+        try:
+            fixed[name] = float(value)
+        except ValueError:
+            raise InputError(f"--fix {text}: expected PARAMETER=VALUE with a number in SI units") from None
+    return Method(
+        laws=alone[0] if alone else dict(law.split("=", 1) for law in arguments.law),
+        fixed=fixed,
+        freed=tuple(arguments.free),
+        offsets=arguments.offsets,
+        weights=arguments.weights,
+        loss=arguments.loss,
+        population=arguments.population,
+        generations=arguments.generations,
+        seed=arguments.seed,
+        seeds=arguments.seeds,
+        polish=not arguments.no_polish,
+        profile=not arguments.no_profile,
+    )
+
+
+def read_arguments_runs(arguments: argparse.Namespace) -> tuple[list[Run], list[Run]]:
+    """Runs to fit and runs to judge by, with names of their own."""
+    runs = read_runs([*arguments.runs, *arguments.held_out])
+    return runs[: len(arguments.runs)], runs[len(arguments.runs) :]
