@@ -8,10 +8,14 @@ from mrd_sim.models import (
     bingham,
     biviscous,
     bouc_wen,
+    gamota_filisko,
     hyperbolic_tangent,
     hysteretic_biviscous,
     linear_viscous,
     modified_bouc_wen,
+    modified_dahl,
+    modified_lugre,
+    normalised_bouc_wen,
     polynomial,
     quasi_static,
     sigmoid,
@@ -31,7 +35,11 @@ MODELS: dict[str, DamperModel] = {
         algebraic,
         sigmoid,
         bouc_wen,
+        normalised_bouc_wen,
         modified_bouc_wen,
+        modified_dahl,
+        modified_lugre,
+        gamota_filisko,
     )
 }
 
