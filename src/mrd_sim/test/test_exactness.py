@@ -14,6 +14,7 @@ from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import Path, make_path
 
 WITH_MEMORY = [model for model in MODELS.values() if model.states]
+APPROXIMATE = pytest.mark.parametrize("model", [m for m in WITH_MEMORY if m.order > 0], ids=lambda m: m.id)
 EXACT = pytest.mark.parametrize("model", [m for m in WITH_MEMORY if m.order == 0], ids=lambda m: m.id)
 
 
@@ -138,6 +139,15 @@ def integrated(book, k, rod, start, end, state):
     return solution.y[:, -1]
 
 
+def sine(amplitude, frequency):
+    w = 2 * np.pi * frequency
+    return lambda t: (amplitude * np.sin(w * t), amplitude * w * np.cos(w * t))
+
+
+def relative(force, expected):
+    return np.sqrt(np.mean((force - expected) ** 2)) / np.sqrt(np.mean(expected**2))
+
+
 def multi_amplitude_polyline(slower=1.0):
     """Large and small loops, some of less than the yield travel, with steps from 0.5 to 10 ms and a stand-still."""
     random = np.random.default_rng(3)
@@ -201,7 +211,23 @@ def test_more_vertices_on_the_same_polyline_change_nothing(model, data):
     assert np.max(np.abs(model.force(theta, coarse) - expected)) <= 1e-9 * np.max(np.abs(expected)) + 1e-9
 
 
-@pytest.mark.parametrize("model", [m for m in WITH_MEMORY if m.order > 0], ids=lambda m: m.id)
+@pytest.mark.parametrize("case", range(3))
+@APPROXIMATE
+def test_force_tends_to_the_textbook_over_whole_cycles(model, case):
+    theta = half_way_into_the_box(model, np.random.default_rng(case)) if case else model.defaults
+    book, rod, time = TEXTBOOK[model.id], sine(0.01, 4.0), np.arange(2001) / 4000
+    k = book.constants(model.at_current(theta, 0.4))
+    y = np.zeros(len(book.scale(k)))
+    expected = [book.force(k, *rod(0.0), y)]
+    for t0, t1 in pairwise(time[::20]):
+        y = integrated(book, k, rod, t0, t1, y)
+        expected.append(book.force(k, *rod(t1), y))
+    x, v = rod(time)
+    force = model.force(theta, make_path(time, x, v, np.zeros_like(x), np.full(len(x), 0.4)))[::20]
+    assert relative(force, np.array(expected)) < 1e-4
+
+
+@APPROXIMATE
 def test_order_of_convergence_on_a_smooth_stretch(model):
     """From a turn of the rod to shortly before the next, where the inner element reverses while the rod still moves on."""
     book = TEXTBOOK[model.id]
@@ -251,11 +277,6 @@ def spencer_1997():
     )  # fmt: skip
 
 
-def sine(amplitude, frequency):
-    w = 2 * np.pi * frequency
-    return lambda t: (amplitude * np.sin(w * t), amplitude * w * np.cos(w * t))
-
-
 def spencer_reference(rod, time):
     book = TEXTBOOK["modified_bouc_wen"]
     solution = solve_ivp(
@@ -282,10 +303,6 @@ def ours(rod, time):
     model, theta = spencer_1997()
     x, v = rod(time)
     return model.force(theta, make_path(time, x, v, np.zeros_like(x), np.full(len(x), 1.5)))
-
-
-def relative(force, expected):
-    return np.sqrt(np.mean((force - expected) ** 2)) / np.sqrt(np.mean(expected**2))
 
 
 def test_explicit_runge_kutta_at_1_khz_is_finite_and_wrong_and_ours_is_not():
