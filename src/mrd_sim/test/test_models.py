@@ -1,16 +1,23 @@
-"""What every damper model of the catalogue promises."""
+"""What every damper model of the catalogue promises, and what single ones do besides."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.integrate import trapezoid
 
 from mrd_base import InputError
+from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
+from mrd_sim.dual import STEP
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.path import make_path
+from mrd_sim.models.quasi_static import pressure_drop, yield_stress
+from mrd_sim.path import Path, make_path
 
 EVERY = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+TINY = 1e-9  # of the largest force
 
 
 def sine(rate=1000.0, seconds=2.0, amplitude=0.01, frequency=1.5, current=0.3):
@@ -25,15 +32,72 @@ def sine(rate=1000.0, seconds=2.0, amplitude=0.01, frequency=1.5, current=0.3):
     )
 
 
+def two_tones(cycles, samples, rate, speed, share, phase, centre, current, later_current):
+    """A sine with a third harmonic: minor loops, a stroke whose middle is not zero, and a step of the current."""
+    time = np.arange(cycles * samples + 1) / rate
+    w = 2 * np.pi * rate / samples
+    amplitude = min(speed / w, 0.02) / (1 + share)
+    one, three = w * time, 3 * w * time + phase
+    x = centre + amplitude * (np.sin(one) + share / 3 * np.sin(three))
+    v = amplitude * w * (np.cos(one) + share * np.cos(three))
+    a = -amplitude * w**2 * (np.sin(one) + 3 * share * np.sin(three))
+    return time, x, v, a, np.where(time < 0.6 * time[-1], current, later_current)
+
+
+def motions(cycles=2, samples=(12, 100, 500)):
+    """Arguments of `two_tones`: 25 Hz to 8 kHz, up to 0.4 m/s, 0 to 2 A."""
+    return st.fixed_dictionaries(
+        {
+            "cycles": st.just(cycles),
+            "samples": st.sampled_from(samples),
+            "rate": st.sampled_from([25.0, 200.0, 1000.0, 8000.0]),
+            "speed": st.floats(0.01, 0.4),
+            "share": st.floats(0, 0.9),
+            "phase": st.floats(0, 6.28),
+            "centre": st.floats(-0.005, 0.005),
+            "current": st.floats(0, 2),
+            "later_current": st.floats(0, 2),
+        }
+    )
+
+
+@st.composite
+def dampers(draw, model, margin=0.0):
+    """The model with any current laws, and parameters from anywhere in its bounds, ``margin`` away from them."""
+    laws = {name: draw(st.sampled_from(list(LAWS))) for name in model.laws} if draw(st.booleans()) else model.laws
+    model = model.with_laws(laws) if laws else model
+    count = len(model.parameters)
+    unit = margin + (1 - 2 * margin) * np.array(draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
+    theta = np.array([from_unit(u, p) for u, p in zip(unit, model.parameters, strict=True)])
+    for quantity in model.quantities:
+        if quantity.symbol == "n" and draw(st.booleans()):
+            theta[model.names.index(quantity.name)] = draw(st.sampled_from([1.0, 2.0]))  # written-out solutions
+    return model, theta
+
+
+def from_unit(unit, parameter):
+    if parameter.log:
+        return parameter.lower * (parameter.upper / parameter.lower) ** unit
+    return parameter.lower + unit * (parameter.upper - parameter.lower)
+
+
+def values(model, theta):
+    return dict(zip(model.names, theta, strict=True))
+
+
 @EVERY
-def test_shape_and_names(model):
+def test_shape_names_and_defaults(model):
     force = model.force(model.defaults, make_path(*sine()))
     assert force.shape == (2000,)
     assert np.isfinite(force).all()
     assert len(set(model.names)) == len(model.names)
+    assert len({quantity.symbol for quantity in model.quantities}) == len(model.quantities)
     for parameter in model.parameters:
+        assert parameter.lower < parameter.upper
         assert parameter.lower <= parameter.default <= parameter.upper
         assert not parameter.log or parameter.lower > 0
+        assert parameter.meaning
+    assert model.title
     assert model.source
     assert model.equation
 
@@ -42,51 +106,269 @@ def test_shape_and_names(model):
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_finite_over_the_whole_bounds_box(model, data):
-    unit = np.array([data.draw(st.floats(0, 1)) for _ in model.parameters])
-    lower = np.array([p.lower for p in model.parameters])
-    upper = np.array([p.upper for p in model.parameters])
-    theta = lower + unit * (upper - lower)
-    if "exponent" in model.names:
-        theta[model.names.index("exponent")] = data.draw(st.sampled_from([1.0, 2.0]))
-    path = make_path(*sine(rate=data.draw(st.sampled_from([25.0, 200.0, 1000.0])), amplitude=0.02, frequency=2.0))
-    assert np.isfinite(model.force(theta, path)).all()
+    """Force and derivative; real and dual numbers give the same force."""
+    model, theta = data.draw(dampers(model))
+    path = make_path(*two_tones(**data.draw(motions())))
+    force = model.force(theta, path)
+    assert np.isfinite(force).all()
+    dual = theta.astype(complex)
+    dual[data.draw(st.integers(0, len(theta) - 1))] += 1j * STEP
+    with_derivative = model.force(dual, path)
+    assert np.isfinite(with_derivative.imag).all()
+    assert np.allclose(with_derivative.real, force, rtol=0, atol=TINY * (1 + np.max(np.abs(force))))
 
 
 @EVERY
-def test_dissipates_over_a_closed_cycle(model):
+@settings(max_examples=8, deadline=None)
+@given(data=st.data())
+def test_derivatives_agree_with_central_differences(model, data):
+    model, theta = data.draw(dampers(model, margin=0.1))
+    path = make_path(*two_tones(**data.draw(motions(samples=[200]))))
+    size = np.max(np.abs(model.force(theta, path)))
+    for index, parameter in enumerate(model.parameters):
+        scale = theta[index] if parameter.log else parameter.upper - parameter.lower
+        moved = np.zeros(len(theta))
+        moved[index] = 1e-5 * scale
+        found = model.force(theta + 1j * STEP * moved, path).imag / STEP / 1e-5
+        expected = (model.force(theta + moved, path) - model.force(theta - moved, path)) / 2e-5
+        # A kink of the force may lie between the two: a few samples may differ.
+        error = np.quantile(np.abs(found - expected), 0.97)
+        assert error <= 1e-3 * np.max(np.abs(found)) + 1e-6 * size, parameter.name
+
+
+@EVERY
+@settings(max_examples=20, deadline=None)
+@given(data=st.data())
+def test_linear_part_and_rest_make_the_force(model, data):
+    model, theta = data.draw(dampers(model))
+    path = make_path(*two_tones(**data.draw(motions())))
+    columns, rest = model.regressors(theta, path)
+    terms = columns * theta[model.linear]
+    size = np.abs(terms).sum(axis=1) + np.abs(rest)
+    assert np.all(np.abs(terms.sum(axis=1) + rest - model.force(theta, path)) <= TINY * (1 + np.max(size)))
+    other = theta.copy()
+    other[model.linear] = 0.0
+    again, rest_again = model.regressors(other, path)
+    assert np.array_equal(again, columns)
+    assert np.array_equal(rest_again, rest)
+
+
+@pytest.mark.parametrize("model", [m for m in MODELS.values() if m.dissipative], ids=lambda model: model.id)
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_no_closed_cycle_yields_energy(model, data):
+    """From rest round closed cycles, no energy comes out: neither the first time nor once the loop has settled.
+
+    Wherever in the bounds, as long as the current laws leave the damping coefficients within theirs.
+    """
+    model, theta = data.draw(dampers(model))
+    count = 8000
+    motion = data.draw(motions(cycles=3, samples=[count]))
+    motion["later_current"] = motion["current"]
+    coefficients = model.at_current(theta, motion["current"])
+    assume(all(coefficients[q.name] >= q.lower for q in model.quantities if q.multiplies in ("v", "term")))
+    path = make_path(*two_tones(**motion))
+    force = model.force(theta, replace(path, samples=np.arange(len(path.dt))))
+    tiny = 1e-3 * np.ptp(force) * np.ptp(path.position) + 1e-12  # a step of the force falls between two samples
+    for cycle in (1, 2, 3):
+        upto = slice(path.samples[cycle * count] + 1)
+        assert trapezoid(force[upto], path.position[upto]) >= -cycle * tiny
+
+
+@EVERY
+def test_dissipates_over_a_settled_cycle_by_default(model):
     time, x, v, a, current = sine(seconds=4 / 1.5)
     force = model.force(model.defaults, make_path(time, x, v, a, current))
     last = slice(len(time) // 2, None)
-    assert np.sum(force[last] * v[last]) > 0
+    power = np.mean(force[last] * v[last])
+    assert 0.2 * np.std(force[last]) * np.std(v[last]) < power
+
+
+@EVERY
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_without_current_only_the_values_at_zero_ampere_count(model, data):
+    model, theta = data.draw(dampers(model))
+    known = values(model, theta)
+    assert model.at_current(theta, 0.0) == {q.name: known[q.name] for q in model.quantities}
+    time, x, v, a, _ = two_tones(**data.draw(motions()))
+    path = make_path(time, x, v, a, np.zeros(len(time)))
+    plain = model.vector({name: known[name] for name in model.at_current(theta, 0.0)} | {"coil_lag": known["coil_lag"]})
+    assert np.array_equal(model.force(theta, path), model.force(plain, path))
 
 
 @EVERY
 def test_force_grows_with_current(model):
     levels = [model.force(model.defaults, make_path(*sine(current=level))) for level in (0.0, 0.5, 1.0)]
     spans = [np.ptp(force) for force in levels]
-    assert spans[0] < spans[1] < spans[2]
+    assert 100 < spans[0] < spans[1] < spans[2] < 4000
 
 
 @EVERY
-def test_odd_without_offset(model):
-    """Turning the motion round turns the force round (the polynomial's branches change places and are equal here)."""
-    theta = model.defaults.copy()
-    if "offset" in model.names:
-        theta[model.names.index("offset")] = 0.0
-    time, x, v, a, current = sine()
+@settings(max_examples=20, deadline=None)
+@given(data=st.data())
+def test_odd_without_offset(model, data):
+    """Turning the motion round turns the force round (not with a polynomial whose branches differ)."""
+    theta = model.defaults
+    if model.id != "polynomial":
+        model, theta = data.draw(dampers(model))
+    offset = ("offset", "offset_per_A", "offset_per_A2")
+    theta = np.array([0.0 if name in offset else value for name, value in values(model, theta).items()])
+    time, x, v, a, current = two_tones(**data.draw(motions()))
     there = model.force(theta, make_path(time, x, v, a, current))
     back = model.force(theta, make_path(time, -x, -v, -a, current))
-    assert np.allclose(there, -back, atol=1e-8)
+    assert np.allclose(there, -back, rtol=0, atol=TINY * (1 + np.max(np.abs(there))))
 
 
 @EVERY
-def test_block_by_block_equals_at_once(model):
-    time, x, v, a, current = sine(rate=8000.0)
-    current = np.where(time < 1, 0.1, 0.6)
-    damper = Damper(model.id)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_block_by_block_equals_at_once(model, data):
+    model, theta = data.draw(dampers(model))
+    time, *series = two_tones(**data.draw(motions()))
+    steps = np.diff(time, prepend=time[0])
+    whole = Path(steps, *series, np.arange(len(time)))
+    at_once = model.force(theta, whole)
+    size = data.draw(st.integers(1, 77))
+    state = model.initial_state(whole)
+    for first in range(0, len(time), size):
+        part = slice(first, first + size)
+        block = Path(steps[part], *(values[part] for values in series), np.arange(len(time[part])))
+        assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=TINY * np.max(np.abs(at_once)))
+
+
+@EVERY
+def test_laws_agree_where_they_are_the_same(model):
+    """Affine is quadratic without the square, and exponential or tanh that saturate far away."""
+    path = make_path(*sine(current=0.8))
+    affine = model.with_laws("affine")
+    known = values(affine, affine.defaults)
+    expected = affine.force(affine.defaults, path)
+    for law in ("quadratic", "exponential", "tanh"):
+        other = model.with_laws(law)
+        theta = np.array([known.get(name, 0.0 if name.endswith("_per_A2") else 1e7) for name in other.names])
+        assert np.allclose(other.force(theta, path), expected, rtol=0, atol=1e-6 * np.max(np.abs(expected))), law
+
+
+def test_damper_block_by_block():
+    _, x, v, a, _ = sine(rate=8000.0)
+    current = np.where(np.arange(len(x)) < 8000, 0.1, 0.6)
+    damper = Damper("bouc_wen")
     blocks = [damper.advance(1 / 8000, *(s[k : k + 77] for s in (x, v, a, current))) for k in range(0, len(x), 77)]
-    whole = Damper(model.id).advance(1 / 8000, x, v, a, current)
+    whole = Damper("bouc_wen").advance(1 / 8000, x, v, a, current)
     assert np.allclose(np.concatenate(blocks), whole, atol=1e-8)
+
+
+WRITTEN_OUT = {
+    "linear_viscous": lambda q, x, v, a: q["c"] * v + q["f0"],
+    "bingham": lambda q, x, v, a: q["f_c"] * np.tanh(v / q["v_e"]) + q["c0"] * v + q["f0"],
+    "biviscous": lambda q, x, v, a: np.where(
+        np.abs(v) < q["v_y"], (q["C_po"] + q["F_y"] / q["v_y"]) * v, q["C_po"] * v + q["F_y"] * np.sign(v)
+    ) + q["f0"],
+    "hyperbolic_tangent": lambda q, x, v, a: (
+        q["alpha"] * np.tanh(q["beta"] * v + q["delta"] * np.sign(x)) + q["c"] * v + q["k"] * x + q["f0"]
+    ),
+    "algebraic": lambda q, x, v, a: (
+        q["f_I"] * np.tanh(q["a1"] * v + q["a2"] * x) + q["b1"] * v + q["b2"] * x + q["f0"]
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRITTEN_OUT)
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_force_is_the_equation(name, data):
+    """The models without memory and peak speed, written out in the symbols of their equations."""
+    model, theta = data.draw(dampers(find_model(name)))
+    motion = data.draw(motions())
+    motion["later_current"] = motion["current"]
+    time, x, v, a, current = two_tones(**motion)
+    found = model.at_current(theta, motion["current"])
+    q = {quantity.symbol: found[quantity.name] for quantity in model.quantities}
+    force = model.force(theta, make_path(time, x, v, a, current))
+    assert np.allclose(force, WRITTEN_OUT[name](q, x, v, a), rtol=1e-9, atol=1e-9)
+
+
+def test_hysteretic_biviscous_has_the_six_branches_of_wereley():
+    model = find_model("hysteretic_biviscous")
+    theta = model.vector({"yield_force": 500.0, "viscous": 1500.0, "yield_speed": 0.02, "loop_half_width": 0.008})
+    found = {name: value for name, (value, _) in model.observables(model.at_current(theta, 0.0)).items()}
+    f_y, before, after, v0 = found["yield force F_y"], found["C_pr"], found["C_po"], found["zero-force speed v0"]
+    v1, v2 = (f_y - before * v0) / (before - after), (f_y + before * v0) / (before - after)
+    time, x, v, a, _ = sine()
+    rising = np.where(v <= -v1, after * v - f_y, np.where(v <= v2, before * (v - v0), after * v + f_y))
+    falling = np.where(v <= -v2, after * v - f_y, np.where(v <= v1, before * (v + v0), after * v + f_y))
+    force = model.force(theta, make_path(time, x, v, a, np.zeros(len(time))))
+    expected = np.where(a > 0, rising, falling)
+    assert np.allclose(force[a != 0], expected[a != 0])
+
+
+def test_sigmoid_on_a_sine():
+    """On a centred sine the peak speed is constant; the loop closes where x' = v_h, rising, and x' = -v_h, falling."""
+    model = find_model("sigmoid")
+    theta = model.vector({"loop_half_width": 0.1, "transition_growth": 0.0, "viscous_growth": 0.0, "coil_lag": 0.0})
+    time, x, v, a, current = sine(current=0.0)
+    force = model.force(theta, make_path(time, x, v, a, current))
+    peak = 0.01 * 2 * np.pi * 1.5
+    steepness = 250.0 / (1 + 2.0 * peak)
+    assert np.allclose(force, 100.0 * np.tanh(0.5 * steepness * (v - 0.1 * peak * np.sign(a))), atol=1e-2)
+
+
+def test_sigmoid_stays_finite_off_centre_and_under_noise():
+    model = find_model("sigmoid")
+    upper = np.array([parameter.upper for parameter in model.parameters])
+    time, x, v, a, current = sine(amplitude=0.002)
+    noise = np.random.default_rng(1).normal(size=len(a))
+    for moved, accelerated in ((x + 0.02, a), (x + 0.02, a + 1e4 * noise)):
+        assert np.isfinite(model.force(upper, make_path(time, moved, v, accelerated, current))).all()
+
+
+def test_sigmoid_law_over_current_is_tanh():
+    """S(I) = 1 + k / (1 + exp(-a (I + I_j))) - k / (1 + exp(-a I_j)) with I_j = 0, as the docs say."""
+    current, k, a = np.linspace(0, 2, 21), 8.0, 3.0
+    model = find_model("sigmoid")
+    theta = model.vector(
+        {"transition_force": 90.0, "transition_force_per_A": 90.0 * k * a / 4, "transition_force_saturation": 2 / a}
+    )
+    found = [model.at_current(theta, value)["transition_force"] for value in current]
+    assert np.allclose(found, 90.0 * (1 + k / (1 + np.exp(-a * current)) - k / 2))
+
+
+@given(st.floats(-12, 12), st.floats(0, 6))
+def test_pressure_drop_is_the_largest_root(ratio, size):
+    """Of p^3 - (a + 3 b) p^2 + 4 b^3 = 0, to the accuracy that the double root at a = 0 leaves."""
+    b = 10.0**size
+    a = b * 10.0**ratio
+    p = pressure_drop(a, b)
+    assert p >= max(a, 2 * b) * (1 - 1e-12)  # the smaller positive root is below 2 b
+    scale = p**3 + (a + 3 * b) * p**2
+    assert abs(p**3 - (a + 3 * b) * p**2 + 4 * b**3) <= 1e-14 * scale
+    practical = a * (1 + 2.07 * b / a + b / (a + 0.4 * b))
+    assert p == pytest.approx(practical, rel=0.05)
+
+
+def test_pressure_drop_at_its_ends():
+    assert pressure_drop(0.0, 5.0) == 10.0
+    assert pressure_drop(5.0, 0.0) == 5.0
+    assert pressure_drop(0.0, 0.0) == 0.0
+
+
+def test_quasi_static_force_agrees_with_the_practical_form():
+    model = find_model("quasi_static")
+    theta = model.vector({"coil_lag": 0.0, "offset": 0.0})
+    bore, rod, gap, length, eta, share = 0.036, 0.010, 0.0009, 0.017, 0.1, 0.32
+    area, width = np.pi / 4 * ((bore - 2 * gap) ** 2 - rod**2), np.pi * (bore - gap)
+    time, x, v, a, _ = sine(frequency=3.0)
+    moving = np.abs(v) > 0.01
+    for current in (0.1, 0.5, 1.0):
+        force = model.force(theta, make_path(time, x, v, a, np.full(len(time), current)))
+        flow, tau = area * np.abs(v), yield_stress(share, 1.2e5 * current)
+        slope = 12 * eta * flow
+        c = 2.07 + slope / (slope + 0.4 * width * gap**2 * tau)
+        viscous = (1 + width * gap / (2 * area)) * slope * (length + 0.015) * area / (width * gap**3)
+        practical = np.sign(v) * (viscous + c * tau * length * area / gap + 50.0)
+        assert np.allclose(force[moving], practical[moving], rtol=0.03)
+    assert np.max(force) == pytest.approx(1200, abs=100)
 
 
 @pytest.mark.parametrize("name", ["bouc_wen", "modified_bouc_wen"])
@@ -152,8 +434,6 @@ def test_modified_bouc_wen_converges_at_second_order():
 
 
 def test_lagged_current_follows_an_exponential():
-    from mrd_sim.current import lagged_current
-
     time = np.arange(0, 0.05, 1e-3)
     current = np.where(time > 0, 1.0, 0.0)
     dt = np.diff(time, prepend=0.0)
