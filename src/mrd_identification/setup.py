@@ -22,6 +22,7 @@ setup(
         "console_scripts": [
             "identifier = mrd_identification.nodes.identifier:main",
             "identify = mrd_identification.cli.identify:main",
+            "compare = mrd_identification.cli.compare:main",
         ]
     },
 )

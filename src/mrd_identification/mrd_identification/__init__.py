@@ -1,7 +1,8 @@
 """What the recordings say: fit and gap."""
 
+from mrd_identification.compare import Comparison, compare
 from mrd_identification.fit_file import read_fit, write_fit
-from mrd_identification.identify import Fit, Method, identify
+from mrd_identification.identify import Case, Fit, Method, identify, identify_all
 from mrd_identification.metrics import Metrics, metrics
 
-__all__ = ["Fit", "Method", "Metrics", "identify", "metrics", "read_fit", "write_fit"]
+__all__ = ["Case", "Comparison", "Fit", "Method", "Metrics", "compare", "identify", "identify_all", "metrics", "read_fit", "write_fit"]

@@ -45,10 +45,11 @@ def run_on_cluster(
         raise InputError(f"--scheduler {scheduler}: no dask scheduler answers ({error}); start one first") from None
     with client:
         runs = {id(item): item for each in arguments for item in each if isinstance(item, tuple)}
-        sent = dict(zip(runs, client.scatter(list(runs.values()), hash=False), strict=True))
+        # Every worker gets them: what only one holds would die with it.
+        sent = dict(zip(runs, client.scatter(list(runs.values()), broadcast=True, hash=False), strict=True)) if runs else {}
         futures = [client.submit(function, *(sent.get(id(item), item) for item in each), pure=False) for each in arguments]
         try:
-            for count, _ in enumerate(as_completed(futures), 1):
+            for count, _ in enumerate(as_completed(futures, loop=client.loop), 1):
                 done(count)
             return list(client.gather(futures))
         except KilledWorker as error:

@@ -18,7 +18,7 @@ ACCENT = "#00798c"
 MOST_POINTS = 2500
 """per line: more are not seen, and make the page heavy."""
 
-_LAYOUT = {
+LAYOUT = {
     "template": "plotly_white",
     "font": {"family": "system-ui, sans-serif", "size": 13},
     "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
@@ -63,7 +63,7 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
                 )
             figure.update_xaxes(title_text=title, row=row, col=column)
             figure.update_yaxes(title_text="force, N" if column == 1 else None, row=row, col=column)
-    figure.update_layout(**_LAYOUT, height=440 if single else 760)
+    figure.update_layout(**LAYOUT, height=440 if single else 760)
     figure.update_layout(margin_t=50 if single else 90, legend_y=1.02 if single else 1.08)
     return figure
 
@@ -89,7 +89,7 @@ def force_over_time(result: RunResult) -> go.Figure:
     figure.update_yaxes(title_text="error, N", row=2, col=1)
     figure.update_yaxes(title_text="current, A", row=3, col=1)
     figure.update_xaxes(title_text="time, s", row=3, col=1)
-    figure.update_layout(**_LAYOUT, height=520, title_text=result.run.name, title_x=0.01)
+    figure.update_layout(**LAYOUT, height=520, title_text=result.run.name, title_x=0.01)
     return figure
 
 
@@ -118,7 +118,7 @@ def pareto_front(fit: Fit) -> go.Figure:
         )
     figure.update_xaxes(title_text="e2 = √ΣE²/k, N")
     figure.update_yaxes(title_text="einf = max|E|/k, N")
-    figure.update_layout(**_LAYOUT, height=420)
+    figure.update_layout(**LAYOUT, height=420)
     return figure
 
 
@@ -144,7 +144,7 @@ def parameters(fit: Fit) -> go.Figure:
     )
     figure.update_xaxes(title_text="95 % interval relative to the value")
     figure.update_yaxes(automargin=True)
-    figure.update_layout(**_LAYOUT, height=420)
+    figure.update_layout(**LAYOUT, height=420)
     return figure
 
 
@@ -159,7 +159,7 @@ def correlation(fit: Fit) -> go.Figure:
     )
     figure.update_yaxes(autorange="reversed", automargin=True)
     figure.update_xaxes(automargin=True, tickangle=45)
-    figure.update_layout(**_LAYOUT, height=460)
+    figure.update_layout(**LAYOUT, height=460)
     return figure
 
 
@@ -187,3 +187,10 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
 
 def _rounded(series: Array, digits: int = 3) -> Array:
     return np.round(series, digits)
+
+
+def html(figure: go.Figure) -> str:
+    """A figure as part of a page that carries Plotly itself."""
+    return str(
+        figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
+    )

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from mrd_identification import figures
@@ -29,23 +28,19 @@ def sentence(fit: Fit) -> str:
 
 def write_report(fit: Fit, folder: str | Path) -> Path:
     """Write fit.html, which needs no network, into ``folder`` and return its path."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("mrd_identification"), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-    )
-    environment.filters["figures"] = four_figures
     judged = fit.held_out or fit.fitted
     metrics = fit.pooled_held_out or fit.pooled_fitted
     worst = max(judged, key=lambda result: result.metrics.nrmse)
-    page = environment.get_template("fit.html.j2").render(
+    return render(
+        "fit",
+        folder,
         title=f"{fit.model.title} model of {len(fit.fitted)} run{'s' if len(fit.fitted) > 1 else ''}",
         sentence=sentence(fit),
-        plotly=get_plotlyjs(),
-        loops=_html(figures.loops(judged)),
-        over_time=_html(figures.force_over_time(worst)),
-        front=_html(figures.pareto_front(fit)),
-        intervals=_html(figures.parameters(fit)),
-        correlation=_html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
+        loops=figures.html(figures.loops(judged)),
+        over_time=figures.html(figures.force_over_time(worst)),
+        front=figures.html(figures.pareto_front(fit)),
+        intervals=figures.html(figures.parameters(fit)),
+        correlation=figures.html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
         headline=[
             (f"NRMSE, {_HOW[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
             ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),
@@ -58,7 +53,17 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         fit=fit,
         rows=[("fitted", r) for r in fit.fitted] + [("held out", r) for r in fit.held_out],
     )
-    path = Path(folder) / "fit.html"
+
+
+def render(name: str, folder: str | Path, **content: Any) -> Path:
+    """Write ``name``.html from its template into ``folder``; the file is whole or not there."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("mrd_identification"), autoescape=True, undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters["figures"] = four_figures
+    page = environment.get_template(f"{name}.html.j2").render(plotly=get_plotlyjs(), **content)
+    path = Path(folder) / f"{name}.html"
     partial = path.with_suffix(".part")
     partial.write_text(page, encoding="utf-8")
     return partial.replace(path)
@@ -67,7 +72,3 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
 def four_figures(value: float) -> str:
     """Number with four significant figures, as a table wants it."""
     return f"{value:.4g}"
-
-
-def _html(figure: go.Figure) -> Any:
-    return figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
