@@ -1,6 +1,8 @@
 """What every damper model of the catalogue promises, and what single ones do besides."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path as File
 
 import numpy as np
 import pytest
@@ -9,11 +11,13 @@ from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
 from mrd_base import InputError
+from mrd_sim.cli import models as tool
 from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
 from mrd_sim.dual import STEP
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.models.quasi_static import pressure_drop, yield_stress
+from mrd_sim.models_page import COMMAND, page
 from mrd_sim.path import Path, make_path
 
 EVERY = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -452,3 +456,27 @@ def test_wrong_names_and_values_are_one_line():
         find_model("bouc_wen").vector({"yield_force": -5.0})
     with pytest.raises(InputError, match=r"exponent is 0\.5, expected 1 to 5"):
         find_model("bouc_wen").vector({"exponent": 0.5})
+
+
+def test_docs_are_those_of_the_catalogue():
+    written = File(__file__).resolve().parents[3] / "docs" / "models.md"
+    assert written.read_text(encoding="utf-8") == page(), f"the catalogue has changed; write the page anew: {COMMAND}"
+
+
+def test_tool_shows_the_catalogue_and_each_model(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def printed(*arguments):
+        monkeypatch.setattr(sys, "argv", ["models", *arguments])
+        tool.work()
+        return capsys.readouterr().out
+
+    listed = printed()
+    assert all(model.id in listed and model.title in listed for model in MODELS.values())
+    for model in MODELS.values():
+        shown = printed(model.id)
+        assert all(name in shown for name in model.names)
+        assert printed(model.id, "--markdown") in page()
+    assert printed("--markdown") == page()
+    with pytest.raises(InputError, match="unknown model bouc"):
+        printed("bouc")

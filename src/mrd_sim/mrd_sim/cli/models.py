@@ -6,7 +6,9 @@ from rich.console import Console
 from rich.table import Table
 
 from mrd_base import run_tool
+from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, DamperModel, find_model
+from mrd_sim.models_page import bounds, clauses, integration, memory, page, section, slope
 
 
 def main() -> None:
@@ -17,30 +19,56 @@ def main() -> None:
 def work() -> None:
     """Print the catalogue, or one model whole."""
     parser = argparse.ArgumentParser(prog="models", description="List the damper models, or one with its parameters.")
-    parser.add_argument("model", nargs="?", help="id of a model")
-    name = parser.parse_args().model
+    parser.add_argument("model", nargs="?", help=f"one of {', '.join(MODELS)}")
+    parser.add_argument("--markdown", action="store_true", help="print the docs' page, or the model's section of it")
+    arguments = parser.parse_args()
+    model = find_model(arguments.model) if arguments.model else None
+    if arguments.markdown:
+        print(section(model) if model else page(), end="")
+        return
     console = Console()
-    if name is None:
-        table = Table("id", "model", "equation", "parameters", "source")
-        for model in MODELS.values():
-            table.add_row(model.id, model.title, model.equation, str(len(model.parameters)), model.source)
-        console.print(table)
-    else:
-        console.print(parameter_table(find_model(name)))
+    if model is None:
+        console.print(catalogue())
+        console.print("One with its parameters and current laws: ros2 run mrd_sim models MODEL")
+        return
+    console.print(f"{model.title} ({model.id})", highlight=False, style="bold")
+    for clause in clauses(model.equation):
+        console.print(f"    {clause}", highlight=False, markup=False)
+    console.print(f"Source: {model.source}", highlight=False, markup=False)
+    console.print(parameters(model))
+    console.print(current_laws(model))
 
 
-def parameter_table(model: DamperModel) -> Table:
-    """Table of a model's parameters."""
-    table = Table(
-        "parameter", "unit", "default", "bounds", "meaning", title=f"{model.title}: {model.equation}", caption=model.source
-    )
+def catalogue() -> Table:
+    """Table of all models."""
+    table = Table("id", "model, equation and source", "parameters", "memory", "integration", show_lines=True)
+    for model in MODELS.values():
+        words = f"{model.title}\n{model.equation}\n{model.source}"
+        table.add_row(model.id, words, str(len(model.parameters)), memory(model), integration(model))
+    return table
+
+
+def parameters(model: DamperModel) -> Table:
+    """Table of a model's parameters, named as tools take them."""
+    table = Table("parameter", "unit", "default", "bounds", "meaning")
     for parameter in model.parameters:
-        bounds = f"{parameter.lower:g} … {parameter.upper:g}"
+        interval = f"{parameter.lower:g} … {parameter.upper:g}"
         table.add_row(
             parameter.name,
             parameter.unit,
             f"{parameter.default:g}",
-            bounds if parameter.free else f"{bounds}, fixed unless set",
+            interval if parameter.free else f"{interval}, fixed unless set",
             parameter.meaning,
         )
+    return table
+
+
+def current_laws(model: DamperModel) -> Table:
+    """Table of a model's coefficients over current."""
+    known = ", ".join(LAWS)
+    table = Table("coefficient", "at 0 A", "current law: slope at 0 A", caption=f"Laws to choose from: {known}")
+    for quantity in model.quantities:
+        if quantity.per_ampere:
+            unit = quantity.unit or "1"
+            table.add_row(f"{quantity.name} in {unit}", bounds(quantity), slope(quantity))
     return table

@@ -44,7 +44,7 @@ MODEL = DamperModel(
     title="Sigmoid (Wang/Ma)",
     equation="F = f_t h tanh(a (x' - v_h sgn x'') / 2) (1 + k_v |x'|) + f0, x from the middle of the stroke, "
     "peak speed v_m = sqrt(x'^2 - x x''), h = (1 + exp(a1 v_m)) / 2, a = a0 / (1 + k0 v_m), v_h = k4 v_m, "
-    "k_v = k1 exp(-a2 v_m)",
+    "k_v = k1 exp(-a4 v_m)",
     source="Wang et al., Proc. IMechE D 217 (2003); Ma et al. (2003, 2007). Their S(I), for I_j = 0, is the law tanh",
     quantities=(
         Quantity(
@@ -65,7 +65,7 @@ MODEL = DamperModel(
             "viscous_growth", "k1", "s/m", "growth of the force over velocity once the curve has bent", 6.0, 0.0, 50.0,
             (-2.0, -50.0, 50.0),
         ),
-        Quantity("viscous_decay", "a2", "s/m", "loss of this growth with the peak speed", 2.0, 0.0, 20.0),
+        Quantity("viscous_decay", "a4", "s/m", "loss of this growth with the peak speed", 2.0, 0.0, 20.0),
         replace(OFFSET, meaning="constant force (gas preload)"),
     ),
     kernel=_force,

@@ -1,0 +1,169 @@
+"""The docs' page about the damper models, written from the catalogue."""
+
+from mrd_sim.current import LAWS
+from mrd_sim.models import MODELS, DamperModel, Quantity
+from mrd_sim.models.model import COIL_LAG
+
+COMMAND = "ros2 run mrd_sim models --markdown > docs/models.md"
+
+_CHOICE = (
+    ("a first look, only the energy per cycle", "linear_viscous", "one coefficient; knows no yield force"),
+    (
+        "force over speed; a law to invert for control",
+        "bingham biviscous",
+        "yield force and viscosity, a function of speed alone: no loop at reversals",
+    ),
+    (
+        "sines about mid-stroke, with their loop over velocity",
+        "hyperbolic_tangent algebraic hysteretic_biviscous sigmoid",
+        "no state, still easy to invert; the loop comes from the present position or acceleration: so those with x err off "
+        "mid-stroke, those with x'' under noise, all in random motion",
+    ),
+    ("a few sines, reproduced closely", "polynomial", "fits much, explains nothing, wild beyond the speeds it has seen"),
+    (
+        "any motion: changing amplitude, off mid-stroke, minor loops, random",
+        "bouc_wen normalised_bouc_wen modified_dahl modified_lugre",
+        "remember the turning points, as the damper does",
+    ),
+    (
+        "the same, where the force falls off at low speed or something in series gives way before the fluid yields",
+        "modified_bouc_wen gamota_filisko",
+        "a dashpot or springs in series",
+    ),
+    ("no damper yet, only a drawing", "quasi_static", "geometry and fluid in, force out"),
+)
+
+
+def page() -> str:
+    """The page in Markdown: how to choose, the current laws, the catalogue, and a section for each model."""
+    choice = "\n".join(
+        f"| {wanted} | {', '.join(f'[`{name}`](#{name})' for name in names.split())} | {why} |"
+        for wanted, names, why in _CHOICE
+    )
+    laws = "\n".join(
+        f"| {law.id} | `{law.equation.removeprefix('p = ')}` | `NAME`"
+        + (", `NAME_per_A`" if law.code else "")
+        + (f", `NAME{law.third}`" if law.third else "")
+        + " |"
+        for law in LAWS.values()
+    )
+    catalogue = "\n".join(
+        f"| [`{model.id}`](#{model.id}) | {model.title} | {len(model.parameters)} | {memory(model)} | {integration(model)} "
+        f"| {'yes' if model.dissipative else 'no'} |"
+        for model in MODELS.values()
+    )
+    sections = "\n".join(section(model) for model in MODELS.values())
+    lag = f"{COIL_LAG.default:g} s by default, {COIL_LAG.lower:g} … {COIL_LAG.upper:g} s"
+    return f"""\
+<!-- Written by `{COMMAND}`; changes belong in the catalogue or in models_page.py. -->
+
+# Damper models
+
+A damper model gives the force on the rod from its motion and the coil current. The position x is 0 at mid-stroke and grows
+as the damper extends; x' is the velocity, x'' the acceleration. The force F is positive where it resists extension, so that
+F x' > 0 is dissipated power; gas pressure, which pushes the rod out, is a negative offset f0. Units are SI: m, s, N, A.
+
+`ros2 run mrd_sim models` lists the models, `ros2 run mrd_sim models MODEL` shows one with its parameters, and
+`ros2 run mrd_identification identify RUN... --model MODEL` fits one to recordings.
+
+## Which one
+
+| recorded or wanted | start with | because |
+|---|---|---|
+{choice}
+
+Which of them describes a damper best is for recordings to say that the fit has not seen:
+`ros2 run mrd_identification compare` ranks them so.
+
+## Catalogue
+
+| id | model | parameters | memory | integration | passive |
+|---|---|---|---|---|---|
+{catalogue}
+
+Parameters: with the current laws that the model has by default. Memory: whether the force depends on the motion before.
+Integration: exact along a path of straight pieces between samples and reversals, or the order with which the error falls
+with the step. Passive: whether no closed cycle at constant current can yield energy, as long as the coefficients at that
+current are within their bounds.
+
+## Current
+
+The effective current u follows the measured current I with a lag, u' = (I - u) / {COIL_LAG.name}; every model has this
+parameter ({lag}). How a coefficient p depends on u is its current law. Each coefficient has one
+by default, and may be given another (`identify RUN... --law [COEFFICIENT=]LAW`):
+
+| law | p over u | parameters of the coefficient NAME |
+|---|---|---|
+{laws}
+
+p0 is the value at 0 A and p1 the slope there, whatever the law. A coefficient in which the force is not linear stays at its
+lower bound where its law would take it below.
+
+{sections}"""
+
+
+def section(model: DamperModel) -> str:
+    """A model's equation, coefficients and source in Markdown."""
+    rows = "\n".join(_row(quantity) for quantity in model.quantities)
+    text = f"""## {model.id}
+
+**{model.title}**
+
+```text
+{chr(10).join(clauses(model.equation))}
+```
+
+| coefficient | | unit | meaning | at 0 A: default (bounds) | current law: slope at 0 A (bounds) |
+|---|---|---|---|---|---|
+{rows}
+
+"""
+    if model.observables:
+        found = model.observables(model.at_current(model.defaults, 0.0))
+        text += f"Recordings determine, and fits report: {', '.join(f'`{name}`' for name in found)}.\n\n"
+    return f"{text}Source: {model.source}.\n"
+
+
+def clauses(equation: str) -> list[str]:
+    """The parts of an equation between commas outside of brackets, each with its comma."""
+    parts, depth = [""], 0
+    for character in equation:
+        depth += (character == "(") - (character == ")")
+        parts[-1] += character
+        if character == "," and depth == 0:
+            parts.append("")
+    return [part.strip() for part in parts]
+
+
+def memory(model: DamperModel) -> str:
+    """Whether the force depends on the motion before."""
+    return "yes" if model.states else "no"
+
+
+def integration(model: DamperModel) -> str:
+    """How exact the integration is."""
+    return f"order {model.order}" if model.order else "exact"
+
+
+def bounds(quantity: Quantity) -> str:
+    """Default and bounds at 0 A."""
+    fixed = "" if quantity.free else ", fixed unless set"
+    return f"{quantity.default:g} ({quantity.lower:g} … {quantity.upper:g}{fixed})"
+
+
+def slope(quantity: Quantity) -> str:
+    """Current law by default, with default and bounds of the slope at 0 A."""
+    if quantity.per_ampere is None:
+        return "–"
+    default, lower, upper = quantity.per_ampere
+    if quantity.law == "constant":
+        return f"constant; with another law {default:g} ({lower:g} … {upper:g})"
+    return f"{quantity.law}: {default:g} ({lower:g} … {upper:g})"
+
+
+def _row(quantity: Quantity) -> str:
+    meaning = quantity.meaning.replace("|", "\\|")
+    return (
+        f"| `{quantity.name}` | {quantity.symbol} | {quantity.unit or '1'} | {meaning} | {bounds(quantity)} "
+        f"| {slope(quantity)} |"
+    )
