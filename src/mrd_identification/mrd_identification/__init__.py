@@ -5,4 +5,16 @@ from mrd_identification.fit_file import read_fit, write_fit
 from mrd_identification.identify import Case, Fit, Method, identify, identify_all
 from mrd_identification.metrics import Metrics, metrics
 
-__all__ = ["Case", "Comparison", "Fit", "Method", "Metrics", "compare", "identify", "identify_all", "metrics", "read_fit", "write_fit"]
+__all__ = [
+    "Case",
+    "Comparison",
+    "Fit",
+    "Method",
+    "Metrics",
+    "compare",
+    "identify",
+    "identify_all",
+    "metrics",
+    "read_fit",
+    "write_fit",
+]
