@@ -10,7 +10,7 @@ setup(
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
     packages=find_packages(exclude=["test"]),
-    package_data={package: ["py.typed", "**/*.json", "**/*.html", "**/*.j2"]},
+    package_data={package: ["py.typed", "**/*.json", "**/*.html", "**/*.j2", "**/*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
         ("share/" + package, ["package.xml"]),

@@ -1,0 +1,110 @@
+/*
+ * $title: force of a magnetorheological damper from the motion of its rod and the current of its coil.
+ *
+$equation
+ *
+$source
+ *
+ * C99; needs the C library and its mathematics (-lm), nothing else. Generated from Python by mrd_sim: do not edit.
+ * SI units; position > 0 extends the damper, force > 0 resists extension.
+ *
+ *   ${p}_state damper;
+ *   ${p}_init(&damper);
+ *   damper.parameters[$example] = ...;  // where another value than the fitted one is wanted
+ *   force = ${p}_step(&damper, dt, position, velocity, acceleration, current);
+ *
+ * Other files see the declarations by #define ${P}_DECLARATIONS and #include of this file.
+ */
+#ifndef ${P}_DECLARED
+#define ${P}_DECLARED
+
+enum {
+$indices
+    ${P}_PARAMETERS
+};
+
+/* Values as fitted, and the bounds between which the model is known to be sound; in the order of the enumeration. */
+typedef struct {
+    const char *name, *unit;
+    double value, lower, upper;
+} ${p}_parameter;
+extern const ${p}_parameter ${p}_parameters[${P}_PARAMETERS];
+
+/* A damper and what it has come to. It may be copied. */
+typedef struct {
+    double parameters[${P}_PARAMETERS];
+    double inner[$states];                                   /* effective current, measured current, state of the model */
+    double position, velocity, acceleration, current;  /* at the sample before */
+    int moved;                                         /* whether there was one */
+} ${p}_state;
+
+/* A damper at rest, unloaded, with the fitted parameters. Its coil has the current of the first step. */
+void ${p}_init(${p}_state *s);
+
+/*
+ * Advance the damper by dt (s) to a sample of position (m), velocity (m/s), acceleration (m/s^2) and coil current (A);
+ * returns its force (N). The first step only sets where the damper is, whatever its dt; so does a later one with dt = 0.
+ * Where the velocity has changed its sign, the turning point in between is passed too.
+ */
+double ${p}_step(
+    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current);
+
+#endif
+
+#ifndef ${P}_DECLARATIONS
+#include <math.h>
+#include <string.h>
+
+const ${p}_parameter ${p}_parameters[${P}_PARAMETERS] = {
+$table
+};
+
+/* Coefficients of the model:
+   $names.
+   For each its current law, where the parameters of that are, and its least value. */
+enum { QUANTITIES = $quantities, LAW_PARAMETERS = 3 };
+static const int codes[] = {$codes};
+static const int columns[] = {$columns};
+static const double floors[] = {$floors};
+
+$functions
+static double vertex(${p}_state *s, double dt, double x, double v, double a, double current)
+{
+    double effective, q[QUANTITIES], force;
+    $lag(1, s->parameters[${P}_COIL_LAG], s->inner, &dt, &current, &effective);
+    $laws(1, s->parameters, codes, columns, floors, &effective, q);
+    $kernel(1, q, s->inner + 2, &dt, &x, &v, &a, &force);
+    return force;
+}
+
+void ${p}_init(${p}_state *s)
+{
+    memset(s, 0, sizeof *s);
+    for (int i = 0; i < ${P}_PARAMETERS; i++) {
+        s->parameters[i] = ${p}_parameters[i].value;
+    }
+}
+
+double ${p}_step(
+    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current)
+{
+    if (!s->moved) {
+        dt = 0.0;
+    }
+    if (dt > 0.0 && s->velocity * velocity < 0.0) {
+        /* The turning point, by the cubic through both samples with their velocities, where the linear velocity is zero. */
+        const double f = s->velocity / (s->velocity - velocity), g = 1.0 - f;
+        vertex(s, f * dt,
+               g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
+                   + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity,
+               0.0, g * s->acceleration + f * acceleration, g * s->current + f * current);
+        dt *= g;
+    }
+    s->position = position;
+    s->velocity = velocity;
+    s->acceleration = acceleration;
+    s->current = current;
+    s->moved = 1;
+    return vertex(s, dt, position, velocity, acceleration, current);
+}
+#endif
