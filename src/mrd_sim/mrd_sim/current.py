@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mrd_base import InputError
 from mrd_sim.dual import exp, tanh
 
 Array = NDArray[np.float64]
@@ -42,6 +43,22 @@ LAWS = {
         CurrentLaw("tanh", "p = p0 + p1 I_s tanh(u / I_s)", 4, "_saturation"),
     )
 }
+
+
+def parse_laws(text: str, where: str) -> str | dict[str, str]:
+    """Current laws from ``LAW`` for all coefficients or ``COEFFICIENT=LAW,...``; ``where`` names the text in errors.
+
+    Raises
+    ------
+    InputError
+        When it is neither. Names are checked by the model (`mrd_sim.models.find_model`).
+    """
+    if "=" not in text:
+        return text.strip()
+    parts = [part.partition("=") for part in text.split(",")]
+    if not all(name.strip() and law.strip() for name, _, law in parts):
+        raise InputError(f"{where}: {text} is no current law, expected LAW or COEFFICIENT=LAW,... of {', '.join(LAWS)}")
+    return {name.strip(): law.strip() for name, _, law in parts}
 
 
 @njit(cache=True, nogil=True)

@@ -37,15 +37,19 @@ class Damper:
         Id of the model.
     parameters : mapping, optional
         Values by name; those not given keep the model's default.
+    laws : str or mapping, optional
+        Current laws, see `mrd_sim.models.DamperModel.with_laws`.
 
     Raises
     ------
     InputError
-        For an unknown model or parameter, or a value out of bounds.
+        For an unknown model, law or parameter, or a value out of bounds.
     """
 
-    def __init__(self, model: str, parameters: Mapping[str, float] | None = None) -> None:
-        self.model = find_model(model)
+    def __init__(
+        self, model: str, parameters: Mapping[str, float] | None = None, laws: str | Mapping[str, str] | None = None
+    ) -> None:
+        self.model = find_model(model, laws)
         self.theta = self.model.vector(parameters or {})
         self._state: Array | None = None
 

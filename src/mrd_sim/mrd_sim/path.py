@@ -51,8 +51,11 @@ def make_path(time: Array, position: Array, velocity: Array, acceleration: Array
     velocity, taken as linear, passes zero.
     """
     before = np.flatnonzero(velocity[:-1] * velocity[1:] < 0)
+    fraction = velocity[before] / (velocity[before] - velocity[before + 1])
+    instant = (1 - fraction) * time[before] + fraction * time[before + 1]
+    inside = (instant > time[before]) & (instant < time[before + 1])  # not one that rounding puts on a sample
+    before, fraction = before[inside], fraction[inside]
     after = before + 1
-    fraction = velocity[before] / (velocity[before] - velocity[after])
     step = time[after] - time[before]
     f2, f3 = fraction**2, fraction**3
     turning = (

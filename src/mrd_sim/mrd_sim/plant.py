@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
 from mrd_base.config import bench_time_scale
+from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.motor.drive import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
@@ -38,11 +39,14 @@ class DamperConfig:
         "",
         "YAML text, name: value in SI; those not named have the model's default",
     )
+    laws: str = quantity("", "", "current law of all coefficients, or COEFFICIENT=LAW,...; empty: the model's own")
     stroke: float = quantity(0.055, "mm", "between its ends, where the rod stops", lower=1e-3, upper=1)
 
     def build(self) -> Damper:
         """Make the damper, at rest and unloaded."""
-        return Damper(self.model, parse_values(self.parameters, "damper.parameters"))
+        return Damper(
+            self.model, parse_values(self.parameters, "damper.parameters"), parse_laws(self.laws, "damper.laws")
+        )
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,9 @@ from mrd_sim.path import make_path, path_of
 from mrd_trajectory.plan import Plan
 
 
-def simulate_run(run: Run, model: str, values: Mapping[str, float]) -> Run:
+def simulate_run(
+    run: Run, model: str, values: Mapping[str, float], laws: str | Mapping[str, str] | None = None
+) -> Run:
     """Replace the force of a run by that of a model along its (smoothed) motion and measured current.
 
     Parameters
@@ -23,13 +25,15 @@ def simulate_run(run: Run, model: str, values: Mapping[str, float]) -> Run:
         Id of a damper model.
     values : mapping
         Parameters by name; those not given keep the model's default.
+    laws : str or mapping, optional
+        Current laws, see `mrd_sim.models.DamperModel.with_laws`.
 
     Raises
     ------
     InputError
-        For an unknown model or parameter, or a value out of bounds.
+        For an unknown model, law or parameter, or a value out of bounds.
     """
-    damper = find_model(model)
+    damper = find_model(model, laws)
     moved = motion(run)
     force = damper.force(damper.vector(values), path_of(run))
     return Run(
@@ -38,12 +42,14 @@ def simulate_run(run: Run, model: str, values: Mapping[str, float]) -> Run:
     )
 
 
-def simulate_plan(plan: Plan, model: str, values: Mapping[str, float]) -> Run:
+def simulate_plan(
+    plan: Plan, model: str, values: Mapping[str, float], laws: str | Mapping[str, str] | None = None
+) -> Run:
     """Simulate a model along the setpoints of a plan, as if rod and coil followed them exactly.
 
     It is integrated at 1 kHz at least, so that steps of the current are steps, and sampled at the experiment's rate.
     """
-    damper = find_model(model)
+    damper = find_model(model, laws)
     steps = int(np.ceil(1000 / plan.experiment.rate))
     samples = slice(None, None, steps)
     time = np.arange((len(plan.times()) - 1) * steps + 1) / (steps * plan.experiment.rate)

@@ -6,7 +6,7 @@ from pathlib import Path as File
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
@@ -15,7 +15,9 @@ from mrd_sim.cli import models as tool
 from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
 from mrd_sim.dual import STEP
+from mrd_sim.hysteresis import advance
 from mrd_sim.models import MODELS, find_model
+from mrd_sim.models.modified_bouc_wen import _internal_step
 from mrd_sim.models.quasi_static import pressure_drop, yield_stress
 from mrd_sim.models_page import COMMAND, page
 from mrd_sim.path import Path, make_path
@@ -435,6 +437,30 @@ def test_modified_bouc_wen_converges_at_second_order():
     errors = [np.sqrt(np.mean((at(rate) - exact)[50:] ** 2)) for rate in (500.0, 1000.0, 2000.0)]
     order = np.log2(errors[0] / errors[2]) / 2
     assert order > 1.5
+
+
+@settings(deadline=None)
+@given(
+    w=st.floats(-1, 1), travel=st.floats(-80, 80), middle=st.floats(-1e-3, 1e-3), dt=st.floats(1e-4, 0.04),
+    f_y=st.floats(0, 1500), sigma=st.floats(0.5, 1.5), n=st.sampled_from([1.0, 1.4, 2.0]), k0=st.floats(0, 1e4),
+    c1=st.floats(1e3, 7e5),
+)
+@example(w=1.0, travel=7.416728749572749, middle=0.0, dt=0.04, f_y=150.0, sigma=0.6, n=1.4, k0=1e3, c1=1.696e5)
+def test_internal_step_is_solved_however_large_it_is(w, travel, middle, dt, f_y, sigma, n, k0, c1):
+    """Newton's method alone goes to and fro over the kink where the element reverses, and ends on the wrong force."""
+    x_y, c0 = 4e-6, 2e3
+    d, after = _internal_step(w, travel * x_y, middle, dt, f_y, x_y, sigma, n, c0, c1, k0)
+    assert after == pytest.approx(advance(w, travel - d / x_y, sigma, n), abs=1e-6)
+    push = dt * (0.5 * f_y * (w + after) + k0 * (middle - 0.5 * d)) + c0 * travel * x_y
+    assert d * (c0 + c1) == pytest.approx(push, abs=1e-6 * dt * max(f_y, 1.0))
+
+
+def test_reversal_on_a_sample_adds_no_vertex():
+    """Where rounding leaves a velocity of 1e-17 at a turning point: a vertex there would take no time."""
+    time, x, v, a, current = sine(rate=100.0, frequency=0.25, seconds=8.0)
+    assert 0 < np.min(np.abs(v[100::200])) < 1e-15
+    path = make_path(time, x, v, a, current)
+    assert np.all(path.dt[1:] > 0)
 
 
 def test_lagged_current_follows_an_exponential():

@@ -8,6 +8,8 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import read_run
+from mrd_sim.current import parse_laws
+from mrd_sim.damper import Damper
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -55,3 +57,15 @@ def test_the_tool(tmp_path):
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("error: unknown model binghm (known: ")
     assert wrong.stderr.count("\n") == 1
+
+
+def test_current_laws_are_chosen_by_text():
+    assert parse_laws("tanh", "--law") == "tanh"
+    assert parse_laws("", "--law") == ""
+    assert parse_laws("yield_force=tanh, viscous = quadratic", "--law") == {"yield_force": "tanh", "viscous": "quadratic"}
+    with pytest.raises(InputError, match=r"--law: yield_force=,viscous=tanh is no current law, expected LAW or COEFFICIENT=LAW"):
+        parse_laws("yield_force=,viscous=tanh", "--law")
+    with pytest.raises(InputError, match="no current law for exponent"):
+        Damper("bouc_wen", laws={"exponent": "tanh"})
+    bent = Damper("bouc_wen", {"yield_force_saturation": 0.5}, "tanh")
+    assert bent.model.at_current(bent.theta, 1.0)["yield_force"] == pytest.approx(80.0 + 900.0 * 0.5 * np.tanh(2.0))

@@ -5,7 +5,7 @@ import argparse
 from mrd_base import InputError
 from mrd_identification.identify import Method
 from mrd_runs import Run, read_runs
-from mrd_sim.current import LAWS
+from mrd_sim.current import LAWS, parse_laws
 
 _DEFAULT = Method()
 
@@ -19,8 +19,8 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     """How to identify."""
     parser.add_argument(
-        "--law", action="append", default=[], metavar="[COEFFICIENT=]LAW",
-        help=f"current law of a coefficient, or of all that depend on current: {', '.join(LAWS)}; may be repeated",
+        "--law", default="", metavar="LAW|COEFFICIENT=LAW,...",
+        help=f"current law of all coefficients that depend on current, or of each: {', '.join(LAWS)}",
     )
     parser.add_argument(
         "--fix", action="append", default=[], metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
@@ -59,9 +59,6 @@ def method(arguments: argparse.Namespace) -> Method:
     """
     if arguments.seed < 0:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
-    alone = [law for law in arguments.law if "=" not in law]
-    if len(alone) > 1 or (alone and len(arguments.law) > 1):
-        raise InputError(f"--law {' --law '.join(arguments.law)}: expected one law for all, or COEFFICIENT=LAW for each")
     fixed = {}
     for text in arguments.fix:
         name, _, value = text.partition("=")
@@ -70,7 +67,7 @@ def method(arguments: argparse.Namespace) -> Method:
         except ValueError:
             raise InputError(f"--fix {text}: expected PARAMETER=VALUE with a number in SI units") from None
     return Method(
-        laws=alone[0] if alone else dict(law.split("=", 1) for law in arguments.law),
+        laws=parse_laws(arguments.law, "--law"),
         fixed=fixed,
         freed=tuple(arguments.free),
         offsets=arguments.offsets,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mrd_base import InputError, run_tool
 from mrd_runs import read_run
+from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import parse_values
 from mrd_sim.models import MODELS
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
@@ -30,21 +31,22 @@ def work() -> None:
     parser.add_argument(
         "--parameters", default="", metavar="'{NAME: VALUE}'", help="in SI; those not named have the model's default"
     )
+    parser.add_argument("--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws: {', '.join(LAWS)}")
     parser.add_argument(
         "--bench", metavar="FILE", default=os.environ.get("MRD_BENCH"), help="whose limits count; default: $MRD_BENCH"
     )
     parser.add_argument("--output", required=True, metavar="FILE.csv", help="must not exist")
     arguments = parser.parse_args()
 
-    values = parse_values(arguments.parameters, "--parameters")
+    values, laws = parse_values(arguments.parameters, "--parameters"), parse_laws(arguments.law, "--law")
     if Path(arguments.input).suffix in {".yaml", ".yml"}:
         settings = read_settings(arguments.bench)
         try:
             planned = plan(read_experiment(arguments.input), settings.limits, settings.force_envelope)
         except InputError as error:
             raise InputError(f"{arguments.input}: {str(error).removeprefix(f'{arguments.input}: ')}") from None
-        run = simulate_plan(planned, arguments.model, values)
+        run = simulate_plan(planned, arguments.model, values, laws)
     else:
-        run = simulate_run(read_run(arguments.input), arguments.model, values)
+        run = simulate_run(read_run(arguments.input), arguments.model, values, laws)
     write_csv(run, arguments.output)
     print(f"{arguments.output}: {len(run)} samples, force {run.force.min():.0f} to {run.force.max():.0f} N")

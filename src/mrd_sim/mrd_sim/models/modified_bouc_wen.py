@@ -48,7 +48,8 @@ def _internal_step(
     if not low <= d.real <= high:
         d = 0.5 * (low + high) + 0.0 * d
     after = w
-    for _ in range(60):
+    last = high - low
+    for _ in range(100):
         element = travel - d
         direction = 1.0 if element.real >= 0.0 else -1.0
         after = advance(w, element / x_y, sigma, n)
@@ -62,8 +63,12 @@ def _internal_step(
         # The error after a step of Newton's method is of the order of its square.
         if abs(step.real) <= 1e-7 * x_y.real or high - low <= 1e-13 * x_y.real:
             return d + step, after - bend * step
-        d = d + step
-        if not low <= d.real <= high:
+        # Bisection wherever Newton's method leaves the bracket or does not settle: it may go to and fro over a kink.
+        if low < (d + step).real < high and 2.0 * abs(step.real) < last:
+            last = abs(step.real)
+            d = d + step
+        else:
+            last = 0.5 * (high - low)
             d = 0.5 * (low + high) + 0.0 * d
     return d, after
 
