@@ -90,7 +90,7 @@ current are within their bounds.
 
 The effective current u follows the measured current I with a lag, u' = (I - u) / {COIL_LAG.name}; every model has this
 parameter ({lag}). How a coefficient p depends on u is its current law. Each coefficient has one
-by default, and may be given another (`identify RUN... --law [COEFFICIENT=]LAW`):
+by default, and may be given another (`identify RUN... --law LAW` for all, `--law COEFFICIENT=LAW,...` for each):
 
 | law | p over u | parameters of the coefficient NAME |
 |---|---|---|
