@@ -93,9 +93,9 @@ def compare(fit: Path, plant: Path) -> list[tuple[str, str, float, float]]:
     stored = read_fit(fit)
     damper = read_node_parameters(plant, "plant")["damper"]
     model = find_model(damper["model"])
-    truth = dict(zip(model.names, model.vector(parse_yaml(damper["parameters"], f"{plant}: parameters")), strict=True))
+    truth = model.vector(parse_yaml(damper["parameters"], f"{plant}: parameters"))
     found = stored.content["observables"]
-    true_values = model.observables(truth, found["current_A"])
+    true_values = model.observables(model.at_current(truth, found["current_A"]))
     return [
         (name, unit, found["values"][name]["value"], true_value) for name, (true_value, unit) in true_values.items()
     ]

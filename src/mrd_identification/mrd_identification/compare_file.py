@@ -1,4 +1,4 @@
-"""A comparison as files: compare.json and compare.html, and the fit.json of each model."""
+"""A comparison as files: compare.json, compare.md and compare.html, and the fit.json of each model."""
 
 from pathlib import Path
 from typing import Any
@@ -94,12 +94,13 @@ def ladder(comparison: Comparison) -> go.Figure:
 
 
 def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
-    """Write compare.json, compare.html and each model's fit.json into ``folder``; returns the path of the page."""
+    """Write compare.json, compare.md, compare.html and each model's fit.json into ``folder``; returns the page's path."""
     folder = Path(folder)
     for entry in comparison.entries:
         (folder / folder_of(entry.name)).mkdir(exist_ok=True)
         write_fit(entry.fit, folder / folder_of(entry.name))
     write_json(to_json(comparison), "compare", folder)
+    (folder / "compare.md").write_text(markdown(comparison), encoding="utf-8")
     best = comparison.entries[0].fit
     return render(
         "compare",
@@ -110,3 +111,19 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         ladder=figures.html(ladder(comparison)),
         loops=figures.html(figures.loops(best.held_out)),
     )
+
+
+def markdown(comparison: Comparison) -> str:
+    """The ranking as a table for a page of text."""
+    lines = [
+        "| model | free parameters | NRMSE, unseen | 95 % interval | behind the best | NRMSE, fitted | time, s |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for entry in comparison.entries:
+        behind = "on par" if entry.on_par else f"{entry.behind_lower:.4f} … {entry.behind_upper:.4f}"
+        cells = (
+            f"`{entry.name}`", entry.free, f"{entry.nrmse:.4f}", f"{entry.lower:.4f} … {entry.upper:.4f}",
+            "the best" if entry.behind == 0 else behind, f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
+        )
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return "\n".join(lines) + "\n"

@@ -71,7 +71,9 @@ def test_files_hold_to_their_schema_and_need_no_network(found, tmp_path):
     assert "<script src=" not in page
     content = json.loads((tmp_path / "compare.json").read_text())
     jsonschema.validate(content, schema("compare"))
+    table = (tmp_path / "compare.md").read_text()
     for model in content["models"]:
+        assert f"| `{model['name']}` | {model['free_parameters']} | {model['nrmse']['value']:.4f} |" in table
         jsonschema.validate(json.loads((tmp_path / model["fit"]).read_text()), schema("fit"))
         assert model["name"] in page
 

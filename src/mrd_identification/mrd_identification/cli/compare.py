@@ -25,7 +25,7 @@ def work() -> None:
     parser = argparse.ArgumentParser(
         prog="compare",
         description="Fit damper models to recordings and rank them by their error on runs that they have not seen; "
-        "writes compare.json, compare.html and a folder with fit.json for each model.",
+        "writes compare.json, compare.md, compare.html and a folder with fit.json for each model.",
     )
     add_run_arguments(parser)
     parser.add_argument(
