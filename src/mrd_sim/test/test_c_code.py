@@ -102,6 +102,21 @@ def test_the_same_force_as_in_python(library, case):
 
 
 @needs_compiler
+@pytest.mark.parametrize("speed", [1e-300, 1e-30, 1e-20, 1e-16, 1e-12, 1e-9])
+def test_samples_on_turning_points(library, speed):
+    """Where the velocity of a turning point is only not zero by rounding."""
+    model = find_model("gamota_filisko")
+    time = np.arange(800) / 800
+    x, v, a = (0.01 * (20 * np.pi) ** k * np.sin(20 * np.pi * time + k * np.pi / 2) for k in range(3))
+    turning = np.abs(v) < 1e-9
+    assert turning.sum() == 20
+    v[turning] = np.resize([speed, speed, -speed], 20)
+    series = time, x, v, a, 0.5 + 0.4 * np.sin(3 * time)
+    expected = model.force(model.defaults, make_path(*series))
+    assert np.abs(Damper(library, model.id, model).force(*series) - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@needs_compiler
 def test_parameters_change_between_steps(library):
     model = find_model("bouc_wen")
     damper = Damper(library, "bouc_wen", model)

@@ -91,9 +91,10 @@ double ${p}_step(
     if (!s->moved) {
         dt = 0.0;
     }
-    if (dt > 0.0 && s->velocity * velocity < 0.0) {
-        /* The turning point, by the cubic through both samples with their velocities, where the linear velocity is zero. */
-        const double f = s->velocity / (s->velocity - velocity), g = 1.0 - f;
+    /* Where between both samples, from 0 to 1, the linear velocity is zero; rounding may put that on a sample. */
+    const double f = s->velocity * velocity < 0.0 ? s->velocity / (s->velocity - velocity) : 0.0, g = 1.0 - f;
+    if (dt > 0.0 && f > 0.0 && f < 1.0) {
+        /* The turning point, by the cubic through both samples with their velocities. */
         vertex(s, f * dt,
                g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
                    + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity,
