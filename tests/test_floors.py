@@ -31,7 +31,7 @@ EXECUTABLES = {
     "mrd_runs": {"recorder", "replay", "import_csv", "info"},
     "mrd_sim": {"plant", "simulate", "models"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
-    "mrd_identification": {"identifier", "identify"},
+    "mrd_identification": {"identifier", "identify", "compare", "export"},
 }
 
 ROSDEP = {

@@ -23,6 +23,7 @@ setup(
             "identifier = mrd_identification.nodes.identifier:main",
             "identify = mrd_identification.cli.identify:main",
             "compare = mrd_identification.cli.compare:main",
+            "export = mrd_identification.cli.export:main",
         ]
     },
 )

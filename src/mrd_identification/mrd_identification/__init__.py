@@ -1,6 +1,7 @@
 """What the recordings say: fit and gap."""
 
 from mrd_identification.compare import Comparison, compare
+from mrd_identification.export import load_damper
 from mrd_identification.fit_file import read_fit, write_fit
 from mrd_identification.identify import Case, Fit, Method, identify, identify_all
 from mrd_identification.metrics import Metrics, metrics
@@ -14,6 +15,7 @@ __all__ = [
     "compare",
     "identify",
     "identify_all",
+    "load_damper",
     "metrics",
     "read_fit",
     "write_fit",

@@ -1,4 +1,4 @@
-"""A damper that is simulated block by block."""
+"""A damper with parameters: force along a whole recording, or block by block."""
 
 from collections.abc import Mapping
 
@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_base.config import parse_yaml
+from mrd_runs.motion import smooth_motion
 from mrd_sim.models import find_model
-from mrd_sim.path import Path
+from mrd_sim.path import Path, make_path
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,27 @@ class Damper:
         self.model = find_model(model, laws)
         self.theta = self.model.vector(parameters or {})
         self._state: Array | None = None
+
+    def force(self, time: Array, position: Array, current: Array) -> Array:
+        """Force in N along a recorded motion, smoothed and differentiated as in identification, from rest.
+
+        Parameters
+        ----------
+        time, position, current : ndarray (n,)
+            s, m, A.
+
+        Raises
+        ------
+        InputError
+            For series of different length, or fewer than ten samples.
+        """
+        time, position, current = (np.asarray(series, np.float64) for series in (time, position, current))
+        if not len(time) == len(position) == len(current):
+            found = f"{len(time)} times, {len(position)} positions, {len(current)} currents"
+            raise InputError(f"{found}, expected as many of each")
+        moved = smooth_motion(time, position)
+        path = make_path(time, moved.position, moved.velocity, moved.acceleration, current)
+        return self.model.force(self.theta, path)
 
     def advance(self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array) -> Array:
         """Force in N over the next block of equally spaced samples.

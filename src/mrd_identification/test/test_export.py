@@ -1,0 +1,113 @@
+"""A fitted model outside of the bench gives the force that it gives inside."""
+
+import ctypes
+import io
+import json
+import shutil
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_identification import identify, load_damper, write_fit
+from mrd_identification.cli import export as cli
+from mrd_identification.export import export_damper
+from mrd_runs import Run
+from mrd_sim.models import find_model
+from mrd_sim.path import make_path, path_of
+
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
+
+
+@pytest.fixture(scope="module")
+def run():
+    time = np.arange(1500) / 500
+    w, u = 2 * np.pi * 1.3, 2 * np.pi * 4.1
+    x = 0.008 * np.sin(w * time) + 0.002 * np.sin(u * time)
+    v = 0.008 * w * np.cos(w * time) + 0.002 * u * np.cos(u * time)
+    a = -0.008 * w**2 * np.sin(w * time) - 0.002 * u**2 * np.sin(u * time)
+    current = np.where(time % 1 < 0.5, 0.1, 0.5)
+    model = find_model("bingham")
+    force = model.force(model.defaults, make_path(time, x, v, a, current))
+    return Run("run", time, x, v, current, force + 5 * np.random.default_rng(1).standard_normal(len(time)))
+
+
+@pytest.fixture(scope="module")
+def fit(run):
+    """A fit with other than the model's own current laws."""
+    return identify(
+        [run], "bingham", laws={"yield_force": "tanh", "viscous": "quadratic"}, population=20, generations=3, seeds=1,
+        profile=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def path(fit, tmp_path_factory):
+    return write_fit(fit, tmp_path_factory.mktemp("fit"))
+
+
+def test_the_callable_gives_the_force_of_the_fit(fit, path, run):
+    expected = fit.model.force(fit.model.vector(fit.values), path_of(run))
+    force = load_damper(path).force
+    assert np.ptp(expected) > 100.0
+    assert np.allclose(force(run.time, run.position, run.current), expected, rtol=0, atol=1e-9 * np.ptp(expected))
+    with pytest.raises(InputError, match="1500 times, 1500 positions, 1 currents, expected as many of each"):
+        force(run.time, run.position, run.current[:1])
+
+
+def test_the_callable_goes_block_by_block(path, run):
+    damper, whole = load_damper(path), load_damper(path)
+    series = run.position, run.velocity, np.zeros(len(run)), run.current
+    blocks = [damper.advance(1 / 500, *(s[k : k + 100] for s in series)) for k in range(0, len(run), 100)]
+    assert np.allclose(np.concatenate(blocks), whole.advance(1 / 500, *series), atol=1e-8)
+
+
+@needs_compiler
+def test_c_file(fit, path, run, tmp_path):
+    export_damper(path, tmp_path / "damper.c", prefix="front")
+    subprocess.run(["cc", "-std=c99", "-Wall", "-Werror", "-fPIC", "-shared", "damper.c", "-o", "damper.so", "-lm"],
+                   cwd=tmp_path, check=True)
+    library = ctypes.CDLL(tmp_path / "damper.so")
+    library.front_step.restype = ctypes.c_double
+    library.front_step.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 5]
+    state = ctypes.create_string_buffer(8 * (len(fit.model.parameters) + 2 + fit.model.states + 5))
+    library.front_init(state)
+    rows = np.stack([np.diff(run.time, prepend=0.0), run.position, run.velocity, 0 * run.time, run.current], axis=1)
+    force = np.array([library.front_step(state, *row) for row in rows.tolist()])
+    path_of_rows = make_path(run.time, run.position, run.velocity, 0 * run.time, run.current)
+    expected = fit.model.force(fit.model.vector(fit.values), path_of_rows)
+    assert np.abs(force - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+@needs_compiler
+def test_fmu_by_the_tool(fit, path, tmp_path, monkeypatch, capsys):
+    output = tmp_path / "damper.fmu"
+    monkeypatch.setattr(sys, "argv", ["export", str(path), "--output", str(output)])
+    cli.work()
+    assert capsys.readouterr().out == f"{output}: Bingham, {len(fit.model.parameters)} parameters\n"
+    with zipfile.ZipFile(io.BytesIO(output.read_bytes())) as archive:
+        text = archive.read("modelDescription.xml").decode()
+        assert archive.testzip() is None
+    for name, value in fit.values.items():
+        assert f'name="{name}"' in text
+        assert f'start="{value!r}"' in text
+
+
+def test_what_cannot_be_exported_is_refused(path, tmp_path):
+    with pytest.raises(InputError, match=r"damper\.slx: expected a name that ends in \.c .* or \.fmu"):
+        export_damper(path, tmp_path / "damper.slx")
+    export_damper(path, tmp_path / "damper.c")
+    with pytest.raises(InputError, match=r"damper\.c: exists already; choose another name"):
+        export_damper(path, tmp_path / "damper.c")
+    with pytest.raises(InputError, match=r"nowhere/damper\.c: cannot be written"):
+        export_damper(path, tmp_path / "nowhere" / "damper.c")
+    with pytest.raises(InputError, match=r"none\.json: cannot be read"):
+        export_damper(tmp_path / "none.json", tmp_path / "other.c")
+    content = json.loads(path.read_text())
+    content["model"] = "bingam"
+    (tmp_path / "fit.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"fit\.json: unknown model bingam"):
+        load_damper(tmp_path / "fit.json")
