@@ -69,14 +69,19 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
     """
     effective = np.empty(len(current), state.dtype)
     u, before = state[0], state[1]
+    step, decay = 0.0, 0.0 * lag
     for k in range(len(current)):
         now = current[k]
         if dt[k] == 0.0 or lag.real < 1e-9:
             # So short a lag only delays a ramp.
             u = now - (lag * (now - before) / dt[k] if dt[k] > 0.0 else 0.0 * lag)
         else:
-            rise = (now - before) / dt[k] * lag
-            u = now - rise + (u - before + rise) * exp(-dt[k] / lag)
+            # Samples are as far apart as those before, but for rounding: few exponentials are worth computing.
+            if abs(dt[k] - step) > 1e-9 * step:
+                step = dt[k]
+                decay = exp(-step / lag)
+            rise = (now - before) / step * lag
+            u = now - rise + (u - before + rise) * decay
         effective[k] = u
         before = now + 0.0 * lag
     state[0], state[1] = u, before
@@ -101,8 +106,10 @@ def rise(code: int, third: float, current: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def coefficients(theta: Array, codes: NDArray[np.intp], columns: NDArray[np.intp], floors: Array, current: Array) -> Array:
-    """Coefficients (m, quantities) on the vertices.
+def coefficients(
+    theta: Array, codes: NDArray[np.intp], columns: NDArray[np.intp], floors: Array, current: Array, found: Array
+) -> None:
+    """Coefficients on the vertices.
 
     Parameters
     ----------
@@ -115,18 +122,25 @@ def coefficients(theta: Array, codes: NDArray[np.intp], columns: NDArray[np.intp
         Least value of each: a law that falls with current stops there.
     current : ndarray (m,)
         Effective current in A, of the same type as ``theta``.
+    found : ndarray (m, quantities)
+        Filled; in Fortran's order, for speed.
     """
-    rows = np.empty((len(current), len(codes)), theta.dtype)
-    for k in range(len(current)):
-        u = current[k]
-        for j in range(len(codes)):
-            value = theta[columns[j, 0]]
-            if codes[j] > 0:
-                third = theta[columns[j, 2]] if columns[j, 2] >= 0 else 0.0 * value
-                value = value + theta[columns[j, 1]] * _bent(codes[j], third, u)
-                if codes[j] == 2:
-                    value = value + third * u * u
-                if value.real < floors[j]:
-                    value = floors[j] + 0.0 * value
-            rows[k, j] = value
-    return rows
+    for j in range(len(codes)):
+        code, floor = codes[j], floors[j]
+        value = theta[columns[j, 0]]
+        slope = theta[columns[j, 1]] if code > 0 else 0.0 * value
+        third = theta[columns[j, 2]] if columns[j, 2] >= 0 else 0.0 * value
+        if code == 0:
+            for k in range(len(current)):
+                found[k, j] = value
+        elif code == 1:
+            for k in range(len(current)):
+                affine = value + slope * current[k]
+                found[k, j] = floor + 0.0 * value if affine.real < floor else affine
+        else:
+            for k in range(len(current)):
+                u = current[k]
+                bent = value + slope * _bent(code, third, u)
+                if code == 2:
+                    bent = bent + third * u * u
+                found[k, j] = floor + 0.0 * value if bent.real < floor else bent

@@ -251,7 +251,7 @@ class DamperModel:
 
     def at_current(self, theta: Array, current: float) -> dict[str, float]:
         """Coefficients by name at one current in A."""
-        row = coefficients(theta, self._codes, self._columns, self._floors, np.array([current]))[0]
+        row = self._coefficients(theta, np.array([current]))[0]
         return {quantity.name: float(value) for quantity, value in zip(self.quantities, row, strict=True)}
 
     def initial_state(self, path: Path) -> Array:
@@ -273,7 +273,7 @@ class DamperModel:
             state = self.initial_state(path)
         state = np.asarray(state, theta.dtype)
         current = lagged_current(theta[-1], state, path.dt, path.current)
-        rows = coefficients(theta, self._codes, self._columns, self._floors, current)
+        rows = self._coefficients(theta, current)
         return self._run(rows, state[2:], path)[path.samples]
 
     def regressors(self, theta: Array, path: Path) -> tuple[Array, Array]:
@@ -293,7 +293,7 @@ class DamperModel:
         """
         state = self.initial_state(path)
         current = lagged_current(theta[-1], state, path.dt, path.current)
-        rows = coefficients(theta, self._codes, self._columns, self._floors, current)
+        rows = self._coefficients(theta, current)
         for j, quantity in enumerate(self.quantities):
             if quantity.multiplies:
                 rows[:, j] = 0.0
@@ -321,6 +321,11 @@ class DamperModel:
                 columns[:, filled] = base * current**2
                 filled += 1
         return columns, rest
+
+    def _coefficients(self, theta: Array, current: Array) -> Array:
+        rows = np.empty((len(current), len(self.quantities)), theta.dtype, order="F")
+        coefficients(theta, self._codes, self._columns, self._floors, current, rows)
+        return rows
 
     def _run(self, rows: Array, state: Array, path: Path) -> Array:
         force = np.empty(len(rows), rows.dtype)

@@ -45,8 +45,6 @@ def _internal_step(
     low = (fixed + push * (w - 1.0)).real / scale.real
     high = (fixed + push * (w + 1.0)).real / scale.real
     d = (fixed + 2.0 * push * w) / scale
-    if not low <= d.real <= high:
-        d = 0.5 * (low + high) + 0.0 * d
     after = w
     last = high - low
     for _ in range(100):
