@@ -57,7 +57,7 @@ def absolute(z: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def power(z: Any, n: Any) -> Any:
-    """z^n for z >= 0 and n >= 1; 0 for a z so small that 1 / z overflows."""
+    """z^n for z > 0, and for z = 0 and n >= 1; 0 for a z so small that 1 / z overflows."""
     return exp(n * log(z)) if z.real > 1e-200 else 0.0 * z
 
 

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from mrd_sim.models import MODELS, find_model
+from mrd_sim.models.shear_thinning_bouc_wen import CREEP_SPEED
 from mrd_sim.path import Path, make_path
 
 WITH_MEMORY = [model for model in MODELS.values() if model.states]
@@ -70,6 +72,25 @@ def spencer_force(k, x, v, y):
     return k["alpha"] * y[0] + k["c0"] * (v - y_rate(k, x, v, y)) + k["k0"] * (x - y[1]) + k["k1"] * x + k["f0"]
 
 
+def thinning_speed(k, x, v, y):
+    """Speed of the element where the forces at the inner node balance."""
+
+    def unbalanced(speed):
+        return k["c1"] * (v - speed) - k["alpha"] * y[0] - k["k0"] * (x - y[1]) - thinning_viscous(k, speed)
+
+    bound = abs(v) + (abs(k["alpha"] * y[0]) + abs(k["k0"] * (x - y[1]))) / k["c1"] + 1e-6
+    return brentq(unbalanced, -bound, bound, xtol=1e-16, rtol=1e-15)
+
+
+def thinning_viscous(k, speed):
+    return k["c0"] * speed * (np.hypot(speed, CREEP_SPEED) / 0.1) ** (k["m"] - 1)
+
+
+def thinning_rate(k, x, v, y):
+    speed = thinning_speed(k, x, v, y)
+    return [z_rate(k, y[0], speed), v - speed]
+
+
 def normalised_rate(k, x, v, y):
     w, sigma, n = y[0], k["sigma"], k["n"]
     return [k["rho"] * (v - sigma * abs(v) * abs(w) ** (n - 1) * w + (sigma - 1) * v * abs(w) ** n)]
@@ -95,6 +116,12 @@ TEXTBOOK = {
         lambda k: [z_scale(k)],
     ),
     "modified_bouc_wen": Textbook(spencer_constants, spencer_rate, spencer_force, lambda k: [z_scale(k), 0.01]),
+    "shear_thinning_bouc_wen": Textbook(
+        lambda c: spencer_constants(c) | {"m": c["flow_index"]},
+        thinning_rate,
+        lambda k, x, v, y: k["c1"] * (v - thinning_speed(k, x, v, y)) + k["k1"] * x + k["f0"],
+        lambda k: [z_scale(k), 0.01],
+    ),
     "normalised_bouc_wen": Textbook(
         dict,
         normalised_rate,

@@ -18,6 +18,7 @@ from mrd_sim.models import (
     normalised_bouc_wen,
     polynomial,
     quasi_static,
+    shear_thinning_bouc_wen,
     sigmoid,
 )
 from mrd_sim.models.model import DamperModel, Parameter, Quantity
@@ -37,6 +38,7 @@ MODELS: dict[str, DamperModel] = {
         bouc_wen,
         normalised_bouc_wen,
         modified_bouc_wen,
+        shear_thinning_bouc_wen,
         modified_dahl,
         modified_lugre,
         gamota_filisko,

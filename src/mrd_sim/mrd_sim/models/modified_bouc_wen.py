@@ -1,6 +1,7 @@
 """Modified Bouc-Wen model of Spencer et al.: a Bouc-Wen element in series with a dashpot."""
 
 from dataclasses import replace
+from typing import Any
 
 from numba import njit
 
@@ -27,7 +28,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     state[0], state[1], state[2] = w, before, y
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _internal_step(
     w: float, travel: float, middle: float, dt: float, f_y: float, x_y: float, sigma: float, n: float,
     c0: float, c1: float, k0: float,
@@ -38,37 +39,44 @@ def _internal_step(
     d (c0 + c1) = dt (F_y (w + w+(travel - d)) / 2 + k0 (middle - d / 2)) + c0 travel. Its left minus right side grows
     strictly with d, so the root is unique; Newton's method, kept within a bracket, finds it at any speed.
     """
-    # The state stays within ±1, which bounds the root.
     fixed = c0 * travel + dt * k0 * middle
     scale = c0 + c1 + 0.5 * dt * k0
     push = 0.5 * dt * f_y
-    low = (fixed + push * (w - 1.0)).real / scale.real
-    high = (fixed + push * (w + 1.0)).real / scale.real
-    d = (fixed + 2.0 * push * w) / scale
+    per_scale, per_travel = 1.0 / scale, 1.0 / x_y
+    d = (fixed + 2.0 * push * w) * per_scale
+    # The state stays within ±1, which bounds the root.
+    reach = push * per_scale
+    low, high = (d - (1.0 + w) * reach).real, (d + (1.0 - w) * reach).real
     after = w
     last = high - low
     for _ in range(100):
         element = travel - d
         direction = 1.0 if element.real >= 0.0 else -1.0
-        after = advance(w, element / x_y, sigma, n)
+        after = advance(w, element * per_travel, sigma, n)
         balance = scale * d - fixed - push * (w + after)
         if balance.real > 0.0:
             high = d.real
         else:
             low = d.real
-        bend = slope(after, direction, sigma, n) / x_y
+        bend = slope(after, direction, sigma, n) * per_travel
         step = -balance / (scale + push * bend)
         # The error after a step of Newton's method is of the order of its square.
         if abs(step.real) <= 1e-7 * x_y.real or high - low <= 1e-13 * x_y.real:
             return d + step, after - bend * step
-        # Bisection wherever Newton's method leaves the bracket or does not settle: it may go to and fro over a kink.
-        if low < (d + step).real < high and 2.0 * abs(step.real) < last:
-            last = abs(step.real)
-            d = d + step
-        else:
-            last = 0.5 * (high - low)
-            d = 0.5 * (low + high) + 0.0 * d
+        d, last = settled(d, step, low, high, last)
     return d, after
+
+
+@njit(cache=True, nogil=True)
+def settled(at: Any, step: Any, low: float, high: float, last: float) -> tuple[Any, float]:
+    """Next point of a search for a root between ``low`` and ``high``, and the size of the step to it.
+
+    Newton's step, or bisection wherever that leaves the bracket or is not half the ``last``: it may go to and fro over a
+    kink.
+    """
+    if low < (at + step).real < high and 2.0 * abs(step.real) < last:
+        return at + step, abs(step.real)
+    return 0.5 * (low + high) + 0.0 * at, 0.5 * (high - low)
 
 
 MODEL = DamperModel(
