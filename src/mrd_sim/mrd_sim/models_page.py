@@ -27,8 +27,8 @@ _CHOICE = (
     ),
     (
         "the same, where the force falls off at low speed or something in series gives way before the fluid yields",
-        "modified_bouc_wen gamota_filisko",
-        "a dashpot or springs in series",
+        "modified_bouc_wen shear_thinning_bouc_wen gamota_filisko",
+        "a dashpot or springs in series; in the second the viscosity falls with the speed",
     ),
     ("no damper yet, only a drawing", "quasi_static", "geometry and fluid in, force out"),
 )
