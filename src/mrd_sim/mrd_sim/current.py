@@ -81,7 +81,7 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
                 step = dt[k]
                 decay = exp(-step / lag)
             rise = (now - before) / step * lag
-            u = now - rise + (u - before + rise) * decay
+            u = (now - rise) + (u - (before - rise)) * decay
         effective[k] = u
         before = now + 0.0 * lag
     state[0], state[1] = u, before

@@ -47,11 +47,21 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
     n : float
         Exponent, at least 1.
     """
-    if travel.real == 0.0:
-        return w + travel * slope(w, 1.0, sigma, n)
-    direction = 1.0 if travel.real > 0.0 else -1.0
+    direction = 1.0 if travel.real >= 0.0 else -1.0
     h = direction * travel
     v = direction * w
+    if n == 2.0 and v.real >= 0.0:
+        # By far the most frequent case; in a function as small as this one it is compiled into the models' loops.
+        rest = (1.0 - v) * exp(-2.0 * h)
+        return direction * (1.0 + v - rest) / (1.0 + v + rest)
+    return direction * _advanced(v, h, sigma, n)
+
+
+@njit(cache=True, nogil=True)
+def _advanced(v: Any, h: Any, sigma: Any, n: Any) -> Any:
+    """State after the travel h >= 0 towards positive states."""
+    if h.real == 0.0:
+        return v + h * slope(v, 1.0, sigma, n)
     if v.real < 0.0:
         p = -v
         b = 2.0 * sigma - 1.0
@@ -61,13 +71,13 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
             if root.real * h.real < 1.5:
                 turned, start = tan(root * h), root * p
                 if turned.real < start.real:
-                    return -direction * (start - turned) / (root * (1.0 + start * turned))
+                    return (turned - start) / (root * (1.0 + start * turned))
         crossing = _unloading_travel(p, b, n)
         if h.real < crossing.real:
-            return -direction * _unloaded(p, b, n, h, crossing)
+            return -_unloaded(p, b, n, h, crossing)
         h = h - crossing
         v = 0.0 * v
-    return direction * _loaded(v, n, h)
+    return _loaded(v, n, h)
 
 
 @njit(cache=True, nogil=True)
