@@ -345,3 +345,19 @@ def test_explicit_runge_kutta_at_1_khz_is_finite_and_wrong_and_ours_is_not():
 def test_spencer_at_500_hz_is_right_at_any_speed(speed):
     rod, time = sine(speed / (2 * np.pi * 2.0), 2.0), np.arange(500) / 500
     assert relative(ours(rod, time), spencer_reference(rod, time)) < 0.005
+
+
+@pytest.mark.parametrize("name", ["modified_bouc_wen", "shear_thinning_bouc_wen"])
+def test_long_steps_of_a_stiff_element_do_not_ring(name):
+    """A series dashpot so soft that the element hardly yields, and steps of many of its relaxation times."""
+    model = find_model(name)
+    theta = model.vector(
+        {"yield_force": 430.0, "yield_travel": 4e-6, "viscous": 2000.0, "series_viscous": 2800.0, "series_viscous_per_A": 0.0}
+    )
+
+    def force(rate):
+        time = np.arange(int(16 * rate) + 1) / rate
+        x, v = sine(0.0125, 0.125)(time)
+        return model.force(theta, make_path(time, x, v, np.zeros_like(x), np.full(len(x), 0.05)))
+
+    assert relative(force(25.0)[5:], force(4000.0)[:: 4000 // 25][5:]) < 0.01

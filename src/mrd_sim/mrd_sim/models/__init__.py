@@ -1,8 +1,9 @@
 """The catalogue of damper models: one file and one line each."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from mrd_base import InputError
+from mrd_sim.effects import find_effects
 from mrd_sim.models import (
     algebraic,
     bingham,
@@ -21,7 +22,8 @@ from mrd_sim.models import (
     shear_thinning_bouc_wen,
     sigmoid,
 )
-from mrd_sim.models.model import DamperModel, Parameter, Quantity
+from mrd_sim.models.model import DamperModel, Quantity
+from mrd_sim.parameter import Parameter
 
 MODELS: dict[str, DamperModel] = {
     module.MODEL.id: module.MODEL
@@ -46,17 +48,18 @@ MODELS: dict[str, DamperModel] = {
 }
 
 
-def find_model(name: str, laws: str | Mapping[str, str] | None = None) -> DamperModel:
-    """Model by its id, with current laws as in `DamperModel.with_laws`.
+def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:
+    """Model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
 
     Raises
     ------
     InputError
-        When there is none; lists those there are. For an unknown law or coefficient.
+        When there is none; lists those there are. For an unknown law, coefficient or effect.
     """
     if name not in MODELS:
         raise InputError(f"unknown model {name} (known: {', '.join(MODELS)})")
-    return MODELS[name].with_laws(laws) if laws else MODELS[name]
+    model = MODELS[name].with_laws(laws) if laws else MODELS[name]
+    return model.with_effects(find_effects(effects)) if effects else model
 
 
 __all__ = ["MODELS", "DamperModel", "Parameter", "Quantity", "find_model"]

@@ -1,6 +1,6 @@
 """What a damper model is: quantities with their current laws, and a kernel."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -10,30 +10,15 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_sim.current import LAWS, coefficients, lagged_current, rise
+from mrd_sim.effects.effect import Effect, Stage
+from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
+from mrd_sim.series import in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
 
 NO_FLOOR = -1e300
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A number that identification may choose.
-
-    ``log`` asks for a logarithmic scale between the bounds; a parameter that is not ``free`` keeps its default unless it is
-    set or freed by name.
-    """
-
-    name: str
-    unit: str
-    default: float
-    lower: float
-    upper: float
-    meaning: str
-    log: bool = False
-    free: bool = True
 
 
 @dataclass(frozen=True)
@@ -131,6 +116,8 @@ class DamperModel:
     observables : callable, optional
         ``observables(values)``: what the data can determine, as {name: (value, unit)}, from the coefficients at one current
         by name of the quantity.
+    effects : tuple of Effect
+        What else acts, see `with_effects`.
     """
 
     id: str
@@ -143,12 +130,13 @@ class DamperModel:
     order: int = 0
     dissipative: bool = True
     observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
+    effects: tuple[Effect, ...] = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process finds the model in its own catalogue: compiled kernels do not travel."""
         from mrd_sim.models import find_model
 
-        return find_model, (self.id, self.laws)
+        return find_model, (self.id, self.laws, tuple(effect.id for effect in self.effects))
 
     def with_laws(self, laws: str | Mapping[str, str]) -> "DamperModel":
         """The model with other current laws.
@@ -174,6 +162,15 @@ class DamperModel:
                 raise InputError(f"model {self.id}: unknown current law {law} for {name} (known: {', '.join(LAWS)})")
         return replace(self, quantities=tuple(replace(q, law=chosen.get(q.name, q.law)) for q in self.quantities))
 
+    def with_effects(self, effects: Sequence[Effect]) -> "DamperModel":
+        """The model with effects around it, their parameters after its own, named EFFECT.PARAMETER.
+
+        The stages follow each other as cause becomes reading (`mrd_sim.effects.STAGES`): drive effects change the motion
+        that the damper sees, magnetic ones its current; what is in series with it shares its motion; effects of fluid and
+        structure change its force, or add to it; sensing makes of that force the measured one.
+        """
+        return replace(self, effects=tuple(effects))
+
     @cached_property
     def laws(self) -> dict[str, str]:
         """Current law of every coefficient that may depend on current."""
@@ -182,6 +179,14 @@ class DamperModel:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, in the order of a parameter vector."""
+        return (
+            *self._own_parameters,
+            *(replace(p, name=f"{effect.id}.{p.name}") for effect in self.effects for p in effect.parameters),
+        )
+
+    @cached_property
+    def _own_parameters(self) -> tuple[Parameter, ...]:
+        """Those of the model without effects; the coil lag is the last."""
         return (*(p for quantity in self.quantities for p in quantity.parameters()), COIL_LAG)
 
     @cached_property
@@ -217,7 +222,9 @@ class DamperModel:
 
     @cached_property
     def linear(self) -> NDArray[np.intp]:
-        """Indices of the parameters in which the force is linear."""
+        """Indices of the parameters in which the force is linear; none where effects act."""
+        if self.effects:
+            return np.array([], dtype=np.intp)
         found = [
             index
             for quantity, row in zip(self.quantities, self._columns, strict=True)
@@ -256,7 +263,8 @@ class DamperModel:
 
     def initial_state(self, path: Path) -> Array:
         """State of a damper at rest and unloaded, its effective current equal to the first measured one."""
-        return np.concatenate(([path.current[0], path.current[0]], np.zeros(self.states)))
+        effects = sum(effect.states for effect in self.effects) + len(self._series) + 1
+        return np.concatenate(([path.current[0], path.current[0]], np.zeros(self.states + effects)))
 
     def force(self, theta: Array, path: Path, state: Array | None = None) -> Array:
         """Force in N at the samples of a path.
@@ -272,9 +280,42 @@ class DamperModel:
         if state is None:
             state = self.initial_state(path)
         state = np.asarray(state, theta.dtype)
-        current = lagged_current(theta[-1], state, path.dt, path.current)
+        x, v, a, current = path.position, path.velocity, path.acceleration, path.current
+        force = np.zeros(len(x), theta.dtype)
+        if self.effects:  # they change the signals in place
+            x, v, a, current = (series.astype(theta.dtype) for series in (x, v, a, current))
+        self._act(("drive", "magnetics"), theta, path.dt, (x, v, a, current, force), state)
+        current = lagged_current(theta[len(self._own_parameters) - 1], state, path.dt, current)
         rows = self._coefficients(theta, current)
-        return self._run(rows, state[2:], path)[path.samples]
+        inner = state[2 : 2 + self.states]
+        if self._series:
+            p = np.stack([np.resize(theta[part], 4) for part in self._effect_parameters(self._series)])
+            stretches = tuple(effect.stretch for effect in self._series)
+            stretched = state[-len(self._series) - 1 :]
+            in_series(self.kernel, stretches, p, stretched, np.ascontiguousarray(rows), inner, path.dt, x, v, a, force)
+        else:
+            self.kernel(rows, inner, path.dt, x, v, a, force)
+        self._act(("fluid", "structure", "sensing"), theta, path.dt, (x, v, a, current, force), state)
+        return force[path.samples]
+
+    @cached_property
+    def _series(self) -> tuple[Effect, ...]:
+        """Effects that give way in series with the damper."""
+        return tuple(effect for effect in self.effects if effect.stretch is not None)
+
+    def _effect_parameters(self, effects: Sequence[Effect]) -> list[slice]:
+        """Where the parameters of effects are in a parameter vector."""
+        edges = np.cumsum([len(self._own_parameters), *(len(effect.parameters) for effect in self.effects)])
+        return [slice(int(edges[i]), int(edges[i + 1])) for i in (self.effects.index(effect) for effect in effects)]
+
+    def _act(self, stages: Sequence[Stage], theta: Array, dt: Array, signals: tuple[Array, ...], state: Array) -> None:
+        """Let the effects of some stages change the signals in place."""
+        edges = np.cumsum([2 + self.states, *(effect.states for effect in self.effects)])
+        for stage in stages:
+            for i, effect in enumerate(self.effects):
+                if effect.stage == stage and effect.kernel is not None:
+                    (p,) = self._effect_parameters([effect])
+                    effect.kernel(theta[p], state[edges[i] : edges[i + 1]], dt, *signals)
 
     def regressors(self, theta: Array, path: Path) -> tuple[Array, Array]:
         """The force's linear part: ``force = columns @ theta[linear] + rest``.
@@ -297,7 +338,7 @@ class DamperModel:
         for j, quantity in enumerate(self.quantities):
             if quantity.multiplies:
                 rows[:, j] = 0.0
-        rest = self._run(rows, state[2:].copy(), path)[path.samples]
+        rest = self._run(rows, path)[path.samples]
         current = current[path.samples]
         known = {"x": path.position, "v": path.velocity, "1": np.ones_like(path.position)}
         columns = np.empty((len(path.samples), len(self.linear)), order="F")
@@ -307,7 +348,7 @@ class DamperModel:
                 continue
             if quantity.multiplies == "term":
                 rows[:, j] = 1.0
-                base = self._run(rows, state[2:].copy(), path)[path.samples] - rest
+                base = self._run(rows, path)[path.samples] - rest
                 rows[:, j] = 0.0
             else:
                 base = known[quantity.multiplies][path.samples]
@@ -327,8 +368,7 @@ class DamperModel:
         coefficients(theta, self._codes, self._columns, self._floors, current, rows)
         return rows
 
-    def _run(self, rows: Array, state: Array, path: Path) -> Array:
+    def _run(self, rows: Array, path: Path) -> Array:
         force = np.empty(len(rows), rows.dtype)
-        self.kernel(rows, state, path.dt, path.position, path.velocity, path.acceleration, force)
+        self.kernel(rows, np.zeros(self.states, rows.dtype), path.dt, path.position, path.velocity, path.acceleration, force)
         return force
-

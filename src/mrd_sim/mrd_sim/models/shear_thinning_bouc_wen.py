@@ -10,7 +10,8 @@ from mrd_sim.hysteresis import advance, slope
 from mrd_sim.models.bouc_wen import observables
 from mrd_sim.models.model import Array, DamperModel, Quantity
 from mrd_sim.models.modified_bouc_wen import MODEL as MODIFIED
-from mrd_sim.models.modified_bouc_wen import settled
+from mrd_sim.models.modified_bouc_wen import implicit_share
+from mrd_sim.root import settled
 
 REFERENCE_SPEED = 0.1
 """m/s; at this speed the viscous force is c0 times the speed, whatever the flow index."""
@@ -80,18 +81,19 @@ def _internal_step(
     """Displacement d of the internal node over one step, and the state after it, as in the modified Bouc-Wen model.
 
     The element moves by travel - d, which its viscous force resists: it pushes the node the way the element moves. So the
-    balance c1 d - dt (F_y (w + w+) / 2 + k0 (middle - d / 2) + F_v) grows strictly with d, and its sign where the element
-    stands still, d = travel, tells on which side of it the root is.
+    balance c1 d - dt (F_y ((1 - theta) w + theta w+) + k0 (middle - d / 2) + F_v) grows strictly with d, and its sign where
+    the element stands still, d = travel, tells on which side of it the root is.
     """
     scale = c1 + 0.5 * dt * k0
-    fixed = dt * k0 * middle
-    push = 0.5 * dt * f_y
-    if (scale * travel - fixed - 2.0 * push * w).real > 0.0:
-        low, high = (fixed + push * (w - 1.0)).real / scale.real, travel.real
-    else:
-        low, high = travel.real, (fixed + push * (w + 1.0)).real / scale.real
     viscous = _viscous(speed, c0, m)
-    d = (fixed + 2.0 * push * w + viscous * travel) / (scale + viscous)
+    whole = dt * f_y
+    push = implicit_share(whole / (x_y * (scale + viscous))) * whole
+    fixed = dt * k0 * middle + (whole - push) * w
+    if (scale * travel - fixed - push * w).real > 0.0:
+        low, high = (fixed - push).real / scale.real, travel.real
+    else:
+        low, high = travel.real, (fixed + push).real / scale.real
+    d = (fixed + push * w + viscous * travel) / (scale + viscous)
     if not low <= d.real <= high:
         d = 0.5 * (low + high) + 0.0 * d
     after = w
@@ -101,7 +103,7 @@ def _internal_step(
         direction = 1.0 if element.real >= 0.0 else -1.0
         after = advance(w, element / x_y, sigma, n)
         viscous = _viscous(element / dt, c0, m)
-        balance = scale * d - fixed - push * (w + after) - viscous * element
+        balance = scale * d - fixed - push * after - viscous * element
         if balance.real > 0.0:
             high = d.real
         else:

@@ -1,0 +1,46 @@
+"""Lag of the yield force behind the coil current: inductance, eddy currents, particles forming chains."""
+
+from numba import njit
+
+from mrd_sim.dual import exp
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    lagged, before = state[0], state[1]
+    for k in range(len(u)):
+        now = u[k]
+        if dt[k] == 0.0:
+            lagged = now + 0.0 * p[0]
+        else:
+            # Rising or falling, by which side of the lagged current the measured one is on.
+            lag = p[0] if now.real >= lagged.real else p[0] * (1.0 + p[1])
+            if lag.real < 1e-9:
+                lagged = now - lag * (now - before) / dt[k]
+            else:
+                ramp = (now - before) / dt[k] * lag
+                lagged = now - ramp + (lagged - before + ramp) * exp(-dt[k] / lag)
+        before = now + 0.0 * p[0]
+        u[k] = lagged
+    state[0], state[1] = lagged, before
+
+
+EFFECT = Effect(
+    id="coil_lag",
+    title="Lag behind the coil current",
+    stage="magnetics",
+    equation="u' = (I - u) / tau while the current rises, / (tau (1 + r)) while it falls",
+    source="Spencer et al. (1997): 5.3 ms; Koo, Goncalves & Ahmadian (2006)",
+    parameters=(
+        Parameter("lag", "s", 0.0, 0.0, 0.06, "time constant while the current rises"),
+        Parameter("falling", "", 0.0, -0.5, 3.0, "by how much it is longer while the current falls, relative"),
+    ),
+    typical={"lag": 0.015, "falling": 0.3},
+    signature="the force follows a change of current late, at any speed of the rod",
+    confused_with=("magnetic_hysteresis", "channel_delay", "force_sensor_lag"),
+    separated_by="steps of current at several constant speeds",
+    kernel=_apply,
+    states=2,
+)

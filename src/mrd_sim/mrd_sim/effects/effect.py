@@ -1,0 +1,62 @@
+"""What an effect is: something that a simulator leaves out until it is switched on."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_sim.parameter import Parameter
+
+Array = NDArray[np.float64]
+Stage = Literal["drive", "magnetics", "fluid", "structure", "sensing"]
+STAGES: tuple[Stage, ...] = ("drive", "magnetics", "fluid", "structure", "sensing")
+"""In the order in which cause becomes reading."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that acts on the signals of a simulator, or gives way in series with its damper.
+
+    Attributes
+    ----------
+    id, title, equation, source : str
+    stage : str
+        One of `STAGES`. An effect on signals changes, at its stage, what it belongs to: motion (drive), current (magnetics),
+        force (fluid, structure: the damper's; sensing: the measured one).
+    parameters : tuple of Parameter
+        Their defaults are neutral: with them the effect changes nothing. Their bounds are what is plausible.
+    typical : mapping
+        A value of each parameter with which the effect is clearly there; where a fit begins.
+    kernel : callable, optional
+        ``kernel(p, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
+        (`mrd_sim.dual`): parameters ``p`` (parameters,), ``state`` carried from call to call, then the signals on the
+        vertices (m,), which it changes in place: step in s, position, velocity and acceleration of the rod, effective
+        current, force. ``dt[0] == 0`` begins a path.
+    states : int
+        Length of ``state``; all zero at first.
+    stretch : callable, optional
+        ``stretch(p, before, dt, force)``, compiled likewise: elongation in m, after ``dt`` under ``force``, of something in
+        series with the damper that was elongated by ``before``; never falls with the force. In the place of ``kernel``.
+    signature : str
+        How it shows.
+    confused_with : tuple of str
+        Ids of effects that look alike.
+    separated_by : str
+        Which excitation tells it from these.
+    """
+
+    id: str
+    title: str
+    stage: Stage
+    equation: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    typical: Mapping[str, float]
+    signature: str
+    confused_with: tuple[str, ...]
+    separated_by: str
+    kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
+    states: int = 0
+    stretch: Callable[[Any, Any, Any, Any], Any] | None = None

@@ -1,0 +1,27 @@
+"""Mass between damper and load cell, and inertia of the fluid."""
+
+from numba import njit
+
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    for k in range(len(x)):
+        force[k] += p[0] * a[k]
+
+
+EFFECT = Effect(
+    id="moving_mass",
+    title="Moving mass",
+    stage="structure",
+    equation="F + m x''",
+    source="rod and clevis 0.3-1.5 kg; inertance of the fluid rho L A_p² / A_g 0.2-1 kg",
+    parameters=(Parameter("mass", "kg", 0.0, -0.5, 5.0, "moved mass and inertance"),),
+    typical={"mass": 1.5},
+    signature="force in phase with acceleration, growing with the square of frequency",
+    confused_with=("gas_spring", "channel_delay", "force_sensor_lag"),
+    separated_by="three or more frequencies at one amplitude",
+    kernel=_apply,
+)

@@ -1,0 +1,28 @@
+"""Compliance in series with the damper: compressed fluid, load cell, mounts."""
+
+from typing import Any
+
+from numba import njit
+
+from mrd_sim.effects.effect import Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
+    return p[0] * force
+
+
+EFFECT = Effect(
+    id="series_compliance",
+    title="Compliance in series",
+    stage="fluid",
+    equation="F = damper(x - F / k_s)",
+    source="Guo, Hu & Yi, JIMSS (2013); load cells of 100 kg: 2.5 to 5 MN/m",
+    parameters=(Parameter("compliance", "m/N", 0.0, 0.0, 2e-6, "elongation over force, 1 / k_s"),),
+    typical={"compliance": 4e-7},
+    signature="rounded reversals: travel of 2 F / k_s is lost at each of them",
+    confused_with=("joint_play", "backlash", "pre_yield_hysteresis", "channel_delay", "force_sensor_lag"),
+    separated_by="small strokes at high current; the same peak speed at different frequencies",
+    stretch=_stretch,
+)
