@@ -352,7 +352,7 @@ def test_long_steps_of_a_stiff_element_do_not_ring(name):
     """A series dashpot so soft that the element hardly yields, and steps of many of its relaxation times."""
     model = find_model(name)
     theta = model.vector(
-        {"yield_force": 430.0, "yield_travel": 4e-6, "viscous": 2000.0, "series_viscous": 2800.0, "series_viscous_per_A": 0.0}
+        {"yield_force": 430.0, "yield_travel": 4e-6, "viscous": 2e3, "series_viscous": 2.8e3, "series_viscous_per_A": 0.0}
     )
 
     def force(rate):
