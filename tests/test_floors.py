@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ament_index_python import get_package_prefix
 
@@ -156,6 +157,44 @@ def test_the_core_works_where_ros_is_absent(package):
     assert core.returncode == 0, core.stderr
     expected = [file for file, _ in modules(package) if not in_nodes(file)]
     assert len(core.stdout.split()) == len(expected) - 1  # the package's own __init__ is not among its modules
+
+
+NOTEBOOK = """
+import sys
+sys.modules["rclpy"] = None
+import numpy as np
+from mrd_runs import read_run
+from mrd_identification import compare, identify
+
+runs = [read_run(path) for path in sys.argv[1:]]
+fit = identify(runs[:1], "bingham", held_out=runs[1:], population=8, generations=2, seeds=1)
+found = compare(runs[:1], ["linear_viscous", "bingham"], held_out=runs[1:], population=8, generations=2, seeds=1)
+print(fit.values["yield_force"], found.entries[0].name)
+"""
+
+
+def test_runs_are_read_identified_and_compared_in_a_notebook_without_ros(tmp_path):
+    time = np.arange(0, 4, 0.01)
+    for name, frequency in (("a", 1.0), ("b", 1.7)):
+        position = 0.01 * np.sin(2 * np.pi * frequency * time)
+        velocity = 0.02 * np.pi * frequency * np.cos(2 * np.pi * frequency * time)
+        force = 90.0 * np.tanh(velocity / 0.002) + 1500.0 * velocity
+        table = np.stack([time, position, np.zeros_like(time), force], axis=1)
+        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="time_s,position_m,current_A,force_N", comments="")
+    below = FLOORS["mrd_identification"]
+    environment = {
+        "PATH": os.environ["PATH"],
+        "HOME": os.environ.get("HOME", "/"),
+        "PYTHONPATH": os.pathsep.join(str(SOURCES / name) for name in ["mrd_identification", *below]),
+    }
+    notebook = subprocess.run(
+        [sys.executable, "-c", NOTEBOOK, tmp_path / "a.csv", tmp_path / "b.csv"],
+        env=environment, capture_output=True, text=True,
+    )
+    assert notebook.returncode == 0, notebook.stderr
+    yield_force, best = notebook.stdout.split()
+    assert float(yield_force) == pytest.approx(90.0, rel=0.05)
+    assert best == "bingham"
 
 
 @pytest.mark.parametrize("package", EXECUTABLES)
