@@ -11,13 +11,32 @@ Array = NDArray[np.float64]
 MOST = 400
 """Stretches in all: more would not make anything surer."""
 
+FEWEST = 20
+"""Values from which a correlation is still worth computing."""
+
 
 def correlation_length(residuals: Array) -> int:
-    """Samples after which the autocorrelation of ``residuals`` (n,) has fallen below a tenth."""
-    spectrum = np.abs(np.fft.rfft(residuals - residuals.mean(), 2 * len(residuals))) ** 2
-    autocorrelation = np.fft.irfft(spectrum)[: len(residuals)]
-    below = np.flatnonzero(autocorrelation < 0.1 * autocorrelation[0])
-    return int(below[0]) if below.size else len(residuals)
+    """Samples over which ``residuals`` (n,) hang together; 1 where each stands for itself.
+
+    A slow error may hide under a larger one that changes from sample to sample, and yet be all that matters to an offset or
+    a stiffness. So the autocorrelation is followed to where it falls below a tenth, or into what chance makes of it, for the
+    residuals and for their means over 2, 4, 8 and so on samples.
+    """
+    means = residuals - residuals.mean()
+    longest, scale = _decay(means), 1
+    while len(means) >= 2 * FEWEST:
+        means = 0.5 * (means[: len(means) // 2 * 2 : 2] + means[1::2])
+        scale *= 2
+        longest = max(longest, (_decay(means) - 1) * scale)
+    return min(longest, len(residuals))
+
+
+def _decay(series: Array) -> int:
+    """First lag at which the autocorrelation is as good as none."""
+    spectrum = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
+    autocorrelation = np.fft.irfft(spectrum)[: len(series)]
+    below = np.flatnonzero(autocorrelation <= max(0.1, 3.0 / np.sqrt(len(series))) * autocorrelation[0])
+    return max(1, int(below[0])) if below.size else len(series)
 
 
 def stretches(runs: Sequence[slice], correlated: int) -> list[slice]:

@@ -1,6 +1,5 @@
 """How well the recordings determine each parameter: covariance, correlation, profile of the objective."""
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,11 +10,15 @@ from scipy.stats import t as student
 
 from mrd_identification.polish import BORDER
 from mrd_identification.problem import Problem
+from mrd_identification.stretches import correlation_length, stretches
 
 Array = NDArray[np.float64]
 
 FEWEST_SPARE_BLOCKS = 5
 """Independent stretches of the residual beyond the number of parameters, below which intervals would be made up."""
+
+ROUNDING = 1e-10
+"""Share of the force below which a change of it drowns in rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,8 @@ class Uncertainty:
         nan where it was not computed.
     correlation : ndarray (free, free)
     on_bound : ndarray (free,) of bool
+    beyond : ndarray (free,)
+        How far beyond its bound the recordings want a parameter that lies on one, in standard deviations; else 0.
     condition : float
         Condition number of the scaled sensitivity matrix.
     blocks : int
@@ -45,6 +50,7 @@ class Uncertainty:
     profile_upper: Array
     correlation: Array
     on_bound: NDArray[np.bool_]
+    beyond: Array
     condition: float
     blocks: int
     sensitivity: Array
@@ -59,6 +65,7 @@ def uncertainty(
     middle M sums the scores Jᵀr over blocks longer than that correlation (Liang & Zeger, 1986), and Student's t counts
     blocks, not samples. The profile (Venzon & Moolgavkar, 1988) fixes one parameter after the other and refits the rest; it
     ends where the objective has risen as far as the covariance says that it must for 95 %, so it sees curvature and bounds.
+    A parameter on a bound has a profile on its inner side.
 
     Parameters
     ----------
@@ -80,76 +87,114 @@ def uncertainty(
     count = len(unit)
     lower, upper, profile_lower, profile_upper = np.full((4, count), np.nan)
     correlation = np.eye(count)
+    beyond = np.zeros(count)
     condition, blocks = np.inf, 0
 
     def found() -> Uncertainty:
         return Uncertainty(
-            lower, upper, profile_lower, profile_upper, correlation, on_bound, condition, blocks, sensitivity
+            lower, upper, profile_lower, profile_upper, correlation, on_bound, beyond, condition, blocks, sensitivity
         )
 
-    if not seen.any():
+    if not (norm > 0).any():
         return found()
-    scaled = jacobian[:, seen] / norm[seen]
-    _, singular, vt = np.linalg.svd(scaled, full_matrices=False)
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
-    inverse = (vt.T / np.maximum(singular, singular[0] * 1e-10) ** 2) @ vt
-    stretches = _stretches(problem, weighted)
-    blocks = len(stretches)
+    scaled = jacobian / np.where(norm > 0, norm, 1.0)
+    gram = scaled.T @ scaled
+    parts = stretches(problem.blocks, correlation_length(weighted))
+    blocks = len(parts)
+    scores = np.stack([scaled[part].T @ weighted[part] for part in parts])
+    if seen.any():
+        singular = np.linalg.svd(scaled[:, seen], compute_uv=False)
+        condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
     spare = blocks - int(seen.sum())
     if spare < FEWEST_SPARE_BLOCKS:
         return found()
-    scores = np.stack([scaled[stretch].T @ weighted[stretch] for stretch in stretches])
-    covariance = inverse @ (scores.T @ scores) @ inverse * blocks / spare
-    deviation = np.sqrt(np.diag(covariance))
-    correlation[np.ix_(seen, seen)] = covariance / np.outer(deviation, deviation)
+    middle = scores.T @ scores * blocks / spare
     student_t = float(student.ppf(0.975, spare))
+
+    def spread(among: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Inverse of the normal matrix of some parameters, and their covariance."""
+        inverse = normal_inverse(gram[np.ix_(among, among)])
+        return inverse, inverse @ middle[np.ix_(among, among)] @ inverse
+
+    inverse, covariance = spread(seen)
+    deviation = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore"):
+        correlation[np.ix_(seen, seen)] = np.where(
+            np.eye(len(deviation)) > 0, 1.0, np.nan_to_num(covariance / np.outer(deviation, deviation))
+        )
     half = np.full(count, np.nan)
     half[seen] = student_t * deviation / norm[seen]
     scale = problem.scale(theta) * half
-    middle = theta[list(problem.free)]
-    with np.errstate(over="ignore", invalid="ignore"):
-        factor = np.exp(scale / middle)
-        lower = np.where(problem.log, middle / factor, middle - scale)
-        upper = np.where(problem.log, middle * factor, middle + scale)
-    if profile:
-        best = problem.cost(theta)
-        direction = np.zeros((count, count))
-        direction[np.ix_(seen, seen)] = (inverse / np.diag(inverse)) / norm[seen][:, None] * norm[seen]
-        rise = student_t**2 * np.diag(covariance) / np.diag(inverse)
-        for place, index in enumerate(map(int, np.flatnonzero(seen))):
-            ends = [
-                _profile_end(problem, unit, index, side * half[index], direction[:, index], best + 0.5 * rise[place], best)
-                for side in (-1.0, 1.0)
-            ]
-            profile_lower[index], profile_upper[index] = (_value(problem, unit, index, end) for end in ends)
-            step()
+    value = theta[list(problem.free)]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        factor = np.exp(scale / value)
+        lower = np.where(problem.log, value / factor, value - scale)
+        upper = np.where(problem.log, value * factor, value + scale)
+
+    best = problem.cost(theta)
+    least = ROUNDING * np.linalg.norm(problem.force * problem.root_weight)
+    for index in map(int, np.flatnonzero(norm > 0)):
+        among = seen.copy()
+        among[index] = True
+        place = int(among[:index].sum())
+        joint = inverse
+        if on_bound[index]:
+            joint, covariance = spread(among)
+            deviation_here = np.sqrt(covariance[place, place])
+            half[index] = student_t * deviation_here / norm[index]
+            outward = 1.0 if unit[index] > 0.5 else -1.0
+            step_out = -outward * joint[place, place] * scores[:, index].sum()
+            beyond[index] = max(0.0, step_out / deviation_here) if deviation_here > 0 else 0.0
+        if not profile:
+            continue
+        moved = half[index] * norm[index]  # change of the force, while the others stay
+        ends = [unit[index], unit[index]]
+        if moved > least:
+            direction = np.zeros(count)
+            direction[among] = joint[:, place] / joint[place, place] / norm[among] * norm[index]
+            rise = 0.5 * moved**2 / joint[place, place]
+            ends = [_profile_end(problem, unit, index, side * half[index], direction, rise, best) for side in (-1.0, 1.0)]
+        profile_lower[index], profile_upper[index] = (_value(problem, unit, index, end) for end in ends)
+        step()
     return found()
 
 
+def normal_inverse(gram: Array) -> Array:
+    """Inverse of a normal matrix; what the recordings do not determine gets a large variance."""
+    values, vectors = np.linalg.eigh(gram)
+    return np.asarray((vectors / np.maximum(values, values[-1] * 1e-14)) @ vectors.T)
+
+
 def _profile_end(
-    problem: Problem, unit: Array, index: int, half: float, direction: Array, target: float, best: float
+    problem: Problem, unit: Array, index: int, half: float, direction: Array, rise: float, best: float
 ) -> float:
-    """Unit coordinate, on the side that ``half`` points to, where the refitted objective rises to ``target``."""
-    others = np.arange(len(unit)) != index
-    border = 1.0 if half > 0 else 0.0
-    reach = border - unit[index]
-    offset = np.clip(half, -abs(reach), abs(reach))
-    for _ in range(4):
-        start = np.clip(unit + offset * direction, 1e-6, 1 - 1e-6)
+    """Unit coordinate, on the side that ``half`` points to, where the refitted objective has risen by ``rise``."""
+    reach = (1.0 if half > 0 else 0.0) - unit[index]
+    if reach == 0.0:
+        return float(unit[index])
+    offset = float(np.clip(half, -abs(reach), abs(reach)))
+    for attempt in range(5):
+        start = np.clip(unit + offset * direction, 0.0, 1.0)
         start[index] = unit[index] + offset
-        cost = _refit(problem, start, others)
-        risen = (cost - best) / (target - best)
+        risen = (problem.cost(problem.theta(start)) - best) / rise
+        # Where the objective is the parabola that it is near the optimum, nothing is left to refit.
+        expected = (offset / half) ** 2
+        if abs(risen - expected) > 0.1 * expected or attempt:
+            cost, refitted = _refit(problem, start, index)
+            risen = (cost - best) / rise
+            direction = (refitted - unit) / offset
         if abs(risen - 1.0) < 0.1 or (risen < 1.0 and offset == reach):
             break
         # Near the optimum the root of the rise is linear.
-        offset = np.clip(offset * np.clip(1.0 / np.sqrt(max(risen, 1e-3)), 0.3, 3.0), -abs(reach), abs(reach))
+        offset = float(np.clip(offset * np.clip(1.0 / np.sqrt(max(risen, 1e-3)), 0.3, 3.0), -abs(reach), abs(reach)))
     return float(unit[index] + offset)
 
 
-def _refit(problem: Problem, start: Array, others: NDArray[np.bool_]) -> float:
-    """Smallest objective over the other parameters, near ``start``."""
-    if not others.any():
-        return problem.cost(problem.theta(start))
+def _refit(problem: Problem, start: Array, index: int) -> tuple[float, Array]:
+    """Smallest objective over the parameters other than ``index``, near ``start``, and where it is."""
+    others = np.delete(np.arange(len(start)), index)
+    if not others.size:
+        return problem.cost(problem.theta(start)), start
 
     def whole(part: Array) -> Array:
         unit = start.copy()
@@ -158,32 +203,18 @@ def _refit(problem: Problem, start: Array, others: NDArray[np.bool_]) -> float:
 
     found = least_squares(
         lambda part: problem.residuals(problem.theta(whole(part))),
-        start[others],
-        jac=lambda part: problem.jacobian(whole(part), np.flatnonzero(others)),
+        np.clip(start[others], 1e-6, 1 - 1e-6),  # trf needs a start strictly inside
+        jac=lambda part: problem.jacobian(whole(part), others),
         bounds=(0.0, 1.0),
         x_scale="jac",
         loss=problem.loss,
         f_scale=problem.loss_scale,
-        max_nfev=3,
+        max_nfev=4,
     )
-    return float(found.cost)
+    return float(found.cost), whole(found.x)
 
 
 def _value(problem: Problem, unit: Array, index: int, end: float) -> float:
     moved = unit.copy()
     moved[index] = np.clip(end, 0.0, 1.0)
     return float(problem.theta(moved)[problem.free[index]])
-
-
-def _stretches(problem: Problem, residuals: Array) -> list[slice]:
-    """Stretches of the residual, each within one run and four times as long as its correlation lasts; at most 400 in all."""
-    spectrum = np.abs(np.fft.rfft(residuals - residuals.mean(), 2 * len(residuals))) ** 2
-    autocorrelation = np.fft.irfft(spectrum)[: len(residuals)]
-    below = np.flatnonzero(autocorrelation < 0.1 * autocorrelation[0])
-    correlated = int(below[0]) if below.size else len(residuals)
-    length = max(4 * correlated, len(residuals) // 400, 1)
-    found: list[slice] = []
-    for block in problem.blocks:
-        edges = np.linspace(block.start, block.stop, max(1, (block.stop - block.start) // length) + 1).astype(int)
-        found += [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-    return found
