@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from mrd_identification.polish import BORDER
 from mrd_identification.problem import Problem
@@ -109,7 +109,7 @@ def uncertainty(
     if spare < FEWEST_SPARE_BLOCKS:
         return found()
     middle = scores.T @ scores * blocks / spare
-    student_t = float(student.ppf(0.975, spare))
+    student_t = float(stdtrit(spare, 0.975))
 
     def spread(among: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Inverse of the normal matrix of some parameters, and their covariance."""
