@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata, resources
@@ -29,6 +29,8 @@ class StoredFit:
     model : str
     laws : mapping
         Current law by coefficient.
+    effects : sequence of str
+        Ids of the effects around it.
     values : mapping
         Parameters by name in SI units.
     content : mapping
@@ -37,6 +39,7 @@ class StoredFit:
 
     model: str
     laws: Mapping[str, str]
+    effects: Sequence[str]
     values: Mapping[str, float]
     content: Mapping[str, Any]
 
@@ -55,6 +58,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
         "equation": fit.model.equation,
         "source": fit.model.source,
         "laws": fit.model.laws,
+        "effects": [effect.id for effect in fit.model.effects],
         "runs": {
             "fit": [run_json(result.run) for result in fit.fitted],
             "held_out": [run_json(result.run) for result in fit.held_out] if fit.held_out_by == "runs" else [],
@@ -177,7 +181,7 @@ def read_fit(path: str | Path) -> StoredFit:
         field = "/".join(map(str, error.absolute_path)) or "the file"
         raise InputError(f"{path}: {field}: {error.message.splitlines()[0]}; expected a fit.json of {SCHEMA}") from None
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
-    return StoredFit(content["model"], content["laws"], values, content)
+    return StoredFit(content["model"], content["laws"], content["effects"], values, content)
 
 
 def run_json(run: Run) -> dict[str, Any]:

@@ -40,6 +40,8 @@ class Method:
     ----------
     laws : str or mapping
         Current laws, see `DamperModel.with_laws`.
+    effects : sequence of str
+        Ids of effects around the model, whose parameters are searched too.
     fixed : mapping
         Values of parameters that are not searched, by name.
     freed : collection of str
@@ -59,6 +61,7 @@ class Method:
     """
 
     laws: str | Mapping[str, str] = field(default_factory=dict)
+    effects: Sequence[str] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     freed: Collection[str] = ()
     offsets: bool = False
@@ -371,7 +374,7 @@ def pooled(results: Sequence[RunResult]) -> Metrics:
 
 def _check(case: Case) -> None:
     method = case.method
-    find_model(case.model, method.laws)
+    find_model(case.model, method.laws, method.effects)
     if not case.runs:
         raise InputError("no runs to identify from")
     if method.population < 8 or method.generations < 1 or method.seeds < 1:
@@ -399,7 +402,11 @@ def _prepare(runs: Sequence[Run], method: Method) -> list[Recording]:
 
 def _pose(recordings: Sequence[Recording], model: str, method: Method) -> tuple[Problem, list[str]]:
     problem, notes = pose(
-        find_model(model, method.laws), recordings, fixed=method.fixed, freed=method.freed, offsets=method.offsets
+        find_model(model, method.laws, method.effects),
+        recordings,
+        fixed=method.fixed,
+        freed=method.freed,
+        offsets=method.offsets,
     )
     return replace(problem, loss=method.loss), notes
 

@@ -30,7 +30,7 @@ def work() -> None:
     parser.add_argument("--output", required=True, metavar="DIR", help="where fit.json and fit.html go")
     arguments = parser.parse_args()
     how = method(arguments)
-    find_model(arguments.model, how.laws)
+    find_model(arguments.model, how.laws, how.effects)
     folder = make_folder(arguments.output)
     runs, held_out = read_arguments_runs(arguments)
     total = how.generations * (how.seeds if how.polish else 1)

@@ -23,6 +23,10 @@ def add_method_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"current law of all coefficients that depend on current, or of each: {', '.join(LAWS)}",
     )
     parser.add_argument(
+        "--effect", action="append", default=[], metavar="EFFECT",
+        help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated",
+    )
+    parser.add_argument(
         "--fix", action="append", default=[], metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
     )
     parser.add_argument(
@@ -68,6 +72,7 @@ def method(arguments: argparse.Namespace) -> Method:
             raise InputError(f"--fix {text}: expected PARAMETER=VALUE with a number in SI units") from None
     return Method(
         laws=parse_laws(arguments.law, "--law"),
+        effects=tuple(arguments.effect),
         fixed=fixed,
         freed=tuple(arguments.free),
         offsets=arguments.offsets,
