@@ -11,8 +11,6 @@ from numba import njit
 from numpy.typing import NDArray
 from rich.console import Console
 
-from mrd_sim.path import Path, make_path
-
 Array = NDArray[np.float64]
 
 RATE = 1000.0
@@ -53,11 +51,10 @@ def _sampled(time_s: Array) -> tuple[Array, Array, Array]:
     return x, v, i
 
 
-def sampled(samples: int) -> tuple[Array, Path]:
-    """Instants in s and path of the motion at `RATE`."""
+def sampled(samples: int) -> tuple[Array, Array, Array, Array]:
+    """The motion at `RATE`: instants in s, position in m, velocity in m/s, current in A."""
     time_s = np.arange(samples) / RATE
-    x, v, i = _sampled(time_s)
-    return time_s, make_path(time_s, x, v, np.gradient(v, time_s), i)
+    return time_s, *_sampled(time_s)
 
 
 def timed(work: Callable[[], object], times: int = 1) -> float:

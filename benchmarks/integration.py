@@ -20,7 +20,7 @@ from rich.table import Table
 from scipy.integrate import odeint, solve_ivp
 
 from mrd_sim.models import MODELS
-from mrd_sim.path import Path
+from mrd_sim.path import Path, make_path
 
 SECONDS = 60
 OURS = "this bench"
@@ -141,8 +141,8 @@ def compare(model_id: str, library: ctypes.CDLL | None, table: Table) -> None:
     """Measure one model."""
     model = MODELS[model_id]
     theta = model.defaults
-    time_s, path = sampled(int(SECONDS * RATE))
-    x, v = path.position[path.samples], path.velocity[path.samples]
+    time_s, x, v, i = sampled(int(SECONDS * RATE))
+    path = make_path(time_s, x, v, np.gradient(v, time_s), i)
     reference = with_odeint(model_id, theta, time_s, x, v, rtol=1e-12)
 
     def nrms(force: Array) -> float:

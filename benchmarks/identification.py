@@ -1,0 +1,169 @@
+"""A whole identification: this bench against pymoo's NSGA-II driving a model that scipy integrates, side by side.
+
+Both fit a Bouc-Wen damper to the same run, smoothed alike, by NSGA-II over the same two error norms, with the same
+population, generations, seed, parameters and bounds. The peer searches all parameters and integrates candidate after
+candidate by `solve_ivp` (LSODA, rtol 1e-6, the equations compiled by numba, the recorded motion interpolated). Ours is
+`identify` as it is: linear parameters by projection, least squares and intervals after the search, all cores; it is done
+again and again between the peer's generations.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from common import RATE, Array, console, duration, machine, sampled, timed
+from numba import njit
+from pymoo.algorithms.moo.nsga2 import NSGA2
+from pymoo.core.problem import Problem as PymooProblem
+from pymoo.operators.sampling.lhs import LHS
+from rich.table import Table
+from scipy.integrate import solve_ivp
+
+from mrd_identification import identify
+from mrd_identification.metrics import error_norms
+from mrd_identification.problem import Problem, pose, prepare
+from mrd_runs import Run
+from mrd_sim.damper import Damper
+from mrd_sim.models import MODELS
+
+SECONDS = 10
+POPULATION, GENERATIONS, SEED = 40, 25, 0
+RTOL, LONGEST_STEP = 1e-6, 5e-3
+TRUTH = {
+    "yield_force": 50.0, "yield_force_per_A": 1100.0, "yield_travel": 2.5e-4, "shape": 0.7, "viscous": 600.0,
+    "viscous_per_A": 3500.0, "stiffness": 900.0, "offset": 12.0, "coil_lag": 0.008,
+}  # fmt: skip
+NOISE = 0.02  # of the force's standard deviation
+
+
+def record() -> Run:
+    """A run of a known damper with noise on its force."""
+    time_s, x, v, i = sampled(int(SECONDS * RATE))
+    force = Damper("bouc_wen", TRUTH).force(time_s, x, i)
+    force += np.random.default_rng(1).normal(0, NOISE * np.std(force), len(force))
+    return Run("benchmark", time_s, x, v, i, force)
+
+
+@njit(cache=True)
+def _between(series: Array, t: float) -> float:
+    """Value of an equally spaced series at the instant t."""
+    k = min(max(int(t * RATE), 0), len(series) - 2)
+    part = t * RATE - k
+    return (1.0 - part) * series[k] + part * series[k + 1]
+
+
+@njit(cache=True)
+def _slopes(t: float, s: Array, p: Array, speed_of: Array, current_of: Array) -> Array:
+    w, u = s
+    speed = _between(speed_of, t)
+    rise = speed - p[4] * abs(speed) * w * abs(w) - (1.0 - p[4]) * speed * w * w
+    lag = max(p[10], 1e-5)  # LSODA cannot do without a lag
+    return np.array([rise / max(p[2] + p[3] * u, 2e-6), (_between(current_of, t) - u) / lag])
+
+
+class Peer(PymooProblem):
+    """The identification that one writes with pymoo and scipy."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(n_var=len(problem.free), n_obj=2, xl=0.0, xu=1.0)
+        self.problem, self.recording = problem, problem.recordings[0]
+        path = self.recording.path
+        series = (path.position, path.velocity, path.current)
+        self.x, self.v, self.i = (np.ascontiguousarray(part[path.samples]) for part in series)
+
+    def force(self, p: Array) -> Array:
+        """Force in N of one candidate; not finite where LSODA fails."""
+        found = solve_ivp(
+            _slopes,
+            (0.0, self.recording.run.time[-1]),
+            np.array([0.0, self.i[0]]),
+            "LSODA",
+            self.recording.run.time,
+            args=(p, self.v, self.i),
+            rtol=RTOL,
+            atol=RTOL,
+            max_step=LONGEST_STEP,
+        )
+        if not found.success:
+            return np.full(len(self.x), np.inf)
+        w, u = found.y
+        return np.asarray((p[0] + p[1] * u) * w + (p[6] + p[7] * u) * self.v + p[8] * self.x + p[9])
+
+    def _evaluate(self, x: Array, out: dict[str, Any], *_: Any, **__: Any) -> None:
+        counted = self.recording.counted
+        norms = [error_norms(self.force(p)[counted] - self.recording.force) for p in self.problem.theta(x)]
+        out["F"] = np.nan_to_num(np.array(norms), nan=1e30, posinf=1e30)
+
+
+class Timed:
+    """Times of a work that is done again and again, and its last result."""
+
+    def __init__(self, work: Callable[[], float]) -> None:
+        self.work, self.times, self.result = work, list[float](), work()
+
+    def __call__(self) -> None:
+        self.times.append(timed(self._do))
+
+    def _do(self) -> None:
+        self.result = self.work()
+
+
+def with_pymoo(run: Run, between: Callable[[], None]) -> tuple[float, float]:
+    """Time in s that the peer takes, and the NRMSE that it reaches; ``between`` is done after every fifth generation."""
+    began = time.perf_counter()
+    problem, _ = pose(MODELS["bouc_wen"], [prepare(run)])
+    peer = Peer(problem)
+    first = LHS().do(peer, POPULATION, random_state=np.random.default_rng(SEED)).get("X")
+    first[0] = problem.unit(problem.base)
+    search = NSGA2(pop_size=POPULATION, sampling=first)
+    search.setup(peer, termination=("n_gen", GENERATIONS), seed=SEED, verbose=False)
+    apart = 0.0
+    while search.has_next():
+        search.next()
+        if search.n_gen % 5 == 1:
+            apart += timed(between)
+    best = search.result().F[:, 0].min()
+    nrmse = float(best * np.sqrt(len(problem.force)) / np.std(problem.force))
+    return time.perf_counter() - began - apart, nrmse
+
+
+def with_identify(run: Run, *, polish: bool) -> float:
+    """NRMSE that this bench reaches, with and without least squares after the search."""
+    fit = identify(
+        [run], "bouc_wen", population=POPULATION, generations=GENERATIONS, seed=SEED, seeds=1, profile=False, polish=polish
+    )
+    return fit.pooled_fitted.nrmse
+
+
+def main() -> None:
+    """Print the table."""
+    run = record()
+    # The first time, which compiles or loads from the cache, does not count.
+    whole, search = (Timed(lambda polish=polish: with_identify(run, polish=polish)) for polish in (True, False))
+
+    def ours() -> None:
+        whole()
+        search()
+
+    peer, peer_nrmse = with_pymoo(run, between=ours)
+    seconds, seconds_of_search = (statistics.median(work.times) for work in (whole, search))
+    table = Table(
+        title=f"Bouc-Wen from {SECONDS} s at {RATE:g} Hz, NSGA-II {POPULATION} x {GENERATIONS}; noise {NOISE:g}",
+        caption=machine(),
+    )
+    for column in ("by", "time", "time / ours", "NRMSE"):
+        table.add_column(column, justify="left" if column == "by" else "right")
+    rows = (
+        ("identify (NSGA-II, least squares, intervals)", seconds, whole.result),
+        ("identify without least squares", seconds_of_search, search.result),
+        ("pymoo NSGA-II, scipy solve_ivp (LSODA)", peer, peer_nrmse),
+    )
+    for name, elapsed, error in rows:
+        table.add_row(name, duration(elapsed), f"{elapsed / seconds:.3g}", f"{error:.4f}")
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

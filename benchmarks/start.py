@@ -1,0 +1,55 @@
+"""How long a fresh process takes to its first results: compiling everything, or loading it from the cache (goal: 2 s)."""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+from common import console, duration, machine
+from rich.table import Table
+
+STARTS = 5
+FIRST_USE = """
+import time; began = time.perf_counter()
+import mrd_identification
+import numpy as np
+from mrd_identification.problem import pose, prepare
+from mrd_runs import Run
+from mrd_sim.models import MODELS
+imported = time.perf_counter()
+t = np.arange(10_000) / 1000.0
+x = 0.01 * np.sin(9.0 * t)
+run = Run("start", t, x, np.gradient(x, t), 0.2 + 0.1 * np.sin(5.0 * t), 2000.0 * np.gradient(x, t))
+problem, _ = pose(MODELS["bouc_wen"], [prepare(run)])
+problem.residuals(problem.base)
+evaluated = time.perf_counter()
+problem.jacobian(np.full(len(problem.free), 0.5))
+print(imported - began, evaluated - imported, time.perf_counter() - evaluated)
+"""
+
+
+def start(cache: str) -> list[float]:
+    """Seconds of a new process: import, one candidate, one Jacobian, and all of it from before the interpreter's start."""
+    began = time.perf_counter()
+    environment = os.environ | {"NUMBA_CACHE_DIR": cache}
+    found = subprocess.run([sys.executable, "-c", FIRST_USE], env=environment, check=True, capture_output=True, text=True)
+    return [*map(float, found.stdout.split()), time.perf_counter() - began]
+
+
+def main() -> None:
+    """Print the table."""
+    table = Table(title="A process's first Bouc-Wen candidate and Jacobian, 10 s at 1 kHz", caption=machine())
+    for column in ("cache", "import mrd_identification", "one candidate", "one Jacobian", "whole process"):
+        table.add_column(column, justify="left" if column == "cache" else "right")
+    with tempfile.TemporaryDirectory() as cache:
+        cold = start(cache)
+        warm = [statistics.median(times) for times in zip(*(start(cache) for _ in range(STARTS)), strict=True)]
+    table.add_row("empty: compiles", *map(duration, cold))
+    table.add_row("warm", *map(duration, warm))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
