@@ -1,0 +1,42 @@
+"""Lag of load cell and amplifier."""
+
+from numba import njit
+
+from mrd_sim.dual import exp
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    lag = p[0]
+    read, before = state[0], state[1]
+    for k in range(len(force)):
+        now = force[k]
+        if dt[k] == 0.0:
+            read = now
+        elif lag.real < 1e-9:
+            # So short a lag only delays a ramp.
+            read = now - lag * (now - before) / dt[k]
+        else:
+            ramp = (now - before) / dt[k] * lag
+            read = now - ramp + (read - before + ramp) * exp(-dt[k] / lag)
+        before = now
+        force[k] = read
+    state[0], state[1] = read, before
+
+
+EFFECT = Effect(
+    id="force_sensor_lag",
+    title="Lag of the force sensor",
+    stage="sensing",
+    equation="y' = (F - y) / tau",
+    source="amplifiers of load cells: 0.2-16 ms",
+    parameters=(Parameter("lag", "s", 0.0, 0.0, 0.03, "time constant tau"),),
+    typical={"lag": 0.005},
+    signature="loops that open with frequency, corners of the force rounded",
+    confused_with=("channel_delay", "coil_lag", "series_compliance", "moving_mass", "rate_dependent_hysteresis"),
+    separated_by="chirp against a stiff spring; steps of current beside fast motion",
+    kernel=_apply,
+    states=2,
+)

@@ -1,0 +1,34 @@
+"""Zero of the load cell: off, and drifting."""
+
+from numba import njit
+
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    time = state[0]
+    for k in range(len(force)):
+        time = time + dt[k] if dt[k] > 0.0 else 0.0 * time
+        force[k] += p[1] + p[0] * time
+    state[0] = time
+
+
+EFFECT = Effect(
+    id="load_cell_drift",
+    title="Zero of the load cell drifts",
+    stage="sensing",
+    equation="F + b + d t, t from the start of the recording",
+    source="load cells of 100 kg: zero ±5 N after mounting, 0.02-0.05 % of full scale over 10 K, ±0.2 N/min",
+    parameters=(
+        Parameter("drift", "N/s", 0.0, -0.2, 0.2, "change d of the zero over time"),
+        Parameter("offset", "N", 0.0, -50.0, 50.0, "zero b at the start"),
+    ),
+    typical={"drift": 0.02, "offset": 5.0},
+    signature="offset of the force at any motion and current, growing with time",
+    confused_with=("gas_spring", "thermal_fade", "load_cell_gain", "mains_hum"),
+    separated_by="rod free before and after; dead weights",
+    kernel=_apply,
+    states=1,
+)

@@ -1,0 +1,27 @@
+"""Gain of the load cell."""
+
+from numba import njit
+
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    for k in range(len(force)):
+        force[k] *= 1.0 + p[0]
+
+
+EFFECT = Effect(
+    id="load_cell_gain",
+    title="Gain of the load cell",
+    stage="sensing",
+    equation="(1 + g) F",
+    source="2 mV/V ± 10 % uncalibrated, ±2 % calibrated",
+    parameters=(Parameter("gain", "", 0.0, -0.2, 0.2, "by how much it reads more than there is, relative"),),
+    typical={"gain": 0.05},
+    signature="force off by one factor, at any motion and current",
+    confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade"),
+    separated_by="dead weights: recordings of the damper alone cannot tell it from a stronger damper",
+    kernel=_apply,
+)

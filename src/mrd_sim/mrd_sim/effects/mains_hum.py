@@ -1,0 +1,40 @@
+"""Mains hum on the force channel."""
+
+import math
+
+from numba import njit
+
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.effects.wave import cos
+from mrd_sim.parameter import Parameter
+
+_TURN = 2.0 * math.pi
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    time = state[0]
+    for k in range(len(force)):
+        time = time + dt[k] if dt[k] > 0.0 else 0.0 * time
+        force[k] += p[0] * cos(_TURN * p[2] * time + p[1])
+    state[0] = time
+
+
+EFFECT = Effect(
+    id="mains_hum",
+    title="Mains hum",
+    stage="sensing",
+    equation="F + a cos(2 pi f t + phi), t from the start of the recording",
+    source="10-100 µV on 20 µV/N: 0.1-2 N; 50 or 60 Hz and their doubles, folded by slow sampling (50 Hz at 25 Hz: a bias)",
+    parameters=(
+        Parameter("amplitude", "N", 0.0, -10.0, 10.0, "amplitude a; its sign lets a fit turn the phase by half a turn"),
+        Parameter("phase", "rad", 0.0, -math.pi, math.pi, "phase phi at the start of the recording"),
+        Parameter("frequency", "Hz", 50.0, 45.0, 125.0, "frequency f", free=False),
+    ),
+    typical={"amplitude": 2.0, "phase": 0.0},
+    signature="a line at the mains' frequency that does not heed motion and current",
+    confused_with=("servo_ripple", "load_cell_drift"),
+    separated_by="a recording at rest, motor on and off; two sampling rates",
+    kernel=_apply,
+    states=1,
+)

@@ -1,0 +1,42 @@
+"""Position error that repeats with every tooth of rack and pinion."""
+
+import math
+
+from numba import njit
+
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.effects.wave import cos, sin
+from mrd_sim.parameter import Parameter
+
+_TURN = 2.0 * math.pi
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    number = _TURN / p[2]
+    for k in range(len(x)):
+        angle = number * x[k] + p[1]
+        error = p[0] * cos(angle)
+        slope = 1.0 - number * p[0] * sin(angle)
+        a[k] = slope * a[k] - number * number * error * v[k] * v[k]
+        v[k] = slope * v[k]
+        x[k] = x[k] + error
+
+
+EFFECT = Effect(
+    id="servo_ripple",
+    title="Periodic error of the drive",
+    stage="drive",
+    equation="x = x_m + a cos(2 pi x_m / lambda + phi), x_m the measured position",
+    source="tooth pitch of module 2: 2 pi mm; pitch errors of racks and gears 1-20 µm",
+    parameters=(
+        Parameter("amplitude", "m", 0.0, -6e-5, 6e-5, "amplitude a; its sign lets a fit turn the phase by half a turn"),
+        Parameter("phase", "rad", 0.0, -math.pi, math.pi, "phase phi at mid-stroke"),
+        Parameter("period", "m", 2e-3 * math.pi, 3e-3, 0.05, "travel lambda after which it repeats", log=True, free=False),
+    ),
+    typical={"amplitude": 1.5e-5, "phase": 0.0},
+    signature="ripple of speed and force locked to the position; its frequency grows with speed",
+    confused_with=("mains_hum", "side_load_friction", "lvdt_nonlinearity"),
+    separated_by="several constant speeds: the frequency follows the speed",
+    kernel=_apply,
+)
