@@ -1,0 +1,30 @@
+"""Flow asymmetry: more force in one direction of motion than in the other."""
+
+from numba import njit
+
+from mrd_sim.dual import tanh
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+_CREEP = 2e-3  # m/s
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    for k in range(len(x)):
+        force[k] *= 1.0 + p[0] * tanh(v[k] / _CREEP)
+
+
+EFFECT = Effect(
+    id="flow_asymmetry",
+    title="Asymmetry of extension and compression",
+    stage="fluid",
+    equation="F (1 + eps tanh(x' / 2 mm/s))",
+    source="0-15 % between directions in measured dampers of this class",
+    parameters=(Parameter("asymmetry", "", 0.0, -0.3, 0.3, "by how much extension needs more force, relative, eps"),),
+    typical={"asymmetry": 0.1},
+    signature="the force in one direction is larger by the same share at every speed and current",
+    confused_with=("cavitation", "load_cell_drift", "gas_spring"),
+    separated_by="both directions at several currents and speeds",
+    kernel=_apply,
+)

@@ -1,0 +1,32 @@
+"""Play in a joint in series with the damper, crossed against friction or a film of grease."""
+
+from typing import Any
+
+from numba import njit
+
+from mrd_sim.dual import clip
+from mrd_sim.effects.effect import Effect
+from mrd_sim.parameter import Parameter
+
+
+@njit(cache=True, nogil=True)
+def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
+    return clip(before + dt * force / p[1], -0.5 * p[0], 0.5 * p[0])
+
+
+EFFECT = Effect(
+    id="joint_play",
+    title="Play in a joint",
+    stage="structure",
+    equation="F = damper(x - e), e' = F / c_g within |e| <= g / 2",
+    source="measured on a rig with clevis joints: g about 0.3 mm, c_g 17-35 kN s/m",
+    parameters=(
+        Parameter("play", "m", 0.0, 0.0, 2e-3, "free travel end to end, g"),
+        Parameter("resistance", "N s/m", 2.5e4, 2e3, 3e5, "of crossing it, c_g", log=True),
+    ),
+    typical={"play": 3e-4, "resistance": 2.5e4},
+    signature="a step or dead spot where the force changes its sign, its travel independent of current",
+    confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
+    separated_by="small strokes at several currents; a preload that keeps the force from changing sign",
+    stretch=_stretch,
+)

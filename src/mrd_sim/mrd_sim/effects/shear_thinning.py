@@ -1,0 +1,38 @@
+"""Shear thinning: the post-yield force grows less than in proportion to speed."""
+
+from numba import njit
+
+from mrd_sim.dual import absolute, power
+from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.parameter import Parameter
+
+_SPEED = 0.1  # m/s, where the viscous force keeps its value
+
+
+@njit(cache=True, nogil=True)
+def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    for k in range(len(x)):
+        relative = v[k] / _SPEED
+        bent = power(absolute(relative), p[1])
+        if relative.real < 0.0:
+            bent = -bent
+        force[k] += p[0] * (1.0 + p[2] * u[k]) * _SPEED * (bent - relative)
+
+
+EFFECT = Effect(
+    id="shear_thinning",
+    title="Shear thinning",
+    stage="fluid",
+    equation="F + c (1 + g u) (|x' / v_r|^(m-1) - 1) x', v_r = 0.1 m/s: c0 x' becomes K |x'|^m sgn x' where c(u) = c0(u)",
+    source="Herschel-Bulkley fluid; Wang & Gordaninejad (1999): m 0.6-0.95",
+    parameters=(
+        Parameter("viscous", "N s/m", 0.0, 0.0, 5000.0, "viscous coefficient that becomes a power law, at 0 A, c"),
+        Parameter("exponent", "", 0.7, 0.3, 1.0, "of the speed, m"),
+        Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of c over current, g"),
+    ),
+    typical={"viscous": 1000.0, "exponent": 0.7, "growth": 2.0},
+    signature="force over speed is concave after yield: too high in the middle, too low at top speed, in both directions",
+    confused_with=("seal_friction", "pre_yield_hysteresis", "thermal_fade"),
+    separated_by="constant speeds from 1 mm/s to top speed, several a decade",
+    kernel=_apply,
+)
