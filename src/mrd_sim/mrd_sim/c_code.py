@@ -67,10 +67,14 @@ def c_source(model: DamperModel, values: Mapping[str, float], prefix: str = "mrd
     Raises
     ------
     InputError
-        For an unknown parameter, a value out of bounds, a prefix that is no C name, or code that has no translation.
+        For an unknown parameter, a value out of bounds, a prefix that is no C name, a model with effects, or code that has
+        no translation.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
         raise InputError(f"prefix {prefix!r} is no C name, expected letters, digits and _")
+    if model.effects:
+        found = ", ".join(effect.id for effect in model.effects)
+        raise InputError(f"model {model.id} with effects ({found}) has no translation to C, expected one without effects")
     theta = model.vector(values)
     unit = _Unit({f"{prefix}_{name}" for name in ("init", "step", "state", "parameter", "parameters")})
     lag, laws, kernel = (unit.function(f) for f in (current.lagged_current, current.coefficients, model.kernel))

@@ -29,6 +29,24 @@ def parse_values(text: str, where: str) -> dict[str, float]:
     return {str(name): float(value) for name, value in values.items()}
 
 
+def parse_effects(text: str, where: str) -> dict[str, dict[str, float]]:
+    """Effects from YAML text, ``{effect: {parameter: value}}`` in SI; ``where`` names it in errors.
+
+    Raises
+    ------
+    InputError
+        When it is no mapping of names to such mappings. Names are checked by `Damper`.
+    """
+    found = parse_yaml(text, where) if text.strip() else {}
+    for effect, values in found.items():
+        if not isinstance(values, dict):
+            raise InputError(f"{where}: {effect} is {values!r}, expected its parameters, {{NAME: VALUE}}")
+        for name, value in values.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise InputError(f"{where}: {effect}.{name} is {value!r}, expected a number")
+    return {str(effect): {str(name): float(v) for name, v in values.items()} for effect, values in found.items()}
+
+
 class Damper:
     """A damper model with parameters and the state that it has come to.
 
@@ -40,22 +58,35 @@ class Damper:
         Values by name; those not given keep the model's default.
     laws : str or mapping, optional
         Current laws, see `mrd_sim.models.DamperModel.with_laws`.
+    effects : mapping, optional
+        What else acts (`mrd_sim.effects`): values of the parameters of each effect, by id; those not given are neutral.
 
     Raises
     ------
     InputError
-        For an unknown model, law or parameter, or a value out of bounds.
+        For an unknown model, law, effect or parameter, or a value out of bounds.
     """
 
     def __init__(
-        self, model: str, parameters: Mapping[str, float] | None = None, laws: str | Mapping[str, str] | None = None
+        self,
+        model: str,
+        parameters: Mapping[str, float] | None = None,
+        laws: str | Mapping[str, str] | None = None,
+        effects: Mapping[str, Mapping[str, float]] | None = None,
     ) -> None:
-        self.model = find_model(model, laws)
-        self.theta = self.model.vector(parameters or {})
+        effects = effects or {}
+        self.model = find_model(model, laws, list(effects))
+        of_effects = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
+        self.theta = self.model.vector({**(parameters or {}), **of_effects})
         self._state: Array | None = None
 
+    @property
+    def description(self) -> str:
+        """Model and effects by their ids."""
+        return " with ".join(filter(None, (self.model.id, ", ".join(effect.id for effect in self.model.effects))))
+
     def force(self, time: Array, position: Array, current: Array) -> Array:
-        """Force in N along a recorded motion, smoothed and differentiated as in identification, from rest.
+        """Measured force in N along a recorded motion, smoothed and differentiated as in identification, from rest.
 
         Parameters
         ----------
@@ -76,7 +107,7 @@ class Damper:
         return self.model.force(self.theta, path)
 
     def advance(self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array) -> Array:
-        """Force in N over the next block of equally spaced samples.
+        """Measured force in N over the next block of equally spaced samples.
 
         Parameters
         ----------
@@ -85,10 +116,16 @@ class Damper:
         position, velocity, acceleration, current : ndarray (m,)
             SI units.
         """
+        return self.forces(dt, position, velocity, acceleration, current)[1]
+
+    def forces(
+        self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array
+    ) -> tuple[Array, Array]:
+        """Force on the rod and, where effects act on its sensor, another one that is measured; arguments as of `advance`."""
         steps = np.full(len(position), dt)
         if self._state is None:
             steps[0] = 0.0
         path = Path(steps, position, velocity, acceleration, current, np.arange(len(position)))
         if self._state is None:
             self._state = self.model.initial_state(path)
-        return self.model.force(self.theta, path, self._state)
+        return self.model.forces(self.theta, path, self._state)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError, quantity
 from mrd_base.config import bench_time_scale
 from mrd_sim.current import parse_laws
-from mrd_sim.damper import Damper, parse_values
+from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.motor.drive import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
 from mrd_sim.sensing import MeasuringChain, SensorsConfig
@@ -40,12 +40,18 @@ class DamperConfig:
         "YAML text, name: value in SI; those not named have the model's default",
     )
     laws: str = quantity("", "", "current law of all coefficients, or COEFFICIENT=LAW,...; empty: the model's own")
+    effects: str = quantity(
+        "", "", "YAML text, {effect: {parameter: value}} in SI, of what else acts (ros2 run mrd_sim effects)"
+    )
     stroke: float = quantity(0.055, "mm", "between its ends, where the rod stops", lower=1e-3, upper=1)
 
     def build(self) -> Damper:
         """Make the damper, at rest and unloaded."""
         return Damper(
-            self.model, parse_values(self.parameters, "damper.parameters"), parse_laws(self.laws, "damper.laws")
+            self.model,
+            parse_values(self.parameters, "damper.parameters"),
+            parse_laws(self.laws, "damper.laws"),
+            parse_effects(self.effects, "damper.effects"),
         )
 
 
@@ -204,17 +210,17 @@ class Plant:
         current = config.supply.advance(dt, self._control_voltage(count), self._current)
         self._current = float(current[-1])
 
-        # Fluid: motion and current become damper force.
-        force = self.damper.advance(dt, position, velocity, acceleration, current)
+        # Fluid: motion and current become damper force. Effects that stand between sensors and damper act in here.
+        force, measured = self.damper.forces(dt, position, velocity, acceleration, current)
         # The rod feels it in the next block; between load and encoder lies all of the servo's stiffness.
         self.motor.drive.load = float(force[-1])
 
         # Structure: at the end of its stroke the rod stands against the body, through the load cell.
-        force = force + stop_force
+        force, measured = force + stop_force, measured + stop_force
 
         # Sensing: everything becomes volts at the converter's terminals.
         supply = np.full(count, config.sensors.current.supply)
-        voltage = self._sensors.read(np.stack([position, force, current, supply, acceleration]))
+        voltage = self._sensors.read(np.stack([position, measured, current, supply, acceleration]))
 
         first = self._sequence
         self._sequence += samples

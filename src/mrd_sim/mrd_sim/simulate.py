@@ -1,6 +1,5 @@
 """The damper's answer to an experiment or to a recorded motion, without a bench around it."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -8,58 +7,36 @@ import numpy as np
 from mrd_base import InputError
 from mrd_runs import Run
 from mrd_runs.motion import motion
-from mrd_sim.models import find_model
+from mrd_sim.damper import Damper
 from mrd_sim.path import make_path, path_of
 from mrd_trajectory.plan import Plan
 
 
-def simulate_run(
-    run: Run, model: str, values: Mapping[str, float], laws: str | Mapping[str, str] | None = None
-) -> Run:
-    """Replace the force of a run by that of a model along its (smoothed) motion and measured current.
-
-    Parameters
-    ----------
-    run : Run
-    model : str
-        Id of a damper model.
-    values : mapping
-        Parameters by name; those not given keep the model's default.
-    laws : str or mapping, optional
-        Current laws, see `mrd_sim.models.DamperModel.with_laws`.
-
-    Raises
-    ------
-    InputError
-        For an unknown model, law or parameter, or a value out of bounds.
-    """
-    damper = find_model(model, laws)
+def simulate_run(run: Run, damper: Damper) -> Run:
+    """Replace the force of a run by that of a damper along its (smoothed) motion and measured current."""
     moved = motion(run)
-    force = damper.force(damper.vector(values), path_of(run))
+    force = damper.model.force(damper.theta, path_of(run))
     return Run(
-        f"{run.name}_{model}", run.time, moved.position, moved.velocity, run.current, force, moved.acceleration,
-        info={"source": f"{model} along {run.name}"},
+        f"{run.name}_{damper.model.id}", run.time, moved.position, moved.velocity, run.current, force, moved.acceleration,
+        info={"source": f"{damper.description} along {run.name}"},
     )
 
 
-def simulate_plan(
-    plan: Plan, model: str, values: Mapping[str, float], laws: str | Mapping[str, str] | None = None
-) -> Run:
-    """Simulate a model along the setpoints of a plan, as if rod and coil followed them exactly.
+def simulate_plan(plan: Plan, damper: Damper) -> Run:
+    """Simulate a damper along the setpoints of a plan, as if rod and coil followed them exactly.
 
     It is integrated at 1 kHz at least, so that steps of the current are steps, and sampled at the experiment's rate.
     """
-    damper = find_model(model, laws)
     steps = int(np.ceil(1000 / plan.experiment.rate))
     samples = slice(None, None, steps)
     time = np.arange((len(plan.times()) - 1) * steps + 1) / (steps * plan.experiment.rate)
     at = plan.at(time)
     path = make_path(time, at.position, at.velocity, at.acceleration, at.current)
-    force = damper.force(damper.vector(values), path)
+    force = damper.model.force(damper.theta, path)
     return Run(
-        f"{plan.experiment.name}_{model}", time[samples], at.position[samples], at.velocity[samples], at.current[samples],
-        force[samples], at.acceleration[samples],
-        info={"source": f"{model} along the setpoints of {plan.experiment.name}"},
+        f"{plan.experiment.name}_{damper.model.id}", time[samples], at.position[samples], at.velocity[samples],
+        at.current[samples], force[samples], at.acceleration[samples],
+        info={"source": f"{damper.description} along the setpoints of {plan.experiment.name}"},
     )
 
 

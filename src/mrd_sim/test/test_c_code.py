@@ -244,3 +244,9 @@ def test_wrong_values_and_prefixes_are_refused():
         c_source(model, {"yield_force": -5.0})
     with pytest.raises(InputError, match="prefix '2b' is no C name"):
         c_source(model, {}, prefix="2b")
+
+
+def test_a_model_with_effects_is_refused():
+    words = r"model bingham with effects \(joint_play, thermal_fade\) has no translation to C, expected one without effects"
+    with pytest.raises(InputError, match=words):
+        c_source(find_model("bingham", effects=["joint_play", "thermal_fade"]), {})

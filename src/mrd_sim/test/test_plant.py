@@ -1,5 +1,6 @@
 """The simulated bench."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 
 from mrd_base import InputError, from_mapping, read_node_parameters
 from mrd_sim.damper import Damper
+from mrd_sim.effects import EFFECTS
 from mrd_sim.plant import DamperConfig, Plant, PlantConfig
+from mrd_sim.sensing import MeasuringChain
 
 CONFIG = Path(__file__).resolve().parents[3] / "config" / "plant.yaml"
 
@@ -127,6 +130,64 @@ def test_a_damper_in_blocks_is_the_damper_in_one():
     np.testing.assert_allclose(joined(blocks, "force")[8000:], whole[8000:], atol=1e-6)
 
 
+def driven(effects=""):
+    """Blocks from the start on: there and back, with steps of the current."""
+    plant = Plant(PlantConfig(damper=DamperConfig(effects=effects)))
+    for time, volts in ((0.8, 2.5), (1.2, 1.0)):
+        plant.command_coil(volts, time)
+    blocks = run(plant, 0.6, 0.3)
+    plant.motor.feed(b"EIGN(W,0) ZS EL=8000 ADT=1638 VT=655360 ", plant.time)
+    blocks += run(plant, 0.7)
+    for target, until in ((40000, 1.4), (0, 2.0)):
+        plant.motor.feed(b"PT=%d G " % target, plant.time)
+        blocks += run(plant, until)
+    return blocks
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return driven()
+
+
+def test_neutral_effects_change_nothing(plain):
+    found = driven("{" + ", ".join(f"{name}: {{}}" for name, effect in EFFECTS.items() if effect.stretch is None) + "}")
+    assert np.array_equal(joined(found, "voltage"), joined(plain, "voltage"))
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_an_effect_in_the_plant_is_that_in_the_model(effect, plain):
+    """The motion and current that were there, put into the model with the effect, give what the load cell reads."""
+    values = {effect.id: dict(effect.typical)}
+    blocks = driven(str(values))
+    own = PlantConfig().damper.build()
+    damper = Damper("bouc_wen", dict(zip(own.model.names, own.theta, strict=True)), effects=values)
+    motion = [joined(blocks, name) for name in ("position", "velocity", "acceleration", "current")]
+    on_rod, measured = damper.forces(1 / 8000, *motion)
+    np.testing.assert_allclose(joined(blocks, "force"), on_rod, atol=1e-6)
+    assert np.max(np.abs(measured - own.advance(1 / 8000, *motion))) > 0.2
+
+    # The same sensors with the same noise.
+    config = PlantConfig()
+    seed = np.random.SeedSequence(config.seed).spawn(2)[1]
+    sensors = [getattr(config.sensors, entry.name) for entry in fields(config.sensors)]
+    chain = MeasuringChain(sensors, 8000.0, 4, np.random.default_rng(seed))
+    first = 0
+    for block in blocks:
+        part = slice(first, first + len(block.force))
+        first = part.stop
+        supply = np.full(len(block.force), config.sensors.current.supply)
+        read = chain.read(np.stack([block.position, measured[part], block.current, supply, block.acceleration]))
+        np.testing.assert_allclose(block.voltage, read, atol=1e-8)
+
+    # The motor does not feel what only the sensor does.
+    if effect.stage == "sensing":
+        assert np.array_equal(motion[0], joined(plain, "position"))
+        assert np.array_equal(joined(blocks, "force"), joined(plain, "force"))
+    else:
+        np.testing.assert_allclose(motion[0], joined(plain, "position"), atol=1e-4)
+        assert np.array_equal(motion[3], joined(plain, "current"))
+
+
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_the_rod_cannot_leave_the_stroke(direction):
     plant = started(start_position=direction * 0.02)
@@ -174,6 +235,10 @@ def test_bad_configurations_are_refused():
         Plant(PlantConfig(damper=DamperConfig(model="honey")))
     with pytest.raises(InputError, match="stiffness is 'soft'"):
         Plant(PlantConfig(damper=DamperConfig(parameters="stiffness: soft")))
+    with pytest.raises(InputError, match=r"damper\.effects: joint_play is 3, expected its parameters"):
+        Plant(PlantConfig(damper=DamperConfig(effects="joint_play: 3")))
+    with pytest.raises(InputError, match="unknown effect luck"):
+        Plant(PlantConfig(damper=DamperConfig(effects="luck: {}")))
     with pytest.raises(InputError, match="unknown parameter sweetness"):
         Plant(PlantConfig(damper=DamperConfig(parameters="sweetness: 1.0")))
     assert isinstance(DamperConfig(parameters=" ").build(), Damper)

@@ -8,8 +8,9 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import read_run
+from mrd_sim.cli.simulate import parse_effect
 from mrd_sim.current import parse_laws
-from mrd_sim.damper import Damper
+from mrd_sim.damper import Damper, parse_effects
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -27,7 +28,7 @@ coil: {waveform: constant, level_mA: 200.0}
 
 @pytest.fixture
 def simulated():
-    return simulate_plan(plan(parse_experiment(EXPERIMENT, "short"), Limits(), ForceEnvelope()), "bouc_wen", {})
+    return simulate_plan(plan(parse_experiment(EXPERIMENT, "short"), Limits(), ForceEnvelope()), Damper("bouc_wen"))
 
 
 def test_a_plan_gives_a_run_that_reads_back(simulated, tmp_path):
@@ -41,9 +42,42 @@ def test_a_plan_gives_a_run_that_reads_back(simulated, tmp_path):
 
 
 def test_along_a_recorded_motion_the_same_model_gives_the_same_force(simulated):
-    again = simulate_run(simulated, "bouc_wen", {})
+    again = simulate_run(simulated, Damper("bouc_wen"))
     # The motion is smoothed from the positions before it is used.
     assert np.sqrt(np.mean((again.force - simulated.force)[50:] ** 2)) < 0.01 * np.std(simulated.force)
+
+
+def test_effects_act_around_the_model(simulated):
+    planned = plan(parse_experiment(EXPERIMENT, "short"), Limits(), ForceEnvelope())
+    same = simulate_plan(planned, Damper("bouc_wen", effects={"seal_friction": {}, "load_cell_gain": {}}))
+    assert np.array_equal(same.force, simulated.force)
+    damper = Damper("bouc_wen", effects={"seal_friction": {"coulomb": 30.0}, "load_cell_gain": {"gain": 0.1}})
+    changed = simulate_plan(planned, damper)
+    fast = np.abs(simulated.velocity) > 0.03
+    expected = 1.1 * (simulated.force + 30.0 * np.sign(simulated.velocity))
+    assert changed.force[fast] == pytest.approx(expected[fast])
+    assert changed.info["source"].startswith("bouc_wen with seal_friction, load_cell_gain along")
+
+
+def test_effects_are_chosen_by_text():
+    assert parse_effects(" ", "damper.effects") == {}
+    assert parse_effects("{joint_play: {play: 3.0e-4}, settling: {}}", "--effects") == {
+        "joint_play": {"play": 3e-4}, "settling": {},
+    }
+    with pytest.raises(InputError, match=r"--effects: joint_play is 0\.1, expected its parameters"):
+        parse_effects("joint_play: 0.1", "--effects")
+    with pytest.raises(InputError, match=r"--effects: joint_play\.play is 'wide', expected a number"):
+        parse_effects("joint_play: {play: wide}", "--effects")
+    assert parse_effect("joint_play.play=3e-4") == ("joint_play", "play", 3e-4)
+    for text in ("joint_play=1", "joint_play.play", "joint_play.play=wide"):
+        with pytest.raises(InputError, match=r"--effect: joint_play.* is no value of an effect, expected EFFECT\.PARAM"):
+            parse_effect(text)
+    with pytest.raises(InputError, match="unknown effect ghost"):
+        Damper("bouc_wen", effects={"ghost": {}})
+    with pytest.raises(InputError, match=r"unknown parameter joint_play\.width"):
+        Damper("bouc_wen", effects={"joint_play": {"width": 1.0}})
+    with pytest.raises(InputError, match=r"joint_play\.play is 1 m, expected 0 to"):
+        Damper("bouc_wen", effects={"joint_play": {"play": 1.0}})
 
 
 def test_the_tool(tmp_path):
@@ -53,6 +87,11 @@ def test_the_tool(tmp_path):
     done = subprocess.run([*command, "--model", "bingham", "--parameters", "{offset: -40}"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert read_run(Path(tmp_path / "out.csv")).force.min() < -100
+    more = ["--effect", "load_cell_gain.gain=0.1", "--effects", "{load_cell_drift: {offset: 7}}"]
+    again = [*command[:-1], str(tmp_path / "more.csv"), "--model", "bingham", "--parameters", "{offset: -40}", *more]
+    assert subprocess.run(again, capture_output=True).returncode == 0
+    before, after = read_run(tmp_path / "out.csv"), read_run(tmp_path / "more.csv")
+    assert after.force == pytest.approx(1.1 * (before.force + 7.0), abs=1e-6)  # in the order given
     wrong = subprocess.run([*command, "--model", "binghm"], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("error: unknown model binghm (known: ")

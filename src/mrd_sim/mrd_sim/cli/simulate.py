@@ -7,7 +7,8 @@ from pathlib import Path
 from mrd_base import InputError, run_tool
 from mrd_runs import read_run
 from mrd_sim.current import LAWS, parse_laws
-from mrd_sim.damper import parse_values
+from mrd_sim.damper import Damper, parse_effects, parse_values
+from mrd_sim.effects import load_effects
 from mrd_sim.models import MODELS
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import read_experiment
@@ -33,20 +34,45 @@ def work() -> None:
     )
     parser.add_argument("--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws: {', '.join(LAWS)}")
     parser.add_argument(
+        "--effect", action="append", default=[], metavar="EFFECT.PARAMETER=VALUE",
+        help="what else acts (ros2 run mrd_sim effects), in SI; may be repeated",
+    )
+    parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
+    parser.add_argument("--effects-folder", metavar="FOLDER", help="with effects of your own, one a file")
+    parser.add_argument(
         "--bench", metavar="FILE", default=os.environ.get("MRD_BENCH"), help="whose limits count; default: $MRD_BENCH"
     )
     parser.add_argument("--output", required=True, metavar="FILE.csv", help="must not exist")
     arguments = parser.parse_args()
 
+    if arguments.effects_folder:
+        load_effects(arguments.effects_folder)
+    effects = parse_effects(arguments.effects, "--effects")
+    for text in arguments.effect:
+        effect, name, value = parse_effect(text)
+        effects.setdefault(effect, {})[name] = value
     values, laws = parse_values(arguments.parameters, "--parameters"), parse_laws(arguments.law, "--law")
+    damper = Damper(arguments.model, values, laws, effects)
     if Path(arguments.input).suffix in {".yaml", ".yml"}:
         settings = read_settings(arguments.bench)
         try:
             planned = plan(read_experiment(arguments.input), settings.limits, settings.force_envelope)
         except InputError as error:
             raise InputError(f"{arguments.input}: {str(error).removeprefix(f'{arguments.input}: ')}") from None
-        run = simulate_plan(planned, arguments.model, values, laws)
+        run = simulate_plan(planned, damper)
     else:
-        run = simulate_run(read_run(arguments.input), arguments.model, values, laws)
+        run = simulate_run(read_run(arguments.input), damper)
     write_csv(run, arguments.output)
     print(f"{arguments.output}: {len(run)} samples, force {run.force.min():.0f} to {run.force.max():.0f} N")
+
+
+def parse_effect(text: str) -> tuple[str, str, float]:
+    """Effect, parameter and value of ``EFFECT.PARAMETER=VALUE``."""
+    name, _, value = text.partition("=")
+    effect, _, parameter = name.partition(".")
+    try:
+        if not parameter:
+            raise ValueError
+        return effect.strip(), parameter.strip(), float(value)
+    except ValueError:
+        raise InputError(f"--effect: {text} is no value of an effect, expected EFFECT.PARAMETER=VALUE") from None

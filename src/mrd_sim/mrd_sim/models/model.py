@@ -277,6 +277,10 @@ class DamperModel:
         state : ndarray, optional
             As from `initial_state`; changed in place, so that a following path continues where this one ended.
         """
+        return self.forces(theta, path, state)[1]
+
+    def forces(self, theta: Array, path: Path, state: Array | None = None) -> tuple[Array, Array]:
+        """Force in N on the rod and the measured one, after the effects of sensing; arguments as of `force`."""
         if state is None:
             state = self.initial_state(path)
         state = np.asarray(state, theta.dtype)
@@ -295,8 +299,12 @@ class DamperModel:
             in_series(self.kernel, stretches, p, stretched, np.ascontiguousarray(rows), inner, path.dt, x, v, a, force)
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
-        self._act(("fluid", "structure", "sensing"), theta, path.dt, (x, v, a, current, force), state)
-        return force[path.samples]
+        self._act(("fluid", "structure"), theta, path.dt, (x, v, a, current, force), state)
+        on_rod = force[path.samples]
+        if not any(effect.stage == "sensing" for effect in self.effects):
+            return on_rod, on_rod
+        self._act(("sensing",), theta, path.dt, (x, v, a, current, force), state)
+        return on_rod, force[path.samples]
 
     @cached_property
     def _series(self) -> tuple[Effect, ...]:
