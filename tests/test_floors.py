@@ -30,7 +30,7 @@ EXECUTABLES = {
     "mrd_base": set(),
     "mrd_trajectory": {"generator", "preview"},
     "mrd_runs": {"recorder", "replay", "import_csv", "info"},
-    "mrd_sim": {"plant", "simulate", "models"},
+    "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
 }

@@ -23,6 +23,7 @@ setup(
             "plant = mrd_sim.nodes.plant:main",
             "simulate = mrd_sim.cli.simulate:main",
             "models = mrd_sim.cli.models:main",
+            "effects = mrd_sim.cli.effects:main",
         ]
     },
 )

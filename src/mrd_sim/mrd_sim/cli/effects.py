@@ -1,0 +1,70 @@
+"""List the effects with their parameters."""
+
+import argparse
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from mrd_base import run_tool
+from mrd_sim.effects import EFFECTS, Effect, find_effects, load_effects
+from mrd_sim.effects_page import catalogue, interval, page, section
+from mrd_sim.models_page import clauses
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_sim effects``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Print the catalogue, or one effect whole."""
+    parser = argparse.ArgumentParser(
+        prog="effects", description="List the effects that may act around a damper model, or one with its parameters."
+    )
+    parser.add_argument("effect", nargs="?", help=f"one of {', '.join(EFFECTS)}")
+    parser.add_argument("--effects-folder", metavar="FOLDER", help="with effects of your own, one a file")
+    parser.add_argument("--markdown", action="store_true", help="print the docs' page, or the effect's section of it")
+    arguments = parser.parse_args()
+    if arguments.effects_folder:
+        load_effects(arguments.effects_folder)
+    chosen = find_effects([arguments.effect])[0] if arguments.effect else None
+    if arguments.markdown:
+        print(section(chosen) if chosen else page(), end="")
+        return
+    console = Console()
+    if chosen is None:
+        console.print(table())
+        console.print("One whole: ros2 run mrd_sim effects EFFECT")
+        return
+    console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
+    for clause in clauses(chosen.equation):
+        console.print(f"    {clause}", highlight=False, markup=False)
+    console.print(parameters(chosen))
+    for name, words in (
+        ("Shows as", chosen.signature),
+        ("Looks like", ", ".join(chosen.confused_with)),
+        ("Told apart by", chosen.separated_by),
+        ("Source", chosen.source),
+    ):
+        console.print(f"{name}: {words}", highlight=False, markup=False)
+
+
+def table() -> Table:
+    """Table of all effects."""
+    table = Table("id", "stage", "effect and equation", "parameters", show_lines=True)
+    for effect in catalogue():
+        listed = "\n".join(f"{p.name} {interval(p)}" for p in effect.parameters)
+        table.add_row(effect.id, effect.stage, f"{effect.title}\n{escape(effect.equation)}", listed)
+    return table
+
+
+def parameters(effect: Effect) -> Table:
+    """Table of an effect's parameters."""
+    table = Table("parameter", "unit", "neutral", "bounds", "clearly there", "meaning")
+    for p in effect.parameters:
+        typical = effect.typical.get(p.name, p.default)
+        table.add_row(
+            f"{effect.id}.{p.name}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}", escape(p.meaning)
+        )
+    return table
