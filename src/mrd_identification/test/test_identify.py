@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_identification import identify, metrics, read_fit, write_fit
+from mrd_identification import identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.fit_file import make_folder
 from mrd_identification.nsga2 import knee
 from mrd_identification.problem import pose, prepare
@@ -211,6 +211,9 @@ def test_an_effect_is_identified_with_the_model(tmp_path):
     assert mass.value == pytest.approx(3.0, rel=0.05)
     stored = read_fit(write_fit(fit, tmp_path))
     assert stored.effects == ["moving_mass"]
+    damper = load_damper(tmp_path / "fit.json")
+    assert damper.model.names == fit.model.names
+    assert np.array_equal(damper.theta, fit.theta)
     with pytest.raises(InputError, match=r"unknown effect nosuch \(known: "):
         identify(runs, "bingham", effects=["nosuch"])
 
