@@ -19,7 +19,7 @@ def load_damper(fit: str | Path) -> Damper:
     """
     stored = read_fit(fit)
     try:
-        return Damper(stored.model, stored.values, stored.laws, dict.fromkeys(stored.effects, {}))
+        return Damper(stored.model, stored.values, stored.laws, {effect: {} for effect in stored.effects})
     except InputError as error:
         raise InputError(f"{fit}: {error}") from None
 
