@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import lsq_linear
 
 from mrd_identification.nsga2 import Front
 from mrd_identification.problem import Problem
@@ -13,6 +14,9 @@ Array = NDArray[np.float64]
 
 BORDER = 1e-6
 """of the unit box: closer than this is on the bound."""
+
+LEAST_DAMPING = 1e-11
+"""Keeps the normal equations regular where two parameters do the same."""
 
 
 def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[Array, float]:
@@ -31,21 +35,69 @@ def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[
     cost : float
         Half the sum of the loss in N².
     """
-    found = least_squares(
-        lambda unit: problem.residuals(problem.theta(unit)),
-        # trf needs a start strictly inside.
-        np.clip(problem.unit(theta), 1e-4, 1 - 1e-4),
-        jac=problem.jacobian,
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        loss=problem.loss,
-        f_scale=problem.loss_scale,
-        max_nfev=max_evaluations,
-        xtol=1e-10,
-        ftol=1e-10,
-    )
-    on_lower, on_upper = found.x < BORDER, found.x > 1 - BORDER
-    return problem.theta(np.where(on_lower, 0.0, np.where(on_upper, 1.0, found.x))), float(found.cost)
+    unit, cost = descend(problem, problem.unit(theta), np.arange(len(problem.free)), max_evaluations)
+    return problem.theta(unit), cost
+
+
+def descend(
+    problem: Problem, unit: Array, moving: NDArray[np.intp], max_evaluations: int, tolerance: float = 1e-10
+) -> tuple[Array, float]:
+    """Point of the unit box where the objective is least over the coordinates ``moving``, near ``unit``, and its cost.
+
+    Levenberg-Marquardt (Marquardt, 1963) with Nielsen's (1999) damping, each step the optimum of its parabola within the
+    box, from the normal equations: with exact derivatives of a few scaled parameters these are as good as a factorisation of
+    all samples, which would take longer than the model itself. A robust loss weighs the residuals anew at each step.
+    """
+    unit = np.clip(unit, 0.0, 1.0)
+    residuals = problem.residuals(problem.theta(unit))
+    cost = _cost(problem, unit, residuals)
+    damping, growth, left = 1e-3, 2.0, max_evaluations - 1
+    while left > 0 and np.isfinite(cost):
+        root = problem.robust_weights(residuals)
+        jacobian = problem.jacobian(unit, moving) * root[:, None]
+        gram, slope = jacobian.T @ jacobian, jacobian.T @ (residuals * root)
+        if not (np.isfinite(gram).all() and gram.any()):
+            break
+        size = np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max())
+        while left > 0:
+            damped = gram + damping * np.diag(size)
+            step = _step(damped, slope, -unit[moving], 1.0 - unit[moving])
+            trial = unit.copy()
+            trial[moving] = np.clip(unit[moving] + step, 0.0, 1.0)
+            step = trial[moving] - unit[moving]
+            expected = -(slope @ step + 0.5 * step @ gram @ step)
+            if expected <= 1e-3 * tolerance * cost or np.abs(step).max() <= tolerance * 1e-3:
+                return unit, cost
+            residuals = problem.residuals(problem.theta(trial))
+            left -= 1
+            reached = _cost(problem, trial, residuals)
+            gain = float((cost - reached) / expected) if np.isfinite(reached) else -1.0
+            if gain > 1e-4:
+                break
+            damping, growth = damping * growth, 2.0 * growth
+        else:
+            break
+        settled = cost - reached <= tolerance * cost and gain > 0.25
+        damping, growth = max(LEAST_DAMPING, damping * max(1 / 3, 1.0 - (2.0 * gain - 1.0) ** 3)), 2.0
+        unit, cost = trial, reached
+        if settled:
+            break
+    return unit, cost
+
+
+def _cost(problem: Problem, unit: Array, residuals: Array) -> float:
+    return float(0.5 * residuals @ residuals) if problem.loss == "linear" else problem.cost(problem.theta(unit))
+
+
+def _step(gram: Array, slope: Array, lower: Array, upper: Array) -> Array:
+    """Where within the bounds the parabola with this Hessian and slope is least."""
+    size = np.sqrt(np.diag(gram))
+    root, _ = cho_factor(gram / np.outer(size, size), lower=True)
+    step = -cho_solve((root, True), slope / size) / size
+    if ((step >= lower) & (step <= upper)).all():
+        return np.asarray(step)
+    right = -solve_triangular(root, slope / size, lower=True)
+    return np.asarray(lsq_linear(np.tril(root).T * size, right, bounds=(lower, upper), method="bvls").x)
 
 
 def polish_front(problem: Problem, front: Front) -> Array:

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from mrd_identification.polish import BORDER
+from mrd_identification.polish import BORDER, descend
 from mrd_identification.problem import Problem
 from mrd_identification.stretches import correlation_length, stretches
 
@@ -16,6 +15,9 @@ Array = NDArray[np.float64]
 
 FEWEST_SPARE_BLOCKS = 5
 """Independent stretches of the residual beyond the number of parameters, below which intervals would be made up."""
+
+MOST_ATTEMPTS = 10
+"""At the end of a profile."""
 
 ROUNDING = 1e-10
 """Share of the force below which a change of it drowns in rounding errors."""
@@ -41,7 +43,7 @@ class Uncertainty:
     blocks : int
         Stretches of the residual that count as independent; with too few of them there are no intervals.
     sensitivity : ndarray (samples, free)
-        Derivatives in N of the residuals to the unit coordinates.
+        Derivatives in N of the residuals to the unit coordinates; 0 where they drown in rounding errors.
     """
 
     lower: Array
@@ -83,6 +85,8 @@ def uncertainty(
     jacobian, weighted = sensitivity * root[:, None], residuals * root
     on_bound = (unit < BORDER) | (unit > 1 - BORDER)
     norm = np.linalg.norm(jacobian, axis=0)
+    least = ROUNDING * float(np.linalg.norm(problem.force * problem.root_weight))
+    sensitivity[:, norm <= least] = norm[norm <= least] = 0.0
     seen = (norm > 0) & ~on_bound
     count = len(unit)
     lower, upper, profile_lower, profile_upper = np.full((4, count), np.nan)
@@ -103,25 +107,23 @@ def uncertainty(
     blocks = len(parts)
     scores = np.stack([scaled[part].T @ weighted[part] for part in parts])
     if seen.any():
-        singular = np.linalg.svd(scaled[:, seen], compute_uv=False)
-        condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+        values = np.linalg.eigvalsh(gram[np.ix_(seen, seen)])
+        condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else np.inf
     spare = blocks - int(seen.sum())
     if spare < FEWEST_SPARE_BLOCKS:
         return found()
-    middle = scores.T @ scores * blocks / spare
     student_t = float(stdtrit(spare, 0.975))
 
     def spread(among: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Inverse of the normal matrix of some parameters, and their covariance."""
+        """Inverse of the normal matrix of some parameters, and a root R of their covariance R Rᵀ."""
         inverse = normal_inverse(gram[np.ix_(among, among)])
-        return inverse, inverse @ middle[np.ix_(among, among)] @ inverse
+        return inverse, inverse @ scores[:, among].T * np.sqrt(blocks / spare)
 
-    inverse, covariance = spread(seen)
-    deviation = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore"):
-        correlation[np.ix_(seen, seen)] = np.where(
-            np.eye(len(deviation)) > 0, 1.0, np.nan_to_num(covariance / np.outer(deviation, deviation))
-        )
+    inverse, root_covariance = spread(seen)
+    deviation = np.linalg.norm(root_covariance, axis=1)
+    directions = root_covariance / np.where(deviation > 0, deviation, 1.0)[:, None]
+    correlation[np.ix_(seen, seen)] = directions @ directions.T
+    np.fill_diagonal(correlation, 1.0)
     half = np.full(count, np.nan)
     half[seen] = student_t * deviation / norm[seen]
     scale = problem.scale(theta) * half
@@ -132,15 +134,14 @@ def uncertainty(
         upper = np.where(problem.log, value * factor, value + scale)
 
     best = problem.cost(theta)
-    least = ROUNDING * np.linalg.norm(problem.force * problem.root_weight)
     for index in map(int, np.flatnonzero(norm > 0)):
         among = seen.copy()
         among[index] = True
         place = int(among[:index].sum())
         joint = inverse
         if on_bound[index]:
-            joint, covariance = spread(among)
-            deviation_here = np.sqrt(covariance[place, place])
+            joint, root_covariance = spread(among)
+            deviation_here = np.linalg.norm(root_covariance[place])
             half[index] = student_t * deviation_here / norm[index]
             outward = 1.0 if unit[index] > 0.5 else -1.0
             step_out = -outward * joint[place, place] * scores[:, index].sum()
@@ -162,7 +163,7 @@ def uncertainty(
 def normal_inverse(gram: Array) -> Array:
     """Inverse of a normal matrix; what the recordings do not determine gets a large variance."""
     values, vectors = np.linalg.eigh(gram)
-    return np.asarray((vectors / np.maximum(values, values[-1] * 1e-14)) @ vectors.T)
+    return np.asarray((vectors / np.maximum(values, values.max(initial=0.0) * 1e-14)) @ vectors.T)
 
 
 def _profile_end(
@@ -173,45 +174,38 @@ def _profile_end(
     if reach == 0.0:
         return float(unit[index])
     offset = float(np.clip(half, -abs(reach), abs(reach)))
-    for attempt in range(5):
+    inside, root_inside, outside, root_outside = 0.0, 0.0, np.inf, np.inf
+    for attempt in range(MOST_ATTEMPTS):
         start = np.clip(unit + offset * direction, 0.0, 1.0)
         start[index] = unit[index] + offset
         risen = (problem.cost(problem.theta(start)) - best) / rise
         # Where the objective is the parabola that it is near the optimum, nothing is left to refit.
         expected = (offset / half) ** 2
         if abs(risen - expected) > 0.1 * expected or attempt:
-            cost, refitted = _refit(problem, start, index)
+            cost, refitted = _refit(problem, start, index, 0.02 * rise / best)
             risen = (cost - best) / rise
             direction = (refitted - unit) / offset
         if abs(risen - 1.0) < 0.1 or (risen < 1.0 and offset == reach):
             break
-        # Near the optimum the root of the rise is linear.
-        offset = float(np.clip(offset * np.clip(1.0 / np.sqrt(max(risen, 1e-3)), 0.3, 3.0), -abs(reach), abs(reach)))
+        # The root of the rise is nearly linear: on between two offsets, or as far again.
+        root = np.sqrt(max(risen, 0.0))
+        if risen < 1.0:
+            inside, root_inside = offset, root
+        else:
+            outside, root_outside = offset, root
+        if np.isfinite(outside):
+            share = (1.0 - root_inside) / (root_outside - root_inside)
+            offset = inside + float(np.clip(share, 0.1, 0.9)) * (outside - inside)
+        else:
+            offset = float(np.clip(offset / max(root, 0.3), -abs(reach), abs(reach)))
     return float(unit[index] + offset)
 
 
-def _refit(problem: Problem, start: Array, index: int) -> tuple[float, Array]:
+def _refit(problem: Problem, start: Array, index: int, tolerance: float) -> tuple[float, Array]:
     """Smallest objective over the parameters other than ``index``, near ``start``, and where it is."""
     others = np.delete(np.arange(len(start)), index)
-    if not others.size:
-        return problem.cost(problem.theta(start)), start
-
-    def whole(part: Array) -> Array:
-        unit = start.copy()
-        unit[others] = part
-        return unit
-
-    found = least_squares(
-        lambda part: problem.residuals(problem.theta(whole(part))),
-        np.clip(start[others], 1e-6, 1 - 1e-6),  # trf needs a start strictly inside
-        jac=lambda part: problem.jacobian(whole(part), others),
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        loss=problem.loss,
-        f_scale=problem.loss_scale,
-        max_nfev=4,
-    )
-    return float(found.cost), whole(found.x)
+    refitted, cost = descend(problem, start, others, 10, tolerance)
+    return cost, refitted
 
 
 def _value(problem: Problem, unit: Array, index: int, end: float) -> float:
