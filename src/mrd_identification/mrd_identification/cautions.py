@@ -111,14 +111,15 @@ def _on_bound(problem: Problem, theta: Array, uncertain: Uncertainty, place: int
     bound = parameter.lower if at_lower else parameter.upper
     text = f"{parameter.name} ended on its {'lower' if at_lower else 'upper'} bound, {_with_unit(bound, parameter)}"
     if not uncertain.sensitivity[:, place].any():
-        return f"{text}, where it does not change the modelled force at all"
+        return f"{text}, near which it does not change the modelled force: the runs say nothing of it"
+    end = float((uncertain.profile_upper if at_lower else uncertain.profile_lower)[place])
+    if np.isfinite(end) and _share(parameter, min(bound, end), max(bound, end)) > UNKNOWN:
+        return f"{text}, but the runs say next to nothing of it: they fit as well with {_with_unit(end, parameter)}"
     if uncertain.beyond[place] > 2.0:
         return f"{text}; the runs want a value beyond it, so it stands in for something that the model lacks"
-    end = float((uncertain.profile_upper if at_lower else uncertain.profile_lower)[place])
-    if not np.isfinite(end):
-        return f"{text}: the runs want a value near it, or say nothing about it"
-    vague = ", so they say next to nothing of it" if _share(parameter, min(bound, end), max(bound, end)) > UNKNOWN else ""
-    return f"{text}; the runs fit as well with anything from there to {_with_unit(end, parameter)}{vague}"
+    if np.isfinite(end):
+        return f"{text}; the runs fit as well with anything from there to {_with_unit(end, parameter)}"
+    return f"{text}: the runs want a value near it, or say nothing about it"
 
 
 def _unknown(problem: Problem, theta: Array, uncertain: Uncertainty, place: int) -> str:
@@ -145,11 +146,9 @@ def _one_sided(parameter: Parameter, lower: float, upper: float) -> str:
         )
     open_below, open_above = np.isclose([lower, upper], [parameter.lower, parameter.upper], rtol=1e-4, atol=0)
     if open_below or open_above:
-        return (
-            f"{parameter.name} is bounded on one side only: the runs fit as well with anything from "
-            f"{'its lower bound, ' if open_below else ''}{_with_unit(lower, parameter)}, to "
-            f"{'its upper bound, ' if open_above else ''}{_with_unit(upper, parameter)}"
-        )
+        from_ = f"{'its lower bound, ' if open_below else ''}{_with_unit(lower, parameter)}"
+        to = f"{'its upper bound, ' if open_above else ''}{_with_unit(upper, parameter)}"
+        return f"{parameter.name} is bounded on one side only: the runs fit as well with anything from {from_} to {to}"
     return ""
 
 
@@ -200,12 +199,15 @@ def _why(problem: Problem, theta: Array, uncertain: Uncertainty, place: int) -> 
     energy = np.sort(column**2)[::-1]
     needed = 1 + int(np.searchsorted(np.cumsum(energy), 0.9 * energy.sum()))
     shows = column >= np.sqrt(energy[min(needed, len(energy)) - 1])
-    travel, samples = np.concatenate([_since_reversal(r.path)[:, r.counted] for r in problem.recordings], axis=1)[:, shows]
-    if needed < FEW_SAMPLES or np.mean(samples <= AT_ONCE) > 0.9:
+    near = np.concatenate([_from_reversal(r.path)[:, r.counted] for r in problem.recordings], axis=1)[:, shows]
+    travel, samples = np.quantile(near, 0.9, axis=1, method="higher")  # between two infinities lies no number
+    if samples <= AT_ONCE:
         return (
-            f"nine tenths of what it changes fall on {needed} samples, within {1e3 * np.quantile(travel, 0.9):.2g} mm after "
-            "the rod reverses; sample faster, or let it reverse more often and more slowly"
+            f"nine tenths of what it changes fall on {needed} samples, within {1e3 * travel:.2g} mm of where the rod "
+            "reverses; sample faster, or let it reverse more often and more slowly"
         )
+    if needed < FEW_SAMPLES:
+        return f"nine tenths of what it changes fall on {needed} samples only; record more of what makes it show"
     likeness = _likeness(uncertain)[place]
     likeness[place] = 0.0
     other = int(np.argmax(np.abs(likeness)))
@@ -218,10 +220,18 @@ def _why(problem: Problem, theta: Array, uncertain: Uncertainty, place: int) -> 
     return f"from bound to bound it changes the force by about {change:.2g} N rms, beside an error of {error:.2g} N rms"
 
 
-def _since_reversal(path: Path) -> Array:
-    """Distance in m that the rod has moved, and number of samples, (2, n), since it last turned round."""
+def _from_reversal(path: Path) -> Array:
+    """How far the rod, at each sample, is from where it last turned or will turn: metres and samples, (2, n)."""
     travelled = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(path.position)))))
-    turns = np.concatenate(([0], np.flatnonzero(path.velocity == 0.0)))
-    last = turns[np.searchsorted(turns, path.samples, side="right") - 1]
-    before = np.searchsorted(path.samples, last)
-    return np.stack([travelled[path.samples] - travelled[last], 1.0 + np.arange(len(path.samples)) - before])
+    turns = np.flatnonzero(path.velocity == 0.0)
+    if not turns.size:
+        return np.full((2, len(path.samples)), np.inf)
+    after = np.searchsorted(turns, path.samples)
+    nearest = np.full((2, len(path.samples)), np.inf)
+    for neighbour in (after - 1, after):
+        turn = turns[np.clip(neighbour, 0, len(turns) - 1)]
+        metres = np.abs(travelled[path.samples] - travelled[turn])
+        # The first sample after a turn is one away from it, and so is the last before it.
+        between = np.abs(np.arange(len(path.samples)) - (np.searchsorted(path.samples, turn) - 0.5)) + 0.5
+        nearest = np.minimum(nearest, [metres, between])
+    return nearest
