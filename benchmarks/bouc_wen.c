@@ -89,18 +89,19 @@ void modified_bouc_wen(const modified_bouc_wen_parameters *p, long vertices, con
         const double c0 = fmax(p->viscous + p->viscous_per_A * u, 0.0);
         const double c1 = fmax(p->series_viscous + p->series_viscous_per_A * u, 1e3);
         if (dt[k] > 0.0) {
-            /* d (c0 + c1) = dt (F_y (w + w+(travel - d)) / 2 + k0 (middle - d / 2)) + c0 travel */
+            /* d (c0 + c1) = dt (F_y ((1 - theta) w + theta w+(travel - d)) + k0 (middle - d / 2)) + c0 travel */
             const double travel = x[k] - x[before], middle = 0.5 * (x[k] + x[before]) - y;
-            const double fixed = c0 * travel + dt[k] * p->stiffness * middle;
             const double scale = c0 + c1 + 0.5 * dt[k] * p->stiffness;
-            const double push = 0.5 * dt[k] * yield_force;
-            const double per_scale = 1.0 / scale, per_travel = 1.0 / yield_travel, reach = push * per_scale;
-            double d = (fixed + 2.0 * push * w) * per_scale, after = w;
+            const double per_scale = 1.0 / scale, per_travel = 1.0 / yield_travel;
+            const double whole = dt[k] * yield_force, decay = whole * per_travel * per_scale;
+            const double push = (3.0 + decay) / (6.0 + decay) * whole, reach = push * per_scale;
+            const double fixed = c0 * travel + dt[k] * p->stiffness * middle + (whole - push) * w;
+            double d = (fixed + push * w) * per_scale, after = w;
             double low = d - (1.0 + w) * reach, high = d + (1.0 - w) * reach, last = high - low;
             for (int i = 0; i < 100; i++) {
                 const double element = travel - d, direction = element >= 0.0 ? 1.0 : -1.0;
                 after = advance(w, element * per_travel, p->shape);
-                const double balance = scale * d - fixed - push * (w + after);
+                const double balance = scale * d - fixed - push * after;
                 if (balance > 0.0) {
                     high = d;
                 } else {

@@ -57,16 +57,17 @@ def sampled(samples: int) -> tuple[Array, Array, Array, Array]:
     return time_s, *_sampled(time_s)
 
 
-def timed(work: Callable[[], object], times: int = 1) -> float:
-    """Mean time in s of ``work``, done so many times."""
-    began = time.perf_counter()
-    for _ in range(times):
-        work()
-    return (time.perf_counter() - began) / times
+def timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    """Time in s of ``work``."""
+    began = clock()
+    work()
+    return clock() - began
 
 
 def side_by_side(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, float]:
-    """Median time in s of each work, taken in turns so that whatever slows the machine slows all of them.
+    """Median processor time in s of each work on one thread, taken in turns.
+
+    Whatever else the machine does slows all of them or, as far as it only makes them wait, none.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def side_by_side(works: Mapping[str, tuple[Callable[[], object], int]], rounds: 
     measured: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, (work, times) in works.items():
-            measured[name].append(timed(work, times))
+            measured[name] += [timed(work, time.process_time) for _ in range(times)]
     return {name: statistics.median(times) for name, times in measured.items()}
 
 

@@ -95,7 +95,7 @@ UNITS = {"seconds": (1.0, "time, s"), "bytes": (1e-6, "peak memory, MB")}
 
 def plot(found: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]) -> str:
     """Both growths as an SVG on logarithmic axes, each with the line of proportional growth through its last point."""
-    width, height, margin, decades = 340, 260, 60, 4
+    width, height, margin, decades = 340, 220, 60, 3
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * width + 3 * margin} {2 * height + 3 * margin}" '
         'font-family="sans-serif" font-size="12"><rect width="100%" height="100%" fill="white"/>'
