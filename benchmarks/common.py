@@ -98,5 +98,6 @@ def machine() -> str:
             name = next(line.split(":")[1].strip() for line in info if line.startswith("model name"))
     except (OSError, StopIteration):
         pass
-    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    return f"{name}, {os.cpu_count()} cores{load}, Python {platform.python_version()}, NumPy {np.__version__}"
+    load, blas = os.getloadavg()[0], os.environ.get("OPENBLAS_NUM_THREADS", "all")
+    python = f"Python {platform.python_version()}, NumPy {np.__version__}"
+    return f"{name}, {os.cpu_count()} cores, load {load:.1f}, {python}, BLAS threads: {blas}"

@@ -7,13 +7,12 @@ candidate by `solve_ivp` (LSODA, rtol 1e-6, the equations compiled by numba, the
 again and again between the peer's generations.
 """
 
-import statistics
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from common import RATE, Array, console, duration, machine, sampled, timed
+from common import RATE, Array, console, duration, machine, sampled
 from numba import njit
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.core.problem import Problem as PymooProblem
@@ -97,36 +96,41 @@ class Peer(PymooProblem):
         out["F"] = np.nan_to_num(np.array(norms), nan=1e30, posinf=1e30)
 
 
+def clocks() -> Array:
+    """Elapsed and processor time in s."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
 class Timed:
     """Times of a work that is done again and again, and its last result."""
 
     def __init__(self, work: Callable[[], float]) -> None:
-        self.work, self.times, self.result = work, list[float](), work()
+        self.work, self.times, self.result = work, list[Array](), work()
 
     def __call__(self) -> None:
-        self.times.append(timed(self._do))
-
-    def _do(self) -> None:
+        began = clocks()
         self.result = self.work()
+        self.times.append(clocks() - began)
 
 
-def with_pymoo(run: Run, between: Callable[[], None]) -> tuple[float, float]:
-    """Time in s that the peer takes, and the NRMSE that it reaches; ``between`` is done after every fifth generation."""
-    began = time.perf_counter()
+def with_pymoo(run: Run, between: Callable[[], None]) -> tuple[Array, float]:
+    """Times in s that the peer takes, and the NRMSE that it reaches; ``between`` is done after every fifth generation."""
+    began = clocks()
     problem, _ = pose(MODELS["bouc_wen"], [prepare(run)])
     peer = Peer(problem)
     first = LHS().do(peer, POPULATION, random_state=np.random.default_rng(SEED)).get("X")
     first[0] = problem.unit(problem.base)
     search = NSGA2(pop_size=POPULATION, sampling=first)
     search.setup(peer, termination=("n_gen", GENERATIONS), seed=SEED, verbose=False)
-    apart = 0.0
     while search.has_next():
         search.next()
         if search.n_gen % 5 == 1:
-            apart += timed(between)
+            left = clocks()
+            between()
+            began += clocks() - left
     best = search.result().F[:, 0].min()
     nrmse = float(best * np.sqrt(len(problem.force)) / np.std(problem.force))
-    return time.perf_counter() - began - apart, nrmse
+    return clocks() - began, nrmse
 
 
 def with_identify(run: Run, *, polish: bool) -> float:
@@ -148,20 +152,21 @@ def main() -> None:
         search()
 
     peer, peer_nrmse = with_pymoo(run, between=ours)
-    seconds, seconds_of_search = (statistics.median(work.times) for work in (whole, search))
+    times, times_of_search = (np.median(work.times, axis=0) for work in (whole, search))
     table = Table(
         title=f"Bouc-Wen from {SECONDS} s at {RATE:g} Hz, NSGA-II {POPULATION} x {GENERATIONS}; noise {NOISE:g}",
         caption=machine(),
     )
-    for column in ("by", "time", "time / ours", "NRMSE"):
+    for column in ("by", "time", "time / ours", "processor time", "NRMSE"):
         table.add_column(column, justify="left" if column == "by" else "right")
     rows = (
-        ("identify (NSGA-II, least squares, intervals)", seconds, whole.result),
-        ("identify without least squares", seconds_of_search, search.result),
+        ("identify (NSGA-II, least squares, intervals)", times, whole.result),
+        ("identify without least squares", times_of_search, search.result),
         ("pymoo NSGA-II, scipy solve_ivp (LSODA)", peer, peer_nrmse),
     )
     for name, elapsed, error in rows:
-        table.add_row(name, duration(elapsed), f"{elapsed / seconds:.3g}", f"{error:.4f}")
+        ratio = elapsed[0] / times[0]
+        table.add_row(name, duration(elapsed[0]), f"{ratio:.3g}", duration(elapsed[1]), f"{error:.4f}")
     console.print(table)
 
 
