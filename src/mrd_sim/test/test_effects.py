@@ -1,0 +1,540 @@
+"""What every effect of the catalogue promises around every damper model, and what single ones do besides."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrd_base import InputError
+from mrd_sim.dual import STEP
+from mrd_sim.effects import EFFECTS, STAGES, find_effects
+from mrd_sim.models import MODELS, find_model
+from mrd_sim.path import Path, make_path
+
+EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+SERIES = pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.stretch], ids=lambda effect: effect.id)
+MONOTONE = tuple(name for name in MODELS if name != "polynomial")
+"""In series, the force is unique only where the damper's does not fall with its speed: not all over the polynomial's box."""
+TINY = 1e-9  # of the largest force
+
+# A sensor that the damper's motion or current is computed from is undone at the stage that it feeds.
+PUBLIC = {
+    "drive": ("backlash", "servo_ripple", "lvdt_nonlinearity"),
+    "magnetics": ("coil_lag", "magnetic_hysteresis", "current_saturation", "current_sensor_error"),
+    "fluid": (
+        "gas_spring", "series_compliance", "cavitation", "flow_asymmetry", "shear_thinning", "rate_dependent_hysteresis",
+        "pre_yield_hysteresis", "thermal_fade", "settling",
+    ),
+    "structure": ("seal_friction", "side_load_friction", "end_stop", "joint_play", "moving_mass"),
+    "sensing": ("force_sensor_lag", "channel_delay", "load_cell_drift", "load_cell_gain", "mains_hum", "channel_crosstalk"),
+}
+
+
+def rich(rate=1000.0, seconds=3.0):
+    """Slow long strokes with fast short ones on them, from rest; steps of the current."""
+    time = np.arange(int(rate * seconds)) / rate
+    x, v, a = np.zeros((3, len(time)))
+    for amplitude, frequency in ((0.018, 0.7), (0.004, 3.1)):
+        w = 2 * np.pi * frequency
+        x -= amplitude * np.cos(w * time)
+        v += amplitude * w * np.sin(w * time)
+        a += amplitude * w**2 * np.cos(w * time)
+    return time, x, v, a, np.array([0.1, 0.8, 0.3, 1.0])[(4 * time / seconds).astype(int)]
+
+
+def two_tones(cycles, samples, rate, speed, share, phase, centre, current, later_current):
+    """A sine with a third harmonic: minor loops, a stroke whose middle is not zero, and a step of the current."""
+    time = np.arange(cycles * samples + 1) / rate
+    w = 2 * np.pi * rate / samples
+    amplitude = min(speed / w, 0.02) / (1 + share)
+    one, three = w * time, 3 * w * time + phase
+    x = centre + amplitude * (np.sin(one) + share / 3 * np.sin(three))
+    v = amplitude * w * (np.cos(one) + share * np.cos(three))
+    a = -amplitude * w**2 * (np.sin(one) + 3 * share * np.sin(three))
+    return time, x, v, a, np.where(time < 0.6 * time[-1], current, later_current)
+
+
+def motions(samples=(12, 100, 500)):
+    """Arguments of `two_tones`: 25 Hz to 8 kHz, up to 0.4 m/s, 0 to 2 A."""
+    return st.fixed_dictionaries(
+        {
+            "cycles": st.just(2),
+            "samples": st.sampled_from(samples),
+            "rate": st.sampled_from([25.0, 200.0, 1000.0, 8000.0]),
+            "speed": st.floats(0.01, 0.4),
+            "share": st.floats(0, 0.9),
+            "phase": st.floats(0, 6.28),
+            "centre": st.floats(-0.005, 0.005),
+            "current": st.floats(0, 2),
+            "later_current": st.floats(0, 2),
+        }
+    )
+
+
+@st.composite
+def affected(draw, effect, margin=0.0, models=None):
+    """A damper model with the effect, and parameters of both from anywhere in their bounds, ``margin`` away from them."""
+    models = models or (MONOTONE if effect.stretch else tuple(MODELS))
+    model = find_model(draw(st.sampled_from(models)), effects=[effect.id])
+    count = len(model.parameters)
+    unit = margin + (1 - 2 * margin) * np.array(draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
+    return model, np.array([from_unit(u, p) for u, p in zip(unit, model.parameters, strict=True)])
+
+
+def from_unit(unit, parameter):
+    if parameter.log:
+        return parameter.lower * (parameter.upper / parameter.lower) ** unit
+    return parameter.lower + unit * (parameter.upper - parameter.lower)
+
+
+def switched_on(name, *effects, **values):
+    """A model with effects at their typical values, or at ``values`` of the first; its parameter vector."""
+    model = find_model(name, effects=effects)
+    typical = {f"{e}.{key}": value for e in effects for key, value in EFFECTS[e].typical.items()}
+    return model, model.vector(typical | {f"{effects[0]}.{key}": value for key, value in values.items()})
+
+
+def act(effect, values, *, dt, **signals):
+    """Let an effect change signals that are given by name; the others are zero. Returns them all."""
+    parameters = EFFECTS[effect].parameters
+    p = np.array([values.get(parameter.name, parameter.default) for parameter in parameters])
+    assert values.keys() <= {parameter.name for parameter in parameters}
+    found = {name: np.array(signals.get(name, np.zeros(len(dt)))) for name in ("x", "v", "a", "u", "force")}
+    EFFECTS[effect].kernel(p, np.zeros(EFFECTS[effect].states), dt, *found.values())
+    return found
+
+
+def steps(count, rate):
+    return np.r_[0.0, np.full(count - 1, 1 / rate)]
+
+
+def rms(series):
+    return np.sqrt(np.mean(np.abs(series) ** 2))
+
+
+# The whole catalogue
+
+
+def test_public_ids_are_all_there_at_their_stages():
+    assert [(stage, name) for stage in PUBLIC for name in PUBLIC[stage] if name not in EFFECTS] == []
+    assert {name: EFFECTS[name].stage for stage in PUBLIC for name in PUBLIC[stage]} == {
+        name: stage for stage in PUBLIC for name in PUBLIC[stage]
+    }
+
+
+def test_catalogue_is_in_the_order_of_the_stages():
+    assert tuple(PUBLIC) == STAGES
+    order = [STAGES.index(effect.stage) for effect in EFFECTS.values()]
+    assert order == sorted(order)
+
+
+def test_unknown_and_repeated_names_are_refused():
+    with pytest.raises(InputError, match=r"unknown effect ghost .*backlash"):
+        find_effects(["coil_lag", "ghost"])
+    with pytest.raises(InputError, match="coil_lag is named twice"):
+        find_effects(["coil_lag", "backlash", "coil_lag"])
+
+
+@EVERY
+def test_declaration(effect):
+    assert 1 <= len(effect.parameters) <= 3
+    assert {parameter.name for parameter in effect.parameters} == effect.typical.keys() | {
+        parameter.name for parameter in effect.parameters if not parameter.free
+    }
+    assert len({parameter.name for parameter in effect.parameters}) == len(effect.parameters)
+    for parameter in effect.parameters:
+        assert parameter.lower <= parameter.default <= parameter.upper
+        assert parameter.lower < parameter.upper
+        assert not parameter.log or parameter.lower > 0
+        assert parameter.meaning
+        typical = effect.typical.get(parameter.name, parameter.default)
+        assert parameter.lower < typical < parameter.upper
+    assert effect.parameters[0].default == 0.0
+    assert effect.typical[effect.parameters[0].name] != 0.0
+    assert (effect.kernel is None) != (effect.stretch is None)
+    for text in (effect.title, effect.equation, effect.source, effect.signature, effect.separated_by):
+        assert text
+        assert text.isprintable()
+    assert effect.confused_with
+    assert set(effect.confused_with) <= EFFECTS.keys() - {effect.id}
+    assert len(set(effect.confused_with)) == len(effect.confused_with)
+
+
+@EVERY
+def test_neutral_changes_nothing_and_typical_something(effect):
+    """Around every model; something is more than 0.05 % of the force."""
+    path = make_path(*rich())
+    for name, base in MODELS.items():
+        expected = base.force(base.defaults, path)
+        model = find_model(name, effects=[effect.id])
+        assert model.names[: len(base.names)] == base.names
+        neutral = model.force(model.defaults, path)
+        assert np.max(np.abs(neutral - expected)) <= TINY * np.max(np.abs(expected)), name
+        model, theta = switched_on(name, effect.id)
+        changed = model.force(theta, path)
+        assert np.isfinite(changed).all(), name
+        assert rms(changed - expected) > 5e-4 * rms(expected), name
+
+
+@EVERY
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_finite_over_the_whole_bounds_box(effect, data):
+    """Force and derivative; real and dual numbers give the same force."""
+    model, theta = data.draw(affected(effect))
+    path = make_path(*two_tones(**data.draw(motions())))
+    force = model.force(theta, path)
+    assert np.isfinite(force).all()
+    dual = theta.astype(complex)
+    dual[-data.draw(st.integers(1, len(effect.parameters)))] += 1j * STEP
+    with_derivative = model.force(dual, path)
+    assert np.isfinite(with_derivative.imag).all()
+    assert np.allclose(with_derivative.real, force, rtol=0, atol=1e-6 + TINY * np.max(np.abs(force)))
+
+
+def somewhere(rng, model):
+    """Parameters from anywhere in the bounds, many of them on a bound, and any motion."""
+    unit = rng.random(len(model.parameters))
+    unit = np.where(rng.random(len(unit)) < 0.3, np.round(unit), unit)
+    theta = np.array([from_unit(u, p) for u, p in zip(unit, model.parameters, strict=True)])
+    samples, rate = rng.choice([12, 100]), rng.choice([25.0, 200.0, 1000.0, 8000.0])
+    speed, share, phase, centre, *currents = rng.uniform((0.01, 0, 0, -0.005, 0, 0), (0.4, 0.9, 6.28, 0.005, 2, 2))
+    return theta, make_path(*two_tones(2, samples, rate, speed, share, phase, centre, *currents))
+
+
+@EVERY
+def test_finite_around_every_model(effect):
+    rng = np.random.default_rng(list(effect.id.encode()))
+    for name in MONOTONE if effect.stretch else MODELS:
+        model = find_model(name, effects=[effect.id])
+        for _ in range(10):
+            assert np.isfinite(model.force(*somewhere(rng, model))).all(), name
+
+
+STEEP = pytest.mark.xfail(strict=True, reason="steep extrapolation, and no bound to the elongation: not finite everywhere")
+
+
+@pytest.mark.parametrize("effect", ["backlash", "joint_play", pytest.param("series_compliance", marks=STEEP)])
+def test_finite_in_series_with_a_polynomial(effect):
+    """Anywhere in the bounds, even where its force falls with its speed."""
+    rng = np.random.default_rng(5)
+    model = find_model("polynomial", effects=[effect])
+    with np.errstate(all="ignore"):
+        assert all(np.isfinite(model.force(*somewhere(rng, model))).all() for _ in range(50))
+
+
+@EVERY
+@settings(max_examples=8, deadline=None)
+@given(data=st.data())
+def test_derivatives_agree_with_central_differences(effect, data):
+    """To the effect's parameters, and through the effect to those of the model."""
+    models = ("algebraic", "bingham", "bouc_wen", "modified_bouc_wen")  # no jumps
+    model, theta = data.draw(affected(effect, 0.1, models))
+    path = make_path(*two_tones(**data.draw(motions(samples=[200]))))
+    size = np.max(np.abs(model.force(theta, path)))
+    own = len(theta) - len(effect.parameters)
+    for index in (data.draw(st.integers(0, own - 1)), *range(own, len(theta))):
+        parameter = model.parameters[index]
+        scale = theta[index] if parameter.log else parameter.upper - parameter.lower
+        moved = np.zeros(len(theta))
+        moved[index] = 1e-5 * scale
+        found = model.force(theta + 1j * STEP * moved, path).imag / STEP / 1e-5
+        less, here, more = (model.force(theta + sign * moved, path) / 1e-5 for sign in (-1, 0, 1))
+        # At a kink, such as a delay of whole samples has, the derivative is that to one side; a few samples may be near one.
+        error = np.min([np.abs(found - slope) for slope in (more - here, here - less, (more - less) / 2)], axis=0)
+        error = np.quantile(error, 0.95)
+        assert error <= 1e-3 * np.max(np.abs(found)) + 1e-4 * size, (model.id, parameter.name)
+
+
+@EVERY
+@settings(max_examples=10, deadline=None)
+@given(data=st.data())
+def test_block_by_block_equals_at_once(effect, data):
+    model, theta = data.draw(affected(effect))
+    time, *series = two_tones(**data.draw(motions()))
+    dt = np.diff(time, prepend=time[0])
+    whole = Path(dt, *series, np.arange(len(time)))
+    at_once = model.force(theta, whole)
+    size = data.draw(st.integers(1, 77))
+    state = model.initial_state(whole)
+    for first in range(0, len(time), size):
+        part = slice(first, first + size)
+        block = Path(dt[part], *(values[part] for values in series), np.arange(len(time[part])))
+        assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=TINY * np.max(np.abs(at_once)))
+
+
+def test_effects_act_in_the_order_of_their_stages_however_they_are_named():
+    path = make_path(*rich(rate=500.0, seconds=1.0))
+    for one, other in combinations(EFFECTS.values(), 2):
+        if one.stage == other.stage:
+            continue
+        model, theta = switched_on("bouc_wen", one.id, other.id)
+        known = dict(zip(model.names, theta, strict=True))
+        turned = find_model("bouc_wen", effects=[other.id, one.id])
+        force = model.force(theta, path)
+        again = turned.force(turned.vector({name: known[name] for name in turned.names}), path)
+        assert np.allclose(again, force, rtol=0, atol=TINY * np.max(np.abs(force))), (one.id, other.id)
+
+
+def test_two_effects_are_one_after_the_other():
+    """The gain of the load cell also magnifies the mass before it, and the mass sees the motion that a transducer hides."""
+    time, x, v, a, current = rich()
+    path = make_path(time, x, v, a, current)
+    base = find_model("bingham")
+    model, theta = switched_on("bingham", "load_cell_gain", "moving_mass", gain=0.1)
+    mass = EFFECTS["moving_mass"].typical["mass"]
+    assert np.allclose(model.force(theta, path), 1.1 * (base.force(base.defaults, path) + mass * a))
+    model, theta = switched_on("bingham", "lvdt_nonlinearity", "moving_mass", gain=0.1, cubic=0.0)
+    stretched = make_path(time, 1.1 * x, 1.1 * v, 1.1 * a, current)
+    assert np.allclose(model.force(theta, path), base.force(base.defaults, stretched) + mass * 1.1 * a)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_three_things_in_series_and_one_of_every_other_stage(name):
+    model, theta = switched_on(
+        name, "backlash", "series_compliance", "joint_play", "magnetic_hysteresis", "thermal_fade", "channel_delay"
+    )
+    force = model.force(theta, make_path(*rich(rate=500.0)))
+    assert np.isfinite(force).all()
+    base = find_model(name)
+    assert 0.5 < np.ptp(force) / np.ptp(base.force(base.defaults, make_path(*rich(rate=500.0)))) < 1.5
+
+
+# In series with the damper
+
+
+@SERIES
+def test_stretch_never_falls_with_the_force(effect):
+    """Anywhere in the bounds, so that the force is unique; nothing stretches without bounds."""
+    rng = np.random.default_rng(1)
+    force = np.r_[-np.logspace(4, -3, 60), 0.0, np.logspace(-3, 4, 60)]
+    for unit in rng.random((50, len(effect.parameters))):
+        p = np.resize([from_unit(u, parameter) for u, parameter in zip(unit, effect.parameters, strict=True)], 4)
+        before = effect.stretch(p, 0.0, 0.01, rng.normal() * 500.0)
+        elongation = np.array([effect.stretch(p, before, 1e-3, value) for value in force])
+        assert (np.diff(elongation) >= 0.0).all()
+        assert np.max(np.abs(elongation)) < 0.03
+
+
+@SERIES
+@pytest.mark.parametrize("name", ["bouc_wen", "modified_bouc_wen", "modified_lugre", "modified_dahl"])
+def test_force_in_series_is_continuous_and_bounded(effect, name):
+    """At constant current, once under way. Finer sampling makes its steps smaller in proportion; it adds no force.
+
+    A joint hits the end of its play: there the viscous force, a small part of all, comes at once.
+    """
+    base, largest = find_model(name), []
+    for rate in (16000.0, 64000.0):
+        time, x, v, a, _ = rich(rate=rate, seconds=2.0)
+        path = make_path(time, x, v, a, np.full(len(time), 0.5))
+        model, theta = switched_on(name, effect.id)
+        force = model.force(theta, path)
+        expected = base.force(base.defaults, path)
+        assert np.max(np.abs(force)) <= 1.01 * np.max(np.abs(expected))
+        largest.append(np.max(np.abs(np.diff(force[time > 0.02]))) / np.ptp(expected))
+    if effect.id == "joint_play":
+        assert max(largest) < 0.08
+    else:
+        assert largest[1] < 0.45 * largest[0] < 0.02
+
+
+def test_backlash_is_crossed_at_little_force():
+    """At constant speed each way, the rod stands still while the drive moves by the play, and the force is the drag's."""
+    play, drag, speed, rate = 4e-4, 2.0, 0.01, 8000.0
+    time = np.arange(int(4 * rate)) / rate
+    direction = np.where(time % 2 < 1, 1.0, -1.0)
+    x = speed * np.where(time % 2 < 1, time % 2, 2 - time % 2)
+    path = make_path(time, x, speed * direction, np.zeros(len(time)), np.full(len(time), 0.5))
+    model, theta = switched_on("bouc_wen", "backlash", play=play, drag=drag)
+    base = find_model("bouc_wen")
+    without = base.force(base.defaults, path)
+    force = model.force(theta, path)
+    low = 10 * drag
+    crossing = np.count_nonzero(np.abs(force) < low) - np.count_nonzero(np.abs(without) < low)
+    # Half the play at the start, all of it at each of three reversals; a little of it above the drag.
+    assert speed * crossing / rate == pytest.approx(3.5 * play, rel=0.05)
+
+
+def test_backlash_is_absent_where_a_preload_keeps_the_force_from_changing_sign():
+    time, x, v, a, _ = rich()
+    path = make_path(time, x, v, a, np.zeros(len(time)))
+    preload = {"offset": -300.0, "stiffness": 0.0, "viscous": 100.0}
+    base = find_model("bouc_wen")
+    model = find_model("bouc_wen", effects=["backlash"])
+    expected = base.force(base.vector(preload), path)
+    assert np.max(expected) < -50
+    force = model.force(model.vector(preload | {"backlash.play": 4e-4, "backlash.drag": 1.0}), path)
+    assert np.allclose(force[100:], expected[100:], atol=0.01 * np.ptp(expected))
+
+
+# Motion, current and force
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("servo_ripple", {"amplitude": 5e-5, "phase": 1.0}),
+        ("servo_ripple", {"amplitude": -2e-5, "phase": 2.0, "period": 5e-3}),
+        ("lvdt_nonlinearity", {"cubic": 0.05, "gain": -0.05}),
+        ("lvdt_nonlinearity", {"cubic": -0.05, "gain": -0.1}),
+    ],
+)
+def test_velocity_and_acceleration_are_those_of_the_changed_position(name, values):
+    rate = 20000.0
+    time, x, v, a, _ = rich(rate=rate, seconds=2.0)
+    found = act(name, values, dt=steps(len(time), rate), x=x, v=v, a=a)
+    inside = slice(2, -2)
+    assert rms(found["x"] - x) > 1e-5
+    assert np.allclose(np.gradient(found["x"], time)[inside], found["v"][inside], atol=2e-4 * np.max(np.abs(v)))
+    assert np.allclose(np.gradient(found["v"], time)[inside], found["a"][inside], atol=2e-3 * np.max(np.abs(found["a"])))
+    assert (np.sign(found["v"]) == np.sign(v)).all()  # the rod reverses where it is measured to
+
+
+def test_servo_ripple_repeats_with_the_tooth():
+    x = np.linspace(-0.025, 0.025, 1000)
+    found = act("servo_ripple", {"amplitude": 1e-5, "phase": 0.5}, dt=steps(1000, 1000.0), x=x)
+    assert np.allclose(found["x"] - x, 1e-5 * np.cos(2 * np.pi * x / (2e-3 * np.pi) + 0.5), atol=1e-14)
+
+
+def test_lvdt_error_at_its_end():
+    found = act("lvdt_nonlinearity", {"cubic": 0.004, "gain": 0.01}, dt=steps(3, 1.0), x=[-0.025, 0.0, 0.0125])
+    assert np.allclose(found["x"], [-0.025 * 1.014, 0.0, 0.0125 * 1.011])
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0, 0.1), st.lists(st.floats(0, 2), min_size=2, max_size=30))
+def test_magnetic_hysteresis_is_a_play(half_width, currents):
+    """Within the half width of the current, moved by nothing but the current beyond it, however many samples that takes."""
+    few = act("magnetic_hysteresis", {"half_width": half_width}, dt=steps(len(currents), 1.0), u=currents)["u"]
+    assert np.max(np.abs(few - currents)) <= half_width * (1 + 1e-12) + 1e-15
+    inside = np.abs(np.array(currents[1:]) - few[:-1]) < half_width
+    assert np.array_equal(few[1:][inside], few[:-1][inside])
+    fine = np.interp(np.arange(10 * len(currents) - 9) / 10, np.arange(len(currents)), currents)
+    many = act("magnetic_hysteresis", {"half_width": half_width}, dt=steps(len(fine), 8000.0), u=fine)["u"]
+    assert np.allclose(many[::10], few, atol=1e-12)
+
+
+def test_magnetic_hysteresis_leaves_a_remanence():
+    u = np.r_[np.zeros(10), np.linspace(0, 1, 50), np.linspace(1, 0, 50)]
+    found = act("magnetic_hysteresis", {"half_width": 0.05}, dt=steps(len(u), 100.0), u=u)["u"]
+    assert np.array_equal(found[:10], np.zeros(10))
+    assert found[59] == pytest.approx(0.95)
+    assert found[-1] == pytest.approx(0.05)
+
+
+def test_current_saturation():
+    u = np.linspace(0, 2, 401)
+    for s in (1e-6, 0.01, 0.8, 2.0):  # its series serves as far as 0.03 / s
+        found = act("current_saturation", {"inverse_current": s}, dt=steps(len(u), 100.0), u=u)["u"]
+        assert np.allclose(found, np.tanh(s * u) / s, rtol=1e-14, atol=0)
+
+
+def test_current_sensor_error_is_what_the_sensor_adds():
+    true = np.linspace(0, 1, 11)
+    measured = 1.03 * true + 0.02
+    found = act("current_sensor_error", {"offset": 0.02, "gain": 0.03}, dt=steps(11, 100.0), u=measured)["u"]
+    assert np.allclose(found, true, atol=1e-15)
+
+
+def test_force_sensor_lag_turns_and_weakens_a_sine():
+    """As a first-order system does, whatever the sampling, evenly spaced or not."""
+    w, lag = 2 * np.pi * 8, 0.01
+    rng = np.random.default_rng(2)
+    for dt in (steps(4000, 4000.0), np.r_[0.0, rng.uniform(1e-6, 5e-4, 8000)]):
+        time = np.cumsum(dt)
+        found = act("force_sensor_lag", {"lag": lag}, dt=dt, force=np.sin(w * time))["force"]
+        settled = time > 10 * lag
+        expected = (np.exp(1j * w * time) / (1 + 1j * w * lag)).imag
+        assert np.allclose(found[settled], expected[settled], atol=1e-3)
+
+
+def test_force_sensor_lag_of_a_ramp():
+    """Exact for any lag and step, from a sensor at rest: F - F' (tau - tau exp(-t / tau))."""
+    time = np.arange(50) * 0.04
+    for lag in (1e-10, 1e-6, 0.005, 0.03):
+        found = act("force_sensor_lag", {"lag": lag}, dt=steps(50, 25.0), force=100 * time)["force"]
+        expected = 100 * (time - lag * (1 - np.exp(-time / lag)))
+        assert np.allclose(found, expected, rtol=0, atol=1e-7)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    delay=st.floats(0, 0.05),
+    rate=st.sampled_from([25.0, 500.0, 8000.0]),
+    seed=st.integers(0, 99),
+    size=st.integers(1, 3000),
+)
+def test_channel_delay_is_a_shift_in_time(delay, rate, seed, size):
+    """On unevenly spaced vertices, some of them at once, through a ring that is filled several times, block by block."""
+    rng = np.random.default_rng(seed)
+    dt = rng.uniform(0.5, 1.5, 3000) / rate
+    dt[rng.random(3000) < 0.1] *= 0.01
+    dt[0] = 0.0
+    time = np.cumsum(dt)
+    force = np.cumsum(rng.normal(size=3000)) + 100.0
+    expected = np.interp(time - delay, time, force)
+    p, state, empty = np.array([delay]), np.zeros(EFFECTS["channel_delay"].states), np.zeros(0)
+    for first in range(0, 3000, size):
+        block = slice(first, first + size)
+        EFFECTS["channel_delay"].kernel(p, state, dt[block], empty, empty, empty, empty, force[block])
+    assert np.allclose(force, expected, rtol=0, atol=1e-7)
+
+
+def test_channel_delay_holds_the_oldest_of_a_full_ring():
+    """Where samples come too fast for the delay, it is shorter: as long as the ring's 1024 samples."""
+    force = np.random.default_rng(3).normal(size=5000)
+    found = act("channel_delay", {"delay": 0.05}, dt=steps(5000, 1e5), force=force)["force"]
+    assert np.array_equal(found[1023:], force[:-1023])
+
+
+def test_channel_delay_forgets_the_path_before():
+    dt = np.r_[steps(300, 1000.0), steps(300, 1000.0)]
+    force = np.r_[np.full(300, 7.0), np.linspace(1, 2, 300)]
+    found = act("channel_delay", {"delay": 0.0205}, dt=dt, force=force)["force"]
+    assert np.allclose(found[300:320], 1.0)
+    assert np.allclose(found[330:], force[330:] - 20.5 / 299)
+
+
+def test_channel_delay_keeps_the_newest_of_vertices_at_one_instant():
+    dt = np.array([0.0, 1e-3, 1e-12, 1e-3, 1e-3])
+    for delay, expected in ((0.0, [1.0, 2.0, 5.0, 6.0, 7.0]), (1e-3, [1.0, 1.0, 1.0, 5.0, 6.0])):
+        found = act("channel_delay", {"delay": delay}, dt=dt, force=[1.0, 2.0, 5.0, 6.0, 7.0])["force"]
+        assert np.allclose(found, expected, atol=1e-7)
+
+
+def test_derivative_to_the_delay_at_no_delay():
+    """Where a fit may begin: the force's rate, backwards in time."""
+    w, dt = 2 * np.pi * 5, steps(1000, 1000.0)
+    time = np.cumsum(dt)
+    effect = EFFECTS["channel_delay"]
+    force = np.sin(w * time).astype(complex)
+    effect.kernel(np.array([1j * STEP]), np.zeros(effect.states, complex), dt, *np.zeros((4, 1000), complex), force)
+    assert np.array_equal(force.real, np.sin(w * time))
+    assert np.allclose(force.imag[1:] / STEP, -np.diff(np.sin(w * time)) * 1000, rtol=1e-6, atol=1e-6)
+
+
+def test_load_cell_drift_and_gain():
+    dt = steps(1000, 100.0)
+    force = np.sin(np.arange(1000.0))
+    found = act("load_cell_drift", {"drift": 0.1, "offset": -3.0}, dt=dt, force=force)["force"]
+    assert np.allclose(found, force - 3.0 + 0.1 * np.arange(1000) / 100)
+    assert np.allclose(act("load_cell_gain", {"gain": -0.1}, dt=dt, force=force)["force"], 0.9 * force)
+
+
+def test_mains_hum_is_a_line_that_slow_sampling_folds():
+    fast = act("mains_hum", {"amplitude": 2.0, "phase": 0.7}, dt=steps(1000, 1000.0))["force"]
+    spectrum = np.abs(np.fft.rfft(fast)) / 500
+    assert np.flatnonzero(spectrum > 1e-6).tolist() == [50]
+    assert spectrum[50] == pytest.approx(2.0)
+    slow = act("mains_hum", {"amplitude": 2.0, "phase": 0.7}, dt=steps(100, 25.0))["force"]
+    assert np.allclose(slow, 2.0 * np.cos(0.7), atol=1e-6)
+    folded = act("mains_hum", {"amplitude": 2.0, "frequency": 60.0}, dt=steps(100, 25.0))["force"]
+    assert np.argmax(np.abs(np.fft.rfft(folded))) == 40  # 10 Hz
+
+
+def test_channel_crosstalk_copies_position_and_current():
+    x, u = np.linspace(-0.02, 0.02, 10), np.linspace(0, 1, 10)
+    found = act("channel_crosstalk", {"from_position": 500.0, "from_current": 10.0}, dt=steps(10, 10.0), x=x, u=u)["force"]
+    assert np.allclose(found, 500 * x + 10 * u)
