@@ -17,7 +17,7 @@ from mrd_sim.damper import Damper
 from mrd_sim.dual import STEP
 from mrd_sim.hysteresis import advance
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.models.modified_bouc_wen import _internal_step
+from mrd_sim.models.modified_bouc_wen import _internal_step, implicit_share
 from mrd_sim.models.quasi_static import pressure_drop, yield_stress
 from mrd_sim.models_page import COMMAND, page
 from mrd_sim.path import Path, make_path
@@ -451,7 +451,8 @@ def test_internal_step_is_solved_however_large_it_is(w, travel, middle, dt, f_y,
     x_y, c0 = 4e-6, 2e3
     d, after = _internal_step(w, travel * x_y, middle, dt, f_y, x_y, sigma, n, c0, c1, k0)
     assert after == pytest.approx(advance(w, travel - d / x_y, sigma, n), abs=1e-6)
-    push = dt * (0.5 * f_y * (w + after) + k0 * (middle - 0.5 * d)) + c0 * travel * x_y
+    share = implicit_share(dt * f_y / x_y / (c0 + c1 + 0.5 * dt * k0))
+    push = dt * (f_y * ((1 - share) * w + share * after) + k0 * (middle - 0.5 * d)) + c0 * travel * x_y
     assert d * (c0 + c1) == pytest.approx(push, abs=1e-6 * dt * max(f_y, 1.0))
 
 
