@@ -87,6 +87,14 @@ def in_series(
                 kernel(q[k : k + 1], trial, dt[k : k + 1], at, speed, a[k : k + 1], answer)
                 slope = min((answer[0] - moved).real / _NUDGE, 0.0)
                 answer[0] = moved
+            else:
+                again = 0.0 * before
+                for i, stretch in enumerate(stretches):
+                    again += stretch(p[i], stretched[i], step, answer[0])
+                if again.real == elongation.real:
+                    # Nothing gives way between the two: the damper's answer is the root.
+                    guess = answer[0]
+                    break
             if attempt == 0:
                 low, high = min(guess.real, answer[0].real), max(guess.real, answer[0].real)
                 last = 4.0 * (high - low)
