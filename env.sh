@@ -23,6 +23,8 @@ else
     else
         export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
     fi
+    # Identification uses all cores itself; BLAS's own threads beside it only wait for each other.
+    export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
     export MRD_BENCH="${MRD_BENCH:-$_mrd_root/config/bench.yaml}"
 fi
 unset _mrd_root
