@@ -50,7 +50,7 @@ def cautions(
         See `mrd_identification.identify.Fit`.
     """
     found = []
-    needed = int(np.sum(~uncertain.on_bound)) + FEWEST_SPARE_BLOCKS
+    needed = int(np.sum(~uncertain.on_bound)) + FEWEST_SPARE_BLOCKS + problem.run_offsets
     if 0 < uncertain.blocks < needed:
         found.append(
             f"no intervals: the errors hang together so long that these runs hold {uncertain.blocks} independent stretches, "

@@ -1,5 +1,6 @@
 """Independent pieces of work on the workers of a dask cluster."""
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -36,6 +37,8 @@ def run_on_cluster(
     InputError
         When nothing answers at the address, or a piece of work goes on killing workers.
     """
+    if not re.fullmatch(r"(\w+://)?[^\s/]+:\d+", scheduler):
+        raise InputError(f"--scheduler {scheduler}: expected the address of a dask scheduler, such as tcp://host:8786")
     from distributed import Client, as_completed
     from distributed.scheduler import KilledWorker
 

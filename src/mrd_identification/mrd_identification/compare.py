@@ -17,6 +17,8 @@ from mrd_sim.models import MODELS, find_model
 Array = NDArray[np.float64]
 
 RESAMPLES = 4000
+FEWEST_STRETCHES = 10
+"""Independent stretches below which intervals would be made up."""
 FEWEST_RUNS = 5
 """Judged runs from which on runs are resampled; with fewer, stretches within them."""
 
@@ -33,7 +35,7 @@ class Entry:
     nrmse : float
         Held-out, over all judged samples.
     lower, upper : float
-        95 % bootstrap interval of it.
+        95 % bootstrap interval of it; nan where too little was judged.
     behind : float
         How far its NRMSE is above the best one's.
     behind_lower, behind_upper : float
@@ -56,8 +58,8 @@ class Entry:
 
     @property
     def on_par(self) -> bool:
-        """Whether the judged runs do not tell it from the best."""
-        return self.behind_lower <= 0.0
+        """Whether the judged runs do not tell it from the best; so where there are too few of them for intervals."""
+        return not self.behind_lower > 0.0
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def compare(
     held_out : sequence of Run
         What judges; without it each run is judged by a fit to the others.
     method, scheduler, **options
-        See `mrd_identification.identify.identify`. Profiles are left out unless asked for.
+        See `mrd_identification.identify.identify`. Without a method of its own, profiles are left out.
     progress : callable, optional
         Called with the share of the searches that is done.
 
@@ -119,6 +121,8 @@ def compare(
     names = list(models or MODELS)
     if len(set(names)) < len(names):
         raise InputError(f"models {', '.join(names)}: expected each one once")
+    if not held_out and not replace(method or Method(), **options).polish:
+        raise InputError("without least squares no run is left out in turn: give held-out runs")
     if len(runs) < 2 and not held_out:
         raise InputError("one run and nothing to judge by: give more runs or held-out ones")
     how = replace(method or Method(profile=False), **options)
@@ -150,6 +154,8 @@ def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
         return np.asarray(np.sqrt(squared @ weights.T / samples / np.maximum(variance, 1e-300)))
 
     found, drawn = nrmse(np.ones(len(units))), nrmse(draws)
+    if not by_runs and len(units) < FEWEST_STRETCHES:
+        drawn[:] = np.nan
     best = int(np.argmin(found))
     entries = []
     for index in np.argsort(found, kind="stable"):

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 
 from mrd_identification import figures
 from mrd_identification.compare import Comparison
-from mrd_identification.fit_file import write_fit, write_json
+from mrd_identification.fit_file import finite, write_fit, write_json
 from mrd_identification.report import render
 
 SCHEMA = "mrd-comparison/1"
@@ -31,8 +31,8 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
                 "model": entry.fit.model.id,
                 "laws": entry.fit.model.laws,
                 "free_parameters": entry.free,
-                "nrmse": {"value": entry.nrmse, "ci95": [entry.lower, entry.upper]},
-                "behind_best": {"value": entry.behind, "ci95": [entry.behind_lower, entry.behind_upper]},
+                "nrmse": {"value": entry.nrmse, "ci95": [finite(entry.lower), finite(entry.upper)]},
+                "behind_best": {"value": entry.behind, "ci95": [finite(entry.behind_lower), finite(entry.behind_upper)]},
                 "on_par": entry.on_par,
                 "nrmse_fit": entry.fit.pooled_fitted.nrmse,
                 "rmse_N": entry.fit.pooled_held_out.rmse if entry.fit.pooled_held_out else 0.0,
@@ -123,7 +123,8 @@ def markdown(comparison: Comparison) -> str:
         behind = "on par" if entry.on_par else f"{entry.behind_lower:.4f} … {entry.behind_upper:.4f}"
         cells = (
             f"`{entry.name}`", entry.free, f"{entry.nrmse:.4f}", f"{entry.lower:.4f} … {entry.upper:.4f}",
-            "the best" if entry.behind == 0 else behind, f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
+            "the best" if entry is comparison.entries[0] else behind,
+            f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
         )
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines) + "\n"

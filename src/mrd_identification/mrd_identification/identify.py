@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -230,7 +230,7 @@ def identify(
     Raises
     ------
     InputError
-        For an unknown model or option, no runs, or runs whose rod or force does not move.
+        For an unknown model, law, effect, parameter, loss or weights, no runs, or runs whose rod or force does not move.
     """
     case = Case(tuple(runs), model, tuple(held_out), replace(method or Method(), **options))
     return identify_all([case], scheduler=scheduler, progress=progress)[0]
@@ -323,7 +323,9 @@ def judge(
     if held_out:
         held, by = tuple(_result(problem.model, theta, prepare(run)) for run in held_out), "runs"
     elif len(runs) > 1 and method.polish:
-        held, by = _leave_one_out(recordings, model, method, [s.front for s in solutions], step), "leave-one-run-out"
+        held, poorer = _leave_one_out(recordings, model, method, [s.front for s in solutions], notes, step)
+        by = "leave-one-run-out"
+        notes = [*notes, *poorer]
     else:
         held, by = (), "none"
     uncertain = uncertainty(problem, theta, profile=method.profile and method.polish, step=step)
@@ -375,6 +377,9 @@ def pooled(results: Sequence[RunResult]) -> Metrics:
 def _check(case: Case) -> None:
     method = case.method
     find_model(case.model, method.laws, method.effects)
+    if method.loss not in get_args(Loss):
+        raise InputError(f"loss {method.loss!r}: expected {', '.join(get_args(Loss))}")
+    run_weights(case.runs, method.weights)
     if not case.runs:
         raise InputError("no runs to identify from")
     if method.population < 8 or method.generations < 1 or method.seeds < 1:
@@ -421,17 +426,27 @@ def _result(model: DamperModel, theta: Array, recording: Recording) -> RunResult
 
 
 def _leave_one_out(
-    recordings: Sequence[Recording], model: str, method: Method, fronts: Sequence[Front], step: Callable[[], None]
-) -> tuple[RunResult, ...]:
-    """Each run judged by a fit to the others: what these alone can tell, from the candidate that suits them best."""
+    recordings: Sequence[Recording], model: str, method: Method, fronts: Sequence[Front], notes: Sequence[str],
+    step: Callable[[], None],
+) -> tuple[tuple[RunResult, ...], list[str]]:
+    """Each run judged by a fit to the others: what these alone can tell, from the candidate that suits them best.
+
+    Also says which runs were so judged by a model that knows less than the one fitted to all of them, see ``notes``.
+    """
     thetas = np.concatenate([front.thetas for front in fronts])
-    results = []
+    results, poorer = [], []
     for index, recording in enumerate(recordings):
-        rest, _ = _pose([*recordings[:index], *recordings[index + 1 :]], model, method)
+        rest, said = _pose([*recordings[:index], *recordings[index + 1 :]], model, method)
         starts, norms = rest.project(rest.theta(rest.unit(thetas)))
         order = np.argsort(norms[:, 0], kind="stable")
         front = Front(starts[order], norms[order], 0)
         theta, _ = polish(with_loss_scale(rest, front), front.thetas[0])
         results.append(_result(rest.model, theta, recording))
+        if len(said) > len(notes):
+            poorer.append(recording.run.name)
         step()
-    return tuple(results)
+    warnings = [
+        f"left out, {', '.join(poorer)} is judged by a fit that knows less of current: the other runs have too few of "
+        "them; give --held-out, or more currents"
+    ]
+    return tuple(results), warnings if poorer else []

@@ -100,7 +100,10 @@ def run_weights(runs: Sequence[Run], weights: Weights | Sequence[float]) -> list
     elif weights == "force":
         found = np.array([1.0 / np.var(run.force) for run in runs])
     else:
-        found = np.asarray(weights, dtype=float)
+        try:
+            found = np.asarray(weights, dtype=float)
+        except ValueError:
+            raise InputError(f"weights {weights!r}: expected samples, runs, force, or a number for each run") from None
         if found.shape != samples.shape or not (np.isfinite(found) & (found > 0)).all():
             raise InputError(f"weights {weights!r}: expected {len(runs)} positive numbers, one for each fitted run")
     return list(map(float, found * samples.sum() / (found @ samples)))
@@ -169,6 +172,11 @@ class Problem:
     def root_weight(self) -> Array:
         """Square root of the weight of every counted sample."""
         return np.concatenate([np.full(len(r.force), np.sqrt(r.weight)) for r in self.recordings])
+
+    @property
+    def run_offsets(self) -> int:
+        """Number of offsets of single runs that the fit is free to choose."""
+        return len(self.recordings) - 1 if self.offsets else 0
 
     @cached_property
     def blocks(self) -> list[slice]:
@@ -377,10 +385,11 @@ def pose(
     if not varies:
         silent.add(model.names.index("coil_lag"))
         base[model.names.index("coil_lag")] = fixed.get("coil_lag", 0.0)
-        notes.append("coil_lag is fixed: the current never changes within a run, so its lag cannot be seen")
+        if "coil_lag" not in fixed:
+            notes.append("coil_lag is fixed: the current never changes within a run, so its lag cannot be seen")
     if levels == 1:
         silent |= {*slopes, *bends}
-        if slopes:
+        if any(model.names[index] not in fixed for index in slopes):
             notes.append(
                 "slopes over current are fixed at 0: all runs have the same current, so each coefficient is the one at "
                 f"{recordings[0].run.current.mean():.3g} A"

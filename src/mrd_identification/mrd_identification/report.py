@@ -19,7 +19,8 @@ _HOW = {
 def sentence(fit: Fit) -> str:
     """The fit in one sentence."""
     judge = fit.pooled_held_out or fit.pooled_fitted
-    where = "on runs it has not seen" if fit.pooled_held_out else "on the run it was fitted to"
+    fitted = "on the run it was fitted to" if len(fit.fitted) == 1 else "on the runs it was fitted to"
+    where = "on runs it has not seen" if fit.pooled_held_out else fitted
     return (
         f"The model explains {judge.vaf:.1f} % of the force's variance {where}; "
         f"its error is {judge.rmse:.1f} N rms, {100 * judge.nrmse:.1f} % of the force's standard deviation."

@@ -103,13 +103,16 @@ def uncertainty(
         return found()
     scaled = jacobian / np.where(norm > 0, norm, 1.0)
     gram = scaled.T @ scaled
-    parts = stretches(problem.blocks, correlation_length(weighted))
+    # Where there are runs enough, they are what is independent: an error that each of them repeats all over is seen, too.
+    needed = int(seen.sum()) + FEWEST_SPARE_BLOCKS + problem.run_offsets
+    enough = len(problem.blocks) >= needed
+    parts = problem.blocks if enough else stretches(problem.blocks, correlation_length(weighted))
     blocks = len(parts)
     scores = np.stack([scaled[part].T @ weighted[part] for part in parts])
     if seen.any():
         values = np.linalg.eigvalsh(gram[np.ix_(seen, seen)])
         condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else np.inf
-    spare = blocks - int(seen.sum())
+    spare = blocks - int(seen.sum()) - problem.run_offsets
     if spare < FEWEST_SPARE_BLOCKS:
         return found()
     student_t = float(stdtrit(spare, 0.975))

@@ -88,5 +88,5 @@ def test_no_scheduler_is_one_line(monkeypatch):
     monkeypatch.setattr("mrd_identification.cluster.CONNECT_TIMEOUT", 1.0)
     with pytest.raises(InputError, match=r"--scheduler tcp://127\.0\.0\.1:9: no dask scheduler answers"):
         run_on_cluster("tcp://127.0.0.1:9", slow_pid, [((), 1)])
-    with pytest.raises(InputError, match="--scheduler nonsense"):
+    with pytest.raises(InputError, match="--scheduler nonsense:x:y: expected the address of a dask scheduler"):
         run_on_cluster("nonsense:x:y", slow_pid, [((), 1)])

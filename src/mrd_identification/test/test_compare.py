@@ -86,12 +86,22 @@ def test_with_five_judged_runs_these_are_resampled():
     assert by_runs.units == 5
 
 
+def test_too_little_to_judge_by_gives_no_interval():
+    run = simulated("a", 1)
+    short = Run("short", run.time[:150], *(s[:150] for s in (run.position, run.velocity, run.current, run.force)))
+    found = compare([run], ["linear_viscous", "bingham"], held_out=[short], population=8, generations=2, seeds=1)
+    assert found.units < 10
+    assert all(np.isnan(entry.lower) and entry.on_par for entry in found.entries)
+
+
 def test_unusable_comparisons_are_one_line():
     run = simulated("a", 1)
     with pytest.raises(InputError, match="nothing to judge by"):
         compare([run], ["bingham"])
     with pytest.raises(InputError, match="expected each one once"):
         compare([run, run], ["bingham", "bingham"])
+    with pytest.raises(InputError, match="no run is left out in turn"):
+        compare([run, run], ["bingham"], polish=False)
     with pytest.raises(InputError, match="unknown current law nosuch"):
         compare([run, run], ["bingham:nosuch"])
     with pytest.raises(InputError, match="unknown model nosuch"):

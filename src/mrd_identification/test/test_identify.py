@@ -290,6 +290,10 @@ def test_unusable_input_is_one_line():
         identify([], "bingham")
     with pytest.raises(InputError, match="still: position never changes"):
         identify([still], "bingham")
+    with pytest.raises(InputError, match="loss 'nosuch': expected linear, soft_l1, huber"):
+        identify([run], "bingham", loss="nosuch")
+    with pytest.raises(InputError, match="weights 'nosuch': expected samples, runs, force, or a number"):
+        identify([run], "bingham", weights="nosuch")
     with pytest.raises(InputError, match="population 2"):
         identify([run], "bingham", population=2)
 
@@ -298,6 +302,7 @@ def test_a_run_left_out_teaches_nothing():
     """Two currents: without one of them the other says nothing of the slopes, and the judged error shows it."""
     runs = [simulated("bingham", {}, seed=1, current=0.1), simulated("bingham", {}, seed=2, current=0.4)]
     fit = identify(runs, "bingham", seed=1, seeds=1)
+    assert any(warning.startswith("left out, run1, run2 is judged by a fit that knows less") for warning in fit.warnings)
     for index, result in enumerate(fit.held_out):
         alone = identify([runs[1 - index]], "bingham", held_out=[runs[index]], seed=1, seeds=1)
         assert result.metrics.nrmse > 0.3

@@ -7,12 +7,12 @@ from rich.console import Console
 from rich.table import Table
 from tqdm import tqdm
 
-from mrd_base import InputError, run_tool
+from mrd_base import run_tool
 from mrd_identification.cli.options import add_method_arguments, add_run_arguments, method, read_arguments_runs
 from mrd_identification.compare import Comparison, compare
-from mrd_identification.compare_file import sentence, write_comparison
+from mrd_identification.compare_file import folder_of, sentence, write_comparison
 from mrd_identification.fit_file import make_folder
-from mrd_sim.models import MODELS
+from mrd_sim.models import MODELS, find_model
 
 
 def main() -> None:
@@ -32,25 +32,28 @@ def work() -> None:
         "--models", default=",".join(MODELS), metavar="ID[:LAW],...",
         help="models, each with a current law if wanted (default: all)",
     )
-    add_method_arguments(parser)
+    add_method_arguments(parser, one_model=False)
     parser.add_argument("--output", required=True, metavar="DIR", help="where the results go")
     arguments = parser.parse_args()
     how = method(arguments)
-    if how.fixed or how.freed or not how.polish:
-        raise InputError("compare: --fix, --free and --no-polish belong to one model; use identify")
-    folder = make_folder(arguments.output)
     runs, held_out = read_arguments_runs(arguments)
+    models = arguments.models.split(",")
+    make_folder(arguments.output)
+    for name in models:
+        find_model(name.partition(":")[0])
+        make_folder(f"{arguments.output}/{folder_of(name)}")
     with tqdm(total=100, desc="comparing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
         def progress(share: float) -> None:
             bar.update(int(100 * share) - bar.n)
 
         found = compare(
-            runs, arguments.models.split(","), held_out=held_out, method=how, profile=False,
+            runs, models, held_out=held_out, method=how, profile=False,
             scheduler=arguments.scheduler, progress=progress,
         )
-    page = write_comparison(found, folder)
+    page = write_comparison(found, arguments.output)
     Console().print(table(found))
+    print(f"intervals in brackets: 95 %, by bootstrap over {found.units} {found.resampled}")
     print(sentence(found))
     print(page)
 
@@ -64,6 +67,7 @@ def table(found: Comparison) -> Table:
         behind = "on par" if entry.on_par else f"{entry.behind_lower:.3f} to {entry.behind_upper:.3f}"
         ranking.add_row(
             entry.name, str(entry.free), f"{entry.nrmse:.4f} ({entry.lower:.3f} to {entry.upper:.3f})",
-            "the best" if entry.behind == 0 else behind, f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
+            "the best" if entry is found.entries[0] else behind,
+            f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
         )
     return ranking

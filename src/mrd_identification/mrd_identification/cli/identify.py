@@ -31,8 +31,8 @@ def work() -> None:
     arguments = parser.parse_args()
     how = method(arguments)
     find_model(arguments.model, how.laws, how.effects)
-    folder = make_folder(arguments.output)
     runs, held_out = read_arguments_runs(arguments)
+    folder = make_folder(arguments.output)
     total = how.generations * (how.seeds if how.polish else 1)
     with tqdm(total=total, desc="NSGA-II", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
 

@@ -16,8 +16,8 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs that judge the fit")
 
 
-def add_method_arguments(parser: argparse.ArgumentParser) -> None:
-    """How to identify."""
+def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True) -> None:
+    """How to identify; what only makes sense for ``one_model`` may be left out."""
     parser.add_argument(
         "--law", default="", metavar="LAW|COEFFICIENT=LAW,...",
         help=f"current law of all coefficients that depend on current, or of each: {', '.join(LAWS)}",
@@ -25,13 +25,6 @@ def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--effect", action="append", default=[], metavar="EFFECT",
         help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated",
-    )
-    parser.add_argument(
-        "--fix", action="append", default=[], metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
-    )
-    parser.add_argument(
-        "--free", action="append", default=[], metavar="PARAMETER",
-        help="search a parameter that usually keeps its default; may be repeated",
     )
     parser.add_argument("--offsets", action="store_true", help="let each fitted run have a force offset of its own")
     parser.add_argument(
@@ -48,9 +41,18 @@ def add_method_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seeds", type=int, default=_DEFAULT.seeds, help="searches, from --seed on; the best counts (default %(default)s)"
     )
-    parser.add_argument("--no-polish", action="store_true", help="keep the knee of the front as it is")
-    parser.add_argument("--no-profile", action="store_true", help="leave out intervals by profile, the slow part")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="work on the dask cluster of this scheduler")
+    parser.set_defaults(fix=[], free=[], no_polish=False, no_profile=False)
+    if one_model:
+        parser.add_argument(
+            "--fix", action="append", metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
+        )
+        parser.add_argument(
+            "--free", action="append", metavar="PARAMETER",
+            help="search a parameter that usually keeps its default; may be repeated",
+        )
+        parser.add_argument("--no-polish", action="store_true", help="keep the knee of the front as it is")
+        parser.add_argument("--no-profile", action="store_true", help="leave out intervals by profile, the slow part")
 
 
 def method(arguments: argparse.Namespace) -> Method:
