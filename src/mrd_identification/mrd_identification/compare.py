@@ -58,8 +58,8 @@ class Entry:
 
     @property
     def on_par(self) -> bool:
-        """Whether the judged runs do not tell it from the best; so where there are too few of them for intervals."""
-        return not self.behind_lower > 0.0
+        """Whether the judged runs do not tell it from the best; unknown, and no, where there are no intervals."""
+        return self.behind == 0.0 or self.behind_lower <= 0.0
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,9 @@ def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
     edges = np.cumsum([0, *(len(_force(result)) for result in judged[0])])
     blocks = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     by_runs = len(blocks) >= FEWEST_RUNS
-    units = blocks if by_runs else stretches(blocks, max(correlation_length(error) for error in errors))
+    # Within a run, a level of its own left aside: too few runs are no sample of what differs between them.
+    within = max(correlation_length(error[block] - error[block].mean()) for error in errors for block in blocks)
+    units = blocks if by_runs else stretches(blocks, within)
     # How often each unit is drawn in each resample; the same draws for all models make their differences sharp.
     draws = np.random.default_rng(0).multinomial(len(units), np.full(len(units), 1 / len(units)), RESAMPLES).astype(float)
     count, total, square = (

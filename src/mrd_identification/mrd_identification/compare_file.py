@@ -57,6 +57,11 @@ def sentence(comparison: Comparison) -> str:
         f"{best.fit.model.title} ({best.name}) predicts unseen force best: NRMSE {best.nrmse:.4f} "
         f"[{best.lower:.4f}, {best.upper:.4f}]"
     )
+    if best.lower != best.lower:
+        return (
+            f"{best.fit.model.title} ({best.name}) predicts unseen force best: NRMSE {best.nrmse:.4f}, {best.free} parameters. "
+            f"No intervals: {comparison.units} independent stretches are too few; judge by more or longer runs."
+        )
     if simplest is best:
         return f"{text} with {best.free} parameters; no simpler model is on par with it."
     return (

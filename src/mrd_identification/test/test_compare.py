@@ -86,12 +86,15 @@ def test_with_five_judged_runs_these_are_resampled():
     assert by_runs.units == 5
 
 
-def test_too_little_to_judge_by_gives_no_interval():
+def test_too_little_to_judge_by_gives_no_interval(tmp_path):
     run = simulated("a", 1)
     short = Run("short", run.time[:150], *(s[:150] for s in (run.position, run.velocity, run.current, run.force)))
     found = compare([run], ["linear_viscous", "bingham"], held_out=[short], population=8, generations=2, seeds=1)
     assert found.units < 10
-    assert all(np.isnan(entry.lower) and entry.on_par for entry in found.entries)
+    assert all(np.isnan(entry.lower) for entry in found.entries)
+    assert [entry.on_par for entry in found.entries] == [True, False]
+    assert found.simplest is found.entries[0]
+    assert write_comparison(found, tmp_path).exists()
 
 
 def test_unusable_comparisons_are_one_line():
