@@ -59,7 +59,7 @@ def sentence(comparison: Comparison) -> str:
     )
     if best.lower != best.lower:
         return (
-            f"{best.fit.model.title} ({best.name}) predicts unseen force best: NRMSE {best.nrmse:.4f}, {best.free} parameters. "
+            f"{best.fit.model.title} ({best.name}) predicts unseen force best: NRMSE {best.nrmse:.4f}. "
             f"No intervals: {comparison.units} independent stretches are too few; judge by more or longer runs."
         )
     if simplest is best:
