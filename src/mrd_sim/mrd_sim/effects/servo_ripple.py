@@ -4,8 +4,8 @@ import math
 
 from numba import njit
 
+from mrd_sim.dual import cos, sin
 from mrd_sim.effects.effect import Array, Effect
-from mrd_sim.effects.wave import cos, sin
 from mrd_sim.parameter import Parameter
 
 _TURN = 2.0 * math.pi
