@@ -9,6 +9,7 @@ from mrd_base import InputError, from_mapping, to_mapping
 from mrd_trajectory.waveforms import UNITS, WAVEFORMS, Smooth, waveform_table, waveform_type
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
+from mrd_trajectory.waveforms.ladder import Ladder
 from mrd_trajectory.waveforms.multisine import Multisine
 from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.ramp import Ramp
@@ -21,6 +22,7 @@ EXAMPLES = {
     "constant": {"level_mm": 3.5},
     "sine": {"amplitude_mm": 5.0, "frequency_hz": 1.5, "offset_mm": -2.0},
     "triangle": {"amplitude_mm": 10.0, "slope_mm_per_s": 80.0},
+    "ladder": {"slopes_mm_per_s": [80.0, 5.5], "amplitude_mm": 10.0, "hold_s": 1.5, "offset_mm": 1.0},
     "step": {"start_mm": -5.0, "end_mm": 5.0, "delay_s": 1.0},
     "staircase": {"levels_mm": [0.0, 5.5, -10.0], "hold_s": 0.7},
     "ramp": {"start_mm": -20.0, "end_mm": 20.0, "slope_mm_per_s": 12.5, "dwell_s": 0.3},
@@ -172,6 +174,25 @@ def test_corners_and_holds_are_where_they_are_said_to_be():
     np.testing.assert_allclose(Step(0.0, 0.1, 0.7).shape(2.0).times, [0, 0.7])
 
 
+@settings(deadline=None)
+@given(
+    slopes=st.lists(st.floats(1e-4, 0.2), min_size=1, max_size=8),
+    amplitude=st.floats(1e-3, 0.026),
+    hold=st.floats(0.1, 5),
+)
+def test_ladder_is_whole_triangles_of_each_slope_within_the_amplitude(slopes, amplitude, hold):
+    shape = Ladder(tuple(slopes), amplitude, hold, 0.002).shape(2 * hold * len(slopes))
+    lengths, steps = np.diff(shape.times), np.diff(shape.levels)
+    turn = np.minimum((shape.times[:-1] + lengths / 2) // hold, 2 * len(slopes) - 1).astype(int)
+    within = shape.times[:-1] < 2 * hold * len(slopes) * (1 - 1e-12)
+    expected = np.tile(slopes, 2)[turn[within]]
+    np.testing.assert_allclose(np.abs(steps / lengths)[within], expected, rtol=1e-6)
+    assert np.abs(shape.levels - 0.002).max() <= amplitude * (1 + 1e-9)
+    rungs = np.searchsorted(shape.times, hold * np.arange(2 * len(slopes)) - 1e-9)
+    np.testing.assert_allclose(shape.times[rungs], hold * np.arange(2 * len(slopes)), atol=1e-9)
+    np.testing.assert_allclose(shape.levels[rungs], 0.002)
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -180,6 +201,7 @@ def test_corners_and_holds_are_where_they_are_said_to_be():
         lambda: Aprbs(0.0, 0.1, 0.2, 0.1),
         lambda: Prbs(0.0, 0.1, 1e-3).shape(3600.0),
         lambda: Triangle(1e-9, 0.1).shape(1.0),
+        lambda: Ladder((0.1,), 1e-6, 100.0).shape(100.0),
     ],
 )
 def test_impossible_waveforms_are_refused_in_one_line(wrong):

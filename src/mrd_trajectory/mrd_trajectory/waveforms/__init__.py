@@ -9,6 +9,7 @@ from mrd_base.config import key_of
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
 from mrd_trajectory.waveforms.constant import Constant
+from mrd_trajectory.waveforms.ladder import Ladder
 from mrd_trajectory.waveforms.multisine import Multisine
 from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.ramp import Ramp
@@ -24,6 +25,7 @@ WAVEFORMS: MappingProxyType[str, type[Waveform]] = MappingProxyType(
         "constant": Constant,
         "sine": Sine,
         "triangle": Triangle,
+        "ladder": Ladder,
         "step": Step,
         "staircase": Staircase,
         "ramp": Ramp,
