@@ -36,6 +36,7 @@ def _apply(p, state, dt, x, v, a, u, force):
 EFFECT = Effect(
     id="magnet",
     title="Holding magnet",
+    phrase="a magnet holds the rod at mid-stroke with {holding}",
     stage="structure",
     equation="F + F_m y exp(-y²), y = x / l",
     source="my own",
@@ -115,7 +116,7 @@ One file in a folder, named with `--effects-folder FOLDER` (in Python: `mrd_sim.
 the signals of its stage in place, sample by sample: `x`, `v`, `a` (drive), `u` (magnetics, the current), `force`. `p` are
 the parameters, `state` is carried on from block to block, `dt[0] == 0` begins a path. Functions of `mrd_sim.dual` in place
 of `math`'s, and comparisons of `.real`, let it carry the derivatives that a fit needs. An effect that is not neutral at its
-parameters' defaults is refused.
+parameters' defaults is refused. A report says it in the words of its `phrase`.
 
 ```python
 {_EXAMPLE}```

@@ -106,6 +106,8 @@ def test_loaded_again_an_effect_takes_the_place_of_the_one_before(tmp_path):
         ('id="rubber"', 'id="backlash"', r"mine\.py: there is an effect backlash already"),
         ('"structure"', '"concrete"', r"mine\.py: stage is 'concrete', expected one of drive, "),
         ("stretch=stretch", "kernel=None", r"mine\.py: expected either kernel or stretch"),
+        ('title="', 'phrase="{ghost} of give", title="', r"mine\.py: phrase '{ghost} of give' names ghost, expected"),
+        ('title="', 'phrase="{softness of give", title="', r"mine\.py: phrase '{softness of give' cannot be filled in"),
         ("0.0, 0.0, 1e-5", "0.0, 1e-6, 1e-5", r"mine\.py: softness has default 0, typical 1e-06, expected both within"),
         ("@njit", "", r"mine\.py: stretch is not compiled, expected numba's @njit"),
         ("return p[0] * force", "return force", r"mine\.py: the effect acts at its parameters' defaults"),

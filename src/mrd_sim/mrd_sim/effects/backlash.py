@@ -18,6 +18,7 @@ def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
 EFFECT = Effect(
     id="backlash",
     title="Backlash of the drive",
+    phrase="the drive has {play} of backlash",
     stage="drive",
     equation="F = damper(x - (g/2) F / sqrt(F² + F_d²))",
     source="two-stage planetary gears 8-15 arcmin, module-2 rack 50-150 µm: 0.1-0.3 mm at the rod",

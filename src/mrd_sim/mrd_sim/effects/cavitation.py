@@ -35,6 +35,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="cavitation",
     title="Cavitation in compression",
+    phrase="cavitation limits the force in compression to {inverse_cap:inverse}",
     stage="fluid",
     equation="F (1 + r^6)^(-1/6) for F < 0, r = p |F|, void y' = V |x'| (1 - 1/r) where r > 1, F exp(-y / 0.2 mm) for F > 0",
     source="gas pressure times piston area carries 1-2 kN; shock-absorber practice (compression cap, delayed rebound)",

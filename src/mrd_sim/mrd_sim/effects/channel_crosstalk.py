@@ -16,6 +16,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="channel_crosstalk",
     title="Crosstalk of the channels",
+    phrase="the force channel picks up {from_current} from the current and {from_position} from the position",
     stage="sensing",
     equation="F + e_x x + e_I u; e = share left on the converter's input, times V/m or V/A, over V/N",
     source="NI USB-621x: 100 pF behind 32 kOhm keep 1 % after 14 µs; 1 % of 200 V/m over 5.1 mV/N are 390 N/m",

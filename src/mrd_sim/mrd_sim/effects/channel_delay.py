@@ -43,6 +43,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="channel_delay",
     title="Delay of the force channel",
+    phrase="the force channel is late by {delay}",
     stage="sensing",
     equation="y(t) = F(t - T), F linear between samples; before the start, the first F",
     source="multiplexed scans 2.5-50 µs; channels read one after the other by software 5-40 ms",

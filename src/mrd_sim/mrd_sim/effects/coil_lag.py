@@ -30,6 +30,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="coil_lag",
     title="Lag behind the coil current",
+    phrase="the damper's force lags its current by {lag}",
     stage="magnetics",
     equation="u' = (I - u) / tau while the current rises, / (tau (1 + r)) while it falls",
     source="Spencer et al. (1997): 5.3 ms; Koo, Goncalves & Ahmadian (2006)",

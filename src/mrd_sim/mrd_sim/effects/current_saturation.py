@@ -22,6 +22,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="current_saturation",
     title="Saturation over current",
+    phrase="the force saturates over the current, on the scale of {inverse_current:inverse}",
     stage="magnetics",
     equation="u = tanh(s I) / s, s = 1 / I_s",
     source="Carlson: yield stress over field is a tanh; I_s of 1 to 2.5 A",

@@ -14,7 +14,8 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 
 EFFECT = Effect(
     id="current_sensor_error",
-    title="Current sensor off",
+    title="Error of the current sensor",
+    phrase="the current sensor is off by {offset} at zero and by {gain:%} in gain",
     stage="magnetics",
     equation="I = (I_m - b) / (1 + g), from the measured current I_m to the true one",
     source="Allegro ACS714: ±1.5 %, zero ±30 mA",

@@ -45,6 +45,9 @@ class Effect:
         Ids of effects that look alike.
     separated_by : str
         Which excitation tells it from these.
+    phrase : str, optional
+        The effect as a cause, a clause with its parameters in braces, ``{lag}``; ``{gain:%}`` in per cent,
+        ``{amplitude:size}`` without sign, ``{inverse_cap:inverse}`` one over it.
     """
 
     id: str
@@ -60,3 +63,4 @@ class Effect:
     kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
     states: int = 0
     stretch: Callable[[Any, Any, Any, Any], Any] | None = None
+    phrase: str = ""

@@ -18,6 +18,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="flow_asymmetry",
     title="Asymmetry of extension and compression",
+    phrase="the force is off by {asymmetry:%} in extension, and by as much the other way in compression",
     stage="fluid",
     equation="F (1 + eps tanh(x' / 2 mm/s))",
     source="0-15 % between directions in measured dampers of this class",

@@ -29,6 +29,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="force_sensor_lag",
     title="Lag of the force sensor",
+    phrase="the force sensor lags by {lag}",
     stage="sensing",
     equation="y' = (F - y) / tau",
     source="amplifiers of load cells: 0.2-16 ms",

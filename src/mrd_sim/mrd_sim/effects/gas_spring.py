@@ -22,6 +22,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="gas_spring",
     title="Gas spring",
+    phrase="the gas charge acts as a spring of {stiffness}",
     stage="fluid",
     equation="F + k / (kappa s) [1 - (1 + s x)^-kappa], k = kappa A_r² P0 / V0, s = A_r / V0 = b / (kappa + 1), kappa = 1.2",
     source="polytropic accumulator; RD-8040-1: A_r = 78.5 mm², P0 0.6-2.1 MPa, V0 8-30 cm³",

@@ -17,6 +17,7 @@ def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
 EFFECT = Effect(
     id="joint_play",
     title="Play in a joint",
+    phrase="a joint has {play} of play",
     stage="structure",
     equation="F = damper(x - e), e' = F / c_g within |e| <= g / 2",
     source="measured on a rig with clevis joints: g about 0.3 mm, c_g 17-35 kN s/m",

@@ -17,7 +17,8 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 
 EFFECT = Effect(
     id="load_cell_drift",
-    title="Zero of the load cell drifts",
+    title="Drift of the load cell's zero",
+    phrase="the load cell's zero is off by {offset} and drifts by {drift}",
     stage="sensing",
     equation="F + b + d t, t from the start of the recording",
     source="load cells of 100 kg: zero ±5 N after mounting, 0.02-0.05 % of full scale over 10 K, ±0.2 N/min",

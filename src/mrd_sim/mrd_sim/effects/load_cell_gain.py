@@ -15,6 +15,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="load_cell_gain",
     title="Gain of the load cell",
+    phrase="the load cell's gain is off by {gain:%}",
     stage="sensing",
     equation="(1 + g) F",
     source="2 mV/V ± 10 % uncalibrated, ±2 % calibrated",

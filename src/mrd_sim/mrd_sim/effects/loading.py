@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import string
 import sys
 from pathlib import Path
 
@@ -67,6 +68,13 @@ def _read(file: Path) -> Effect:
             raise InputError(f"{file}: {p.name} has {found}, expected both within its bounds, {p.lower:g} to {p.upper:g}")
     if not 1 <= len(effect.parameters) <= 4:
         raise InputError(f"{file}: has {len(effect.parameters)} parameters, expected one to four")
+    names = [p.name for p in effect.parameters]
+    try:
+        named = [field for _, field, _, _ in string.Formatter().parse(effect.phrase) if field is not None]
+    except ValueError as error:
+        raise InputError(f"{file}: phrase {effect.phrase!r} cannot be filled in ({error})") from None
+    if not set(named) <= set(names):
+        raise InputError(f"{file}: phrase {effect.phrase!r} names {', '.join(named)}, expected among {', '.join(names)}")
     _try(file, effect)
     return effect
 

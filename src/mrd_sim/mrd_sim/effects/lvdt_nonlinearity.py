@@ -21,7 +21,8 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 
 EFFECT = Effect(
     id="lvdt_nonlinearity",
-    title="Position transducer not linear",
+    title="Nonlinearity of the position transducer",
+    phrase="the position transducer is off by {gain:%} in gain and bends by {cubic:%} at 25 mm",
     stage="drive",
     equation="x = x_m (1 + g + n3 (x_m / 25 mm)²), from the measured position x_m to the true one",
     source="LVDTs of 100 mm: linearity 0.1-0.5 % of full scale, gain ±1 %; misalignment 0-3°",

@@ -23,6 +23,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="magnetic_hysteresis",
     title="Magnetic hysteresis",
+    phrase="magnetic hysteresis holds the effective current back by {half_width}",
     stage="magnetics",
     equation="u = min(I + r, max(I - r, u before)), demagnetised at first",
     source="play operator: Krasnosel'skii & Pokrovskii (1989); remanent force 10-60 N",

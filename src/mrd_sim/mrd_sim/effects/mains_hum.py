@@ -23,6 +23,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="mains_hum",
     title="Mains hum",
+    phrase="a hum of {amplitude:size} at {frequency} lies on the force",
     stage="sensing",
     equation="F + a cos(2 pi f t + phi), t from the start of the recording",
     source="10-100 µV on 20 µV/N: 0.1-2 N; 50 or 60 Hz and their doubles, folded by slow sampling (50 Hz at 25 Hz: a bias)",

@@ -15,6 +15,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="moving_mass",
     title="Moving mass",
+    phrase="the model leaves out a moving mass of {mass}",
     stage="structure",
     equation="F + m x''",
     source="rod and clevis 0.3-1.5 kg; inertance of the fluid rho L A_p² / A_g 0.2-1 kg",

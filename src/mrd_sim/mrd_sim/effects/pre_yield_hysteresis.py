@@ -25,6 +25,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="pre_yield_hysteresis",
     title="Pre-yield hysteresis",
+    phrase="after each reversal the fluid's friction builds up over {yield_travel} of travel",
     stage="fluid",
     equation="F + (h0 + h1 u) (w - tanh(x' / 2 mm/s)), x_y w' = x' - |x'| w",
     source="Dahl (1968)",

@@ -32,6 +32,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="rate_dependent_hysteresis",
     title="Rate-dependent hysteresis",
+    phrase="part of the viscous force, {viscous}, builds up over {relaxation}",
     stage="fluid",
     equation="F + c (1 + g u) (v_r - x'), tau v_r' = x' - v_r: a spring c / tau in series with the dashpot c0",
     source="Maxwell element; Gamota & Filisko (1991); loops widening with peak speed: Kwok et al. (2006)",

@@ -19,6 +19,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="seal_friction",
     title="Seal friction",
+    phrase="the seal rubs with {coulomb}",
     stage="structure",
     equation="F + F_c tanh(x' / 0.5 mm/s) (1 + s exp(-(x' / v_s)²))",
     source="Stribeck (1902), in the form of Armstrong-Hélouvry, Dupont & Canudas de Wit (1994); seals of this size 20-60 N",

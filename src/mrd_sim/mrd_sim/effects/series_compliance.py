@@ -16,6 +16,7 @@ def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
 EFFECT = Effect(
     id="series_compliance",
     title="Compliance in series",
+    phrase="something in series with the damper gives way by {compliance}",
     stage="fluid",
     equation="F = damper(x - F / k_s)",
     source="Guo, Hu & Yi, JIMSS (2013); load cells of 100 kg: 2.5 to 5 MN/m",

@@ -26,6 +26,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="servo_ripple",
     title="Periodic error of the drive",
+    phrase="the drive errs periodically along its travel by {amplitude:size}",
     stage="drive",
     equation="x = x_m + a cos(2 pi x_m / lambda + phi), x_m the measured position",
     source="tooth pitch of module 2: 2 pi mm; pitch errors of racks and gears 1-20 µm",

@@ -25,6 +25,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="settling",
     title="Settled particles",
+    phrase="after a rest the force is {excess:%} higher until the particles are stirred up",
     stage="fluid",
     equation="F (1 + s0 exp(-D / D0)), D = travel since the rest",
     source="7 % over the first four cycles of a measured damper; s0 0.02-0.2, D0 0.1-0.5 m",

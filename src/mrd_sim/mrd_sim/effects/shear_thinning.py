@@ -22,6 +22,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="shear_thinning",
     title="Shear thinning",
+    phrase="the fluid thins under shear: {viscous} of its viscosity go with the speed to the power of {exponent}",
     stage="fluid",
     equation="F + c (1 + g u) (|x' / v_r|^(m-1) - 1) x', v_r = 0.1 m/s: c0 x' becomes K |x'|^m sgn x' where c(u) = c0(u)",
     source="Herschel-Bulkley fluid; Wang & Gordaninejad (1999): m 0.6-0.95",

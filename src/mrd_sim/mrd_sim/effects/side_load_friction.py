@@ -18,6 +18,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="side_load_friction",
     title="Side-load friction",
+    phrase="side load adds friction that grows with the stroke by {slope}",
     stage="structure",
     equation="F + F_1 |x - x_c| tanh(x' / 2 mm/s)",
     source="misaligned clamping: 5-30 N across the stroke of measured dampers",

@@ -24,6 +24,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="thermal_fade",
     title="Thermal fade",
+    phrase="the force fades with heat by {fade:%}",
     stage="fluid",
     equation="F exp(-b E), E' = F x' + 5 Ohm u² - E / t_c, E = C (T - T_a)",
     source="Sahin, Cesmeci & Wereley; C 300-600 J/K, loss 0.5-1.5 W/K, 0.1-2.5 % of the force per K",
