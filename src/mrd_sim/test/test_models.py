@@ -132,14 +132,18 @@ def test_derivatives_agree_with_central_differences(model, data):
     path = make_path(*two_tones(**data.draw(motions(samples=[200]))))
     size = np.max(np.abs(model.force(theta, path)))
     for index, parameter in enumerate(model.parameters):
-        scale = theta[index] if parameter.log else parameter.upper - parameter.lower
-        moved = np.zeros(len(theta))
-        moved[index] = 1e-5 * scale
-        found = model.force(theta + 1j * STEP * moved, path).imag / STEP / 1e-5
-        expected = (model.force(theta + moved, path) - model.force(theta - moved, path)) / 2e-5
-        # A kink of the force may lie between the two: a few samples may differ.
-        error = np.quantile(np.abs(found - expected), 0.97)
-        assert error <= 1e-3 * np.max(np.abs(found)) + 1e-6 * size, parameter.name
+        direction = np.zeros(len(theta))
+        direction[index] = theta[index] if parameter.log else parameter.upper - parameter.lower
+        found = model.force(theta + 1j * STEP * direction, path).imag / STEP
+
+        def error(step, direction=direction, found=found):
+            difference = model.force(theta + step * direction, path) - model.force(theta - step * direction, path)
+            # A kink of the force may lie between the two: a few samples may differ.
+            return np.quantile(np.abs(found - difference / (2 * step)), 0.97)
+
+        # Where the force bends sharply, the shorter step is the better one; where it is large, the longer.
+        limit = 1e-3 * np.max(np.abs(found)) + 1e-6 * size
+        assert error(1e-5) <= limit or error(1e-7) <= limit, parameter.name
 
 
 @EVERY
