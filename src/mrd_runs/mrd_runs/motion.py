@@ -11,7 +11,7 @@ estimated too.
 
 import math
 import weakref
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -20,6 +20,7 @@ from scipy import optimize
 
 from mrd_base import InputError
 from mrd_runs.run import Run
+from mrd_runs.steady import current_noise, steady_current
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,7 @@ class Motion:
     time_constant: float
     accelerometer: tuple[float, float] | None = None
     note: str = ""
+    _model: "_Model | None" = field(default=None, repr=False)
 
 
 def smooth_motion(time: Array, position: Array, acceleration: Array | None = None) -> Motion:
@@ -100,9 +102,8 @@ def smooth_motion(time: Array, position: Array, acceleration: Array | None = Non
     if np.ptp(position) == 0.0:
         rest = np.zeros_like(position)
         return Motion(position.copy(), rest, rest.copy(), rest.copy(), 0.0, _ORDERS[0], math.inf)
-    interval = float(np.median(np.diff(time)))
-    # Times in sampling intervals; positions around the first, so that a large offset costs no digits.
-    steps = np.append(np.diff(time) / interval, 1.0)
+    steps, interval = _clock(time)
+    # Around the first position, so that a large offset costs no digits.
     reading = position - position[0]
     floor = _quantisation_variance(position)
     model = max((_fit_position(steps, reading, floor, order) for order in _ORDERS), key=lambda fit: fit.score)
@@ -111,18 +112,7 @@ def smooth_motion(time: Array, position: Array, acceleration: Array | None = Non
         scaled = np.asarray(acceleration, np.float64) * interval**2
         model, note = _fit_both(steps, reading, scaled, floor, model)
         second = scaled - model.offset
-    states, variance = _smooth(steps, reading, second, model)
-    return Motion(
-        states[:, 0] + position[0],
-        states[:, 1] / interval,
-        states[:, 2] / interval**2,
-        np.sqrt(np.maximum(variance, 0.0)) / interval,
-        math.sqrt(model.noise),
-        model.order,
-        interval / model.pace,
-        (model.gain, model.offset / interval**2) if model.gain else None,
-        note,
-    )
+    return _motion(steps, interval, position[0], reading, second, model, note)
 
 
 _MOTIONS: weakref.WeakKeyDictionary[Run, Motion] = weakref.WeakKeyDictionary()
@@ -144,6 +134,73 @@ def carry_over(run: Run, other: Run) -> None:
     """Let `motion` answer for ``other``, the same recording, with what has been computed for ``run``."""
     if run in _MOTIONS:
         remember(other, _MOTIONS[run])
+
+
+def motion_errors(run: Run, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+    """Draw what the smoothed motion of a run may be wrong by (smoothed minus true).
+
+    Parameters
+    ----------
+    run : Run
+    rng : numpy Generator
+    count : int
+        Number of draws.
+
+    Returns
+    -------
+    position, velocity, acceleration : ndarray (count, n)
+        m, m/s, m/s²; in each draw derivatives of each other. Zero where the rod stood still.
+
+    Notes
+    -----
+    Drawn exactly from the distribution that the fitted process leaves, backwards in time, each state given the next one
+    (Frühwirth-Schnatter 1994), so that nothing grows with the length of the run. Gain and offset of an accelerometer count
+    as known.
+    """
+    model = motion(run)._model
+    if model is None:
+        return np.zeros((count, len(run))), np.zeros((count, len(run))), np.zeros((count, len(run)))
+    steps, interval = _clock(run.time)
+    normal = rng.standard_normal((len(run), count, model.order))
+    pace = model.pace
+    drawn = _draw_errors(steps * pace, normal, pace, model.gain, model.second_noise / pace**4)
+    position, velocity, acceleration = drawn * math.sqrt(model.noise)
+    return position, velocity * (pace / interval), acceleration * (pace / interval) ** 2
+
+
+def redrawn(run: Run, rng: np.random.Generator) -> Run:
+    """The run as it might have been measured again: along its smoothed motion and steady current, with new noise.
+
+    Its motion is smoothed by the model that was fitted to ``run``. The force stays.
+    """
+    moved, current = motion(run), steady_current(run.current)
+    position, acceleration = moved.position, run.acceleration
+    steps, interval = _clock(run.time)
+    again = moved
+    if moved._model is not None:
+        model = moved._model
+        position = position + rng.normal(0.0, math.sqrt(model.noise), len(run))
+        second = np.zeros(len(run))
+        if model.gain:
+            noise = rng.normal(0.0, math.sqrt(model.noise * model.second_noise), len(run))
+            second = model.gain * moved.acceleration * interval**2 + noise
+            acceleration = (second + model.offset) / interval**2
+        again = _motion(steps, interval, position[0], position - position[0], second, model)
+    measured = replace(
+        run,
+        position=position,
+        velocity=again.velocity,
+        acceleration=acceleration,
+        current=current + rng.normal(0.0, current_noise(run.current), len(run)),
+    )
+    remember(measured, again)
+    return measured
+
+
+def _clock(time: Array) -> tuple[Array, float]:
+    """Steps between samples, in sampling intervals (the last one is not used), and that interval in s."""
+    interval = float(np.median(np.diff(time)))
+    return np.append(np.diff(time) / interval, 1.0), interval
 
 
 @dataclass(frozen=True)
@@ -294,6 +351,25 @@ def _fit_both(steps: Array, reading: Array, second: Array, floor: float, alone: 
     if both.position_score < _evaluate(parts, floor, alone).position_score:
         return alone, "accelerometer not used: the positions are less likely with it than without"
     return both, ""
+
+
+def _motion(
+    steps: Array, interval: float, origin: float, reading: Array, second: Array, model: _Model, note: str = ""
+) -> Motion:
+    """The motion as this model has it; positions around ``origin``, times in sampling intervals."""
+    states, variance = _smooth(steps, reading, second, model)
+    return Motion(
+        states[:, 0] + origin,
+        states[:, 1] / interval,
+        states[:, 2] / interval**2,
+        np.sqrt(np.maximum(variance, 0.0)) / interval,
+        math.sqrt(model.noise),
+        model.order,
+        interval / model.pace,
+        (model.gain, model.offset / interval**2) if model.gain else None,
+        note,
+        model,
+    )
 
 
 def _smooth(steps: Array, reading: Array, second: Array, model: _Model) -> tuple[Array, Array]:
@@ -598,3 +674,68 @@ def _unread_variance(N, element, gain, weight, K, work):  # type: ignore[no-unty
         N[i, element] -= gain * work[0, i]
         N[element, i] -= gain * work[0, i]
     N[element, element] += gain * gain * (total + weight)
+
+
+@njit(cache=True, nogil=True)
+def _draw_errors(steps, normal, density, gain, second_noise):  # type: ignore[no-untyped-def]
+    """Errors of the smoothed x, ẋ, ẍ from standard normal numbers (n, count, order): (3, count, n), in the kernels' units.
+
+    Given the next state, the error of a state is J·(that of the next) + (I - J F) a - J w with J = P Fᵀ (F P Fᵀ + Q)⁻¹, where a
+    is the error of its filtered estimate, of covariance P, and w what the white derivative adds, of covariance Q.
+    """
+    n, count, order = normal.shape
+    which, kept, held = np.empty(n, np.int64), np.empty((n, order, order)), -1
+    P, work, before = _prior(order, density), np.empty((order, order)), np.zeros(order)
+    K = np.zeros(order)
+    F, Q, shares = np.zeros((order, order)), np.zeros((order, order)), _shares(order)
+    steady, last = False, 0.0
+    for k in range(n):
+        if not steady:
+            held += 1
+            _read(P, 0, 1.0, 1.0, K)
+            if gain != 0.0:
+                _read(P, 2, gain, second_noise, K)
+            kept[held] = P
+        which[k] = held
+        even = abs(steps[k] - last) <= 1e-6 * last
+        if not even:
+            last = steps[k]
+            _set_interval(last, density, shares, F, Q)
+        if not (steady and even):
+            _advance(P, F, Q, work)
+            steady = _settled(P, before) and even
+
+    drawn = np.empty((3, count, n))
+    J, root = np.zeros((order, order)), _root(kept[which[n - 1]])
+    errors = np.zeros((count, order))
+    last = 0.0
+    for k in range(n - 1, -1, -1):
+        if k < n - 1 and (which[k] != which[k + 1] or k == n - 2 or abs(steps[k] - last) > 1e-6 * last):
+            last = steps[k]
+            _set_interval(last, density, shares, F, Q)
+            P[:, :] = kept[which[k]]
+            _advance(P, F, Q, work)
+            scale = np.sqrt(np.diag(P))
+            J[:, :] = (np.linalg.solve(P / np.outer(scale, scale), (F @ kept[which[k]]) / scale.reshape(-1, 1))).T / scale
+            rest = np.eye(order) - J @ F
+            root = _root(rest @ kept[which[k]] @ rest.T + J @ Q @ J.T)
+        errors = errors @ J.T + normal[k] @ root.T
+        drawn[0, :, k], drawn[1, :, k], drawn[2, :, k] = errors[:, 0], errors[:, 1], errors[:, 2]
+    return drawn
+
+
+@njit(cache=True, nogil=True)
+def _root(covariance):  # type: ignore[no-untyped-def]
+    """Lower triangular root of a covariance that rounding may have left slightly indefinite."""
+    order = len(covariance)
+    root = np.zeros((order, order))
+    for i in range(order):
+        for j in range(i + 1):
+            rest = covariance[i, j]
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            if i == j:
+                root[i, i] = math.sqrt(max(rest, 0.0))
+            elif root[j, j] > 0.0:
+                root[i, j] = rest / root[j, j]
+    return root

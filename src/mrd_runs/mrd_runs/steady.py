@@ -8,7 +8,7 @@ least of it (adaptive local polynomials: Katkovnik, Egiazarian and Astola 2006).
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def _polynomials(series: Array, noise: float, longest: int) -> list[tuple[float,
                 hat = powers @ np.linalg.pinv(powers)
                 values = stretches @ hat
                 misfit = np.sum((stretches - values) ** 2, axis=1)
-                holds = misfit <= noise**2 * chi2.ppf(_ACCEPTED, length - terms)
+                holds = misfit <= noise**2 * chdtri(length - terms, 1.0 - _ACCEPTED)
                 found += [(float(hat[place, place]), place, values[:, place], holds) for place in range(length)]
     return found
 

@@ -1,0 +1,103 @@
+"""What the smoothed motion may be wrong by."""
+
+import time
+
+import numpy as np
+import pytest
+
+from mrd_runs import Run, make_run
+from mrd_runs.motion import motion, motion_errors, redrawn
+
+FREQUENCIES = 0.5 * np.arange(1, 16, 2)
+AMPLITUDES = 2.5e-3 / FREQUENCIES
+NOISE, ACCELEROMETER_NOISE = 8e-6, 0.05
+
+
+def multisine(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration of an odd multisine of 0.5 to 7.5 Hz."""
+    phases = np.random.default_rng(1).uniform(0, 2 * np.pi, len(FREQUENCIES))
+    omega, amplitude = 2 * np.pi * FREQUENCIES[:, None], AMPLITUDES[:, None]
+    angle = omega * t + phases[:, None]
+    return (
+        (amplitude * np.sin(angle)).sum(axis=0),
+        (amplitude * omega * np.cos(angle)).sum(axis=0),
+        -(amplitude * omega**2 * np.sin(angle)).sum(axis=0),
+    )
+
+
+def measured(accelerometer: bool, n: int = 7500, noise: float = NOISE, jitter: float = 0.0) -> Run:
+    rng = np.random.default_rng(2)
+    t = np.arange(n) / 500 + rng.uniform(0, jitter, n)
+    x, _, a = multisine(t)
+    columns = {"time_s": t, "position_m": x + rng.normal(0, noise, n), "force_N": 100 * np.sin(t)}
+    columns["current_A"] = 0.5 + rng.normal(0, 4e-3, n)
+    if accelerometer:
+        columns["acceleration_mps2"] = 1.03 * a - 0.2 + rng.normal(0, ACCELEROMETER_NOISE, n)
+    return make_run("run", columns)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("accelerometer", [False, True])
+@pytest.mark.parametrize("jitter", [0.0, 4e-4])
+def test_spread_of_velocity_is_what_the_smoother_says(accelerometer: bool, jitter: float) -> None:
+    run = measured(accelerometer, 1500, jitter=jitter)
+    _, velocity, _ = motion_errors(run, np.random.default_rng(3), 400)
+    ratio = np.sqrt(np.mean(velocity**2, axis=0)) / motion(run).velocity_std
+    # 400 draws tell a standard deviation to 3.5 %.
+    assert np.abs(ratio - 1).max() < 0.2
+    assert ratio.mean() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("accelerometer", [False, True])
+def test_spread_is_that_of_the_actual_errors(accelerometer: bool) -> None:
+    run = measured(accelerometer)
+    smoothed = motion(run)
+    assert (smoothed.accelerometer is not None) == accelerometer
+    found = smoothed.position, smoothed.velocity, smoothed.acceleration
+    drawn = motion_errors(run, np.random.default_rng(4), 8)
+    for values, true, errors in zip(found, multisine(run.time), drawn, strict=True):
+        assert 1 / 1.5 < rms(values - true) / rms(errors) < 1.5
+
+
+def test_drawn_errors_are_derivatives_of_each_other() -> None:
+    run = measured(accelerometer=False)
+    position, velocity, acceleration = motion_errors(run, np.random.default_rng(5), 3)
+    for values, slopes in ((position, velocity), (velocity, acceleration)):
+        assert rms((np.gradient(values, run.time, axis=1) - slopes)[:, 1:-1]) < 0.1 * rms(slopes)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_measuring_again_differs_by_as_much_as_errors_do(seed: int) -> None:
+    run = measured(accelerometer=True)
+    rng = np.random.default_rng(seed)
+    again = redrawn(run, rng)
+    assert motion(again).order == motion(run).order
+    assert rms(again.position - motion(run).position) == pytest.approx(NOISE, rel=0.1)
+    assert np.std(again.acceleration - run.acceleration) == pytest.approx(np.sqrt(2) * ACCELEROMETER_NOISE, rel=0.1)
+    assert np.std(again.current) == pytest.approx(4e-3, rel=0.1)
+    difference = motion(again).velocity - motion(run).velocity
+    assert rms(difference) == pytest.approx(rms(motion_errors(run, rng, 8)[1]), rel=0.2)
+
+
+def test_without_noise_there_is_hardly_an_error() -> None:
+    run = measured(accelerometer=False, noise=0.0)
+    assert rms(motion_errors(run, np.random.default_rng(8), 2)[1]) < 1e-7
+    assert rms(motion(redrawn(run, np.random.default_rng(9))).velocity - motion(run).velocity) < 1e-7
+
+
+def test_standstill_has_no_error() -> None:
+    t = np.arange(100) / 25
+    run = make_run("still", {"time_s": t, "position_m": np.full(100, 0.01), "current_A": t, "force_N": np.sin(t)})
+    assert not np.any(motion_errors(run, np.random.default_rng(10), 2))
+    np.testing.assert_array_equal(redrawn(run, np.random.default_rng(11)).position, run.position)
+
+
+def test_fast() -> None:
+    run = measured(accelerometer=True)
+    motion_errors(run, np.random.default_rng(12), 1)
+    started = time.perf_counter()
+    motion_errors(run, np.random.default_rng(12), 8)
+    assert time.perf_counter() - started < 0.2
