@@ -680,8 +680,8 @@ def _unread_variance(N, element, gain, weight, K, work):  # type: ignore[no-unty
 def _draw_errors(steps, normal, density, gain, second_noise):  # type: ignore[no-untyped-def]
     """Errors of the smoothed x, ẋ, ẍ from standard normal numbers (n, count, order): (3, count, n), in the kernels' units.
 
-    Given the next state, the error of a state is J·(that of the next) + (I - J F) a - J w with J = P Fᵀ (F P Fᵀ + Q)⁻¹, where a
-    is the error of its filtered estimate, of covariance P, and w what the white derivative adds, of covariance Q.
+    Given the next state, the error of a state is J·(that of the next) + (I - J F) a - J w with J = P Fᵀ (F P Fᵀ + Q)⁻¹. The
+    error of its filtered estimate, a, has covariance P; what the white derivative adds, w, has covariance Q.
     """
     n, count, order = normal.shape
     which, kept, held = np.empty(n, np.int64), np.empty((n, order, order)), -1
