@@ -2,14 +2,16 @@
 
 import math
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
-from mrd_base.config import bench_time_scale
+from mrd_base.config import bench_time_scale, from_mapping, read_node_parameters
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
+from mrd_sim.effects import load_effects
 from mrd_sim.motor.drive import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
 from mrd_sim.sensing import MeasuringChain, SensorsConfig
@@ -43,16 +45,31 @@ class DamperConfig:
     effects: str = quantity(
         "", "", "YAML text, {effect: {parameter: value}} in SI, of what else acts (ros2 run mrd_sim effects)"
     )
+    effects_folder: str = quantity("", "", "folder with effects of your own, one a file; may be empty")
     stroke: float = quantity(0.055, "mm", "between its ends, where the rod stops", lower=1e-3, upper=1)
 
     def build(self) -> Damper:
         """Make the damper, at rest and unloaded."""
+        if self.effects_folder:
+            load_effects(self.effects_folder)
         return Damper(
             self.model,
             parse_values(self.parameters, "damper.parameters"),
             parse_laws(self.laws, "damper.laws"),
             parse_effects(self.effects, "damper.effects"),
         )
+
+
+def read_damper(path: str | Path) -> DamperConfig:
+    """Read what a plant.yaml says of the damper.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or says what no damper has.
+    """
+    section = read_node_parameters(path, "plant").get("damper", {})
+    return from_mapping(DamperConfig, section, f"{path}: damper")
 
 
 @dataclass(frozen=True)

@@ -241,4 +241,6 @@ def test_bad_configurations_are_refused():
         Plant(PlantConfig(damper=DamperConfig(effects="luck: {}")))
     with pytest.raises(InputError, match="unknown parameter sweetness"):
         Plant(PlantConfig(damper=DamperConfig(parameters="sweetness: 1.0")))
+    with pytest.raises(InputError, match="nowhere"):
+        Plant(PlantConfig(damper=DamperConfig(effects_folder="nowhere")))
     assert isinstance(DamperConfig(parameters=" ").build(), Damper)

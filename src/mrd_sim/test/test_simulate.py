@@ -92,6 +92,15 @@ def test_the_tool(tmp_path):
     assert subprocess.run(again, capture_output=True).returncode == 0
     before, after = read_run(tmp_path / "out.csv"), read_run(tmp_path / "more.csv")
     assert after.force == pytest.approx(1.1 * (before.force + 7.0), abs=1e-6)  # in the order given
+    bench = tmp_path / "plant.yaml"
+    bench.write_text("""/**/plant: {ros__parameters: {seed: 1, damper: {model: bingham, parameters: "offset: -40",
+        effects: "{load_cell_drift: {offset: 7}, load_cell_gain: {gain: 0.1}}"}}}""")
+    whole = [*command[:-1], str(tmp_path / "whole.csv"), "--plant", str(bench)]
+    assert subprocess.run(whole, capture_output=True).returncode == 0
+    assert np.array_equal(read_run(tmp_path / "whole.csv").force, after.force)
+    twice = subprocess.run([*whole, "--parameters", "{offset: 1}"], capture_output=True, text=True)
+    assert twice.returncode == 2
+    assert "says all of the damper" in twice.stderr
     wrong = subprocess.run([*command, "--model", "binghm"], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("error: unknown model binghm (known: ")

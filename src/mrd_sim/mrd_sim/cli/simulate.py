@@ -10,6 +10,7 @@ from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.effects import load_effects
 from mrd_sim.models import MODELS
+from mrd_sim.plant import read_damper
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import plan
@@ -28,7 +29,9 @@ def work() -> None:
         description="Simulate a damper along an experiment's setpoints or a recorded motion and current; writes a CSV.",
     )
     parser.add_argument("input", metavar="EXPERIMENT.yaml|RUN", help="experiment, or bag, .mcap, .db3 or CSV")
-    parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
+    chosen = parser.add_mutually_exclusive_group(required=True)
+    chosen.add_argument("--model", help=f"one of {', '.join(MODELS)}")
+    chosen.add_argument("--plant", metavar="PLANT.yaml", help="the damper of a simulated bench, whole")
     parser.add_argument(
         "--parameters", default="", metavar="'{NAME: VALUE}'", help="in SI; those not named have the model's default"
     )
@@ -52,7 +55,9 @@ def work() -> None:
         effect, name, value = parse_effect(text)
         effects.setdefault(effect, {})[name] = value
     values, laws = parse_values(arguments.parameters, "--parameters"), parse_laws(arguments.law, "--law")
-    damper = Damper(arguments.model, values, laws, effects)
+    if arguments.plant and (values or laws or effects):
+        raise InputError(f"--plant {arguments.plant}: says all of the damper; leave out parameters, laws and effects")
+    damper = read_damper(arguments.plant).build() if arguments.plant else Damper(arguments.model, values, laws, effects)
     if Path(arguments.input).suffix in {".yaml", ".yml"}:
         settings = read_settings(arguments.bench)
         try:

@@ -1,0 +1,151 @@
+"""A diagnosis goes into the simulator, whole and honestly."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrd_base import InputError
+from mrd_identification.gap.apply import Correction, correction, write_plant
+from mrd_sim.effects import EFFECTS, load_effects
+from mrd_sim.models import MODELS, find_model
+from mrd_sim.path import make_path
+from mrd_sim.plant import Plant, PlantConfig, read_damper
+
+SHIPPED = Path(__file__).parents[3] / "config" / "plant.yaml"
+
+OWN = '''
+from numba import njit
+from mrd_sim.effects import Effect
+from mrd_sim.parameter import Parameter
+
+@njit
+def kernel(p, state, dt, x, v, a, u, force):
+    for k in range(len(force)):
+        force[k] += p[0] * x[k]
+
+EFFECT = Effect(
+    id="own_spring", title="Spring", stage="structure", equation="F + k x", source="mine",
+    parameters=(Parameter("rate", "N/m", 0.0, 0.0, 1e4, "rate"),), typical={"rate": 1e3},
+    signature="-", confused_with=("gas_spring",), separated_by="-", kernel=kernel,
+)
+'''
+
+
+def diagnosed(model="bouc_wen", laws=None, effects=(), seed=0, **more):
+    """What a diagnosis may have come to: any values within the bounds."""
+    found = find_model(model, laws, effects)
+    random = np.random.default_rng(seed)
+    theta = np.array([random.uniform(p.lower, p.upper) if p.free else p.default for p in found.parameters])
+    return found, theta, dict(zip(found.names, map(float, theta), strict=True))
+
+
+def corrected(model, effects, verdict="explained", laws=None, **more):
+    found, theta, values = diagnosed(model, laws, effects)
+    return found, theta, correction(verdict, model, found.laws, values, effects, **more)
+
+
+@given(model=st.sampled_from(list(MODELS)), effects=st.lists(st.sampled_from(list(EFFECTS)), max_size=3, unique=True),
+       law=st.sampled_from(["", "quadratic", "tanh"]))
+@settings(max_examples=25, deadline=None)
+def test_the_written_simulator_is_the_diagnosed_one(tmp_path_factory, model, effects, law):
+    found, theta, made = corrected(model, effects, laws=law)
+    output = write_plant(made, SHIPPED, tmp_path_factory.mktemp("apply") / "plant.yaml")
+    damper = read_damper(output).build()
+    assert damper.model.names == found.names
+    assert damper.model.laws == found.laws
+    assert np.array_equal(damper.theta, theta)
+
+
+def test_the_plant_runs_with_the_effect_in_it(tmp_path):
+    made = correction("explained", "bingham", {}, {"yield_force": 150.0, "force_sensor_lag.lag": 0.02}, ["force_sensor_lag"])
+    config = read_damper(write_plant(made, SHIPPED, tmp_path / "plant.yaml"))
+    plant = Plant(PlantConfig(damper=config))
+    assert plant.advance(0.1) is not None
+    time = np.arange(500) / 500
+    path = make_path(time, 5e-3 * np.sin(9 * time), 45e-3 * np.cos(9 * time), -0.405 * np.sin(9 * time), 0.1 + 0 * time)
+    model = find_model("bingham", effects=["force_sensor_lag"])
+    expected = model.force(model.vector({"yield_force": 150.0, "force_sensor_lag.lag": 0.02}), path)
+    assert np.array_equal(plant.damper.model.force(plant.damper.theta, path), expected)
+    assert not np.allclose(expected, find_model("bingham").force(find_model("bingham").vector({"yield_force": 150.0}), path))
+
+
+def test_everything_else_of_the_file_stays(tmp_path):
+    _, _, made = corrected("bouc_wen", ["coil_lag", "gas_spring"])
+    written = write_plant(made, SHIPPED, tmp_path / "plant.yaml").read_text()
+    before = [line for line in SHIPPED.read_text().splitlines() if not line.startswith("        ")]
+    for line in before:
+        name, marked, comment = line.partition("#")
+        assert (comment if marked else line) in written, line
+        assert name.split(":")[0] in written
+    assert written.splitlines()[0] == "# The damper below is bouc_wen with coil_lag, gas_spring, as diagnosed."
+    again = write_plant(made, tmp_path / "plant.yaml", tmp_path / "again.yaml").read_text()
+    assert again == f"{written.splitlines()[0]}\n{written}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "/**/plant:\n  ros__parameters:\n    seed: 2  # of noise\n",
+        "plant:\n    ros__parameters:\n        damper:\n            laws: tanh\n            parameters: '{viscous: 3.0}'",
+        "/**:\n ros__parameters:\n  damper:\n   effects: |-\n    settling: {excess: 0.1}\n\n   # next\n   stroke_mm: 40.0\n",
+        "/**:\n  ros__parameters: {seed: 3}\n/**/plant:\n  ros__parameters:\n    damper:\n      model: bingham",
+    ],
+)
+def test_other_ways_to_write_a_plant(tmp_path, text):
+    (tmp_path / "plant.yaml").write_text(text)
+    found, theta, made = corrected("bouc_wen", ["coil_lag"])
+    output = write_plant(made, tmp_path / "plant.yaml", tmp_path / "corrected.yaml")
+    damper = read_damper(output).build()
+    assert damper.model.names == found.names
+    assert np.array_equal(damper.theta, theta)
+    assert read_damper(output).stroke == read_damper(tmp_path / "plant.yaml").stroke
+
+
+def test_no_gap_applies_the_parameters_alone():
+    _, _, made = corrected("bouc_wen", [], "no_gap")
+    assert made.effects == {}
+    assert "no effect is missing" in made.remark
+
+
+def test_what_is_not_proven_needs_to_be_wanted():
+    for verdict in ("ambiguous", "unknown_effect"):
+        with pytest.raises(InputError, match=rf"^gap\.json: the verdict is {verdict}, so coil_lag is not proven; .*--any"):
+            corrected("bouc_wen", ["coil_lag"], verdict, where="gap.json")
+        _, _, made = corrected("bouc_wen", ["coil_lag"], verdict, anyway=True)
+        assert list(made.effects) == ["coil_lag"]
+        assert "NOT proven" in made.remark
+    with pytest.raises(InputError, match="recordings are faulty"):
+        corrected("bouc_wen", [], "data_fault", anyway=True)
+
+
+def test_effects_of_ones_own_go_with_their_folder(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    before = dict(EFFECTS)
+    try:
+        made = Correction("bingham", {}, {}, {"own_spring": {"rate": 500.0}}, "-", str(tmp_path))
+        load_effects(tmp_path)
+        output = write_plant(made, SHIPPED, tmp_path / "plant.yaml")
+        del EFFECTS["own_spring"]
+        assert read_damper(output).build().theta[-1] == 500.0
+    finally:
+        EFFECTS.clear()
+        EFFECTS.update(before)
+
+
+def test_unusable_files_are_refused_in_one_line(tmp_path):
+    _, _, made = corrected("bouc_wen", [])
+    (tmp_path / "flow.yaml").write_text("plant: {ros__parameters: {damper: {model: bingham}}}")
+    with pytest.raises(InputError, match="section damper cannot be edited"):
+        write_plant(made, tmp_path / "flow.yaml", tmp_path / "out.yaml")
+    assert not (tmp_path / "out.yaml").exists()
+    (tmp_path / "out.yaml").touch()
+    with pytest.raises(InputError, match=r"out\.yaml: exists already"):
+        write_plant(made, SHIPPED, tmp_path / "out.yaml")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_plant(made, SHIPPED, tmp_path / "nowhere" / "out.yaml")
+    (tmp_path / "other.yaml").write_text("damper: {model: bingham}")
+    with pytest.raises(InputError, match="expected a parameter file"):
+        write_plant(made, tmp_path / "other.yaml", tmp_path / "new.yaml")
