@@ -40,43 +40,64 @@ def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[
 
 
 def descend(
-    problem: Problem, unit: Array, moving: NDArray[np.intp], max_evaluations: int, tolerance: float = 1e-10
+    problem: Problem,
+    unit: Array,
+    moving: NDArray[np.intp],
+    max_evaluations: int,
+    tolerance: float = 1e-10,
+    renewal: int = 1,
 ) -> tuple[Array, float]:
     """Point of the unit box where the objective is least over the coordinates ``moving``, near ``unit``, and its cost.
 
     Levenberg-Marquardt (Marquardt, 1963) with Nielsen's (1999) damping, each step the optimum of its parabola within the
     box, from the normal equations: with exact derivatives of a few scaled parameters these are as good as a factorisation of
     all samples, which would take longer than the model itself. A robust loss weighs the residuals anew at each step.
+
+    With a ``renewal`` above 1 the derivatives are computed only every so many steps, and corrected by what a step has shown
+    (Broyden, 1965) between: worth it where the model takes long.
     """
     unit = np.clip(unit, 0.0, 1.0)
     residuals = problem.residuals(problem.theta(unit))
     cost = _cost(problem, unit, residuals)
     damping, growth, left = 1e-3, 2.0, max_evaluations - 1
+    age, sensitivity = renewal, np.empty(0)
     while left > 0 and np.isfinite(cost):
         root = problem.robust_weights(residuals)
-        jacobian = problem.jacobian(unit, moving) * root[:, None]
+        if age >= renewal:
+            age, sensitivity = 0, problem.jacobian(unit, moving)
+        jacobian = sensitivity * root[:, None]
         gram, slope = jacobian.T @ jacobian, jacobian.T @ (residuals * root)
         if not (np.isfinite(gram).all() and gram.any()):
             break
         size = np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max())
         while left > 0:
             damped = gram + damping * np.diag(size)
-            step = _step(damped, slope, -unit[moving], 1.0 - unit[moving])
+            step = bounded_step(damped, slope, -unit[moving], 1.0 - unit[moving])
             trial = unit.copy()
             trial[moving] = np.clip(unit[moving] + step, 0.0, 1.0)
             step = trial[moving] - unit[moving]
             expected = -(slope @ step + 0.5 * step @ gram @ step)
             if expected <= 1e-3 * tolerance * cost or np.abs(step).max() <= tolerance * 1e-3:
                 return unit, cost
-            residuals = problem.residuals(problem.theta(trial))
+            before, residuals = residuals, problem.residuals(problem.theta(trial))
             left -= 1
             reached = _cost(problem, trial, residuals)
             gain = float((cost - reached) / expected) if np.isfinite(reached) else -1.0
             if gain > 1e-4:
                 break
+            residuals = before
             damping, growth = damping * growth, 2.0 * growth
+            if age:
+                break
         else:
             break
+        if gain <= 1e-4:  # old derivatives have misled
+            age = renewal
+            continue
+        age += 1
+        if age < renewal:
+            surprise = residuals - before - sensitivity @ step
+            sensitivity += np.outer(surprise, step / (step @ step))
         settled = cost - reached <= tolerance * cost and gain > 0.25
         damping, growth = max(LEAST_DAMPING, damping * max(1 / 3, 1.0 - (2.0 * gain - 1.0) ** 3)), 2.0
         unit, cost = trial, reached
@@ -89,7 +110,7 @@ def _cost(problem: Problem, unit: Array, residuals: Array) -> float:
     return float(0.5 * residuals @ residuals) if problem.loss == "linear" else problem.cost(problem.theta(unit))
 
 
-def _step(gram: Array, slope: Array, lower: Array, upper: Array) -> Array:
+def bounded_step(gram: Array, slope: Array, lower: Array, upper: Array) -> Array:
     """Where within the bounds the parabola with this Hessian and slope is least."""
     size = np.sqrt(np.diag(gram))
     root, _ = cho_factor(gram / np.outer(size, size), lower=True)

@@ -65,7 +65,7 @@ class Recording:
         return self.run.force[self.counted]
 
     def modelled(self, model: DamperModel, theta: Array) -> Array:
-        """Model's force in N at the counted samples."""
+        """Model's force in N at the counted samples, the damper at rest and unloaded at first."""
         return model.force(theta, self.path)[self.counted]
 
 
@@ -206,9 +206,17 @@ class Problem:
             logarithmic = theta[list(self.free)] * np.log(self.upper / self.lower)
         return np.where(self.log, logarithmic, self.upper - self.lower)
 
+    def forces(self, theta: Array) -> Array:
+        """Modelled force in N over all counted samples."""
+        return np.concatenate([self.modelled(theta, index) for index in range(len(self.recordings))])
+
+    def modelled(self, theta: Array, index: int) -> Array:
+        """Modelled force in N at the counted samples of one recording."""
+        return self.recordings[index].modelled(self.model, theta)
+
     def errors(self, theta: Array) -> Array:
         """Modelled minus measured force in N over all counted samples."""
-        return np.concatenate([r.modelled(self.model, theta) for r in self.recordings]) - self.force
+        return self.forces(theta) - self.force
 
     def residuals(self, theta: Array) -> Array:
         """What least squares counts: errors, without offsets of single runs where these are free, times root weights."""
@@ -243,7 +251,7 @@ class Problem:
         def column(index: int) -> Array:
             moved = theta.astype(complex)
             moved[self.free[index]] += 1j * STEP * scale[index]
-            return self._counted(np.concatenate([r.modelled(self.model, moved).imag for r in self.recordings]) / STEP)
+            return self._counted(self.forces(moved).imag / STEP)
 
         columns = in_threads(column, range(len(self.free)) if indices is None else indices)
         return np.stack(columns, axis=1) if columns else np.empty((len(self.force), 0))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mrd_runs import Run
 from mrd_runs.motion import motion
+from mrd_runs.steady import steady_current
 
 Array = NDArray[np.float64]
 
@@ -39,9 +40,9 @@ class Path:
 
 
 def path_of(run: Run) -> Path:
-    """Path of a recorded run: its smoothed motion and its measured current."""
+    """Path of a recorded run: its smoothed motion, and its measured current without the sensor's noise."""
     moved = motion(run)
-    return make_path(run.time, moved.position, moved.velocity, moved.acceleration, run.current)
+    return make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady_current(run.current))
 
 
 def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:
