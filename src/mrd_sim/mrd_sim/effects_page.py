@@ -145,7 +145,7 @@ def section(effect: Effect) -> str:
 - Looks like: {_links(effect.confused_with)}.
 - Told apart by: {effect.separated_by}.
 - Source: {effect.source}.
-"""
+{"- Goes on from one run to the next, pauses left out." + chr(10) if effect.carries else ""}"""
 
 
 def catalogue() -> list[Effect]:

@@ -267,6 +267,55 @@ def test_block_by_block_equals_at_once(effect, data):
         assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=TINY * np.max(np.abs(at_once)))
 
 
+@pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.carries], ids=lambda effect: effect.id)
+def test_what_outlasts_a_run_goes_on_in_the_next_as_without_a_cut(effect):
+    """The rod moved in between: no travel of either run."""
+    time, *signals = rich()
+    dt, cut = np.diff(time, prepend=0.0), 1700
+    p = np.array([effect.typical.get(parameter.name, parameter.default) for parameter in effect.parameters])
+    force = 300.0 * np.sign(signals[1])
+    whole = [series.copy() for series in (*signals, force)]
+    effect.kernel(p, np.zeros(effect.states), dt, *whole)
+    state = np.zeros(effect.states)
+    first, second = ([series[part].copy() for series in (*signals, force)] for part in (slice(cut + 1), slice(cut, None)))
+    effect.kernel(p, state, dt[: cut + 1], *first)
+    second[0] += 0.03
+    effect.kernel(p, state, np.r_[0.0, dt[cut + 1 :]], *second)
+    for one, other in zip(whole[3:], second[3:], strict=True):
+        assert np.allclose(one[cut:], other, rtol=1e-4)
+
+
+@EVERY
+def test_next_run_begins_at_rest_but_for_what_outlasts_a_run(effect):
+    path = make_path(*rich())
+    model, theta = switched_on("bouc_wen", effect.id)
+    theta = theta + 1j * STEP
+    state = model.initial_state(path).astype(complex)
+    first = model.force(theta, path, state)
+    left = state.copy()
+    following = model.next_state(state, path)
+    assert np.array_equal(state, left)
+    assert following.dtype == state.dtype
+    second = model.force(theta, path, following)
+    difference = rms(second - first)
+    assert difference > 2e-5 * rms(first) if effect.carries else difference == 0.0
+
+
+def test_each_effect_carries_its_own_state():
+    """Beside others that do not."""
+    names = ["coil_lag", "cavitation", "thermal_fade", "settling", "backlash", "load_cell_drift", "mains_hum"]
+    path = make_path(*rich())
+    model, theta = switched_on("modified_bouc_wen", *names)
+    state = model.initial_state(path)
+    model.force(theta, path, state)
+    changed = model.next_state(state, path) != model.initial_state(path)
+    edges = 2 + model.states + np.cumsum([0, *(effect.states for effect in model.effects)])
+    expected = np.zeros(len(state), bool)
+    for effect, first, last in zip(model.effects, edges, edges[1:], strict=False):
+        expected[first:last] = effect.carries
+    assert np.array_equal(changed, expected)
+
+
 def test_effects_act_in_the_order_of_their_stages_however_they_are_named():
     path = make_path(*rich(rate=500.0, seconds=1.0))
     for one, other in combinations(EFFECTS.values(), 2):

@@ -36,6 +36,9 @@ class Effect:
         current, force. ``dt[0] == 0`` begins a path.
     states : int
         Length of ``state``; all zero at first.
+    carries : bool
+        Whether the state outlasts a recorded run, so that the next one begins with it (`DamperModel.next_state`); pauses
+        between runs are not in it.
     stretch : callable, optional
         ``stretch(p, before, dt, force)``, compiled likewise: elongation in m, after ``dt`` under ``force``, of something in
         series with the damper that was elongated by ``before``; never falls with the force. In the place of ``kernel``.
@@ -62,5 +65,6 @@ class Effect:
     separated_by: str
     kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
     states: int = 0
+    carries: bool = False
     stretch: Callable[[Any, Any, Any, Any], Any] | None = None
     phrase: str = ""

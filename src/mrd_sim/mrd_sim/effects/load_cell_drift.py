@@ -1,4 +1,7 @@
-"""Zero of the load cell: off, and drifting."""
+"""Zero of the load cell: off, and drifting.
+
+The time of a following path goes on from that of the one before; a pause between them is not in it.
+"""
 
 from numba import njit
 
@@ -10,7 +13,7 @@ from mrd_sim.parameter import Parameter
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     time = state[0]
     for k in range(len(force)):
-        time = time + dt[k] if dt[k] > 0.0 else 0.0 * time
+        time += dt[k]
         force[k] += p[1] + p[0] * time
     state[0] = time
 
@@ -20,11 +23,11 @@ EFFECT = Effect(
     title="Drift of the load cell's zero",
     phrase="the load cell's zero is off by {offset} and drifts by {drift}",
     stage="sensing",
-    equation="F + b + d t, t from the start of the recording",
+    equation="F + b + d t, t from the start of the first recording",
     source="load cells of 100 kg: zero ±5 N after mounting, 0.02-0.05 % of full scale over 10 K, ±0.2 N/min",
     parameters=(
         Parameter("drift", "N/s", 0.0, -0.2, 0.2, "change d of the zero over time"),
-        Parameter("offset", "N", 0.0, -50.0, 50.0, "zero b at the start"),
+        Parameter("offset", "N", 0.0, -50.0, 50.0, "zero b at the start of the first recording"),
     ),
     typical={"drift": 0.02, "offset": 5.0},
     signature="offset of the force at any motion and current, growing with time",
@@ -32,4 +35,5 @@ EFFECT = Effect(
     separated_by="rod free before and after; dead weights",
     kernel=_apply,
     states=1,
+    carries=True,
 )

@@ -34,4 +34,5 @@ EFFECT = Effect(
     separated_by="staircase of current up and down at constant speed, then demagnetise",
     kernel=_apply,
     states=1,
+    carries=True,
 )

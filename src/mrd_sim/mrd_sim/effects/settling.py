@@ -39,4 +39,5 @@ EFFECT = Effect(
     separated_by="runs after different rests; a repeat at the end",
     kernel=_apply,
     states=2,
+    carries=True,
 )

@@ -38,4 +38,5 @@ EFFECT = Effect(
     separated_by="a reference run repeated hot and cold, a rest between",
     kernel=_apply,
     states=1,
+    carries=True,
 )

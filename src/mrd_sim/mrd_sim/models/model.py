@@ -266,6 +266,23 @@ class DamperModel:
         effects = sum(effect.states for effect in self.effects) + len(self._series) + 1
         return np.concatenate(([path.current[0], path.current[0]], np.zeros(self.states + effects)))
 
+    def next_state(self, state: Array, path: Path) -> Array:
+        """State at the start of a path recorded after another: as `initial_state`, but for what outlasts a run.
+
+        Parameters
+        ----------
+        state : ndarray
+            As the run before has left it, with derivatives where it carries them; not changed.
+        path : Path
+            The one to come.
+        """
+        found = self.initial_state(path).astype(state.dtype)
+        edges = self._effect_states
+        for effect, first, last in zip(self.effects, edges, edges[1:], strict=False):
+            if effect.carries:
+                found[first:last] = state[first:last]
+        return found
+
     def force(self, theta: Array, path: Path, state: Array | None = None) -> Array:
         """Force in N at the samples of a path.
 
@@ -275,7 +292,8 @@ class DamperModel:
             Real, or complex where it carries derivatives (`mrd_sim.dual`); so is the force then.
         path : Path
         state : ndarray, optional
-            As from `initial_state`; changed in place, so that a following path continues where this one ended.
+            As from `initial_state`, of the type of ``theta``; changed in place, so that a following path continues where
+            this one ended.
         """
         return self.forces(theta, path, state)[1]
 
@@ -311,6 +329,11 @@ class DamperModel:
         """Effects that give way in series with the damper."""
         return tuple(effect for effect in self.effects if effect.stretch is not None)
 
+    @cached_property
+    def _effect_states(self) -> NDArray[np.intp]:
+        """Where the states of effects begin in a model's state, and where the last one's end."""
+        return np.cumsum([2 + self.states, *(effect.states for effect in self.effects)])
+
     def _effect_parameters(self, effects: Sequence[Effect]) -> list[slice]:
         """Where the parameters of effects are in a parameter vector."""
         edges = np.cumsum([len(self._own_parameters), *(len(effect.parameters) for effect in self.effects)])
@@ -318,7 +341,7 @@ class DamperModel:
 
     def _act(self, stages: Sequence[Stage], theta: Array, dt: Array, signals: tuple[Array, ...], state: Array) -> None:
         """Let the effects of some stages change the signals in place."""
-        edges = np.cumsum([2 + self.states, *(effect.states for effect in self.effects)])
+        edges = self._effect_states
         for stage in stages:
             for i, effect in enumerate(self.effects):
                 if effect.stage == stage and effect.kernel is not None:
