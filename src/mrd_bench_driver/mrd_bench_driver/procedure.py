@@ -1,8 +1,9 @@
-"""The course of one experiment: arm, record, run, stop, close. What it asks of the bench is a protocol, so that it runs
-against the nodes and against a fake alike."""
+"""The course of one experiment: arm, record, run, stop, close; and of a set of them. What it asks of the bench is a
+protocol, so that it runs against the nodes and against a fake alike."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from mrd_bench_driver.modes import Mode
@@ -27,6 +28,11 @@ class Order:
     experiment: str
     bag: str
     seed: int
+
+    @property
+    def name(self) -> str:
+        """Of the bag; in a set, that of the experiment."""
+        return Path(self.bag).name
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,17 @@ class Outcome:
     success: bool
     cancelled: bool
     message: str
-    recorded: Recorded
+    recorded: Recorded = Recorded()
+
+
+@dataclass(frozen=True)
+class SetOutcome:
+    """How a set of experiments ended, and what became of each that was begun."""
+
+    success: bool
+    cancelled: bool
+    message: str
+    runs: tuple[tuple[Order, Outcome], ...] = ()
 
 
 class Bench(Protocol):
@@ -166,6 +182,40 @@ def run_experiment(bench: Bench, order: Order, report: Report) -> Outcome:
         f"{recorded.samples} samples in {recorded.duration:.1f} s, none lost"
     )
     return Outcome(not problem and not late, cancelled, message, recorded)
+
+
+def run_set(orders: Sequence[Order], check: Callable[[Order], None], run: Callable[[Order], Outcome]) -> SetOutcome:
+    """Run experiments one after the other, until one does not end well; what was recorded before it stays.
+
+    Parameters
+    ----------
+    orders : sequence of Order
+        Their bags named after the experiments.
+    check : callable
+        Raises `RefusedError` for an experiment that cannot be run; all are asked for before the first runs.
+    run : callable
+        As `run_experiment`.
+    """
+    runs: list[tuple[Order, Outcome]] = []
+
+    def ended(order: Order, cancelled: bool, problem: str) -> SetOutcome:
+        recorded = ", ".join(order.name for order, outcome in runs if outcome.success) or "none"
+        message = f"{order.name}: {problem} (completely recorded of {len(orders)}: {recorded})"
+        return SetOutcome(False, cancelled, message, tuple(runs))
+
+    for order in orders:
+        try:
+            check(order)
+        except CancelledError:
+            return ended(order, True, "cancelled")
+        except (RefusedError, TrippedError) as error:
+            return ended(order, False, str(error))
+    for order in orders:
+        outcome = run(order)
+        runs.append((order, outcome))
+        if not outcome.success:
+            return ended(order, outcome.cancelled, outcome.message)
+    return SetOutcome(True, False, f"{len(runs)} runs recorded, none of their samples lost", tuple(runs))
 
 
 def _undo(steps: list[Callable[[], None]]) -> list[str]:

@@ -59,3 +59,22 @@ def test_unusable_input_is_one_line_and_status_2(
     assert line in said
     assert said.splitlines()[-1].count("error: ") == 1
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_folder_is_checked_as_a_whole(run: Callable[..., tuple[object, str]], tmp_path: Path) -> None:
+    folder = tmp_path / "set"
+    folder.mkdir()
+    assert run("set", "--simulated") == (2, "error: set: has no experiments; put files NAME.yaml there\n")
+    (folder / "01.yaml").write_text(GENTLE)
+    (folder / "02.yaml").write_text(GENTLE)
+    status, said = run("set", "--simulated")
+    assert (status, said) == (2, "error: set/02.yaml: name: x is the name of another experiment in set, too; rename one\n")
+    (folder / "02.yaml").write_text(GENTLE.replace("5,", "30,").replace("x", "y", 1))
+    status, said = run("set", "--simulated")
+    assert status == 2
+    assert said.startswith("error: set/02.yaml: rod: ")
+    (folder / "02.yaml").write_text(GENTLE.replace("x", "y", 1))
+    (tmp_path / "done" / "y").mkdir(parents=True)
+    status, said = run("set", "--simulated", "--output", "done")
+    assert status == 2
+    assert "done/y: exists already; choose another --output" in said

@@ -8,11 +8,13 @@ from mrd_bench_driver.modes import Mode
 from mrd_bench_driver.procedure import (
     CancelledError,
     Order,
+    Outcome,
     Planned,
     Recorded,
     RefusedError,
     TrippedError,
     run_experiment,
+    run_set,
 )
 
 ORDER = Order("name: x", "/tmp/bag", 7)
@@ -150,3 +152,50 @@ def test_a_bug_on_the_way_stops_the_bench_too() -> None:
     with pytest.raises(ZeroDivisionError):
         run_experiment(bench, ORDER, lambda *_report: None)
     assert bench.done[-3:] == ["halt", "abort", "stop_recording"]
+
+
+SET = [Order(f"name: {name}", f"/tmp/set/{name}", 7) for name in ("01_a", "02_b", "03_c")]
+
+
+def test_a_set_is_checked_as_a_whole_and_then_run_in_its_order() -> None:
+    done: list[str] = []
+
+    def run(order: Order) -> Outcome:
+        done.append(f"run {order.name}")
+        return Outcome(True, False, "well", Recorded(order.bag, 10, 0, 1.0))
+
+    outcome = run_set(SET, lambda order: done.append(f"check {order.name}"), run)
+    assert done == [f"{step} {order.name}" for step in ("check", "run") for order in SET]
+    assert (outcome.success, outcome.message) == (True, "3 runs recorded, none of their samples lost")
+    assert [(order, run.recorded.bag) for order, run in outcome.runs] == [(order, order.bag) for order in SET]
+
+
+@pytest.mark.parametrize("cancelled", [False, True])
+def test_the_first_run_that_fails_ends_the_set_and_keeps_what_there_is(cancelled: bool) -> None:
+    ran: list[str] = []
+
+    def run(order: Order) -> Outcome:
+        ran.append(order.name)
+        fails = order is SET[1]
+        return Outcome(not fails, fails and cancelled, "interlock force", Recorded(order.bag, 10, 0, 1.0))
+
+    outcome = run_set(SET, lambda _order: None, run)
+    assert ran == ["01_a", "02_b"]
+    assert (outcome.success, outcome.cancelled) == (False, cancelled)
+    assert outcome.message == "02_b: interlock force (completely recorded of 3: 01_a)"
+    assert [run.recorded.bag for _, run in outcome.runs] == ["/tmp/set/01_a", "/tmp/set/02_b"]
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [(RefusedError("speed exceeds"), "speed exceeds"), (CancelledError(), "cancelled"), (TrippedError("force"), "force")],
+)
+def test_one_that_cannot_be_run_keeps_the_whole_set_from_beginning(error: Exception, said: str) -> None:
+    def check(order: Order) -> None:
+        if order is SET[2]:
+            raise error
+
+    outcome = run_set(SET, check, lambda order: pytest.fail(f"{order.name} was run"))
+    assert not outcome.success
+    assert outcome.cancelled == isinstance(error, CancelledError)
+    assert outcome.message == f"03_c: {said} (completely recorded of 3: none)"

@@ -13,12 +13,19 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED
-from mrd_interfaces.action import RunExperiment
+from mrd_interfaces.action import RunExperiment, RunSet
 from mrd_interfaces.msg import BenchSamples, BenchState, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
 EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
+SET = [EXPERIMENT.replace("short", name) for name in ("01_a", "02_b", "03_c")]
 ALL = ("servo", "daq", "generator", "recorder")
+
+
+def said(feedback: Any) -> str:
+    """Phase of an experiment; in a set, with its number and name."""
+    which = f"{feedback.number} {feedback.experiment} " if isinstance(feedback, RunSet.Feedback) else ""
+    return which + str(feedback.phase)
 
 
 class Fakes:
@@ -61,7 +68,7 @@ class Fakes:
                 "abort_experiment": (Trigger, self._abort),
             },
             "recorder": {
-                "start_recording": (StartRecording, self._nothing),
+                "start_recording": (StartRecording, self._start_recording),
                 "stop_recording": (StopRecording, self._stop_recording),
             },
         }
@@ -70,6 +77,7 @@ class Fakes:
                 node.create_service(kind, name, self._serve(name, work))
         node.create_timer(0.02, self._tick)
         self.action = ActionClient(node, RunExperiment, "run_experiment")
+        self.set_action = ActionClient(node, RunSet, "run_set")
 
     def _serve(self, name: str, work: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
         def serve(request: Any, response: Any) -> Any:
@@ -111,7 +119,7 @@ class Fakes:
         response.results = [SetParametersResult(successful=True)]
 
     def _load(self, request: Any, response: Any) -> None:
-        assert request.experiment == EXPERIMENT
+        assert request.experiment in (EXPERIMENT, *SET)
         response.duration, response.rate = 0.5, 1000.0
         self._experiment.publish(String(data="loaded"))
 
@@ -123,6 +131,9 @@ class Fakes:
         if self.remaining:
             self.remaining = 0
             self._experiment.publish(String(data="aborted"))
+
+    def _start_recording(self, request: Any, _response: Any) -> None:
+        self.stop_answer["bag"] = request.bag
 
     def _stop_recording(self, _request: Any, response: Any) -> None:
         for name, value in self.stop_answer.items():
@@ -153,10 +164,15 @@ class Fakes:
     # What a person does
 
     def send(self, experiment: str = EXPERIMENT) -> Any:
+        return self._send(self.action, RunExperiment.Goal(experiment=experiment, bag="/tmp/bag", seed=3))
+
+    def send_set(self, folder: str, experiments: list[str] = SET) -> Any:
+        return self._send(self.set_action, RunSet.Goal(experiments=experiments, folder=folder, seed=3))
+
+    def _send(self, action: ActionClient, goal: Any) -> Any:
         self.feedback: list[str] = []
-        self.graph.until(self.action.server_is_ready, failure=self.graph.log("supervisor"))
-        goal = RunExperiment.Goal(experiment=experiment, bag="/tmp/bag", seed=3)
-        sent = self.action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(m.feedback.phase))
+        self.graph.until(action.server_is_ready, failure=self.graph.log("supervisor"))
+        sent = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(said(m.feedback)))
         self.graph.until(sent.done)
         return sent.result()
 
@@ -408,3 +424,71 @@ def test_a_stop_from_before_its_start_is_seen(start: Callable[..., Fakes], graph
     fakes.servo.stopped = True
     graph.until(lambda: fakes.mode() == BenchState.FAULT)
     assert fakes.states[-1].message == "the servo's emergency stop is latched; call reset_fault"
+
+
+def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(start: Callable[..., Fakes], tmp_path: Any) -> None:
+    fakes = start()
+    ended = fakes.result(fakes.send_set(str(tmp_path)))
+    result = ended.result
+    assert (ended.status, result.success) == (GoalStatus.STATUS_SUCCEEDED, True), result.message
+    assert result.message == "3 runs recorded, none of their samples lost"
+    assert [(r.experiment, r.complete, r.bag, r.samples) for r in result.recordings] == [
+        (name, True, str(tmp_path / name), 500) for name in ("01_a", "02_b", "03_c")
+    ]
+    # All are planned before the first moves the rod, which is homed once.
+    again = [call for call in COURSE if call != "servo/home"]
+    assert fakes.calls == [*["load_experiment"] * 3, *COURSE, *AWAY, *again, *AWAY, *again, *AWAY]
+    order = list(dict.fromkeys(fakes.feedback))
+    checks = [f"{number} {name} checking" for number, name in enumerate(("01_a", "02_b", "03_c"), 1)]
+    assert order[:3] == checks
+    assert [line for line in order if "running" in line] == [line.replace("checking", "running") for line in checks]
+    fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
+
+
+@pytest.mark.parametrize("way", ["stop", "cancel", "interlock"])
+def test_what_stops_a_run_ends_its_set_and_keeps_what_is_recorded(
+    start: Callable[..., Fakes], tmp_path: Any, way: str
+) -> None:
+    fakes = start()
+    handle = fakes.send_set(str(tmp_path))
+    fakes.graph.until(lambda: "2 02_b running" in fakes.feedback and 0 < fakes.remaining < 20)
+    refused = fakes.result(fakes.send()).result
+    assert refused.message == "the bench is busy: run_set; wait for its end or call stop"
+    fakes.calls.clear()
+    if way == "stop":
+        assert fakes.graph.call("stop", Trigger).success
+    elif way == "cancel":
+        fakes.graph.until(handle.cancel_goal_async().done)
+    else:
+        fakes.force = 850.0
+    ended = fakes.result(handle)
+    assert ended.status == (GoalStatus.STATUS_CANCELED if way == "cancel" else GoalStatus.STATUS_ABORTED)
+    why = "interlock force" if way == "interlock" else "cancelled"
+    assert ended.result.message.startswith(f"02_b: {why}")
+    assert ended.result.message.endswith("(completely recorded of 3: 01_a)")
+    assert [(r.experiment, r.complete) for r in ended.result.recordings] == [("01_a", True), ("02_b", False)]
+    assert fakes.calls[-1] == "stop_recording"
+    assert "start_recording" not in fakes.calls
+    mode = BenchState.FAULT if way == "interlock" else BenchState.IDLE
+    fakes.graph.until(lambda: fakes.mode() == mode)
+
+
+def test_a_set_that_cannot_be_recorded_as_a_whole_is_refused_before_anything_moves(
+    start: Callable[..., Fakes], tmp_path: Any
+) -> None:
+    fakes = start()
+    (tmp_path / "02_b").mkdir()
+    for experiments, line in (
+        ([], "the set has no experiments"),
+        (["name: x"], "experiment 1: duration_s is missing"),
+        ([SET[0], SET[0]], "experiment 2: another one of the set has the name 01_a"),
+        (SET, "02_b: exists already and is not overwritten"),
+    ):
+        result = fakes.result(fakes.send_set(str(tmp_path), experiments)).result
+        assert (result.success, result.recordings) == (False, [])
+        assert line in result.message
+    assert fakes.calls == []
+    fakes.trouble["load_experiment"] = "speed exceeds"
+    result = fakes.result(fakes.send_set(str(tmp_path / "new"))).result
+    assert result.message == "01_a: generator: speed exceeds (completely recorded of 3: none)"
+    assert fakes.calls == ["load_experiment"]

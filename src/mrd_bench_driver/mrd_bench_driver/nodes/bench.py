@@ -1,4 +1,4 @@
-"""Runs the whole bench: starts its nodes as processes, runs an experiment, says what was recorded, ends all of it."""
+"""Runs the whole bench: starts its nodes as processes, runs an experiment or a folder of them, says what was recorded."""
 
 import argparse
 import datetime
@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,10 @@ from rclpy.signals import SignalHandlerOptions
 from mrd_base import InputError, run_tool
 from mrd_base.clock import FASTEST, SLOWEST
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_parts
-from mrd_interfaces.action import RunExperiment
-from mrd_trajectory.experiment import format_experiment, read_experiment
+from mrd_interfaces.action import RunExperiment, RunSet
+from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
 from mrd_trajectory.plan import plan
-from mrd_trajectory.settings import read_settings
+from mrd_trajectory.settings import GeneratorSettings, read_settings
 
 _START_TIMEOUT = 60.0
 _CANCEL_TIMEOUT = 90.0
@@ -47,13 +48,15 @@ class BenchClient:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._watch = watch
-        self._action = ActionClient(self.node, RunExperiment, "run_experiment")
+        self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
+        self._run_set = ActionClient(self.node, RunSet, "run_set")
 
     def __enter__(self) -> "BenchClient":
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self._action.destroy()
+        self._run_experiment.destroy()
+        self._run_set.destroy()
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
@@ -76,8 +79,9 @@ class BenchClient:
         def seen() -> set[str]:
             return {name for name, space in self.node.get_node_names_and_namespaces() if space == namespace}
 
-        if not self.spin(lambda: names <= seen() and self._action.server_is_ready(), timeout):
-            missing = ", ".join(sorted(names - seen())) or "the action of the supervisor"
+        actions = self._run_experiment, self._run_set
+        if not self.spin(lambda: names <= seen() and all(action.server_is_ready() for action in actions), timeout):
+            missing = ", ".join(sorted(names - seen())) or "the actions of the supervisor"
             raise InputError(f"the bench did not come up within {timeout:g} s: {missing} missing; look at the logs")
 
     def run_experiment(
@@ -88,7 +92,17 @@ class BenchClient:
         When ``watch`` raises meanwhile, the experiment is cancelled first, and its end waited for.
         """
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
-        sent = self._action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        return self._order(self._run_experiment, goal, feedback)
+
+    def run_set(
+        self, experiments: list[str], folder: Path, seed: int, feedback: Callable[[Any], None] = lambda _feedback: None
+    ) -> Any:
+        """Run experiments one after the other, each into its own bag in the folder; else as `run_experiment`."""
+        goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed)
+        return self._order(self._run_set, goal, feedback)
+
+    def _order(self, action: ActionClient, goal: Any, feedback: Callable[[Any], None]) -> Any:
+        sent = action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
         if not self.spin(sent.done, 10.0):
             raise InputError("the supervisor did not take the order within 10 s; look at its log")
         handle: ClientGoalHandle = sent.result()
@@ -124,7 +138,13 @@ class _Signals:
 def main() -> None:
     """Run the tool."""
     parser = argparse.ArgumentParser(prog="bench", description=__doc__)
-    parser.add_argument("experiment", nargs="?", metavar="EXPERIMENT.yaml", help="without: up until Ctrl-C")
+    parser.add_argument(
+        "experiment",
+        nargs="?",
+        type=Path,
+        metavar="EXPERIMENT.yaml|FOLDER",
+        help="a folder: its experiments one after the other, by the files' names; without: up until Ctrl-C",
+    )
     parser.add_argument("--bench", type=Path, default=os.environ.get("MRD_BENCH"), help="default: $MRD_BENCH")
     parser.add_argument("--plant", type=Path, help="what is simulated; default: plant.yaml beside the --bench file")
     parser.add_argument("--simulated", action="store_true", help="start the simulated plant, motor and converter included")
@@ -145,15 +165,9 @@ def main() -> None:
 
 def _work(arguments: argparse.Namespace) -> None:
     settings = read_settings(arguments.bench)
-    name, text, duration = "bench", "", 0.0
-    if arguments.experiment:
-        experiment = read_experiment(arguments.experiment)
-        try:
-            duration = plan(experiment, settings.limits, settings.force_envelope).duration
-        except InputError as error:
-            raise InputError(f"{arguments.experiment}: {error}") from None
-        # As text that needs no file beside it: the nodes do not know where the experiment came from.
-        name, text = experiment.name, format_experiment(experiment)
+    experiments = _experiments(arguments.experiment, settings) if arguments.experiment else {}
+    a_set = bool(arguments.experiment) and arguments.experiment.is_dir()
+    name = arguments.experiment.resolve().name if a_set else next((e.name for e in experiments), "bench")
     plant = None
     if arguments.simulated:
         plant = arguments.plant or arguments.bench.parent / "plant.yaml"
@@ -161,9 +175,11 @@ def _work(arguments: argparse.Namespace) -> None:
             raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
     output = output.resolve()
-    bag, logs = output / "bag", output / "log"
-    if text and bag.exists():
-        raise InputError(f"{bag}: exists already; choose another --output, nothing recorded is overwritten")
+    logs = output / "log"
+    bags = [output / (experiment.name if a_set else "bag") for experiment in experiments]
+    for bag in bags:
+        if bag.exists():
+            raise InputError(f"{bag}: exists already; choose another --output, nothing recorded is overwritten")
     parts = bench_parts(
         arguments.bench, plant, logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed
     )
@@ -177,26 +193,56 @@ def _work(arguments: argparse.Namespace) -> None:
 
             with BenchClient(processes.namespace, watch) as client:
                 client.wait_until_up(set(processes.parts))
-                if not text:
+                if not experiments:
                     print(f"the bench is up, in namespace {processes.namespace}; logs: {logs}; Ctrl-C ends it", flush=True)
                     client.spin(lambda: False, float("inf"))
-                print(f"{name}: {duration:.1f} s of bench time; logs: {logs}", flush=True)
-                result = client.run_experiment(text, bag, arguments.seed, _progress)
-    except ProcessDiedError as error:
+                count = f"{len(experiments)} experiments, " if a_set else ""
+                print(f"{name}: {count}{sum(experiments.values()):.1f} s of bench time; logs: {logs}", flush=True)
+                # As texts that need no file beside them: the nodes do not know where an experiment came from.
+                texts = [format_experiment(experiment) for experiment in experiments]
+                if a_set:
+                    result = client.run_set(texts, output, arguments.seed, partial(_progress, count=len(texts)))
+                    recordings = result.recordings
+                else:
+                    result = client.run_experiment(texts[0], bags[0], arguments.seed, _progress)
+                    recordings = [result] if result.bag else []
+    except (ProcessDiedError, KeyboardInterrupt) as error:
         _clear_progress()
+        for bag in filter(Path.exists, bags):
+            print(f"recorded until then: {bag}", file=sys.stderr)
+        if isinstance(error, KeyboardInterrupt):
+            raise
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
     _clear_progress()
-    if result.bag:
-        print(f"{result.bag}: {result.samples} samples, {result.duration:.2f} s, {result.lost} lost")
+    for recorded in recordings:
+        print(f"{recorded.bag}: {recorded.samples} samples, {recorded.duration:.2f} s, {recorded.lost} lost")
     if not result.success:
         print(f"error: {result.message}", file=sys.stderr)
         sys.exit(1)
 
 
-def _progress(feedback: Any) -> None:
+def _experiments(path: Path, settings: GeneratorSettings) -> dict[Experiment, float]:
+    """The experiment of a file, or those of a folder in the order of the files' names, each with its length in s."""
+    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
+    if not files:
+        raise InputError(f"{path}: has no experiments; put files NAME.yaml there")
+    planned: dict[Experiment, float] = {}
+    for file in files:
+        experiment = read_experiment(file)
+        if any(experiment.name == other.name for other in planned):
+            raise InputError(f"{file}: name: {experiment.name} is the name of another experiment in {path}, too; rename one")
+        try:
+            planned[experiment] = plan(experiment, settings.limits, settings.force_envelope).duration
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+    return planned
+
+
+def _progress(feedback: Any, count: int = 0) -> None:
     if sys.stderr.isatty():
-        line = f"{feedback.phase:10} {feedback.elapsed:6.1f} of {feedback.duration:.1f} s"
+        which = f"{feedback.number}/{count} {feedback.experiment} " if count else ""
+        line = f"{which}{feedback.phase:10} {feedback.elapsed:6.1f} of {feedback.duration:.1f} s"
         print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
 
 

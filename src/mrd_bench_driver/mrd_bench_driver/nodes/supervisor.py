@@ -1,4 +1,4 @@
-"""The supervisor: modes, interlocks, the emergency stop, and the action that runs an experiment."""
+"""The supervisor: modes, interlocks, the emergency stop, and the actions that run experiments."""
 
 import contextlib
 import dataclasses
@@ -9,8 +9,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -36,13 +37,20 @@ from mrd_bench_driver.procedure import (
     Planned,
     Recorded,
     RefusedError,
+    Report,
+    SetOutcome,
     TrippedError,
     run_experiment,
+    run_set,
 )
-from mrd_interfaces.action import RunExperiment
-from mrd_interfaces.msg import BenchSamples, BenchState, ServoState, Setpoint
+from mrd_interfaces.action import RunExperiment, RunSet
+from mrd_interfaces.msg import BenchSamples, BenchState, Recording, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
+from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.limits import Limits
+
+# How an action ends.
+End = TypeVar("End", Outcome, SetOutcome)
 
 # The rod stands at mid-stroke when it is this close, in m.
 CENTRED = 5e-4
@@ -111,14 +119,20 @@ class Supervisor(BenchNode[SupervisorConfig]):
             ("control", SetBool, self._control),
         ):
             self._orders.create_service(kind, name, _served(work), callback_group=group)
-        self._action = ActionServer(
-            self._orders,
-            RunExperiment,
-            "run_experiment",
-            self._run_experiment,
-            callback_group=group,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
-        )
+        self._actions = [
+            ActionServer(
+                self._orders,
+                kind,
+                name,
+                work,
+                callback_group=group,
+                cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+            )
+            for name, kind, work in (
+                ("run_experiment", RunExperiment, self._run_experiment),
+                ("run_set", RunSet, self._run_set),
+            )
+        ]
         # One thread works, the others refuse, cancel and stop.
         self._taking = MultiThreadedExecutor(num_threads=8)
         self._taking.add_node(self._orders)
@@ -329,12 +343,24 @@ class Supervisor(BenchNode[SupervisorConfig]):
                 self.enter(Mode.IDLE, "fault reset")
         return "reset; home or run an experiment to go on"
 
-    # The action
+    # The actions
 
-    def _run_experiment(self, goal: ServerGoalHandle) -> RunExperiment.Result:
+    def _act(self, goal: ServerGoalHandle, what: str, outcome_type: type[End], work: Callable[["Machine"], End]) -> End:
+        """Do a goal's work with the bench for itself, and tell the goal how that ended."""
+
+        def interrupted() -> None:
+            self.interrupted()
+            if goal.is_cancel_requested:
+                raise CancelledError
+
         self._acting.append(goal)
         try:
-            outcome = self._run(goal)
+            try:
+                with self._alone(what):
+                    outcome = work(Machine(self, interrupted))
+            except RefusedError as error:
+                outcome = outcome_type(False, False, str(error))
+            self.get_logger().info(outcome.message)
             if outcome.success:
                 goal.succeed()
             elif outcome.cancelled and goal.is_cancel_requested:
@@ -343,6 +369,25 @@ class Supervisor(BenchNode[SupervisorConfig]):
                 goal.abort()
         finally:
             self._acting.remove(goal)
+        return outcome
+
+    def _record(self, machine: "Machine", order: Order, report: Report) -> Outcome:
+        try:
+            return run_experiment(machine, order, report)
+        finally:
+            self._leave("the experiment ended")
+
+    def _run_experiment(self, goal: ServerGoalHandle) -> RunExperiment.Result:
+        request = goal.request
+
+        def report(phase: str, elapsed: float, duration: float) -> None:
+            goal.publish_feedback(RunExperiment.Feedback(phase=phase, elapsed=elapsed, duration=duration))
+
+        def work(machine: "Machine") -> Outcome:
+            bag = request.bag or self._bag(request.experiment)
+            return self._record(machine, Order(request.experiment, str(Path(bag).resolve()), request.seed), report)
+
+        outcome = self._act(goal, "run_experiment", Outcome, work)
         recorded = outcome.recorded
         return RunExperiment.Result(
             success=outcome.success,
@@ -353,28 +398,60 @@ class Supervisor(BenchNode[SupervisorConfig]):
             duration=recorded.duration,
         )
 
-    def _run(self, goal: ServerGoalHandle) -> Outcome:
-        def interrupted() -> None:
-            self.interrupted()
-            if goal.is_cancel_requested:
-                raise CancelledError
+    def _run_set(self, goal: ServerGoalHandle) -> RunSet.Result:
+        def work(machine: "Machine") -> SetOutcome:
+            orders = self._set(goal.request)
 
-        def report(phase: str, elapsed: float, duration: float) -> None:
-            goal.publish_feedback(RunExperiment.Feedback(phase=phase, elapsed=elapsed, duration=duration))
+            def report(order: Order, phase: str, elapsed: float = 0.0, duration: float = 0.0) -> None:
+                goal.publish_feedback(
+                    RunSet.Feedback(
+                        experiment=order.name,
+                        number=orders.index(order) + 1,
+                        phase=phase,
+                        elapsed=elapsed,
+                        duration=duration,
+                    )
+                )
 
-        request = goal.request
-        try:
-            with self._alone("run_experiment"):
-                bag = request.bag or self._bag(request.experiment)
-                order = Order(request.experiment, str(Path(bag).resolve()), request.seed)
-                try:
-                    outcome = run_experiment(Machine(self, interrupted), order, report)
-                finally:
-                    self._leave("the experiment ended")
-        except RefusedError as error:
-            outcome = Outcome(False, False, str(error), Recorded())
-        self.get_logger().info(outcome.message)
-        return outcome
+            def check(order: Order) -> None:
+                report(order, "checking")
+                machine.require()
+                machine.load(order.experiment)
+
+            return run_set(orders, check, lambda order: self._record(machine, order, partial(report, order)))
+
+        outcome = self._act(goal, "run_set", SetOutcome, work)
+        recordings = [
+            Recording(
+                experiment=order.name,
+                complete=run.success,
+                bag=run.recorded.bag,
+                samples=run.recorded.samples,
+                lost=run.recorded.lost,
+                duration=run.recorded.duration,
+            )
+            for order, run in outcome.runs
+            if run.recorded.bag
+        ]
+        return RunSet.Result(success=outcome.success, message=outcome.message, recordings=recordings)
+
+    def _set(self, request: RunSet.Goal) -> list[Order]:
+        """The orders of a set; refused before anything is asked of the bench."""
+        folder = Path(request.folder or Path(self.config.runs) / f"set-{datetime.datetime.now():%Y%m%d-%H%M%S}").resolve()
+        orders: dict[str, Order] = {}
+        for number, text in enumerate(request.experiments, 1):
+            try:
+                name = parse_experiment(text, f"experiment {number}").name
+            except InputError as error:
+                raise RefusedError(str(error)) from None
+            if name in orders:
+                raise RefusedError(f"experiment {number}: another one of the set has the name {name}, too; rename one")
+            if (folder / name).exists():
+                raise RefusedError(f"{folder / name}: exists already and is not overwritten; give another folder")
+            orders[name] = Order(text, str(folder / name), request.seed)
+        if not orders:
+            raise RefusedError("the set has no experiments; give their texts")
+        return list(orders.values())
 
     def _bag(self, experiment: str) -> str:
         try:
