@@ -6,7 +6,6 @@ least of it (adaptive local polynomials: Katkovnik, Egiazarian and Astola 2006).
 """
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
@@ -46,31 +45,38 @@ def steady_current(current: Array, window: int = 15) -> Array:
     """
     current = np.asarray(current, np.float64)
     noise = current_noise(current)
-    if noise <= 1e-9 * float(np.abs(current).max(initial=0.0)):
+    if noise <= 1e-6 * float(np.abs(current).max(initial=0.0)):
         return current.copy()
     cleaned = _without_outliers(current, noise)
     found, todo = cleaned.copy(), np.ones(len(current), dtype=bool)
-    for _, place, values, holds in sorted(_polynomials(cleaned, noise, window), key=lambda candidate: candidate[0]):
-        covered = slice(place, place + len(holds))
-        taken = todo[covered] & holds
-        found[covered] = np.where(taken, values, found[covered])
-        todo[covered] &= ~taken
+    for _, place, weights, coefficients, holds in sorted(_polynomials(cleaned, noise, window), key=lambda each: each[0]):
+        taken = np.flatnonzero(todo[place : place + len(holds)] & holds)
+        found[taken + place] = coefficients[taken] @ weights
+        todo[taken + place] = False
     return found
 
 
-def _polynomials(series: Array, noise: float, longest: int) -> list[tuple[float, int, Array, NDArray[np.bool_]]]:
-    """Values on the polynomials through all stretches: (noise variance left, place in stretch, values, they hold)."""
+def _polynomials(
+    series: Array, noise: float, longest: int
+) -> list[tuple[float, int, Array, Array, NDArray[np.bool_]]]:
+    """Polynomials through all stretches, at each of their places.
+
+    Each is (share of the noise variance left, place, weights (terms,), coefficients (stretches, terms), whether it holds).
+    """
     found = []
     for length in sorted({max(length, 3) | 1 for length in (longest, 2 * longest // 3, longest // 2, longest // 3, 3)}):
+        if length > len(series):
+            continue
+        # Orthonormal polynomials, so that each takes its share of the squares.
+        basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), 3, increasing=True))[0]
+        coefficients = np.stack([np.correlate(series, polynomial, "valid") for polynomial in basis.T], axis=1)
+        squares = np.convolve(series**2, np.ones(length), "valid")
         for terms in (2, 3):
-            if terms < length <= len(series):
-                stretches = sliding_window_view(series, length)
-                powers = np.vander(np.linspace(-1.0, 1.0, length), terms)
-                hat = powers @ np.linalg.pinv(powers)
-                values = stretches @ hat
-                misfit = np.sum((stretches - values) ** 2, axis=1)
+            if terms < length:
+                misfit = squares - np.sum(coefficients[:, :terms] ** 2, axis=1)
                 holds = misfit <= noise**2 * chdtri(length - terms, 1.0 - _ACCEPTED)
-                found += [(float(hat[place, place]), place, values[:, place], holds) for place in range(length)]
+                for place, weights in enumerate(basis[:, :terms]):
+                    found.append((float(weights @ weights), place, weights, coefficients[:, :terms], holds))
     return found
 
 
