@@ -124,7 +124,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "matrix": np.round(fit.correlation, 6).tolist(),
         },
         "warnings": list(fit.warnings),
-        "versions": {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", "pymoo")},
+        "versions": versions("pymoo"),
     }
 
 
@@ -170,18 +170,33 @@ def read_fit(path: str | Path) -> StoredFit:
     InputError
         When the file cannot be read or is no fit.json of this version.
     """
+    content = read_json(path, "fit", SCHEMA)
+    values = {name: entry["value"] for name, entry in content["parameters"].items()}
+    return StoredFit(content["model"], content["laws"], content["effects"], values, content)
+
+
+def read_json(path: str | Path, name: str, version: str) -> Any:
+    """Read a file that `write_json` wrote as ``name``.json, of this version of its schema.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is something else.
+    """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-        jsonschema.validate(content, schema())
+        found = content.get("schema") if isinstance(content, dict) else None
+        if found != version:
+            raise InputError(f"{path}: its schema is {str(found)[:40]}, expected a {name}.json of {version}")
+        jsonschema.validate(content, schema(name))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:
         raise InputError(f"{path}: is not JSON ({error})") from None
     except jsonschema.ValidationError as error:
         field = "/".join(map(str, error.absolute_path)) or "the file"
-        raise InputError(f"{path}: {field}: {error.message.splitlines()[0]}; expected a fit.json of {SCHEMA}") from None
-    values = {name: entry["value"] for name, entry in content["parameters"].items()}
-    return StoredFit(content["model"], content["laws"], content["effects"], values, content)
+        raise InputError(f"{path}: {field}: {error.message.splitlines()[0][:200]}; expected a {name}.json of {version}") from None
+    return content
 
 
 def run_json(run: Run) -> dict[str, Any]:
@@ -208,6 +223,11 @@ def metrics_json(of: Metrics) -> dict[str, Any]:
 
 def finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def versions(*others: str) -> dict[str, str]:
+    """Versions of this package, of those that compute, and of others."""
+    return {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", *others)}
 
 
 def _version(name: str) -> str:
