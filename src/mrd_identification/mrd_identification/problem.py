@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import threading
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -30,12 +31,15 @@ FORGETTING_STROKE = 1e-3
 """m; the hysteretic state at the start of a recording is not known. Once the rod moved this far, several usual yield
 travels, little of it is left."""
 
-_WORKERS = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="candidates")
+_WORKERS_NAME = "candidates"
+_WORKERS = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix=_WORKERS_NAME)
 """The compiled models release the interpreter, so threads use all cores and share the data without a copy."""
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """``function`` of every item, on all cores, in the order of the items."""
+    """``function`` of every item, on all cores, in the order of the items; work within such work stays on its core."""
+    if threading.current_thread().name.startswith(_WORKERS_NAME):
+        return [function(item) for item in items]
     return list(_WORKERS.map(function, items))
 
 

@@ -1,0 +1,97 @@
+"""The ground on which models are compared: recordings, the noise in them, the parts that are held out in turn."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_identification.gap.diagnosis import RunNoise
+from mrd_identification.gap.refit import GapProblem, Scatter, whitening
+from mrd_identification.polish import polish
+from mrd_identification.problem import Problem, Recording, pose
+from mrd_sim.effects import EFFECTS
+from mrd_sim.models import DamperModel
+
+Array = NDArray[np.float64]
+
+PART = 4.0
+"""s; shorter parts of a run hang together too much to be judged by each other."""
+
+FEWEST_PARTS = 8
+"""Fewer of them say too little of scatter."""
+
+STARTS = 64
+"""Random points from which the best are fitted when nothing is known of the parameters."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Recordings and what is known of their errors.
+
+    Attributes
+    ----------
+    recordings : sequence of Recording
+    noises : sequence of RunNoise
+    scatter : Scatter
+    reference : sequence of ndarray
+        Modelled force of each run in N at the counted samples: what a run's own gain multiplies.
+    fixed : mapping
+        Values of the model's parameters that are not searched.
+    """
+
+    recordings: Sequence[Recording]
+    noises: Sequence[RunNoise]
+    scatter: Scatter
+    reference: Sequence[Array]
+    fixed: Mapping[str, float]
+
+    def problem(self, model: DamperModel, freed: Sequence[str] = ()) -> GapProblem:
+        """What these recordings can tell about a model, with white residuals where it is true."""
+        posed, _ = pose(model, self.recordings, fixed=self.fixed, freed=freed)
+        whitenings = tuple(
+            whitening(noise.sigma, force, self.scatter) for noise, force in zip(self.noises, self.reference, strict=True)
+        )
+        return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings)
+
+    @property
+    def samples(self) -> int:
+        """Counted samples."""
+        return sum(len(recording.force) for recording in self.recordings)
+
+    @property
+    def parts(self) -> list[tuple[int, slice]]:
+        """Place of the run and samples among all counted ones, for each part that is held out in turn."""
+        found, start = [], 0
+        fewest = -(-FEWEST_PARTS // len(self.recordings))
+        for run, recording in enumerate(self.recordings):
+            length = len(recording.force)
+            count = max(fewest, min(3, int(recording.run.duration / PART)), 1)
+            edges = start + np.linspace(0, length, count + 1).astype(int)
+            found += [(run, slice(int(a), int(b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            start += length
+        return found
+
+
+def first_fit(problem: Problem, start: Array | None, rng: np.random.Generator) -> Array:
+    """Least squares (parameters,) from ``start``, or from the best of random points of the box.
+
+    Parameters in which the force is linear follow from the others (variable projection), so few points are enough.
+    """
+    if start is not None:
+        return polish(problem, problem.theta(problem.unit(start)))[0]
+    units = np.vstack([problem.unit(problem.model.defaults), rng.random((STARTS, len(problem.free)))])
+    thetas, norms = problem.project(problem.theta(units))
+    best = np.argsort(norms[:, 0], kind="stable")[:4]
+    brief = [polish(problem, thetas[index], 15) for index in best]
+    return polish(problem, min(brief, key=lambda found: found[1])[0])[0]
+
+
+def with_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:
+    """The model with one more effect, and its parameters with the effect neutral."""
+    present = {other.id for other in model.effects}
+    richer = replace(model, effects=()).with_effects(
+        [EFFECTS[name] for name in EFFECTS if name in present or name == effect]
+    )
+    values = dict(zip(model.names, theta, strict=True))
+    return richer, np.array([values.get(p.name, p.default) for p in richer.parameters])

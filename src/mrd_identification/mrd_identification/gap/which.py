@@ -1,0 +1,258 @@
+"""Which effect: every candidate refitted around the model, the best one kept, and again around that."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_identification.gap.ground import Ground, with_effect
+from mrd_identification.gap.refit import GapProblem, Refit, refit
+from mrd_identification.problem import in_threads
+from mrd_sim.effects import Effect, find_effects
+
+Array = NDArray[np.float64]
+
+LEAST_GAIN = 0.1
+"""Share of the noise's energy by which an effect must lower the unseen error to matter."""
+
+LEAST_SHARE = 0.03
+"""Share of the gap by which it must."""
+
+MOST_CAUSES = 3
+"""Effects that are added to the model, one after the other."""
+
+BEAM = 2
+"""First effects that are tried with a second one."""
+
+SHORTLIST = 8
+"""Effects that are tried beside another one: those that the score puts first."""
+
+LEFT_OVER = 0.03
+"""Share of an effect's change of the force that the model's own parameters must leave, or else it cannot be tested."""
+
+
+@dataclass(frozen=True)
+class Foundation:
+    """A refitted model to which effects are added, with what scoring them needs.
+
+    Attributes
+    ----------
+    refit : Refit
+    residual : ndarray (samples,)
+        White.
+    jacobian : ndarray (samples, free)
+    inverse : ndarray (free, free)
+        Of its normal matrix.
+    """
+
+    refit: Refit
+    residual: Array
+    jacobian: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, fitted: Refit) -> "Foundation":
+        """From a refit."""
+        unit = fitted.problem.unit(fitted.theta)
+        jacobian = fitted.problem.jacobian(unit)
+        gram = jacobian.T @ jacobian
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
+        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+        inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T / np.outer(size, size)
+        return cls(fitted, fitted.problem.residuals(fitted.theta), jacobian, inverse)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the effects in the model."""
+        return tuple(effect.id for effect in self.refit.problem.model.effects)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an effect promises, before it is fitted.
+
+    Attributes
+    ----------
+    gain : float
+        Squared white residual that the best of its forms takes away, to first order.
+    start : ndarray (parameters,)
+        Where its fit should begin.
+    left_over : float
+        Share of its change of the force that the model's own parameters cannot imitate.
+    strength : float
+        Squared white change of the force that is left of the effect at its typical size.
+    """
+
+    gain: float
+    start: Array
+    left_over: float
+    strength: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Effects around the model, refitted.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        In the order in which they were added.
+    refit : Refit
+    score : Score
+    """
+
+    effects: tuple[str, ...]
+    refit: Refit
+    score: Score
+
+
+def variants(effect: Effect) -> list[dict[str, float]]:
+    """Values of an effect's parameters from which fits may begin: typical, and with each shape moved either way."""
+    typical = {p.name: effect.typical.get(p.name, p.default) for p in effect.parameters}
+    found = [typical]
+    for shape in effect.parameters[1:]:
+        if not shape.free:
+            continue
+        for place in (0.15, 0.5, 0.85):
+            ratio = shape.upper / shape.lower if shape.log else 0.0
+            value = shape.lower * ratio**place if shape.log else shape.lower + place * (shape.upper - shape.lower)
+            found.append(typical | {shape.name: value})
+    return found
+
+
+def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
+    """How much of the foundation's residual an effect could take away.
+
+    Each form of the effect (`variants`) changes the force; what the model's own parameters can imitate of the change is
+    taken out, and the rest is scaled to suit the residual (a score test of finite size, with nuisance rejection: Basseville
+    & Nikiforov, 1993).
+    """
+    names = problem.model.names
+    old = foundation.refit.problem.model
+    values = dict(zip(old.names, foundation.refit.theta, strict=True))
+    plain = np.array([values.get(p.name, p.default) for p in problem.model.parameters])
+    own = [names.index(f"{effect.id}.{p.name}") for p in effect.parameters]
+    best: Score | None = None
+    for index, variant in enumerate(variants(effect)):
+        theta = plain.copy()
+        theta[own] = [variant[p.name] for p in effect.parameters]
+        change = problem.residuals(theta) - foundation.residual
+        energy = float(change @ change)
+        if not np.isfinite(energy) or energy == 0.0:
+            continue
+        absorbed = -foundation.inverse @ (foundation.jacobian.T @ change)
+        left = change + foundation.jacobian @ absorbed
+        strength = float(left @ left)
+        size = effect.parameters[0]
+        ends = sorted((size.lower / variant[size.name], size.upper / variant[size.name]))
+        factor = float(np.clip(-(left @ foundation.residual) / strength, max(ends[0], -3.0), min(ends[1], 3.0)))
+        gain = max(0.0, -factor * (2 * float(left @ foundation.residual) + factor * strength))
+        if best is None or gain > best.gain:
+            # A fit that begins at nothing learns nothing of the shape.
+            factor = factor if abs(factor) > 0.03 else 0.03
+            start = plain.copy()
+            start[own] = [variant[p.name] for p in effect.parameters]
+            for place, parameter in zip(own, effect.parameters, strict=True):
+                if parameter is size or (parameter.default == 0.0 and parameter.lower < 0.0 < parameter.upper):
+                    start[place] *= factor
+            moved = problem.unit(start)
+            old_free = [names.index(old.names[i]) for i in foundation.refit.problem.free]
+            moved[[problem.free.index(i) for i in old_free]] += factor * absorbed
+            reference = best.strength if best else strength
+            best = Score(gain, problem.theta(np.clip(moved, 0.0, 1.0)), float(np.sqrt(strength / energy)), reference)
+    return best or Score(0.0, plain, 0.0, 0.0)
+
+
+def search(
+    ground: Ground, base: Refit, effects: Sequence[str], progress: Callable[[float], None] = lambda _share: None
+) -> tuple[list[Trial], list[Trial]]:
+    """Find the effects that, added to the model one after the other, lower its error on unseen parts most.
+
+    Parameters
+    ----------
+    ground : Ground
+    base : Refit
+        Of the model alone.
+    effects : sequence of str
+        Ids of the candidates.
+    progress : callable
+        Called with the share of the work that is done.
+
+    Returns
+    -------
+    chosen : list of Trial
+        Each with one effect more than the one before; empty where no effect helps.
+    trials : list of Trial
+        Everything that was fitted.
+    """
+    samples = ground.samples
+    first = around(ground, Foundation.of(base), effects, len(effects), lambda share: progress(0.6 * share))
+    trials = list(first)
+    chosen: list[Trial] = []
+    reached = base.total
+    frontier = sorted(first, key=lambda trial: trial.refit.total)
+    while frontier and len(chosen) < MOST_CAUSES:
+        best = frontier[0]
+        if not worth(reached, best.refit.total, samples):
+            break
+        chosen.append(best)
+        reached = best.refit.total
+        if reached < (1 + LEAST_GAIN) * samples:
+            break
+        leads = frontier[:BEAM] if len(chosen) == 1 else frontier[:1]
+        found = [
+            trial
+            for lead in leads
+            for trial in around(
+                ground, Foundation.of(lead.refit), [e for e in effects if e not in lead.effects], SHORTLIST,
+                lambda _share: None, lead.effects,
+            )
+        ]
+        progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
+        trials += found
+        frontier = sorted(found, key=lambda trial: trial.refit.total)
+        if frontier and frontier[0].effects[: len(chosen)] != best.effects and worth(reached, frontier[0].refit.total, samples):
+            # The pair does not hold the first effect: its own first one is that of the chain.
+            lead = next(trial for trial in first if trial.effects == frontier[0].effects[:1])
+            chosen = [lead]
+            reached = lead.refit.total
+    progress(1.0)
+    return chosen, trials
+
+
+def worth(before: float, after: float, samples: int) -> bool:
+    """Whether an effect lowers the unseen squared white error enough to matter."""
+    gain = before - after
+    return gain > LEAST_GAIN * samples and gain > LEAST_SHARE * max(before - samples, 0.0)
+
+
+def around(
+    ground: Ground,
+    foundation: Foundation,
+    effects: Sequence[str],
+    most: int,
+    progress: Callable[[float], None],
+    present: tuple[str, ...] = (),
+) -> list[Trial]:
+    """Refit the foundation's model with each of the most promising effects."""
+    parts = ground.parts
+
+    def problem(effect: str) -> GapProblem:
+        model, _ = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
+        return ground.problem(model)
+
+    problems = {effect: problem(effect) for effect in effects}
+    scores = in_threads(lambda e: score(problems[e], foundation, find_effects([e])[0]), effects)
+    ranked = sorted(zip(effects, scores, strict=True), key=lambda found: -found[1].gain)[:most]
+    done = itertools.count(1)
+
+    def fit(found: tuple[str, Score]) -> Trial:
+        effect, promise = found
+        fitted = refit(problems[effect], promise.start, parts)
+        progress(next(done) / len(ranked))
+        return Trial((*present, effect), fitted, promise)
+
+    return in_threads(fit, ranked)
+
