@@ -40,7 +40,7 @@ def test_the_set_takes_less_than_three_minutes_at_one_rate(plans):
 
 def test_the_set_reaches_as_far_as_the_limits_allow(plans):
     peaks = [{peak.quantity: peak.value / peak.limit for peak in p.peaks if peak.limit} for p in plans]
-    assert sum(p["position"] > 0.99 for p in peaks) >= 3
+    assert sum(p["position"] > 0.95 for p in peaks) >= 3
     for quantity in ("speed", "expected force"):
         assert max(p[quantity] for p in peaks) > 0.95
     reached = np.concatenate([p.at(p.times()).position for p in plans]) / SETTINGS.limits.reach
