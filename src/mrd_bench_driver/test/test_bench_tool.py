@@ -68,7 +68,8 @@ def test_a_folder_is_checked_as_a_whole(run: Callable[..., tuple[object, str]], 
     (folder / "01.yaml").write_text(GENTLE)
     (folder / "02.yaml").write_text(GENTLE)
     status, said = run("set", "--simulated")
-    assert (status, said) == (2, "error: set/02.yaml: name: x is the name of another experiment in set, too; rename one\n")
+    assert (status, said) == (2, "error: set/02.yaml: name: x is the name of another experiment, too; rename one\n")
+    assert run("set/01.yaml", "set/02.yaml", "--simulated") == (status, said)
     (folder / "02.yaml").write_text(GENTLE.replace("5,", "30,").replace("x", "y", 1))
     status, said = run("set", "--simulated")
     assert status == 2

@@ -139,11 +139,11 @@ def main() -> None:
     """Run the tool."""
     parser = argparse.ArgumentParser(prog="bench", description=__doc__)
     parser.add_argument(
-        "experiment",
-        nargs="?",
+        "experiments",
+        nargs="*",
         type=Path,
         metavar="EXPERIMENT.yaml|FOLDER",
-        help="a folder: its experiments one after the other, by the files' names; without: up until Ctrl-C",
+        help="several, or those in a folder by their files' names: one after the other; without: up until Ctrl-C",
     )
     parser.add_argument("--bench", type=Path, default=os.environ.get("MRD_BENCH"), help="default: $MRD_BENCH")
     parser.add_argument("--plant", type=Path, help="what is simulated; default: plant.yaml beside the --bench file")
@@ -165,9 +165,13 @@ def main() -> None:
 
 def _work(arguments: argparse.Namespace) -> None:
     settings = read_settings(arguments.bench)
-    experiments = _experiments(arguments.experiment, settings) if arguments.experiment else {}
-    a_set = bool(arguments.experiment) and arguments.experiment.is_dir()
-    name = arguments.experiment.resolve().name if a_set else next((e.name for e in experiments), "bench")
+    paths: list[Path] = arguments.experiments
+    experiments = _experiments(paths, settings)
+    a_set = len(paths) > 1 or any(path.is_dir() for path in paths)
+    name = next((experiment.name for experiment in experiments), "bench")
+    if a_set:
+        first = paths[0].resolve()
+        name = first.name if first.is_dir() else first.parent.name
     plant = None
     if arguments.simulated:
         plant = arguments.plant or arguments.bench.parent / "plant.yaml"
@@ -222,16 +226,19 @@ def _work(arguments: argparse.Namespace) -> None:
         sys.exit(1)
 
 
-def _experiments(path: Path, settings: GeneratorSettings) -> dict[Experiment, float]:
-    """The experiment of a file, or those of a folder in the order of the files' names, each with its length in s."""
-    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
-    if not files:
-        raise InputError(f"{path}: has no experiments; put files NAME.yaml there")
+def _experiments(paths: list[Path], settings: GeneratorSettings) -> dict[Experiment, float]:
+    """The experiments of files and, in the order of their files' names, of folders; each with its length in s."""
+    files: list[Path] = []
+    for path in paths:
+        found = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
+        if not found:
+            raise InputError(f"{path}: has no experiments; put files NAME.yaml there")
+        files += found
     planned: dict[Experiment, float] = {}
     for file in files:
         experiment = read_experiment(file)
         if any(experiment.name == other.name for other in planned):
-            raise InputError(f"{file}: name: {experiment.name} is the name of another experiment in {path}, too; rename one")
+            raise InputError(f"{file}: name: {experiment.name} is the name of another experiment, too; rename one")
         try:
             planned[experiment] = plan(experiment, settings.limits, settings.force_envelope).duration
         except InputError as error:
