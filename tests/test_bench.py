@@ -215,3 +215,51 @@ def test_a_bad_line_never_moves_the_rod(bench: WholeBench, tmp_path: Path) -> No
     positions = np.array([state.position[0] for state in truth])
     # Without current in its windings the motor gives way to the damper's gas force by its brake only.
     assert np.abs(positions - rest).max() < 2e-4
+
+
+def record_set(folder: Path, lengths: tuple[float, ...]) -> subprocess.Popen[str]:
+    """The tool with a folder of experiments `1_run`, `2_run` ... of these lengths in s."""
+    (folder / "experiments").mkdir()
+    for number, length in enumerate(lengths, 1):
+        text = LONG.replace("name: long", f"name: {number}_run").replace("duration_s: 30.0", f"duration_s: {length}")
+        (folder / f"experiments/{number}.yaml").write_text(text)
+    return subprocess.Popen(
+        ["ros2", "run", "mrd_bench_driver", "bench", folder / "experiments", "--bench", BENCH, "--simulated",
+         "--output", folder / "set"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+@pytest.mark.timeout(120)
+def test_a_folder_of_experiments_is_recorded_by_one_command(tmp_path: Path) -> None:
+    said, failed = record_set(tmp_path, (1.0, 2.0)).communicate(timeout=100)
+    assert not failed
+    first, *lines = said.splitlines()
+    assert first.startswith("experiments: 2 experiments, ")
+    runs = [read_run(tmp_path / f"set/{name}") for name in ("1_run", "2_run")]
+    for run, line, length in zip(runs, lines, (1.0, 2.0), strict=True):
+        name = run.info["experiment_name"]
+        assert line.startswith(f"{tmp_path / 'set' / name}: {len(run)} samples, ")
+        assert line.endswith(" 0 lost")
+        assert length < run.time[-1] - run.time[0] < length + 1.5
+        assert np.ptp(run.position) == pytest.approx(0.016, rel=0.1)
+
+
+@pytest.mark.timeout(120)
+def test_an_interrupted_set_keeps_what_it_recorded(tmp_path: Path) -> None:
+    tool = record_set(tmp_path, (1.0, 60.0, 1.0))
+    deadline = time.monotonic() + 80
+    while not (tmp_path / "set/2_run").exists():
+        assert tool.poll() is None, tool.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    time.sleep(2.0)
+    tool.send_signal(signal.SIGINT)
+    _, said = tool.communicate(timeout=60)
+    assert tool.returncode == 130
+    folders = [tmp_path / "set/1_run", tmp_path / "set/2_run"]
+    assert said.splitlines() == [*(f"recorded until then: {folder}" for folder in folders), "interrupted"]
+    whole, part = map(read_run, folders)
+    assert 1.0 < whole.time[-1] - whole.time[0] < 2.5
+    assert 0.5 < part.time[-1] - part.time[0] < 30.0
+    assert not (tmp_path / "set/3_run").exists()
