@@ -1,0 +1,129 @@
+"""The noise floor, on simulated runs of which everything is known."""
+
+import numpy as np
+import pytest
+
+from mrd_identification.gap.noise import repeating_period, run_noise
+from mrd_identification.problem import Recording, prepare
+from mrd_runs import make_run
+from mrd_runs.motion import motion
+from mrd_sim.damper import Damper
+from mrd_sim.models import find_model
+from mrd_sim.path import make_path
+
+DAMPER = Damper("bouc_wen")
+FORCE, POSITION, CURRENT, ACCELERATION = 1.5, 8e-6, 4e-3, 0.05
+FINE = 8
+
+
+def sines(t: np.ndarray, lines: np.ndarray, amplitudes: np.ndarray, seed: int) -> tuple[np.ndarray, ...]:
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, len(lines))
+    omega = 2 * np.pi * lines[:, None]
+    angle, amplitude = omega * t + phases[:, None], amplitudes[:, None]
+    return (
+        (amplitude * np.sin(angle)).sum(0),
+        (amplitude * omega * np.cos(angle)).sum(0),
+        -(amplitude * omega**2 * np.sin(angle)).sum(0),
+    )
+
+
+def recorded(
+    kind: str, seed: int = 0, *, rate: float = 500.0, seconds: float = 12.0, accelerometer: bool = True, step: float = 0.0
+) -> Recording:
+    """A null run: the damper's force along a true motion, and everything read with noise."""
+    t = np.arange(int(seconds * rate) * FINE) / (rate * FINE)
+    levels = np.random.default_rng(5).choice([0.0, 0.2, 0.5, 1.0], int(seconds / 0.1) + 1)
+    current = levels[(t / 0.1).astype(int)] if kind in ("multisine", "steps") else np.full(len(t), 0.3)
+    if kind == "multisine":
+        lines = np.arange(0.3, 7.5, 0.6)
+        moved = sines(t, lines, 4e-3 / lines, 7)
+    elif kind == "sine":
+        moved = sines(t, np.array([2.3]), np.array([8e-3]), 7)
+    elif kind == "wander":
+        lines = np.array([0.7, 1.1, 1.9, 2.3]) * 1.0137
+        moved = sines(t, lines, 5e-3 / lines, 7)
+    else:
+        moved = sines(t, np.array([0.21]), np.array([2e-2]), 7)
+    force = DAMPER.model.force(DAMPER.theta, make_path(t, *moved, current))[::FINE]
+    rng = np.random.default_rng(seed)
+    position, _, acceleration = (series[::FINE] for series in moved)
+    force = force + rng.normal(0, FORCE, len(force))
+    columns = {
+        "time_s": t[::FINE],
+        "position_m": position + rng.normal(0, POSITION, len(force)),
+        "current_A": current[::FINE] + rng.normal(0, CURRENT, len(force)),
+        "force_N": np.round(force / step) * step if step else force,
+    }
+    if accelerometer:
+        columns["acceleration_mps2"] = acceleration + rng.normal(0, ACCELERATION, len(force))
+    return prepare(make_run(f"{kind}{seed}", columns))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def near_reversals(recording: Recording, reach: float = 0.02) -> np.ndarray:
+    velocity = motion(recording.run).velocity
+    turns = np.flatnonzero(velocity[1:] * velocity[:-1] < 0)
+    near = np.abs(recording.run.time[:, None] - recording.run.time[turns]).min(axis=1) < reach
+    return near[recording.counted]
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+def test_of_true_models_nothing_is_left(accelerometer: bool) -> None:
+    kinds = ("multisine", "sine", "wander", "steps")
+    recordings = [recorded(kind, seed, accelerometer=accelerometer) for seed, kind in enumerate(kinds)]
+    found = run_noise(recordings, DAMPER.model, DAMPER.theta, np.random.default_rng(1))
+    assert [noise.source for noise in found] == ["residual", "periods", "residual", "residual"]
+    for recording, noise in zip(recordings, found, strict=True):
+        left = (recording.force - recording.modelled(DAMPER.model, DAMPER.theta)) / noise.sigma
+        near = near_reversals(recording)
+        assert 0.8 < rms(left) < 1.2
+        assert 0.7 < rms(left[near]) < 1.4
+        assert 0.7 < rms(left[~near]) < 1.4
+        assert noise.force == pytest.approx(FORCE, rel=0.2)
+        assert rms(noise.sigma) == pytest.approx(np.hypot(noise.force, noise.motion), rel=1e-6)
+
+
+# At 100 Hz nothing between two reversals is slow: some of what the model misses then counts as noise.
+@pytest.mark.parametrize(("rate", "most"), [(100.0, 2.5), (500.0, 1.4)])
+def test_what_a_wrong_model_leaves_is_no_noise(rate: float, most: float) -> None:
+    recordings = [recorded(kind, rate=rate, seconds=20.0) for kind in ("sine", "wander")]
+    wrong = find_model("bingham")
+    theta = wrong.vector({"yield_force": 80.0, "yield_force_per_A": 900.0, "viscous": 900.0, "viscous_per_A": 2500.0})
+    for recording, noise in zip(recordings, run_noise(recordings, wrong, theta, np.random.default_rng(2)), strict=True):
+        residual = recording.force - recording.modelled(wrong, theta)
+        assert rms(residual) > 15 * FORCE
+        assert 0.7 * FORCE < noise.force < most * FORCE
+
+
+def test_repeats_are_known() -> None:
+    recordings = [recorded("multisine", 1), recorded("multisine", 2), recorded("sine", 3)]
+    found = run_noise(recordings, DAMPER.model, DAMPER.theta, np.random.default_rng(3))
+    assert [noise.source for noise in found] == ["repeats", "repeats", "periods"]
+    assert found[0].force == pytest.approx(FORCE, rel=0.2)
+
+
+def test_digits_of_the_force_are_noise() -> None:
+    (found,) = run_noise([recorded("wander", step=8.0)], DAMPER.model, DAMPER.theta, np.random.default_rng(4))
+    assert found.force == pytest.approx(np.hypot(FORCE, 8.0 / np.sqrt(12)), rel=0.2)
+
+
+def test_noise_is_never_larger_than_the_residual() -> None:
+    recording = recorded("wander", rate=25.0, accelerometer=False)
+    (found,) = run_noise([recording], DAMPER.model, DAMPER.theta, np.random.default_rng(5))
+    residual = recording.force - recording.modelled(DAMPER.model, DAMPER.theta)
+    assert rms(found.sigma) < 1.1 * rms(residual)
+
+
+@pytest.mark.parametrize(("kind", "period"), [("sine", 1 / 2.3), ("wander", None), ("multisine", None), ("steps", None)])
+def test_periods_are_found(kind: str, period: float | None) -> None:
+    found = repeating_period(recorded(kind).run)
+    assert found is None if period is None else found == pytest.approx(period, abs=2e-5)
+
+
+def test_the_same_seed_gives_the_same() -> None:
+    recording = recorded("wander", seconds=4.0)
+    first, second = (run_noise([recording], DAMPER.model, DAMPER.theta, np.random.default_rng(6)) for _ in range(2))
+    np.testing.assert_array_equal(first[0].sigma, second[0].sigma)
