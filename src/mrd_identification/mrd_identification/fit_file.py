@@ -195,7 +195,8 @@ def read_json(path: str | Path, name: str, version: str) -> Any:
         raise InputError(f"{path}: is not JSON ({error})") from None
     except jsonschema.ValidationError as error:
         field = "/".join(map(str, error.absolute_path)) or "the file"
-        raise InputError(f"{path}: {field}: {error.message.splitlines()[0][:200]}; expected a {name}.json of {version}") from None
+        wrong = error.message.splitlines()[0][:200]
+        raise InputError(f"{path}: {field}: {wrong}; expected a {name}.json of {version}") from None
     return content
 
 

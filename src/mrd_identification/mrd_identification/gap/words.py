@@ -1,6 +1,7 @@
 """What a diagnosis says in words: numbers as a person reads them, causes, the one sentence."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -62,6 +63,11 @@ def share(value: float | Interval) -> str:
         return "–"
     ends = f" ({_fixed(100 * value.lower, 0)} to {_fixed(100 * value.upper, 0)})"
     return share(value.value) + (ends if math.isfinite(value.lower + value.upper) else "")
+
+
+def percent(ratio: float) -> str:
+    """An error relative to the force's standard deviation, in per cent."""
+    return f"{_rounded(100 * ratio, 2)} %" if math.isfinite(ratio) else "–"
 
 
 @dataclass(frozen=True)
@@ -132,19 +138,20 @@ def _data_fault(diagnosis: Diagnosis) -> str:
     if not faults:
         return "The recordings are faulty, so nothing is said of the physics."
     first = faults[0]
-    place = f" ({first.run})" if first.run and first.run not in first.text else ""
-    more = f", and {len(faults) - 1} more" if len(faults) > 1 else ""
-    return f"The recordings are faulty, so nothing is said of the physics: {first.text.rstrip('.')}{place}{more}."
+    place = ", ".join(part for part in (first.run, first.channel) if part) or "all runs"
+    found = re.split(r"[;:] ", first.text.rstrip("."))[0]
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return f"The recordings are faulty, so nothing is said of the physics. {place}: {found}{more}."
 
 
 def _no_gap(diagnosis: Diagnosis) -> str:
-    before, floor = _percent(diagnosis.before.value), _percent(diagnosis.floor.value)
+    before, floor = percent(diagnosis.before.value), percent(diagnosis.floor.value)
     if diagnosis.unfitted is not None and diagnosis.unfitted > NOTABLE * diagnosis.before.value:
         return (
-            f"The gap was in the parameters: refitted, the model errs by {before} of the force's standard deviation in place "
-            f"of {_percent(diagnosis.unfitted)}, and noise explains that ({floor})."
+            f"The gap was in the parameters: refitted, the model errs by {before} of the force's standard deviation in "
+            f"place of {percent(diagnosis.unfitted)}, and noise explains that ({floor})."
         )
-    return f"No gap beyond the noise: the model errs by {before} of the force's standard deviation, of which noise is {floor}."
+    return f"No gap beyond the noise: the model errs by {before} of the force's standard deviation, the noise by {floor}."
 
 
 def _explained(diagnosis: Diagnosis) -> str:
@@ -204,18 +211,21 @@ def _clauses(causes: Sequence[Cause]) -> str:
 def _at(label: str) -> str:
     """A region's label after "lies"."""
     first = label.partition(" ")[0]
-    if first in ("run", "the"):
-        return f"in {label}"
-    return label if first in ("at", "in", "while", "within", "above", "below", "after", "between", "more", "up") else f"at {label}"
+    if first in ("at", "in", "while", "within", "above", "below", "after", "between", "more", "up"):
+        return label
+    return f"{'in' if first in ('run', 'the') else 'at'} {label}"
+
+
+def with_effects(diagnosis: Diagnosis) -> str:
+    """What the numbers and pictures after are with."""
+    if diagnosis.verdict == "explained":
+        return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
+    return "with the likeliest cause" if diagnosis.verdict == "ambiguous" else "with what is nearest"
 
 
 def candidate_name(candidate: Candidate) -> str:
     """Titles of a candidate's effects, as a label."""
     return " + ".join(EFFECTS[effect].title if effect in EFFECTS else effect for effect in candidate.effects)
-
-
-def _percent(ratio: float) -> str:
-    return f"{_rounded(100 * ratio, 2)} %"
 
 
 def _listed(items: Sequence[str]) -> str:
