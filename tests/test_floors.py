@@ -32,7 +32,7 @@ EXECUTABLES = {
     "mrd_runs": {"recorder", "replay", "import_csv", "info"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
-    "mrd_identification": {"identifier", "identify", "compare", "export"},
+    "mrd_identification": {"identifier", "identify", "compare", "export", "diagnose", "apply", "trend"},
 }
 
 ROSDEP = {

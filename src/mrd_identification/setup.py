@@ -24,6 +24,9 @@ setup(
             "identify = mrd_identification.cli.identify:main",
             "compare = mrd_identification.cli.compare:main",
             "export = mrd_identification.cli.export:main",
+            "diagnose = mrd_identification.cli.diagnose:main",
+            "apply = mrd_identification.cli.apply:main",
+            "trend = mrd_identification.cli.trend:main",
         ]
     },
 )

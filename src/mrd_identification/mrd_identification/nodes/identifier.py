@@ -1,4 +1,4 @@
-"""Identification as a node: the same fit as the tool's, from recorded runs or from the samples that it hears."""
+"""Identification and diagnosis as a node: the same as the tools', from recorded runs or from the samples that it hears."""
 
 import threading
 from collections.abc import Callable
@@ -14,12 +14,14 @@ from rclpy.task import Future
 from mrd_base import InputError, quantity
 from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
-from mrd_identification.fit_file import make_folder, write_fit
+from mrd_identification.fit_file import make_folder, read_fit, write_fit
+from mrd_identification.gap.diagnose import diagnose
+from mrd_identification.gap.report import write_gap_report
 from mrd_identification.identify import Fit, Method, identify
 from mrd_identification.report import sentence, write_report
-from mrd_interfaces.action import Identify
+from mrd_interfaces.action import Diagnose, Identify
 from mrd_interfaces.msg import BenchSamples
-from mrd_runs import read_runs
+from mrd_runs import Run, read_runs
 from mrd_runs.live import HeardSamples
 
 
@@ -32,11 +34,11 @@ class IdentifierSettings:
 
 
 class CancelledError(Exception):
-    """The client does not want the fit any more."""
+    """The client does not want the answer any more."""
 
 
 class Identifier(BenchNode[IdentifierSettings]):
-    """Listens to ``samples`` and serves ``identify``, one fit at a time, beside the executor's thread."""
+    """Listens to ``samples`` and serves ``identify`` and ``diagnose``, one at a time, beside the executor's thread."""
 
     def __init__(self) -> None:
         super().__init__("identifier", IdentifierSettings)
@@ -45,75 +47,101 @@ class Identifier(BenchNode[IdentifierSettings]):
         self._stopping = threading.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="fit")
         self.create_subscription(BenchSamples, "samples", self._heard.append, RECORDED, raw=True)
-        self._server = ActionServer(
-            self,
-            Identify,
-            "identify",
-            self._execute,
-            goal_callback=self._accept,
-            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+        self._servers = [self._serve("identify", Identify, self._identify), self._serve("diagnose", Diagnose, self._explain)]
+
+    def _serve(self, name: str, action: Any, work: Callable[[Any, Callable[[Any], None], Any], None]) -> ActionServer:
+        """An action whose ``work(request, publish, result)`` fills the result in the worker's thread.
+
+        ``publish`` takes feedback, and raises `CancelledError` when nobody waits for the result any more.
+        """
+
+        async def execute(goal: Any) -> Any:
+            def publish(feedback: Any) -> None:
+                if goal.is_cancel_requested or self._stopping.is_set():
+                    raise CancelledError
+                goal.publish_feedback(feedback)
+
+            result = action.Result()
+            try:
+                await self._in_worker(lambda: work(goal.request, publish, result))
+            except InputError as error:
+                result = action.Result(message=str(error))
+                goal.abort()
+            except CancelledError:
+                result = action.Result(message="cancelled")
+                goal.canceled()
+            else:
+                result.success = True
+                goal.succeed()
+            finally:
+                self._busy = False
+            self.get_logger().info(result.message)
+            return result
+
+        return ActionServer(
+            self, action, name, execute, goal_callback=self._accept, cancel_callback=lambda _goal: CancelResponse.ACCEPT
         )
 
-    def _accept(self, _goal: Identify.Goal) -> GoalResponse:
+    def _accept(self, _goal: Any) -> GoalResponse:
         if self._busy:
             return GoalResponse.REJECT
         self._busy = True
         return GoalResponse.ACCEPT
 
-    async def _execute(self, goal: Any) -> Identify.Result:
-        request: Identify.Goal = goal.request
-        method = _method(request)
-        generations = method.generations * (method.seeds if method.polish else 1)
-
-        def progress(generation: int, nrmse: float) -> None:
-            if goal.is_cancel_requested or self._stopping.is_set():
-                raise CancelledError
-            goal.publish_feedback(Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse))
-
-        result = Identify.Result()
-        try:
-            fit, folder = await self._in_worker(lambda: self._fit(request, method, progress))
-        except InputError as error:
-            result.message = str(error)
-            goal.abort()
-        except CancelledError:
-            result.message = "cancelled"
-            goal.canceled()
-        else:
-            _fill(result, fit, folder)
-            goal.succeed()
-        finally:
-            self._busy = False
-        self.get_logger().info(result.message)
-        return result
-
-    async def _in_worker(self, work: Callable[[], Any]) -> Any:
+    async def _in_worker(self, work: Callable[[], None]) -> None:
         done: Future = Future(executor=self.executor)
 
         def run() -> None:
             try:
-                done.set_result(work())
+                work()
+                done.set_result(None)
             except Exception as error:
                 done.set_exception(error)
 
         self._worker.submit(run)
-        return await done
+        await done
 
-    def _fit(
-        self, request: Identify.Goal, method: Method, progress: Callable[[int, float], None]
-    ) -> tuple[Fit, Path]:
+    def _identify(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
+        method = _method(request)
+        generations = method.generations * (method.seeds if method.polish else 1)
+
+        def progress(generation: int, nrmse: float) -> None:
+            publish(Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse))
+
         folder = make_folder(request.output)
-        if request.runs:
-            every = read_runs([*request.runs, *request.held_out])
-            runs, held_out = every[: len(request.runs)], every[len(request.runs) :]
-        else:
-            runs, held_out = [self._heard.run("live samples")], read_runs(request.held_out)
+        runs, held_out = self._runs(request)
         fit = identify(runs, request.model, held_out=held_out, method=method, progress=progress)
         write_fit(fit, folder)
         write_report(fit, folder)
-        return fit, folder
+        _fill(result, fit, folder)
+
+    def _explain(self, request: Diagnose.Goal, publish: Callable[[Any], None], result: Diagnose.Result) -> None:
+        def progress(stage: str, fraction: float) -> None:
+            publish(Diagnose.Feedback(stage=stage, fraction=fraction))
+
+        folder = make_folder(request.output)
+        parameters = read_fit(request.parameters) if request.parameters else None
+        runs, held_out = self._runs(request)
+        found = diagnose(
+            runs, request.model, held_out=held_out, parameters=parameters, effects=tuple(request.effects),
+            seed=request.seed, progress=progress,
+        )
+        result.report = str(write_gap_report(found, folder).resolve())
+        result.message = found.sentence
+        result.verdict = found.verdict
+        result.causes = [cause.effect for cause in found.causes]
+        result.probability = [cause.probability for cause in found.causes]
+        result.closed_fraction = found.closed.value
+
+    def _runs(self, request: Identify.Goal | Diagnose.Goal) -> tuple[list[Run], list[Run]]:
+        """Runs to fit and runs to judge by: recorded ones, or what was heard."""
+        if not request.runs:
+            return [self._heard.run("live samples")], read_runs(request.held_out)
+        every = read_runs([*request.runs, *request.held_out])
+        return every[: len(request.runs)], every[len(request.runs) :]
 
     def diagnose(self) -> tuple[str, dict[str, Any]]:
+        """Health of the node itself."""
         return "", {"blocks heard": len(self._heard), "fitting": self._busy}
 
     def close(self) -> None:
@@ -133,7 +161,6 @@ def _method(request: Identify.Goal) -> Method:
 
 def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
     judge = fit.pooled_held_out or fit.pooled_fitted
-    result.success = True
     result.message = sentence(fit)
     result.fit = str((folder / "fit.json").resolve())
     result.report = str((folder / "fit.html").resolve())
