@@ -69,3 +69,24 @@ def test_unusable_arguments_end_with_2(run, arguments):
     status, _, err = run(*arguments)
     assert status == 2
     assert err.strip()
+
+
+def test_a_folder_is_a_table_of_its_experiments(run, tmp_path):
+    status, out, err = run(CONFIG / "experiments/characterise")
+    assert (status, err) == (0, "")
+    header, first, *_, last = out.splitlines()
+    assert header.split()[:2] == ["run", "s"]
+    assert first.split()[:8] == ["01_multisine", "15", "-15", "to", "15", "98.8", "0", "to"]
+    assert last.startswith("10_repeat")
+    status, out, err = run(tmp_path)
+    assert (status, err) == (2, f"error: {tmp_path}: has no experiments; put files NAME.yaml there\n")
+    (tmp_path / "wrong.yaml").write_text("name: wrong")
+    status, out, err = run(tmp_path)
+    assert status == 2
+    assert err.startswith(f"error: {tmp_path / 'wrong.yaml'}: duration_s is missing")
+
+
+def test_the_page_about_the_standard_set_shows_its_experiments_as_they_are(run):
+    _, table, _ = run(CONFIG / "experiments/characterise", "--markdown")
+    page = (CONFIG.parent / "docs/characterise.md").read_text()
+    assert table in page, "run `ros2 run mrd_trajectory preview config/experiments/characterise --markdown`, put it there"

@@ -1,4 +1,4 @@
-"""Checks an experiment against the bench's limits and shows what it will do; moves nothing."""
+"""Checks experiments against the bench's limits and shows what they will do; moves nothing."""
 
 import argparse
 import os
@@ -10,7 +10,7 @@ import numpy as np
 from mrd_base import InputError, run_tool
 from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import Plan, plan
-from mrd_trajectory.settings import read_settings
+from mrd_trajectory.settings import GeneratorSettings, read_settings
 from mrd_trajectory.waveforms import waveform_table
 
 # More points than a screen has columns only make the page slow.
@@ -19,13 +19,18 @@ _POINTS = 20_000
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="preview", description=__doc__)
-    parser.add_argument("experiment", nargs="?", metavar="EXPERIMENT.yaml")
+    parser.add_argument(
+        "experiment", nargs="?", type=Path, metavar="EXPERIMENT.yaml|FOLDER", help="a folder: a table of its experiments"
+    )
     parser.add_argument("--bench", default=os.environ.get("MRD_BENCH"), help="with the limits; default: $MRD_BENCH")
     parser.add_argument("--output", metavar="PREVIEW.html", help="page with position, velocity, acceleration and current")
+    parser.add_argument("--markdown", action="store_true", help="the table of a folder's experiments for a document")
     parser.add_argument("--waveforms", action="store_true", help="list the waveforms and their parameters")
     arguments = parser.parse_args()
     if not arguments.waveforms and not arguments.experiment:
-        parser.error("give an EXPERIMENT.yaml, or --waveforms")
+        parser.error("give an EXPERIMENT.yaml or a FOLDER of them, or --waveforms")
+    if arguments.experiment and arguments.experiment.is_dir() and arguments.output:
+        parser.error("--output shows one experiment, not a folder of them")
     run_tool(lambda: _work(arguments))
 
 
@@ -35,11 +40,14 @@ def _work(arguments: argparse.Namespace) -> None:
     if not arguments.experiment:
         return
     settings = read_settings(arguments.bench)
-    experiment = read_experiment(arguments.experiment)
-    try:
-        planned = plan(experiment, settings.limits, settings.force_envelope)
-    except InputError as error:
-        raise InputError(f"{arguments.experiment}: {error}") from None
+    if arguments.experiment.is_dir():
+        plans = [_planned(file, settings) for file in sorted(arguments.experiment.glob("*.yaml"))]
+        if not plans:
+            raise InputError(f"{arguments.experiment}: has no experiments; put files NAME.yaml there")
+        print((_markdown if arguments.markdown else _table)(_HEADER, *map(_row, plans)))
+        return
+    planned = _planned(arguments.experiment, settings)
+    experiment = planned.experiment
     start, end = planned.body
     print(f"{experiment.name}: {planned.duration:.2f} s, of which the waveforms {start:.2f} to {end:.2f} s\n")
     rows = [(p.quantity, f"{p.value:.4g}", f"{p.limit:.4g}", p.unit) for p in planned.peaks]
@@ -47,6 +55,38 @@ def _work(arguments: argparse.Namespace) -> None:
     if arguments.output:
         _write_page(planned, Path(arguments.output))
         print(f"\n{Path(arguments.output).resolve()}")
+
+
+def _planned(file: Path, settings: GeneratorSettings) -> Plan:
+    experiment = read_experiment(file)
+    try:
+        return plan(experiment, settings.limits, settings.force_envelope)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+_HEADER = ("run", "s", "position, mm", "speed, mm/s", "current, mA", "force, N", "what it tells apart")
+
+
+def _row(planned: Plan) -> tuple[str, ...]:
+    """An experiment in a table: length, ranges while its waveforms run, largest expected force, description."""
+    at = planned.at(np.arange(*planned.body, 1e-3))
+    position, current = at.position * 1e3, at.current * 1e3
+    force = next(peak.value for peak in planned.peaks if peak.quantity == "expected force")
+    return (
+        planned.experiment.name,
+        f"{planned.duration:.0f}",
+        f"{position.min():.3g} to {position.max():.3g}",
+        f"{np.abs(at.velocity).max() * 1e3:.3g}",
+        f"{current.min():.0f}" + (f" to {current.max():.0f}" if np.ptp(current) else ""),
+        f"{force:.0f}",
+        planned.experiment.description,
+    )
+
+
+def _markdown(header: tuple[str, ...], *lines: tuple[str, ...]) -> str:
+    first, *rows = (f"| {' | '.join(line)} |" for line in (header, *lines))
+    return "\n".join([first, "|" + "---|" * len(header), *rows])
 
 
 def _table(*lines: tuple[str, ...]) -> str:
