@@ -76,7 +76,7 @@ def test_a_folder_is_a_table_of_its_experiments(run, tmp_path):
     assert (status, err) == (0, "")
     header, first, *_, last = out.splitlines()
     assert header.split()[:2] == ["run", "s"]
-    assert first.split()[:8] == ["01_multisine", "15", "-15", "to", "15", "98.8", "0", "to"]
+    assert first.split()[:8] == ["01_multisine", "15", "-15", "to", "15", "81.8", "0", "to"]
     assert last.startswith("10_repeat")
     status, out, err = run(tmp_path)
     assert (status, err) == (2, f"error: {tmp_path}: has no experiments; put files NAME.yaml there\n")
