@@ -39,9 +39,7 @@ def steps(diagnosis: Diagnosis) -> go.Figure:
     figure = go.Figure(_bars([row[0] for row in shown], [row[1] for row in shown], [row[2] for row in shown]))
     longest = max(_reach(row[1]) for row in shown)
     _label(figure, [(row[1], percent(row[1].value)) for row in shown], longest)
-    figure.update_xaxes(
-        title_text="held-out error, share of the force's spread", tickformat=".3~p", range=[0, 1.18 * longest], nticks=6
-    )
+    figure.update_xaxes(title_text="held-out error", tickformat=".3~p", range=[0, 1.2 * longest], nticks=6)
     return _rows(figure, len(shown))
 
 
@@ -148,7 +146,7 @@ def candidates(diagnosis: Diagnosis) -> go.Figure:
         )  # fmt: skip
     lowest = min([0.0, *(c.closed.lower - 0.03 for c in shown if c.closed.lower < 0)])
     figure.update_xaxes(
-        title_text="share of the explainable gap that it closes", tickformat=".0%", range=[max(lowest, -0.3), 1.33],
+        title_text="share of the gap it closes", tickformat=".0%", range=[max(lowest, -0.3), 1.33],
         tickvals=[0, 0.25, 0.5, 0.75, 1],
     )  # fmt: skip
     return _rows(figure, len(shown), top=28, title="probability")
