@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from mrd_identification.gap.noise import repeating_period, run_noise
+from mrd_base import InputError
+from mrd_identification.gap.noise import distortion, repeating_period, run_noise
 from mrd_identification.problem import Recording, prepare
-from mrd_runs import make_run
+from mrd_runs import Run, make_run
 from mrd_runs.motion import motion
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
@@ -127,3 +128,56 @@ def test_the_same_seed_gives_the_same() -> None:
     recording = recorded("wander", seconds=4.0)
     first, second = (run_noise([recording], DAMPER.model, DAMPER.theta, np.random.default_rng(6)) for _ in range(2))
     np.testing.assert_array_equal(first[0].sigma, second[0].sigma)
+
+
+LINES = np.array([1, 3, 5, 9, 11, 15, 17, 19])  # of 1/4 s; 7, 13 and all above 19 are left empty
+PERIOD = 4.0
+
+
+def multisine(force, periods: int = 6, noise: float = 0.0, rate: float = 500.0, seed: int = 1) -> Run:  # type: ignore[no-untyped-def]
+    t = np.arange(round(periods * PERIOD * rate)) / rate
+    x, v, _ = sines(t, LINES / PERIOD, 0.03 / LINES, 7)
+    rng = np.random.default_rng(seed)
+    measured = force(t, x, v) + rng.normal(0, noise, len(t))
+    position = x + rng.normal(0, 2e-6, len(t))
+    columns = {"time_s": t, "position_m": position, "velocity_mps": v, "current_A": np.ones_like(t), "force_N": measured}
+    return make_run("multisine", columns)
+
+
+def at(line: int, t: np.ndarray) -> np.ndarray:
+    """One newton rms at a line."""
+    return np.sqrt(2) * np.cos(2 * np.pi * line * t / PERIOD + 0.3)
+
+
+@pytest.mark.parametrize("rate", [500.0, 501.3])
+def test_known_levels_of_distortion(rate: float) -> None:
+    run = multisine(lambda t, x, v: 900 * v + 3 * at(4, t) + 4 * at(12, t) + 2 * at(13, t), noise=6.0, rate=rate)
+    found = distortion(run, PERIOD)
+    assert (found.noise, found.even, found.odd) == pytest.approx((6.0, 5.0, 2.0), rel=0.15)
+    assert found.periods == 6
+    assert found.highest == pytest.approx(57 / PERIOD)
+
+
+def test_squares_are_even_and_cubes_are_odd() -> None:
+    square = distortion(multisine(lambda t, x, v: 900 * v + 4000 * v**2, noise=0.5), PERIOD)
+    cube = distortion(multisine(lambda t, x, v: 900 * v + 20000 * v**3, noise=0.5), PERIOD)
+    linear = distortion(multisine(lambda t, x, v: 900 * v + 1000 * x, noise=0.5), PERIOD)
+    assert square.even > 30 * square.odd
+    assert cube.odd > 30 * cube.even
+    assert max(linear.even, linear.odd) < 0.3
+
+
+def test_a_damper_is_odd() -> None:
+    def force(t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return DAMPER.model.force(DAMPER.theta, make_path(t, x, v, np.gradient(v, t), np.ones_like(t)))
+
+    found = distortion(multisine(force, noise=FORCE), PERIOD)
+    assert found.odd > 20 * found.even
+
+
+def test_what_is_no_multisine_is_refused() -> None:
+    run = multisine(lambda t, x, v: 900 * v)
+    with pytest.raises(InputError, match="odd lines"):
+        distortion(run, 2 * PERIOD)
+    with pytest.raises(InputError, match="at least two"):
+        distortion(run, 20.0)
