@@ -44,8 +44,8 @@ HELD = 4
 """Samples; fewer equal ones in a row are left to coincidence."""
 CLIPPED = 0.01
 """Share of clipped samples above which force or position are useless: saturation would be found as physics."""
-REVERSED = 0.6
-"""Of the force's usual swing; a position that stands still while the force reverses by as much has been clipped."""
+REVERSED = 0.15
+"""Of the force's span; a position at whose extreme rest the force goes this far to either side of its middle was clipped."""
 COARSE = (0.01, 0.1)
 """Rms of the rounding error over the channel's standard deviation: as large as the noise of a fair sensor; useless."""
 COMMANDED = 0.1
@@ -56,14 +56,21 @@ FASTEST_JUMP = 300.0
 """m/s²; nor with less than this acceleration within one sample (the bench's drive: 10 m/s²)."""
 TOP_BAND = 0.8
 """Nyquist frequencies from which on the power should have fallen off."""
-ALIASED = {"position": 1e-3, "force": 1e-3, "current": 0.05}
-"""Share of power above it. Steps of a current fall off slowly; 5 % mean that it switches within two or three samples."""
+ALIASED = 0.01
+"""Share of power above it, small noise not counted."""
+SWITCHED = (0.1, 0.25, 0.2)
+"""A current that spans more than this (A) and changes by this share of its span at more than this share of the samples
+switches faster than it is sampled."""
 UNRELATED = 0.1
 """Largest correlation of force and velocity, whatever the lag, of a force that does not respond."""
 MOVED = 1e-3
 """m of stroke from which a damper has to answer."""
 LAG = 2e-3
 """s between position and accelerometer; filters of usual sensors (100 Hz and more) differ by less."""
+LONGEST_LAG = 0.25
+"""s that is looked for."""
+AVERAGED = 0.02
+"""s over which position and accelerometer are averaged for it: 8 µm of noise in positions then are 0.05 m/s²."""
 ACCELEROMETER = (0.8, 1.25)
 """Gain against the position, as in `mrd_runs.motion`; outside, it is not one of the rod in m/s²."""
 
@@ -76,8 +83,8 @@ SHAPE = 0.1
 """Rest of a repeat's force, its gain and offset taken out, over the standard deviation."""
 RIG_RATIO = 2.0
 """Ratio of forces at the same speed and current which no scatter, heat or remanence explains."""
-RIG_FORCE = 50.0
-"""N added to both before they are compared: what remanence and friction may add to a small off-state force."""
+RIG_FORCE = 30.0
+"""N added to both before they are compared: remanence may double a small off-state force."""
 OPPOSITE = -0.2
 """Dissipated work over the work that the same forces could do; a damper's is positive, at whatever usual delay."""
 LARGEST_STROKE, LARGEST_CURRENT, SMALLEST_FORCE, LARGEST_FORCE = 0.5, 10.0, 5.0, 1e5
@@ -97,7 +104,7 @@ SHORT_STROKE = 2e-3
 class _Channel:
     """A series of a run with what its digits tell.
 
-    ``step`` is the common step of its values (0: none), ``noise`` the standard deviation of what is white in it.
+    ``step`` is the least step of its values (0: none), ``noise`` the standard deviation of what is white in it.
     """
 
     name: str
@@ -109,16 +116,29 @@ class _Channel:
         levels = np.unique(self.values)
         gaps = np.diff(levels)
         gaps = gaps[gaps > 1e-12 * max(np.abs(levels[0]), np.abs(levels[-1]))] if len(gaps) else gaps
-        if not len(gaps):
-            return 0.0
-        step = float(gaps.min())
-        whole = np.abs(gaps / step - np.round(gaps / step)) < 0.02
-        return step if np.mean(whole) > 0.99 and step * len(self.values) > 1e-3 * np.ptp(self.values) else 0.0
+        # Of values without steps, the closest two are a span over their number squared apart, the others over their number.
+        return float(gaps.min()) if len(gaps) and gaps.min() > 0.1 * np.median(gaps) else 0.0
 
     @cached_property
     def noise(self) -> float:
         # Third differences pass white noise with 20 times its variance and next to nothing of what is slower.
         return float(1.4826 * np.median(np.abs(np.diff(self.values, 3))) / np.sqrt(20.0))
+
+    @cached_property
+    def _local_noise(self) -> Array:
+        steps = np.abs(np.diff(self.values, 3))
+        blocks = steps[: len(steps) // 50 * 50].reshape(-1, 50) if len(steps) >= 50 else steps[None]
+        return np.asarray(1.4826 * np.median(blocks, axis=1) / np.sqrt(20.0))
+
+    @cached_property
+    def quiet(self) -> float:
+        """Noise where there is least of it, as on a plateau."""
+        return float(np.quantile(self._local_noise, 0.1))
+
+    @cached_property
+    def loud(self) -> float:
+        """Noise where there is most of it, as off a flat top."""
+        return float(np.quantile(self._local_noise, 0.9))
 
     @cached_property
     def noisy(self) -> bool:
@@ -156,7 +176,7 @@ class _View:
         """m, peak to peak; 0 where there is nothing but noise."""
         position = self.channels["position"]
         spread = float(np.ptp(position.values))
-        return spread if spread > 10 * max(position.noise, position.step) else 0.0
+        return spread if spread > max(10 * position.noise, 2.5 * position.step) else 0.0
 
     @cached_property
     def speed(self) -> float:
@@ -178,7 +198,7 @@ class _View:
         current = self.channels["current"]
         low, high = np.quantile(current.values, [0.01, 0.99])
         noise = 1.4826 * float(np.median(np.abs(np.diff(current.values)))) / np.sqrt(2.0)
-        return bool(high - low > max(8 * noise, 2e-3))
+        return bool(high - low > max(6 * noise, 2e-3))
 
     def finding(self, kind: str, severity: str, channel: str, text: str) -> Finding:
         """A finding about this run."""
@@ -222,6 +242,26 @@ def _milli(value: float) -> str:
     return f"{1e3 * value:.3g}"
 
 
+def _overlap(one: Array, other: Array, shift: int) -> tuple[Array, Array]:
+    """The parts of two series that lie at the same time when the other is ``shift`` samples late."""
+    count = min(len(one) + min(shift, 0), len(other) - max(shift, 0), len(one), len(other))
+    return one[max(-shift, 0) :][:count], other[max(shift, 0) :][:count]
+
+
+def _correlations(one: Array, other: Array, reach: int | None = None) -> tuple[Indices, Array]:
+    """Shifts up to ``reach`` (a fifth of the shorter) of the other series, and the correlation of what then overlaps."""
+    one, other = one - one.mean(), other - other.mean()
+    size = fft.next_fast_len(len(one) + len(other), real=True)
+    product = fft.irfft(np.conj(fft.rfft(one, size)) * fft.rfft(other, size), size)
+    reach = min(len(one), len(other)) // 5 if reach is None else reach
+    shifts = np.arange(-reach, reach + 1)
+    first, first_other = np.maximum(-shifts, 0), np.maximum(shifts, 0)
+    count = np.minimum(len(one) - first, len(other) - first_other)
+    energy, energy_other = (np.append(0.0, np.cumsum(series**2)) for series in (one, other))
+    norm = (energy[first + count] - energy[first]) * (energy_other[first_other + count] - energy_other[first_other])
+    return shifts, np.asarray(product[shifts] / np.sqrt(np.maximum(norm, 1e-300)))
+
+
 # ---- One run
 
 
@@ -234,8 +274,9 @@ def _clock(view: _View) -> Iterator[Finding]:
         share = missing / (missing + len(view.run))
         yield view.finding(
             "gap", "fault" if share > LOST else "limitation", "time",
-            f"{missing} samples ({100 * share:.2g} %) are missing in {len(late)} gaps, the longest {late.max():.1f} intervals, "
-            f"expected none; what the damper did there is lost: {'record it again' if share > LOST else 'look at the DAQ'}",
+            f"{missing} samples ({100 * share:.2g} %) are missing in {len(late)} gaps, the longest {late.max():.1f} "
+            f"intervals, expected none; what the damper did there is lost: look at the DAQ"
+            f"{' and record it again' if share > LOST else ''}",
         )
     bunched = int(np.sum(intervals <= BUNCHED))
     if bunched:
@@ -258,6 +299,8 @@ def _holds(view: _View) -> Iterator[Finding]:
     for channel in view.channels.values():
         values = channel.values
         first, last = _equal_neighbours(values)
+        if 1 / view.interval < (1 - RATES) * LOW_RATE and channel.name != "position":
+            continue  # a plateau may be as short as this
         if not len(first) or np.ptp(values) == 0:
             continue
         length = last - first + 1
@@ -270,15 +313,7 @@ def _holds(view: _View) -> Iterator[Finding]:
                 f"{view.run.rate:.4g} Hz like the samples; set the sensor's own rate or record at {rate:.3g} Hz",
             )
             continue
-        repeated = float(np.mean(np.diff(values) == 0))
-        coincidence = 1 + np.log(CHANCE / len(values)) / np.log(repeated)
-        held = np.zeros(len(first), dtype=bool)
-        if channel.noisy and channel.noise > 2 * channel.step:
-            held = length > max(HELD, coincidence)
-            # At the ends of the range it is clipping.
-            held &= (values[first] != values.max()) & (values[first] != values.min())
-        elif channel.name == "position":
-            held = _jumps(channel, first, last)
+        held = _jumps(channel, first, last) if channel.name == "position" else _unlikely(channel, first, last)
         count = int(length[held].sum() - held.sum())
         if count:
             share = count / len(values)
@@ -303,6 +338,21 @@ def _refreshed_every(channel: _Channel, length: Indices) -> int:
     return usual if large and regular else 0
 
 
+def _unlikely(channel: _Channel, first: Indices, last: Indices) -> Mask:
+    """Which equal readings are longer than the noise of the channel would let them be."""
+    if not channel.noisy or channel.quiet <= 2 * channel.step:
+        return np.zeros(len(first), dtype=bool)
+    values = channel.values
+    # Two normal readings fall on one step with this probability at most.
+    equal = max(channel.step / (2 * np.sqrt(np.pi) * channel.quiet), 1e-3)
+    long = last - first + 1 > max(HELD, 1 + np.log(CHANCE / len(values)) / np.log(equal))
+    # On a plateau readings change by a step or two, and at the ends of the range it is clipping.
+    entry = np.abs(values[first] - values[np.maximum(first - 1, 0)])
+    away = np.abs(values[np.minimum(last + 1, len(values) - 1)] - values[last])
+    inner = (values[first] != values.max()) & (values[first] != values.min())
+    return np.asarray(long & inner & (np.maximum(entry, away) > 2.5 * channel.step))
+
+
 def _jumps(channel: _Channel, first: Indices, last: Indices) -> Mask:
     """Which equal readings amid motion are followed by the jump that makes up for them."""
     values, least = channel.values, max(5 * channel.step, 8 * channel.noise)
@@ -324,8 +374,8 @@ def _spikes(view: _View) -> Iterator[Finding]:
     if count:
         yield view.finding(
             "gap", "limitation", "position",
-            f"{count} samples jump away from their neighbours and back, by up to {_milli(away.max())} mm, as no rod does; the "
-            "damper's hysteresis would follow them: look at the sensor's connection, remove these samples",
+            f"{count} samples jump away from their neighbours and back, by up to {_milli(away.max())} mm, as no rod does; "
+            "the damper's hysteresis would follow them: look at the sensor's connection, remove these samples",
         )
 
 
@@ -341,8 +391,8 @@ def _clipping(view: _View) -> Iterator[Finding]:
             useless = share > CLIPPED and channel.name in ("position", "force")
             yield view.finding(
                 "clipping", "fault" if useless else "limitation", channel.name,
-                f"{clipped} samples ({100 * share:.2g} %) stay at the {side} reading, {top:.4g} {channel.unit}, where others "
-                "scatter: it is beyond the range of its sensor or converter; widen that range"
+                f"{clipped} samples ({100 * share:.2g} %) stay at the {side} reading, {top:.4g} {channel.unit}, where "
+                "others scatter: it is beyond the range of its sensor or converter; widen that range"
                 + (" and record it again" if useless else ""),
             )
 
@@ -350,7 +400,7 @@ def _clipping(view: _View) -> Iterator[Finding]:
 def _flat_top(view: _View, channel: _Channel, top: float) -> int:
     """Samples in a flat top that no other level shares; 0 without one."""
     # Behind a clipped amplifier the converter's own noise is left, a few of its steps.
-    band = min(4 * channel.step, 0.25 * channel.noise)
+    band = min(4 * channel.step, 0.25 * channel.loud)
     first, last = _stretches(np.abs(channel.values - top) <= band)
     length = last - first + 1
     if channel.name == "position":
@@ -367,19 +417,20 @@ def _flat_top(view: _View, channel: _Channel, top: float) -> int:
 def _clipped_turns(view: _View, first: Indices, last: Indices) -> int:
     """Samples of a position that stands still at its extreme while the force reverses, so that the rod did."""
     position, force = view.channels["position"], view.run.force
-    inside = (first > 0) & (last < len(force) - 1) & (last - first >= 2)
-    first, last = first[inside], last[inside]
     # A turn comes to rest gradually, over steps not much larger than those of the digits.
     entry = np.abs(position.values[first] - position.values[first - 1])
-    abrupt = entry > np.maximum(4 * position.step, 4 * position.noise)
-    if abrupt.sum() < 2:
+    kept = (first > 0) & (last - first >= HELD) & (entry > np.maximum(4 * position.step, 4 * position.noise))
+    first, last = first[kept], last[kept]
+    if len(first) < 2:
         return 0
-    swing = 2 * float(np.median(np.abs(force - np.median(force))))
-    upper = position.values[first] > np.median(position.values)
-    fall = np.where(upper, 1, -1) * (force[first - 1] - force[last])
-    if np.median(fall[abrupt]) < REVERSED * swing:
+    low, high = np.quantile(force, [0.05, 0.95])
+    outwards = 1 if position.values[first[0]] > np.median(position.values) else -1
+    before, after = (
+        outwards * float(np.median(force[at]) - 0.5 * (low + high)) for at in (first - 1, first + 4 * (last - first) // 5)
+    )
+    if min(before, -after) < REVERSED * (high - low):
         return 0
-    return int(np.sum(last[abrupt] - first[abrupt] + 1))
+    return int(np.sum(last - first + 1))
 
 
 def _quantisation(view: _View) -> Iterator[Finding]:
@@ -398,8 +449,8 @@ def _quantisation(view: _View) -> Iterator[Finding]:
         severity = "fault" if needed and error > COARSE[1] else "limitation" if needed else "remark"
         yield view.finding(
             "quantisation", severity, channel.name,
-            f"is read in steps of {channel.step:.3g} {channel.unit}, {np.ptp(channel.values) / channel.step:.0f} over its span: "
-            f"rounding is {100 * error:.2g} % of its standard deviation, expected below {100 * COARSE[0]:g} %; use a "
+            f"is read in steps of {channel.step:.3g} {channel.unit}, {np.ptp(channel.values) / channel.step:.0f} over its "
+            f"span: rounding is {100 * error:.2g} % of its standard deviation, expected below {100 * COARSE[0]:g} %; use a "
             "smaller range of the converter",
         )
 
@@ -411,100 +462,112 @@ def _dead(view: _View) -> Iterator[Finding]:
         if np.ptp(run.force) <= 2 * force.step:
             yield view.finding(
                 "dead_channel", "fault", "force",
-                f"stays at {run.force[0]:.4g} N while the rod moves over {_milli(view.stroke)} mm; expected a damper's force: "
-                "look at the load cell and its channel",
+                f"stays at {run.force[0]:.4g} N while the rod moves over {_milli(view.stroke)} mm; expected a damper's "
+                "force: look at the load cell and its channel",
             )
-        elif (related := _correlation(run.velocity, run.force)) < UNRELATED:
+        elif (related := float(np.abs(_correlations(run.velocity, signal.detrend(run.force))[1]).max())) < UNRELATED:
             yield view.finding(
                 "dead_channel", "fault", "force",
                 f"does not respond to the motion: correlation with the velocity at most {related:.2g} at any lag, expected "
                 f"above {UNRELATED:g}; look at the load cell, its channel, and whether the damper is mounted",
             )
     elif not view.stroke and swings:
+        # Steps of the current move the force of a rod at rest, too.
+        by_current = view.varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
         yield view.finding(
-            "dead_channel", "limitation" if view.varies else "fault", "position",
-            f"rests at {_milli(run.position[0])} mm while the force spans {np.ptp(run.force):.3g} N; expected the motion that "
-            "causes it: look at the position sensor",
+            "dead_channel", "limitation" if by_current else "fault", "position",
+            f"rests at {_milli(run.position[0])} mm while the force spans {np.ptp(run.force):.3g} N; expected the motion "
+            "that causes it: look at the position sensor",
         )
-    if run.acceleration is not None and view.stroke > MOVED and np.ptp(run.acceleration) <= 2 * view.channels["acceleration"].step:
+    still = run.acceleration is not None and np.ptp(run.acceleration) <= 2 * view.channels["acceleration"].step
+    if still and view.stroke > MOVED:
         yield view.finding(
-            "dead_channel", "remark", "acceleration", "is constant while the rod moves, so it is not used; look at the sensor"
+            "dead_channel", "remark", "acceleration", "is constant while the rod moves: of no use; look at the sensor"
         )
-
-
-def _correlation(one: Array, other: Array) -> float:
-    """Largest magnitude of the correlation at any lag up to a quarter of the series."""
-    one, other = one - one.mean(), signal.detrend(other)
-    size = fft.next_fast_len(2 * len(one), real=True)
-    product = fft.irfft(fft.rfft(one, size) * np.conj(fft.rfft(other, size)), size)
-    reach = len(one) // 4
-    scale = np.linalg.norm(one) * np.linalg.norm(other)
-    return float(np.abs(np.concatenate([product[: reach + 1], product[-reach:]])).max() / scale) if scale else 0.0
 
 
 def _aliasing(view: _View) -> Iterator[Finding]:
-    for name, most in ALIASED.items():
+    for name in ("position", "force"):
         values = view.channels[name].values
-        if np.ptp(values) == 0 or (name == "current" and (not view.varies or np.ptp(values) < 0.1)):
-            continue
-        if name == "position" and not view.stroke:
+        if not (view.stroke if name == "position" else np.ptp(values)):
             continue
         _, density = signal.periodogram(values, window="hann", detrend="linear")
-        share = float(density[int(TOP_BAND * len(density)) :].sum() / density.sum())
-        if share > most:
+        # What is white and small is noise; of what is as large as the signal, no digits tell what it is.
+        noise = view.channels[name].noise
+        white = 2 * noise**2 if noise < 0.1 * np.std(values) else 0.0
+        share = float(np.sum(density[int(TOP_BAND * len(density)) :] - white) / density.sum())
+        if share > ALIASED:
             yield view.finding(
                 "aliasing", "limitation", name,
-                f"{100 * share:.2g} % of its power lies between {0.5 * TOP_BAND * view.run.rate:.3g} Hz and half the sample rate, "
-                f"expected below {100 * most:g} %: noise, or what is faster and folded there; sample faster or filter before "
-                "sampling",
+                f"{100 * share:.2g} % of its power lies between {0.5 * TOP_BAND * view.run.rate:.3g} Hz and half the sample "
+                f"rate, expected below {100 * ALIASED:g} %: noise, or what is faster and folded there; sample faster or "
+                "filter before sampling",
             )
+    current = view.run.current
+    span = float(np.subtract(*np.quantile(current, [0.99, 0.01])))
+    often = float(np.mean(np.abs(np.diff(current)) > SWITCHED[1] * span)) if span > SWITCHED[0] else 0.0
+    if often > SWITCHED[2]:
+        yield view.finding(
+            "aliasing", "limitation", "current",
+            f"switches every {1 / often:.2g} samples, expected {1 / SWITCHED[2]:g} at least: what it was in between is "
+            "unknown; sample faster or switch more slowly",
+        )
 
 
 def _accelerometer(view: _View) -> Iterator[Finding]:
-    """Gain and lag of the accelerometer against the position, from their cross spectrum."""
+    """Gain and lag of the accelerometer against the position.
+
+    The second difference of positions is exactly the acceleration's average over the samples between, weighted by a
+    triangle: both are compared after the same filter, without a derivative.
+    """
     run = view.run
     if run.acceleration is None or view.stroke < MOVED or np.ptp(run.acceleration) == 0:
         return
-    if np.ptp(np.diff(run.time)) > GAP * view.interval:
+    if np.ptp(np.diff(run.time)) > 0.5 * view.interval:
         return
-    length = min(len(run), max(256, round(4 * run.rate)))
-    options = {"fs": run.rate, "nperseg": length, "detrend": "linear"}
-    frequency, cross = signal.csd(run.position, run.acceleration, **options)
-    own, other = signal.welch(run.position, **options)[1], signal.welch(run.acceleration, **options)[1]
-    coherence = np.abs(cross) ** 2 / np.maximum(own * other, 1e-300)
-    segments = max(1.0, 2 * len(run) / length - 1)
-    # Leakage of the window makes neighbouring lines alike, so that few segments are coherent by themselves.
-    used = (frequency > 3 / (length * view.interval)) & (frequency < 0.4 * run.rate) & (coherence > 0.95)
-    used &= other > 1e-4 * other.max()
-    if not used.any():
+    width = max(1, round(AVERAGED * run.rate))
+    triangle = np.bartlett(2 * width + 1)[1:-1] / width
+    read = np.convolve(run.acceleration, triangle, "valid")
+    position = run.position
+    true = (position[2 * width :] - 2 * position[width:-width] + position[: -2 * width]) / (width * view.interval) ** 2
+    read, true = read[1:-1] - read[1:-1].mean(), true - true.mean()
+    if len(true) < 10 * width or np.std(true) < 5 * 2.45 * view.channels["position"].noise / (width * view.interval) ** 2:
         return
-    omega, coherence = 2 * np.pi * frequency[used], np.minimum(coherence[used], 1 - 1e-6)
-    response = -cross[used] / (omega**2 * own[used])
-    weight = 2 * segments * coherence / (1 - coherence)
-    # Coarsely, so that phases need no unwrapping; then by the slope of what phase is left.
-    grid = np.arange(-0.25, 0.25, 0.25 / omega.max())
-    turned = response / np.abs(response) * np.exp(1j * np.outer(grid, omega))
-    fits = (turned.real @ weight) / weight.sum()
-    near = grid[fits > fits.max() - 0.01]
-    lag = float(near[np.argmin(np.abs(near))])
-    phase = np.angle(response * np.exp(1j * omega * lag))
-    lag -= float(np.sum(weight * omega * phase) / np.sum(weight * omega**2))
-    rest = np.angle(response * np.exp(1j * omega * lag))
-    misfit = max(1.0, float(np.sum(weight * rest**2)) / max(1, len(omega) - 1))
-    error = float(np.sqrt(misfit / np.sum(weight * omega**2)))
-    gain = float(np.sum(np.sqrt(weight) * np.abs(response)) / np.sum(np.sqrt(weight)))
-    if not ACCELEROMETER[0] < gain < ACCELEROMETER[1] or fits.max() < 0:
+    reach = min(len(true) // 4, round(LONGEST_LAG * run.rate))
+    shifts, related = _correlations(true, read, reach)
+    # Of the lags that a periodic motion allows, the smallest.
+    near = shifts[related > related.max() - 0.01]
+    shift = int(near[np.argmin(np.abs(near))])
+    if related[reach] < -0.9 or related.max() < 0.5:
         yield view.finding(
             "rig", "limitation", "acceleration",
-            f"is {gain:.3g} times the acceleration of the position, expected {ACCELEROMETER[0]:g} to {ACCELEROMETER[1]:g}; is it "
-            f"the rod's{', in g instead of m/s²' if 0.08 < gain < 0.125 else ', in m/s²'}?",
+            f"does not follow the motion (correlation {related[reach]:.2g} with the acceleration of the position, expected "
+            "1); is it the rod's, > 0 where it extends faster?",
+        )
+        return
+    a, b = _overlap(true, read, shift)
+    index, late = np.arange(len(a), dtype=float), 0.0
+    for _ in range(4):
+        moved = np.interp(index - late, index, a)
+        design = np.stack([moved, -np.gradient(moved), np.ones_like(a)], axis=1)
+        (gain, slope, _), *_ = np.linalg.lstsq(design, b, rcond=None)
+        late = float(np.clip(late + slope / gain, -reach, reach))
+    rest = b - design @ [gain, slope, b.mean()]
+    # Averages that overlap are as good as one in each width.
+    error = float(np.std(rest) * np.sqrt(2 * width) / (abs(gain) * np.linalg.norm(design[:, 1]))) * view.interval
+    lag = (shift + late) * view.interval
+    if not ACCELEROMETER[0] < gain < ACCELEROMETER[1] and related.max() > 0.95:
+        yield view.finding(
+            "rig", "limitation", "acceleration",
+            f"is {gain:.3g} times the acceleration of the position, expected {ACCELEROMETER[0]:g} to {ACCELEROMETER[1]:g}; "
+            f"is it the rod's{', in g instead of m/s²' if 0.08 < gain < 0.125 else ', in m/s²'}?",
         )
     if abs(lag) > LAG + 2 * error and abs(lag) > 4 * error:
-        late, early = ("acceleration", "position") if lag > 0 else ("position", "acceleration")
+        late_one, early = ("acceleration", "position") if lag > 0 else ("position", "acceleration")
         yield view.finding(
-            "lag", "limitation", late,
-            f"comes {_milli(abs(lag))} ± {_milli(1.96 * error)} ms after {early}, expected less than {_milli(LAG)} ms: velocities "
-            "from both are wrong; sample all channels at once, with the same filters",
+            "lag", "limitation", late_one,
+            f"comes {_milli(abs(lag))} ± {_milli(1.96 * error)} ms after {early}, expected less than {_milli(LAG)} ms: "
+            "velocities from both are wrong; sample all channels at once, with the same filters",
         )
 
 
@@ -526,8 +589,8 @@ def _units(view: _View) -> Iterator[Finding]:
         small = force < SMALLEST_FORCE
         yield view.finding(
             "rig", "fault", "force",
-            f"spans {force:.3g}, expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N; is it in {'kN or V' if small else 'mN'}? "
-            "Convert it to N",
+            f"spans {force:.3g}, expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N; is it in "
+            f"{'kN or V' if small else 'mN'}? Convert it to N",
         )
 
 
@@ -548,8 +611,8 @@ def _rates(views: Sequence[_View]) -> Iterator[Finding]:
         which = "all runs" if len(slow) == len(views) else ", ".join(view.run.name for view in slow)
         yield Finding(
             "aliasing", "limitation",
-            f"{which}: one sample every {_milli(longest)} ms, in which the rod moves up to {_milli(travel)} mm; time constants "
-            "and lost travel below about that, and anything above "
+            f"{which}: one sample every {_milli(longest)} ms, in which the rod moves up to {_milli(travel)} mm; time "
+            "constants and lost travel below about that, and anything above "
             f"{0.5 / longest:.3g} Hz, cannot be seen: sample at {LOW_RATE:g} Hz at least, better 1 kHz",
             slow[0].run.name if len(slow) == 1 else "",
         )
@@ -604,30 +667,56 @@ def _rigs(views: Sequence[_View]) -> Iterator[Finding]:
     """Runs whose forces at the same speed and current differ beyond any scatter."""
     # Short strokes do not leave the damper's hysteresis.
     moved = [view for view in views if view.stroke > 2 * SHORT_STROKE]
-    if len(moved) < 2:
-        return
-    force = np.abs(np.stack([_forces(view) for view in moved]))
-    others = np.full(force.shape, np.nan)
-    for index in range(len(moved)):
-        rest = np.delete(force, index, axis=0)
-        known = np.isfinite(rest).any(axis=0)
-        others[index][known] = np.nanmedian(rest[:, known], axis=0)
-    named = set()
-    for view, own, rest in zip(moved, force, others, strict=True):
-        shared = np.isfinite(own) & np.isfinite(rest)
-        if not shared.any():
-            continue
-        apart = float(np.median(np.log((own[shared] + RIG_FORCE) / (rest[shared] + RIG_FORCE))))
-        if abs(apart) < np.log(RIG_RATIO):
-            continue
-        ratio = float(np.median(own[shared] / np.maximum(rest[shared], 1e-9)))
-        named.add(view)
-        unit = next((f" ({text}?)" for factor, text in UNITS.items() if 0.8 < max(ratio, 1 / ratio) / factor < 1.25), "")
-        yield view.finding(
+    forces = [np.abs(_forces(view)) for view in moved]
+    while len(moved) > 1:
+        compared = [_against(forces[:index] + forces[index + 1 :], own) for index, own in enumerate(forces)]
+        # One strange run makes others look strange that share cells with it alone.
+        worst = max(range(len(moved)), key=lambda index: compared[index][0])
+        strangeness, ratio = compared[worst]
+        if not strangeness:
+            return
+        factor = max(ratio, 1 / max(ratio, 1e-9))
+        unit = next((f" ({text}?)" for known, text in UNITS.items() if 0.8 < factor / known < 1.25), "")
+        yield moved.pop(worst).finding(
             "rig", "fault", "force",
             f"is {ratio:.3g} times that of the other runs at the same speed and current, expected within a factor "
             f"{RIG_RATIO:g}{unit}; is it another damper, load cell or unit? Diagnose rigs one by one",
         )
+        forces.pop(worst)
+
+
+def _against(others: Sequence[Array], own: Array) -> tuple[int, float]:
+    """How many other runs a run's forces (speeds, currents) disagree with in all, and their ratio."""
+    rest = np.stack(others)
+    shared = np.isfinite(own) & np.isfinite(rest).any(axis=0)
+    if not shared.any():
+        return 0, 1.0
+    usual = np.nanmedian(rest[:, shared], axis=0)
+    ratio, size = float(own[shared] @ usual / (usual @ usual)), float(np.sqrt(np.mean(usual**2)))
+    if abs(np.log((ratio * size + RIG_FORCE) / (size + RIG_FORCE))) < np.log(RIG_RATIO):
+        return 0, ratio
+    return int(np.isfinite(rest[:, shared]).any(axis=1).sum()), ratio
+
+
+def _duplicates(views: Sequence[_View]) -> Iterator[Finding]:
+    """Runs that are, for the most part, the same samples."""
+    for one, other in itertools.combinations(views, 2):
+        length = min(len(one.run), len(other.run))
+        middle = len(other.run) // 2
+        places = np.flatnonzero(one.run.force == other.run.force[middle])
+        for place in places[np.argsort(np.abs(places - middle))][:20]:
+            a, b = _overlap(one.run.force, other.run.force, middle - int(place))
+            if len(a) < 0.5 * length or not np.array_equal(a, b) or not np.ptp(a):
+                continue
+            # Without any noise, two simulations of one experiment are the same too.
+            others = (channel.noisy for name, channel in one.channels.items() if name != "force")
+            recorded = one.channels["force"].noisy and (one.channels["position"].step > 0 or any(others))
+            yield other.finding(
+                "repeat", "fault" if recorded else "limitation", "force",
+                f"is the same recording as {one.run.name}: {len(a)} samples of its force are equal to the last digit; "
+                + ("give each recording once" if recorded else "without noise, it says nothing more"),
+            )
+            break
 
 
 def _repeats(views: Sequence[_View]) -> Iterator[Finding]:
@@ -645,28 +734,23 @@ def _repeats(views: Sequence[_View]) -> Iterator[Finding]:
                 yield other.finding(
                     "repeat", "limitation", "position",
                     f"claims the experiment of {one.run.name} but moves otherwise (correlation {alike:.3f}, expected "
-                    f"{SAME_MOTION:g}; strokes {_milli(other.stroke)} and {_milli(one.stroke)} mm); it is no repeat of it: look "
-                    "at the servo",
+                    f"{SAME_MOTION:g}; strokes {_milli(other.stroke)} and {_milli(one.stroke)} mm); it is no repeat of it: "
+                    "look at the servo",
                 )
             continue
         yield from _compared(one, other, shift, claimed)
 
 
-def _overlap(one: Array, other: Array, shift: int) -> tuple[Array, Array]:
-    """The parts of two series that lie at the same time when the other is ``shift`` samples late."""
-    count = min(len(one) + min(shift, 0), len(other) - max(shift, 0), len(one), len(other))
-    return one[max(-shift, 0) :][:count], other[max(shift, 0) :][:count]
-
-
 def _alignment(one: Array, other: Array) -> tuple[float, int]:
-    """Correlation of two series at the shift that suits them best, at most a fifth of the shorter, and that shift."""
-    size = fft.next_fast_len(len(one) + len(other), real=True)
-    product = fft.irfft(np.conj(fft.rfft(one - one.mean(), size)) * fft.rfft(other - other.mean(), size), size)
-    reach = min(len(one), len(other)) // 5
-    shifts = np.concatenate([np.arange(reach + 1), np.arange(-reach, 0)])
-    shift = int(shifts[np.argmax(product[shifts])])
-    a, b = _overlap(one, other, shift)
-    return float(np.corrcoef(a, b)[0, 1]), shift
+    """Correlation of two series at the shift that suits them best, and that shift."""
+    shifts, related = _correlations(one, other)
+    best = int(np.argmax(related))
+    # Of the peaks of a periodic motion, the nearest.
+    peaks = np.flatnonzero((related[1:-1] >= related[:-2]) & (related[1:-1] >= related[2:])) + 1
+    peaks = peaks[related[peaks] > related[best] - 1e-4]
+    best = int(peaks[np.argmin(np.abs(shifts[peaks]))]) if len(peaks) else best
+    shift = int(shifts[best])
+    return float(np.corrcoef(*_overlap(one, other, shift))[0, 1]), shift
 
 
 def _compared(one: _View, other: _View, shift: int, claimed: bool) -> Iterator[Finding]:
@@ -678,17 +762,11 @@ def _compared(one: _View, other: _View, shift: int, claimed: bool) -> Iterator[F
         if claimed:
             yield other.finding(
                 "repeat", "limitation", "current",
-                f"claims the experiment of {one.run.name} and moves like it, but its current differs by {different:.2g} A rms; it "
-                "is no repeat of it: look at the coil's supply",
+                f"claims the experiment of {one.run.name} and moves like it, but its current differs by {different:.2g} A "
+                "rms; it is no repeat of it: look at the coil's supply",
             )
         return
     first, second = _overlap(one.run.force, other.run.force, shift)
-    if np.array_equal(first, second) and np.ptp(first) > 0:
-        yield other.finding(
-            "repeat", "fault", "",
-            f"is the same recording as {one.run.name}: its forces are equal to the last digit; give each recording once",
-        )
-        return
     # Align them within a sample: at reversals the force of one sample is another than that of the next.
     a, b = _overlap(one.run.position, other.run.position, shift)
     slope = np.gradient(a)
@@ -714,7 +792,7 @@ def _compared(one: _View, other: _View, shift: int, claimed: bool) -> Iterator[F
         yield other.finding(
             "repeat", "limitation" if much else "remark", "force",
             f"moves like {one.run.name} at the same current, but {' and '.join(differs)}, beside a noise of {noise:.2g} N; "
-            "expected the same within some per cent: something changed from run to run, such as temperature, mounting or gain",
+            "expected the same within a few %: something changed between them, such as temperature, mounting or gain",
         )
 
 
@@ -743,29 +821,29 @@ def _coverage(views: Sequence[_View], model: DamperModel | None) -> Iterator[Fin
         elif len(view.strokes) < 3:
             yield view.finding(
                 "coverage", "limitation", "position",
-                f"is shorter than one stroke to and fro ({len(view.strokes) - 1} reversals): no loop to judge; record longer",
+                f"is shorter than one stroke to and fro ({len(view.strokes) - 1} reversals): no loop; record longer",
             )
     if reversals < FEWEST_REVERSALS:
         yield Finding(
             "coverage", "limitation",
-            f"{reversals} reversals in all runs, expected {FEWEST_REVERSALS} at least: effects at reversals (hysteresis, play, "
-            "compliance) rest on too little; record longer",
+            f"{reversals} reversals in all runs, expected {FEWEST_REVERSALS} at least: effects at reversals (hysteresis, "
+            "play, compliance) rest on too little; record longer",
             channel="position",
         )
     stroke = max(view.stroke for view in views)
     if stroke < SHORT_STROKE:
         yield Finding(
             "coverage", "limitation",
-            f"no stroke is longer than {_milli(stroke)} mm, expected {_milli(SHORT_STROKE)} mm at least: the damper may never "
-            "leave its pre-yield loop; record longer strokes",
+            f"no stroke is longer than {_milli(stroke)} mm, expected {_milli(SHORT_STROKE)} mm at least: the damper may "
+            "never leave its pre-yield loop; record longer strokes",
             channel="position",
         )
     peaks, frequencies = _peaks_and_frequencies(views)
     if len(peaks) and np.quantile(peaks, 0.95) < ONE_SPEED * np.quantile(peaks, 0.05):
         yield Finding(
             "coverage", "limitation",
-            f"all strokes peak at one speed ({_milli(float(np.median(peaks)))} mm/s): what grows with speed or frequency cannot "
-            "be told from what does not; record other speeds",
+            f"all strokes peak at one speed ({_milli(float(np.median(peaks)))} mm/s): what grows with speed or frequency "
+            "cannot be told from what does not; record other speeds",
             channel="position",
         )
     lowest = min(float(view.run.position.min()) for view in views)
@@ -773,9 +851,9 @@ def _coverage(views: Sequence[_View], model: DamperModel | None) -> Iterator[Fin
     at = f" at {frequencies.min():.2g} to {frequencies.max():.2g} Hz" if len(frequencies) else ""
     yield Finding(
         "coverage", "remark",
-        f"{len(views)} runs, {sum(view.run.duration for view in views):.4g} s: position {_milli(lowest)} to {_milli(highest)} mm, "
-        f"speed up to {_milli(max(view.speed for view in views))} mm/s, current {current.min():.3g} to {current.max():.3g} A, "
-        f"{reversals} reversals{at}",
+        f"{len(views)} runs, {sum(view.run.duration for view in views):.4g} s: position {_milli(lowest)} to "
+        f"{_milli(highest)} mm, speed up to {_milli(max(view.speed for view in views))} mm/s, current {current.min():.3g} "
+        f"to {current.max():.3g} A, {reversals} reversals{at}",
     )
 
 
@@ -792,4 +870,4 @@ def _peaks_and_frequencies(views: Sequence[_View]) -> tuple[Array, Array]:
 _OF_A_RUN: tuple[Callable[[_View], Iterator[Finding]], ...] = (
     _units, _dead, _clock, _holds, _spikes, _clipping, _quantisation, _aliasing, _accelerometer,
 )
-_OF_ALL_RUNS: tuple[Callable[[Sequence[_View]], Iterator[Finding]], ...] = (_rates, _signs, _rigs, _repeats)
+_OF_ALL_RUNS: tuple[Callable[[Sequence[_View]], Iterator[Finding]], ...] = (_rates, _signs, _rigs, _duplicates, _repeats)
