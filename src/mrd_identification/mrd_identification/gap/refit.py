@@ -49,12 +49,15 @@ class Whitening:
         Share that is taken out.
     own : ndarray (2, n)
         Gain and offset of the run follow from its errors by this matrix.
+    reference : ndarray (n,)
+        N, what the gain multiplies.
     """
 
     weight: Array
     basis: Array
     damping: Array
     own: Array
+    reference: Array
 
     def __call__(self, errors: Array) -> Array:
         """White errors (n,) or (n, columns)."""
@@ -70,8 +73,9 @@ def whitening(sigma: Array, force: Array, scatter: Scatter) -> Whitening:
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
     values = np.maximum(values, 1e-12)
     basis = scaled @ vectors / np.sqrt(values)
-    own = np.linalg.solve(scaled.T @ scaled + np.eye(2), scaled.T * weight)
-    return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), np.array([[scatter.gain], [scatter.offset]]) * own)
+    own = np.asarray(np.linalg.solve(scaled.T @ scaled + np.eye(2), scaled.T * weight), np.float64)
+    own *= np.array([[scatter.gain], [scatter.offset]])
+    return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), own, force)
 
 
 @dataclass(frozen=True)
@@ -94,15 +98,6 @@ class GapProblem(Problem):
         return np.concatenate([white(errors[block]) for white, block in zip(self.whitenings, self.blocks, strict=True)])
 
 
-def parts_of(problem: Problem, count: int) -> list[tuple[int, slice]]:
-    """Each run cut into ``count`` parts of equal length: place of the run, and samples among all that count."""
-    parts = []
-    for run, block in enumerate(problem.blocks):
-        edges = np.linspace(block.start, block.stop, count + 1).astype(int)
-        parts += [(run, slice(int(a), int(b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    return parts
-
-
 @dataclass(frozen=True)
 class Refit:
     """A model refitted to all runs, and to all but each part.
@@ -116,15 +111,24 @@ class Refit:
         Squared white residual of each part.
     unseen : ndarray (parts,)
         The same of parameters that have not seen the part.
-    thetas : ndarray (parts, parameters)
-        These parameters.
+    plain : ndarray (parts,)
+        Squared error in N² of these parameters on the part, the run's own offset and gain taken out.
+    grams : ndarray (parts, free, free)
+        Normal matrices of the parts at the optimum.
+    slopes : ndarray (parts, free)
+        Derivative of half the cost of each part.
+    nulls : ndarray (runs, draws, free)
+        Derivatives times white errors that are nothing but noise, see `refit`.
     """
 
     problem: GapProblem
     theta: Array
     cost: Array
     unseen: Array
-    thetas: Array
+    plain: Array
+    grams: Array
+    slopes: Array
+    nulls: Array
 
     @property
     def total(self) -> float:
@@ -132,7 +136,13 @@ class Refit:
         return float(self.unseen.sum())
 
 
-def refit(problem: GapProblem, start: Array, parts: Sequence[tuple[int, slice]], evaluations: int = 40) -> Refit:
+def refit(
+    problem: GapProblem,
+    start: Array,
+    parts: Sequence[tuple[int, slice]],
+    noise: Sequence[Array] = (),
+    evaluations: int = 40,
+) -> Refit:
     """Fit a model to all runs, then without each part in turn.
 
     Leaving a part out moves the optimum a little: one Gauss-Newton step with the part's share of the normal equations taken
@@ -143,7 +153,9 @@ def refit(problem: GapProblem, start: Array, parts: Sequence[tuple[int, slice]],
     problem : GapProblem
     start : ndarray (parameters,)
     parts : sequence of (int, slice)
-        See `parts_of`.
+        See `mrd_identification.gap.ground.Ground.parts`.
+    noise : sequence of ndarray (draws, n), optional
+        White errors of each run if there were no gap.
     evaluations : int
         At most.
     """
@@ -153,14 +165,19 @@ def refit(problem: GapProblem, start: Array, parts: Sequence[tuple[int, slice]],
     grams = np.stack([jacobian[part].T @ jacobian[part] for _, part in parts])
     slopes = np.stack([jacobian[part].T @ residuals[part] for _, part in parts])
     cost = np.array([residuals[part] @ residuals[part] for _, part in parts])
-    units = without_each(unit, grams, slopes, problem.unit(problem.model.defaults))
-    thetas = problem.theta(units)
-    return Refit(problem, theta, cost, unseen_cost(problem, thetas, parts), thetas)
+    nulls = [errors @ jacobian[block] for errors, block in zip(noise, problem.blocks, strict=False)]
+    thetas = without_each(problem, unit, grams, slopes)
+    unseen, plain = unseen_cost(problem, thetas, parts)
+    return Refit(problem, theta, cost, unseen, plain, grams, slopes, np.array(nulls))
 
 
-def without_each(unit: Array, grams: Array, slopes: Array, neutral: Array) -> Array:
-    """Optimum (parts, free) in the unit box without each part, given normal matrices and slopes of the parts at ``unit``."""
+def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> Array:
+    """Parameters (pieces, parameters) without each piece of the recordings.
+
+    Given the normal matrices (pieces, free, free) and slopes (pieces, free) of the pieces at the joint optimum ``unit``.
+    """
     gram, slope = grams.sum(axis=0), slopes.sum(axis=0)
+    neutral = problem.unit(problem.model.defaults)
     found = np.empty((len(grams), len(unit)))
     for index, (own, pull) in enumerate(zip(grams, slopes, strict=True)):
         rest = gram - own
@@ -173,17 +190,26 @@ def without_each(unit: Array, grams: Array, slopes: Array, neutral: Array) -> Ar
         )
         moved[chosen] = unit[chosen] + step
         found[index] = np.clip(moved, 0.0, 1.0)
-    return found
+    return problem.theta(found)
 
 
-def unseen_cost(problem: GapProblem, thetas: Array, parts: Sequence[tuple[int, slice]]) -> Array:
-    """Squared white residual of each part with parameters of its own."""
+def own_error(problem: GapProblem, theta: Array, run: int) -> tuple[Array, Array]:
+    """Modelled minus measured force (n,) in N of a run: white, and plain without the run's own offset and gain."""
+    error = problem.modelled(theta, run) - problem.recordings[run].force
+    whitening = problem.whitenings[run]
+    gain, offset = whitening.own @ error
+    return whitening(error), error - gain * whitening.reference - offset
 
-    def of(index: int) -> float:
+
+def unseen_cost(problem: GapProblem, thetas: Array, parts: Sequence[tuple[int, slice]]) -> tuple[Array, Array]:
+    """Squared error of each part with parameters of its own: white, and in N²."""
+
+    def of(index: int) -> tuple[float, float]:
         run, part = parts[index]
-        error = problem.modelled(thetas[index], run) - problem.recordings[run].force
         start = problem.blocks[run].start
-        white = problem.whitenings[run](error)[part.start - start : part.stop - start]
-        return float(white @ white)
+        here = slice(part.start - start, part.stop - start)
+        white, plain = (error[here] for error in own_error(problem, thetas[index], run))
+        return float(white @ white), float(plain @ plain)
 
-    return np.array(in_threads(of, range(len(parts))))
+    found = np.array(in_threads(of, range(len(parts))))
+    return found[:, 0], found[:, 1]

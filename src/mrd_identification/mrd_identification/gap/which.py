@@ -101,11 +101,15 @@ class Trial:
         In the order in which they were added.
     refit : Refit
     score : Score
+    gain, unseen_gain : float
+        By how much the squared white error is less than without the last of the effects.
     """
 
     effects: tuple[str, ...]
     refit: Refit
     score: Score
+    gain: float
+    unseen_gain: float
 
 
 def variants(effect: Effect) -> list[dict[str, float]]:
@@ -166,7 +170,11 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
 
 
 def search(
-    ground: Ground, base: Refit, effects: Sequence[str], progress: Callable[[float], None] = lambda _share: None
+    ground: Ground,
+    base: Refit,
+    effects: Sequence[str],
+    noise: Sequence[Array] = (),
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[list[Trial], list[Trial]]:
     """Find the effects that, added to the model one after the other, lower its error on unseen parts most.
 
@@ -177,6 +185,8 @@ def search(
         Of the model alone.
     effects : sequence of str
         Ids of the candidates.
+    noise : sequence of ndarray (draws, n), optional
+        See `refit`.
     progress : callable
         Called with the share of the work that is done.
 
@@ -188,7 +198,7 @@ def search(
         Everything that was fitted.
     """
     samples = ground.samples
-    first = around(ground, Foundation.of(base), effects, len(effects), lambda share: progress(0.6 * share))
+    first = around(ground, Foundation.of(base), effects, len(effects), lambda share: progress(0.6 * share), noise=noise)
     trials = list(first)
     chosen: list[Trial] = []
     reached = base.total
@@ -235,6 +245,7 @@ def around(
     most: int,
     progress: Callable[[float], None],
     present: tuple[str, ...] = (),
+    noise: Sequence[Array] = (),
 ) -> list[Trial]:
     """Refit the foundation's model with each of the most promising effects."""
     parts = ground.parts
@@ -250,9 +261,11 @@ def around(
 
     def fit(found: tuple[str, Score]) -> Trial:
         effect, promise = found
-        fitted = refit(problems[effect], promise.start, parts)
+        fitted = refit(problems[effect], promise.start, parts, noise)
         progress(next(done) / len(ranked))
-        return Trial((*present, effect), fitted, promise)
+        before = foundation.refit
+        gain = float(before.cost.sum() - fitted.cost.sum())
+        return Trial((*present, effect), fitted, promise, gain, before.total - fitted.total)
 
     return in_threads(fit, ranked)
 

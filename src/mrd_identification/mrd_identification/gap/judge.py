@@ -1,0 +1,96 @@
+"""What refits allow to be said: probabilities, intervals, how far the gap closes."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax, stdtrit
+
+from mrd_identification.gap.diagnosis import Interval, Value
+from mrd_identification.gap.refit import Refit
+from mrd_identification.polish import BORDER
+from mrd_identification.stretches import correlation_length
+
+Array = NDArray[np.float64]
+
+RESAMPLES = 400
+
+
+def probabilities(rivals: Sequence[Refit], samples: int, rng: np.random.Generator) -> Array:
+    """Probability (rivals,) that each of some refits is the one that predicts unseen parts best.
+
+    The likelihood of the unseen white error, tempered by its correlation in time and by the level that even the best rival
+    leaves, averaged over a Bayesian bootstrap of the parts (Rubin, 1981): what rests on few parts is not certain.
+    """
+    unseen = np.stack([rival.unseen for rival in rivals])
+    best = rivals[int(np.argmin(unseen.sum(axis=1)))]
+    temperature = dispersion(best, samples)
+    weights = rng.dirichlet(np.ones(unseen.shape[1]), RESAMPLES) * unseen.shape[1]
+    return np.asarray(softmax(-0.5 * weights @ unseen.T / temperature, axis=1).mean(axis=0))
+
+
+def dispersion(refit: Refit, samples: int) -> float:
+    """By how much the white error counts less than as many independent ones of variance one."""
+    white = refit.problem.residuals(refit.theta)
+    return max(1.0, refit.total / samples) * correlation_length(white)
+
+
+def values(refit: Refit, samples: int) -> dict[str, Value]:
+    """Parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
+
+    The covariance is the larger of what the scatter of the parts says (sandwich; Liang & Zeger, 1986) and of what the
+    correlated noise does.
+    """
+    problem, unit = refit.problem, refit.problem.unit(refit.theta)
+    gram = refit.grams.sum(axis=0)
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
+    eigen, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    inverse = (vectors / np.maximum(eigen, 1e-12)) @ vectors.T / np.outer(size, size)
+    spare = len(refit.slopes) - len(unit)
+    deviation = 1.96 * np.sqrt(dispersion(refit, samples) * np.diag(inverse))
+    if spare > 4:
+        root = inverse @ refit.slopes.T * np.sqrt(len(refit.slopes) / spare)
+        deviation = np.maximum(deviation, stdtrit(spare, 0.975) * np.linalg.norm(root, axis=1))
+    found = {}
+    for place, index in enumerate(problem.free):
+        parameter = problem.model.parameters[index]
+        if "." not in parameter.name:
+            continue
+        ends = np.clip([unit[place] - deviation[place], unit[place] + deviation[place]], 0.0, 1.0)
+        moved = np.tile(unit, (2, 1))
+        moved[:, place] = ends
+        lower, upper = problem.theta(moved)[:, index]
+        remark = ""
+        if unit[place] < BORDER or unit[place] > 1 - BORDER:
+            if refit.theta[index] != parameter.default:
+                remark = "at the end of what is plausible"
+        elif ends[0] == 0.0 and ends[1] == 1.0:
+            remark = "not determined by these runs"
+        found[parameter.name] = Value(Interval(float(refit.theta[index]), float(lower), float(upper)), parameter.unit, remark)
+    return found
+
+
+def resampled(units: int, rng: np.random.Generator) -> Array:
+    """How often (RESAMPLES, units) each unit is drawn in a bootstrap."""
+    return rng.multinomial(units, np.full(units, 1 / units), RESAMPLES).astype(float)
+
+
+def nrmse(squares: Array, samples: Array, variance: float, draws: Array) -> Interval:
+    """Root mean square over the force's standard deviation, from squared errors in N² (units,) of so many samples."""
+    value = np.sqrt(squares.sum() / samples.sum() / variance)
+    found = np.sqrt((draws @ squares) / (draws @ samples) / variance)
+    return Interval(float(value), *map(float, np.quantile(found, (0.025, 0.975))))
+
+
+def closed(before: Array, after: Array, floor: Array, draws: Array) -> Interval:
+    """Share of the explainable gap that is closed, from squared errors in N² (units,) before, after and of the floor."""
+
+    def share(b: Array, a: Array, f: Array) -> Array:
+        gap = b - f
+        return np.asarray(np.where(gap > 0, np.clip((b - a) / np.where(gap > 0, gap, 1.0), -1.0, 1.0), np.nan))
+
+    value = float(share(before.sum(keepdims=True), after.sum(keepdims=True), floor.sum(keepdims=True))[0])
+    found = share(draws @ before, draws @ after, draws @ floor)
+    if np.isnan(found).mean() > 0.1:
+        return Interval(value)
+    return Interval(value, *map(float, np.nanquantile(found, (0.025, 0.975))))

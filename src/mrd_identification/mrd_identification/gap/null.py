@@ -1,0 +1,71 @@
+"""What effects seem to explain where there is none: the null distribution of the largest improvement."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import gumbel_r
+
+from mrd_identification.gap.refit import GapProblem, Refit
+from mrd_identification.problem import Recording, in_threads
+from mrd_runs.motion import redrawn
+from mrd_sim.path import path_of
+
+Array = NDArray[np.float64]
+
+DRAWS = 6
+"""Of each run measured again."""
+
+REALISATIONS = 999
+"""Of all runs together: each run's draw and its sign are chosen anew."""
+
+
+def null_errors(problem: GapProblem, theta: Array, force_noise: Sequence[float], rng: np.random.Generator) -> list[Array]:
+    """White errors (DRAWS, n) of each run if the model were true.
+
+    The rod is taken to have moved as it seems to have; measured again, with new noise on position, acceleration, current and
+    force, the same model errs by what is drawn here.
+    """
+
+    def of_run(each: tuple[int, np.random.Generator]) -> Array:
+        index, own = each
+        recording = problem.recordings[index]
+        true = problem.modelled(theta, index)
+        found = []
+        for _ in range(DRAWS):
+            again = Recording(recording.run, path_of(redrawn(recording.run, own)), recording.counted)
+            error = again.modelled(problem.model, theta) - true
+            found.append(problem.whitenings[index](error + own.normal(0.0, force_noise[index], len(true))))
+        return np.array(found)
+
+    return in_threads(of_run, list(enumerate(rng.spawn(len(problem.recordings)))))
+
+
+def null_gains(base: Refit, trials: Sequence[Refit], rng: np.random.Generator) -> Array:
+    """Largest improvement (REALISATIONS,) of the squared white error over all trials where there is only noise.
+
+    To first order: the improvement is what the derivatives of a trial, its effect's among them, can take away of an error.
+    Run scatter is white by construction, so it is in the draws with its share of the variance.
+    """
+    runs, draws = base.nulls.shape[:2]
+    choice = rng.integers(0, draws, (REALISATIONS, runs))
+    sign = rng.choice([-1.0, 1.0], (REALISATIONS, runs))
+
+    def explained(refit: Refit) -> Array:
+        slope = (refit.nulls[np.arange(runs), choice] * sign[:, :, None]).sum(axis=1)
+        gram = refit.grams.sum(axis=0)
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
+        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+        turned = (slope / size) @ vectors / np.sqrt(np.maximum(values, 1e-9))
+        return np.asarray((turned**2).sum(axis=1))
+
+    without = explained(base)
+    return np.asarray(np.max([explained(trial) - without for trial in trials], axis=0))
+
+
+def p_value(gain: float, nulls: Array) -> float:
+    """Probability of so large an improvement in noise alone; beyond what was drawn, by the tail of a Gumbel law."""
+    share = (1 + int((nulls >= gain).sum())) / (1 + len(nulls))
+    if share > 0.02:
+        return float(share)
+    return float(min(share, gumbel_r.sf(gain, *gumbel_r.fit(nulls))))
