@@ -1,5 +1,7 @@
 """The noise floor, on simulated runs of which everything is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,15 @@ def test_repeats_are_known() -> None:
     assert found[0].force == pytest.approx(FORCE, rel=0.2)
 
 
+def test_blocks_of_one_run_do_not_repeat_each_other() -> None:
+    whole = recorded("wander")
+    blocks = [replace(whole, counted=slice(start, start + 2500)) for start in (500, 3200)]
+    for noise in run_noise(blocks, DAMPER.model, DAMPER.theta, np.random.default_rng(8)):
+        assert noise.source == "residual"
+        assert noise.sigma.shape == (2500,)
+        assert noise.force == pytest.approx(FORCE, rel=0.2)
+
+
 def test_digits_of_the_force_are_noise() -> None:
     (found,) = run_noise([recorded("wander", step=8.0)], DAMPER.model, DAMPER.theta, np.random.default_rng(4))
     assert found.force == pytest.approx(np.hypot(FORCE, 8.0 / np.sqrt(12)), rel=0.2)
@@ -116,6 +127,17 @@ def test_noise_is_never_larger_than_the_residual() -> None:
     (found,) = run_noise([recording], DAMPER.model, DAMPER.theta, np.random.default_rng(5))
     residual = recording.force - recording.modelled(DAMPER.model, DAMPER.theta)
     assert rms(found.sigma) < 1.1 * rms(residual)
+
+
+@pytest.mark.parametrize("count", [50, 200])
+@pytest.mark.parametrize("moves", [True, False])
+def test_short_runs_and_runs_without_noise_have_a_floor(count: int, moves: bool) -> None:
+    t = np.arange(count) / 25
+    x = 0.01 * np.sin(t) if moves else np.full(count, 0.01)
+    run = make_run("short", {"time_s": t, "position_m": x, "current_A": np.zeros(count), "force_N": 100 * np.cos(t)})
+    (found,) = run_noise([prepare(run)], DAMPER.model, DAMPER.theta, np.random.default_rng(7))
+    assert np.isfinite(found.sigma).all()
+    assert found.sigma.min() > 0
 
 
 @pytest.mark.parametrize(("kind", "period"), [("sine", 1 / 2.3), ("wander", None), ("multisine", None), ("steps", None)])

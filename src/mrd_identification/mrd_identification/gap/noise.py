@@ -33,6 +33,8 @@ _ALIKE = 0.005
 
 _COIL, _APART = 0.02, 8
 """s, a usual lag of coils; samples after which a sensor's noise has forgotten itself."""
+_LEAST = 1e-6
+"""Of the largest force; no reading is better."""
 _REDDEST = 0.8
 """Largest 2ρ/(1 + ρ²) that a spectrum is taken to say of noise: ρ = 0.5. What falls off faster is left by the model."""
 
@@ -71,6 +73,8 @@ def run_noise(
             variance = min(_high_frequencies(residual, errors), _like_states(recording, residual))
             source = "residual"
         variance = min(max(variance, _step(recording.force) ** 2 / 12), float(np.mean(residual**2)))
+        # Something, also without any noise: what counts is divided by it.
+        variance = max(variance, (_LEAST * float(np.abs(recording.force).max())) ** 2, np.finfo(float).tiny)
         errors = _at_most(_without_dips(errors), residual, variance)
         sigma = np.sqrt(variance + errors)
         found.append(RunNoise(sigma, float(np.sqrt(variance)), float(np.sqrt(errors.mean())), source))
@@ -206,14 +210,16 @@ def _scatter(
         return float(np.median(found)), "repeats"
     recording = recordings[index]
     period = repeating_period(recording.run)
-    if period:
+    if period and len(residuals[index]) > 2 * period * recording.run.rate:
         return _of_periods(recording, residuals[index], carried[index], period), "periods"
     return 0.0, ""
 
 
 def _repeats(run: Run, other: Run) -> bool:
-    """Whether two runs have the same motion and current at the same times."""
+    """Whether two runs, not one, have the same motion and current at the same times."""
     if len(run) != len(other) or np.abs(run.time - other.time).max() > 0.1 / run.rate:
+        return False
+    if np.array_equal(run.force, other.force):
         return False
     noise = current_noise(run.current)
     return _same(run.current, other.current, noise, np.abs(run.current).max()) and _same(
@@ -228,8 +234,9 @@ def _same(series: Array, other: Array, noise: float, span: float) -> bool:
 def _of_repeat(
     recordings: Sequence[Recording], residuals: Sequence[Array], carried: Sequence[Array], index: int, other: int
 ) -> float:
-    start = max(recordings[index].counted.start, recordings[other].counted.start)
-    a, b = (slice(start - recordings[run].counted.start, None) for run in (index, other))
+    one, two = recordings[index].counted, recordings[other].counted
+    common = range(max(one.start, two.start), min(one.stop, two.stop))
+    a, b = (slice(common.start - counted.start, common.stop - counted.start) for counted in (one, two))
     difference = _without_own(residuals[index][a] - residuals[other][b], recordings[index].force[a])
     return _typical(difference, carried[index][a] + carried[other][b]) / 2
 
@@ -299,9 +306,9 @@ def _like_states(recording: Recording, residual: Array) -> float:
     lagged = lfilter([1 - keep], [1, -keep], current, zi=[keep * current[0]])[0]
     # Right after a turn the hysteresis changes fastest, hence the root; the current acts most.
     features = [moved.position, moved.velocity, moved.acceleration, np.sqrt(travel), 2 * current, 2 * lagged]
-    scales = [np.std(feature) for feature in features[:-2]] + [np.std(current)] * 2
-    states = np.stack([f / s for f, s in zip(features, scales, strict=True) if s > 1e-9 * np.abs(f).max()], axis=1)
-    states = states[recording.counted]
+    spreads = [float(np.std(feature)) for feature in features[:-2]] + [float(np.std(current))] * 2
+    scales = [spread if spread > 1e-9 * np.abs(f).max() else np.inf for f, spread in zip(features, spreads, strict=True)]
+    states = np.stack([f / scale for f, scale in zip(features, scales, strict=True)], axis=1)[recording.counted]
     # Not a neighbour in time: its noise may not be independent.
     some = np.unique(np.linspace(0, len(states) - 1, 2000).astype(int))
     distance, like = cKDTree(states).query(states[some], k=min(3 * _APART, len(states)))
