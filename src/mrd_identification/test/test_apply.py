@@ -1,5 +1,6 @@
 """A diagnosis goes into the simulator, whole and honestly."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_identification.cli import apply as apply_tool
+from mrd_identification.cli import diagnose as diagnose_tool
+from mrd_identification.cli import trend as trend_tool
 from mrd_identification.gap.apply import Correction, correction, write_plant
+from mrd_runs import Run, read_run
+from mrd_sim.cli import simulate as simulate_tool
 from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import make_path
 from mrd_sim.plant import Plant, PlantConfig, read_damper
+from mrd_sim.simulate import write_csv
 
 SHIPPED = Path(__file__).parents[3] / "config" / "plant.yaml"
 
@@ -149,3 +156,46 @@ def test_unusable_files_are_refused_in_one_line(tmp_path):
     (tmp_path / "other.yaml").write_text("damper: {model: bingham}")
     with pytest.raises(InputError, match="expected a parameter file"):
         write_plant(made, tmp_path / "other.yaml", tmp_path / "new.yaml")
+
+
+def test_the_tool_from_report_to_simulation(tmp_path, monkeypatch, capsys):
+    """diagnose, apply, simulate: what was recorded comes out again."""
+    model = find_model("bingham", effects=["force_sensor_lag"])
+    random = np.random.default_rng(1)
+    time = np.arange(1500) / 250
+    paths = []
+    for name in ("a", "b", "c"):
+        position, velocity, acceleration = np.zeros((3, len(time)))
+        for frequency, amplitude in ((0.5, 9e-3), (1.5, 4e-3), (3.5, 1.2e-3)):
+            w, phase = 2 * np.pi * frequency, random.uniform(0, 2 * np.pi)
+            position += amplitude * np.sin(w * time + phase)
+            velocity += amplitude * w * np.cos(w * time + phase)
+            acceleration -= amplitude * w**2 * np.sin(w * time + phase)
+        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3], len(time) // 50), 50)
+        theta = model.vector({"force_sensor_lag.lag": 0.02, "coil_lag": 0.0})
+        force = model.force(theta, make_path(time, position, velocity, acceleration, current))
+        force += random.standard_normal(len(time))
+        paths.append(str(tmp_path / f"{name}.csv"))
+        write_csv(Run(name, time, position, velocity, current, force), paths[-1])
+
+    def called(tool, *arguments):
+        monkeypatch.setattr("sys.argv", [tool.__name__, *map(str, arguments)])
+        tool.main()
+        return capsys.readouterr().out
+
+    said = called(
+        diagnose_tool, *paths, "--model", "bingham", "--effects", "force_sensor_lag,gas_spring", "--output", tmp_path
+    )
+    report = tmp_path / "gap_report.json"
+    sentence = json.loads(report.read_text())["sentence"]
+    assert said.startswith(sentence)
+    assert "force_sensor_lag" in said.removeprefix(sentence)
+    assert said.rstrip().endswith(str(report))
+    said = called(apply_tool, report, "--plant", SHIPPED, "--output", tmp_path / "plant.yaml")
+    assert "bingham with force_sensor_lag, as diagnosed" in said
+    assert "identify RUN... --model bingham --effect force_sensor_lag --output" in said
+    called(simulate_tool, paths[0], "--plant", tmp_path / "plant.yaml", "--output", tmp_path / "again.csv")
+    measured, again = read_run(paths[0]).force, read_run(tmp_path / "again.csv").force
+    assert np.sqrt(np.mean((measured - again)[100:] ** 2)) < 2.0
+    said = called(trend_tool, *paths, "--report", report, "--output", tmp_path)
+    assert said.startswith("force_sensor_lag.lag shows no trend from run 1 to run 3: 20 ms")

@@ -84,9 +84,10 @@ def work() -> None:
 
 
 def table(found: Diagnosis) -> Table:
-    """The leading candidates for a terminal; intervals of 95 % in brackets."""
-    ranking = Table("effect", box=None)
-    for title in ("probability", "closes of the gap", "NRMSE, unseen", "p"):
+    """The leading candidates for a terminal, by what they close of the gap on unseen runs; intervals of 95 % in brackets."""
+    ranking = Table(box=None)
+    ranking.add_column("effect", min_width=22, overflow="fold")
+    for title in ("probability", "closes", "NRMSE", "p"):
         ranking.add_column(title, justify="right", no_wrap=True)
     ranking.add_column("remark")
     for candidate in found.candidates[:MOST_ROWS]:

@@ -75,30 +75,31 @@ def work() -> None:
 def _start(arguments: argparse.Namespace) -> dict[str, Any]:
     """Model, laws, effects, parameters and what to follow, from the arguments and the file that they name."""
     laws = parse_laws(arguments.law, "--law")
-    source = arguments.report or arguments.parameters
+    source, follow = arguments.report or arguments.parameters, arguments.effect
+    stored = None
     if arguments.report:
         report = read_gap_report(source)
         corrected = report["corrected"]
         stored = StoredFit(report["model"], report["laws"], corrected["effects"], corrected["parameters"], report)
+        follow = follow or next(iter([*(cause["effect"] for cause in report["causes"]), *stored.effects]), None)
     elif arguments.parameters:
         stored = read_fit(source)
-    elif arguments.model:
-        stored = None
-    else:
-        raise InputError("--model is missing, expected one, or a --report or --parameters of one")
-    if stored and arguments.model not in (None, stored.model):
-        raise InputError(f"--model {arguments.model}: {source} is of {stored.model}, expected the same")
-    if stored and laws:
-        raise InputError(f"--law {arguments.law}: {source} has current laws of its own; leave it out")
-    effects = list(stored.effects) if stored else []
-    follow = arguments.parameter
-    if follow is None:
-        if not (arguments.effect or effects):
-            raise InputError("nothing to follow: name an --effect or a --parameter")
-        effect, _, name = (arguments.effect or effects[0]).partition(".")
+    if arguments.parameter:
+        follow = arguments.parameter
+    elif follow:
+        effect, _, name = follow.partition(".")
         follow = f"{effect}.{name or find_effects([effect])[0].parameters[0].name}"
+    else:
+        raise InputError("nothing to follow: name an --effect or a --parameter")
     if stored is None:
+        if not arguments.model:
+            raise InputError("--model is missing, expected one, or a --report or --parameters of one")
         return {"model": arguments.model, "follow": follow, "laws": laws}
+    if arguments.model not in (None, stored.model):
+        raise InputError(f"--model {arguments.model}: {source} is of {stored.model}, expected the same")
+    if laws:
+        raise InputError(f"--law {arguments.law}: {source} has current laws of its own; leave it out")
     return {
-        "model": stored.model, "follow": follow, "laws": stored.laws, "effects": effects, "parameters": stored.values
+        "model": stored.model, "follow": follow, "laws": stored.laws, "effects": stored.effects,
+        "parameters": stored.values,
     }

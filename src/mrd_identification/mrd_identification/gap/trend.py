@@ -309,7 +309,10 @@ def calendar_of(runs: Sequence[Run], given: Sequence[str] = ()) -> Calendar:
 def sentence(found: Trend) -> str:
     """The trend in one sentence."""
     grown, name, unit, calendar = found.growth, found.parameter.name, found.parameter.unit, found.calendar
-    first, last = (calendar.label(float(end)) for end in calendar.times[[0, -1]])
+    # A slope after a bend holds from there on.
+    begins = grown.change.before if grown.change is not None and grown.change.kind == "bend" else 0
+    ends = calendar.times[[begins, -1]]
+    first, last = (calendar.label(float(end)) for end in ends)
     long = calendar.start is not None and calendar.times[-1] > LONG
     factor, per = (365.25, "year") if long else (1.0, calendar.unit)
 
@@ -321,14 +324,14 @@ def sentence(found: Trend) -> str:
         text = f"{name} shows no trend from {first} to {last}: {middle}, changing by {pace(grown.slope)}"
     else:
         goes = "grows" if grown.slope.value > 0 else "falls"
-        here, there = (human(float(end), unit) for end in grown.line(calendar.times[[0, -1]])[0])
+        here, there = (human(float(end), unit) for end in grown.line(ends)[0])
         text = f"{name} {goes} by {pace(grown.slope, 'size')}, from {here} ({first}) to {there} ({last})"
     if grown.change is not None:
         before, after = (calendar.labels[place] for place in (grown.change.before, grown.change.after))
         if grown.change.kind == "step":
             text += f"; it jumps by {human(grown.change.size, unit)} between {before} and {after}"
         else:
-            text += f"; its slope changes by {pace(grown.change.size)} at {before}"
+            text += f"; its slope changes by {pace(grown.change.size)} there, at {before}"
     elif grown.p_change == grown.p_change:
         text += "; no change point"
     if found.limit is not None:

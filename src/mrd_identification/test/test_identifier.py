@@ -1,0 +1,162 @@
+"""The identifier node: one answer at a time, as the tools give it, and none once nobody waits."""
+
+import json
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+
+from mrd_identification.nodes import identifier
+from mrd_interfaces.action import Diagnose, Identify
+from mrd_runs import Run
+from mrd_sim.models import find_model
+from mrd_sim.path import make_path
+from mrd_sim.simulate import write_csv
+
+
+class Client:
+    """Node and client in one process; the test's thread spins both."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.node = identifier.Identifier()
+        self._client = rclpy.create_node("client")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._executor.add_node(self._client)
+        self.feedback: list[Any] = []
+        self._actions = {kind: ActionClient(self._client, kind, name) for kind, name in _NAMES.items()}
+        for action in self._actions.values():
+            self.until(action.server_is_ready)
+
+    def until(self, done: Any) -> None:
+        for _ in range(12000):
+            if done():
+                return
+            self._executor.spin_once(timeout_sec=0.01)
+        pytest.fail("timed out")
+
+    def send(self, goal: Any) -> Any:
+        kind = next(kind for kind in _NAMES if isinstance(goal, kind.Goal))
+        future = self._actions[kind].send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
+        self.until(future.done)
+        return future.result()
+
+    def ended(self, handle: Any) -> Any:
+        future = handle.get_result_async()
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        self.node.close()
+        for action in self._actions.values():
+            action.destroy()
+        self._executor.shutdown()
+        self._client.destroy_node()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+_NAMES = {Identify: "identify", Diagnose: "diagnose"}
+
+
+@pytest.fixture
+def client(monkeypatch) -> Iterator[Client]:
+    monkeypatch.setattr("sys.argv", ["identifier"])
+    client = Client()
+    yield client
+    client.close()
+
+
+@pytest.fixture
+def recorded(tmp_path) -> list[str]:
+    """Runs of a damper whose force sensor lags."""
+    model = find_model("bingham", effects=["force_sensor_lag"])
+    random = np.random.default_rng(3)
+    time = np.arange(1500) / 250
+    paths = []
+    for name in ("a", "b", "c"):
+        position, velocity, acceleration = np.zeros((3, len(time)))
+        for frequency, amplitude in ((0.5, 9e-3), (1.5, 4e-3), (3.5, 1.2e-3)):
+            w, phase = 2 * np.pi * frequency, random.uniform(0, 2 * np.pi)
+            position += amplitude * np.sin(w * time + phase)
+            velocity += amplitude * w * np.cos(w * time + phase)
+            acceleration -= amplitude * w**2 * np.sin(w * time + phase)
+        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3], len(time) // 50), 50)
+        theta = model.vector({"force_sensor_lag.lag": 0.02, "coil_lag": 0.0})
+        force = model.force(theta, make_path(time, position, velocity, acceleration, current))
+        force += random.standard_normal(len(time))
+        paths.append(str(tmp_path / f"{name}.csv"))
+        write_csv(Run(name, time, position, velocity, current, force), paths[-1])
+    return paths
+
+
+def test_diagnose_answers_as_the_tool_does(client, recorded, tmp_path):
+    effects = ["force_sensor_lag", "gas_spring"]
+    handle = client.send(Diagnose.Goal(runs=recorded, model="bingham", effects=effects, output=str(tmp_path / "out")))
+    assert handle.accepted
+    ended = client.ended(handle)
+    assert ended.status == GoalStatus.STATUS_SUCCEEDED
+    answer = ended.result
+    assert answer.success
+    report = json.loads((tmp_path / "out" / "gap_report.json").read_text())
+    assert answer.report == str(tmp_path / "out" / "gap_report.html")
+    assert (answer.message, answer.verdict) == (report["sentence"], report["verdict"])
+    assert list(answer.causes) == [cause["effect"] for cause in report["causes"]] == ["force_sensor_lag"]
+    assert list(answer.probability) == [cause["probability"] for cause in report["causes"]]
+    assert answer.closed_fraction == report["gap"]["closed_fraction"]["value"] > 0.9
+    fractions = [feedback.fraction for feedback in client.feedback]
+    assert fractions == sorted(fractions)
+    assert fractions
+    assert all(feedback.stage for feedback in client.feedback)
+
+
+def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
+    for goal, words in (
+        (Diagnose.Goal(runs=recorded, model="bingham", effects=["ghost"], output=str(tmp_path)), "unknown effect ghost"),
+        (Diagnose.Goal(runs=recorded, model="bingham"), "--output is empty"),
+        (Diagnose.Goal(model="bingham", output=str(tmp_path)), ""),
+        (Diagnose.Goal(runs=recorded, model="bingham", parameters="no", output=str(tmp_path)), "no: cannot be read"),
+        (Identify.Goal(runs=recorded, model="honey", output=str(tmp_path)), "unknown model honey"),
+    ):
+        ended = client.ended(client.send(goal))
+        assert ended.status == GoalStatus.STATUS_ABORTED
+        assert not ended.result.success
+        assert words in ended.result.message
+        assert "\n" not in ended.result.message.strip()
+        assert ended.result.message
+
+
+@pytest.mark.parametrize("kind", [Identify, Diagnose])
+def test_one_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch, kind):
+    going, cancelled = threading.Event(), threading.Event()
+
+    def endless(*_arguments, progress, **_options):
+        while True:
+            going.set()
+            cancelled.wait(0.02)
+            progress(*(("trying effects", 0.5) if kind is Diagnose else (1, 0.5)))
+
+    monkeypatch.setattr(identifier, _NAMES[kind], endless)
+    goal = kind.Goal(runs=recorded, model="bingham", output=str(tmp_path))
+    handle = client.send(goal)
+    client.until(lambda: client.feedback)
+    assert going.is_set()
+    for other in (goal, Identify.Goal(runs=recorded, model="bingham", output=str(tmp_path))):
+        assert not client.send(other).accepted
+    handle.cancel_goal_async()
+    ended = client.ended(handle)
+    assert ended.status == GoalStatus.STATUS_CANCELED
+    assert (ended.result.success, ended.result.message) == (False, "cancelled")
+    client.feedback.clear()
+    again = client.send(goal)
+    assert again.accepted
+    client.until(lambda: client.feedback)
+    again.cancel_goal_async()
+    assert client.ended(again).status == GoalStatus.STATUS_CANCELED
