@@ -80,6 +80,7 @@ def test_what_stays_is_not_said_to_grow():
     assert "shows no trend" in found.sentence
     assert "no change point" in found.sentence
     assert "cannot be told" in found.sentence
+    assert found.notes == ()
 
 
 def test_a_step_is_found_where_it_is():
@@ -98,6 +99,13 @@ def test_an_effect_is_followed_from_nothing_on():
     # A value on the bound does not bend the line, nor does its interval end there.
     assert all(value.lower < 0 < value.upper or value.value == pytest.approx(0, abs=1e-4) for value in found.values[:5])
     assert any("on its bound" in note for note in found.notes)
+
+
+def test_a_parameter_that_explains_the_dates_better_is_told():
+    runs = series(1000.0 + 50.0 * np.arange(6), "viscous")
+    (note,) = trend(runs, "bingham", "yield_force", parameters=MODEL).notes
+    assert note.startswith("what changes from date to date looks more like viscous")
+    assert trend(runs, "bingham", "viscous", parameters=MODEL).notes == ()
 
 
 def test_derivatives_of_dates_are_exact():

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from mrd_base import InputError
 from mrd_identification.gap.diagnosis import Interval
 from mrd_identification.gap.growth import FEWEST_DATES, FEWEST_FOR_CHANGE, Growth, growth
-from mrd_identification.gap.words import human
+from mrd_identification.gap.words import human, share
 from mrd_identification.identify import Method, solve
 from mrd_identification.polish import BORDER, descend
 from mrd_identification.problem import Problem, Recording, pose, prepare
@@ -28,6 +28,9 @@ Progress = Callable[[str, float], None]
 
 MOST_DERIVATIVES = 2e7
 """Samples times parameters; where there were more, only every so many-th sample counts. Neighbours say much the same."""
+
+LIKELIER = 0.1
+"""Share of the error left by the followed parameter that another one must remove to be told."""
 
 LONG = 60.0
 """Days from which on a pace is told by the year."""
@@ -236,6 +239,7 @@ def trend(
     progress("fitting all runs alike", 0.05)
     theta = _common(problem, own, laws, parameters, runs, seed, lambda share: progress("searching", 0.05 + 0.4 * share))
     progress("fitting each date", 0.5)
+    notes = [*notes, *_likelier(problem, theta, followed, calendar.place)]
     dated = _dated(problem, followed, calendar.place)
     start = np.concatenate([theta, np.full(len(calendar.times), theta[followed])])
     unit, _ = descend(dated, dated.unit(start), np.arange(len(dated.free)), 60, 1e-8)
@@ -405,6 +409,36 @@ def _common(
     starts = [neutral] if (there == neutral).all() else [neutral, there]
     found_from = [descend(problem, problem.unit(start), np.arange(len(free)), 40, 1e-6) for start in starts]
     return problem.theta(min(found_from, key=lambda of: of[1])[0])
+
+
+def _likelier(problem: Problem, theta: Array, followed: int, place: tuple[int, ...]) -> list[str]:
+    """A note where the change of another parameter would explain the dates better, to first order."""
+    unit = problem.unit(theta)
+    residuals, jacobian = problem.residuals(theta), problem.jacobian(unit)
+    date = np.repeat(place, [len(recording.force) for recording in problem.recordings])
+    dates, count = max(place) + 1, len(unit)
+    grams = np.stack([jacobian[date == d].T @ jacobian[date == d] for d in range(dates)])
+    slopes = np.stack([jacobian[date == d].T @ residuals[date == d] for d in range(dates)])
+
+    def gain(index: int) -> float:
+        """Share of the squared error that a value of one parameter at each date takes away."""
+        others = np.delete(np.arange(count), index)
+        gram = np.diag(np.concatenate([np.zeros(count - 1), grams[:, index, index]]))
+        gram[: count - 1, : count - 1] = grams.sum(axis=0)[np.ix_(others, others)]
+        gram[count - 1 :, : count - 1] = grams[:, index, others]
+        gram[: count - 1, count - 1 :] = grams[:, index, others].T
+        slope = np.concatenate([slopes.sum(axis=0)[others], slopes[:, index]])
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
+        return float(slope / size @ normal_inverse(gram / np.outer(size, size)) @ (slope / size) / (residuals @ residuals))
+
+    gains = [gain(index) for index in range(count)]
+    best, own = int(np.argmax(gains)), gains[problem.free.index(followed)]
+    if gains[best] < own + LIKELIER * (1.0 - own):
+        return []
+    return [
+        f"what changes from date to date looks more like {problem.parameters[best].name}, whose change would remove "
+        f"{share(gains[best])} of the squared error, than like {problem.model.names[followed]} with {share(own)}"
+    ]
 
 
 def _dated(problem: Problem, followed: int, place: tuple[int, ...]) -> DatedProblem:
