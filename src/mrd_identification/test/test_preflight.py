@@ -398,6 +398,14 @@ def test_opposite_signs_in_all_runs(good):
     assert "in all runs" in the(preflight([replace(run, force=-run.force) for run in good]), "rig", "", "force").text
 
 
+def test_part_of_a_loop_has_no_sign(good):
+    for run in good:
+        for first in range(0, 2000, 100):
+            part = without(run, np.setdiff1d(np.arange(len(run)), np.arange(first, first + 150)))
+            part = replace(part, time=part.time - part.time[0])
+            assert not [finding for finding in preflight([part]) if finding.severity == "fault"]
+
+
 @pytest.mark.parametrize(("channel", "unit"), [("position", "mm"), ("current", "mA")])
 def test_units(good, channel, unit):
     findings = preflight(among(good, "slow", **{channel: 1e3 * getattr(of(good, "slow"), channel)}))

@@ -45,7 +45,8 @@ HELD = 4
 CLIPPED = 0.01
 """Share of clipped samples above which force or position are useless: saturation would be found as physics."""
 REVERSED = 0.15
-"""Of the force's span; a position at whose extreme rest the force goes this far to either side of its middle was clipped."""
+"""Of the usual force's way from in to out; where it goes this far to both sides of its middle while the position rests at
+its extreme, the rod did turn, and the position was clipped."""
 COARSE = (0.01, 0.1)
 """Rms of the rounding error over the channel's standard deviation: as large as the noise of a fair sensor; useless."""
 COMMANDED = 0.1
@@ -63,6 +64,8 @@ SWITCHED = (0.1, 0.25, 0.2)
 switches faster than it is sampled."""
 UNRELATED = 0.1
 """Largest correlation of force and velocity, whatever the lag, of a force that does not respond."""
+FEW_STROKES = 3
+"""Up to so many, the force may be one of rest or of the current more than one of motion."""
 MOVED = 1e-3
 """m of stroke from which a damper has to answer."""
 LAG = 2e-3
@@ -159,6 +162,11 @@ class _View:
     @cached_property
     def interval(self) -> float:
         return float(np.median(np.diff(self.run.time)))
+
+    @property
+    def slow(self) -> bool:
+        """Whether so little is sampled that differences of samples tell more of the motion than of noise."""
+        return 1 / self.interval < (1 - RATES) * LOW_RATE
 
     @cached_property
     def channels(self) -> dict[str, _Channel]:
@@ -299,7 +307,7 @@ def _holds(view: _View) -> Iterator[Finding]:
     for channel in view.channels.values():
         values = channel.values
         first, last = _equal_neighbours(values)
-        if 1 / view.interval < (1 - RATES) * LOW_RATE and channel.name != "position":
+        if view.slow and channel.name != "position":
             continue  # a plateau may be as short as this
         if not len(first) or np.ptp(values) == 0:
             continue
@@ -382,8 +390,8 @@ def _spikes(view: _View) -> Iterator[Finding]:
 def _clipping(view: _View) -> Iterator[Finding]:
     for channel in view.channels.values():
         for side, top in (("highest", channel.values.max()), ("lowest", channel.values.min())):
-            if channel.name == "current" and top == 0.0:
-                continue  # a supply that is off reads zero
+            if channel.name == "current" and abs(top) < 0.02:
+                continue  # a supply that is off reads about zero
             clipped = _flat_top(view, channel, float(top))
             share = clipped / len(view.run)
             if not clipped:
@@ -400,7 +408,7 @@ def _clipping(view: _View) -> Iterator[Finding]:
 def _flat_top(view: _View, channel: _Channel, top: float) -> int:
     """Samples in a flat top that no other level shares; 0 without one."""
     # Behind a clipped amplifier the converter's own noise is left, a few of its steps.
-    band = min(4 * channel.step, 0.25 * channel.loud)
+    band = 0.0 if view.slow else min(4 * channel.step, 0.25 * channel.loud)
     first, last = _stretches(np.abs(channel.values - top) <= band)
     length = last - first + 1
     if channel.name == "position":
@@ -423,7 +431,8 @@ def _clipped_turns(view: _View, first: Indices, last: Indices) -> int:
     first, last = first[kept], last[kept]
     if len(first) < 2:
         return 0
-    low, high = np.quantile(force, [0.05, 0.95])
+    moving = np.abs(view.run.velocity) > 0.2 * view.speed
+    low, high = (np.median(force[moving & way]) for way in (view.run.velocity < 0, view.run.velocity > 0))
     outwards = 1 if position.values[first[0]] > np.median(position.values) else -1
     before, after = (
         outwards * float(np.median(force[at]) - 0.5 * (low + high)) for at in (first - 1, first + 4 * (last - first) // 5)
@@ -456,8 +465,7 @@ def _quantisation(view: _View) -> Iterator[Finding]:
 
 
 def _dead(view: _View) -> Iterator[Finding]:
-    run, force = view.run, view.channels["force"]
-    swings = float(np.ptp(run.force)) > max(30 * force.noise, 20.0)
+    run, force, position = view.run, view.channels["force"], view.channels["position"]
     if view.stroke > MOVED:
         if np.ptp(run.force) <= 2 * force.step:
             yield view.finding(
@@ -465,20 +473,25 @@ def _dead(view: _View) -> Iterator[Finding]:
                 f"stays at {run.force[0]:.4g} N while the rod moves over {_milli(view.stroke)} mm; expected a damper's "
                 "force: look at the load cell and its channel",
             )
-        elif (related := float(np.abs(_correlations(run.velocity, signal.detrend(run.force))[1]).max())) < UNRELATED:
+        elif len(view.strokes) > FEW_STROKES:
+            related = float(np.abs(_correlations(run.velocity, signal.detrend(run.force))[1]).max())
+            if related < UNRELATED:
+                yield view.finding(
+                    "dead_channel", "fault", "force",
+                    f"does not respond to the motion: correlation with the velocity at most {related:.2g} at any lag, "
+                    f"expected above {UNRELATED:g}; look at the load cell, its channel, and whether the damper is mounted",
+                )
+    elif np.std(position.values) <= 1.3 * position.noise or np.ptp(position.values) <= 2.5 * position.step:
+        low, high = np.quantile(run.force, [0.01, 0.99])
+        sides = np.sign(run.force - 0.5 * (low + high))[np.abs(run.force - 0.5 * (low + high)) > 0.25 * (high - low)]
+        if high - low > max(10 * force.noise, SMALLEST_FORCE) and np.count_nonzero(np.diff(sides)) > FEW_STROKES:
+            # Steps of the current move the force of a rod at rest, too.
+            by_current = view.varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
             yield view.finding(
-                "dead_channel", "fault", "force",
-                f"does not respond to the motion: correlation with the velocity at most {related:.2g} at any lag, expected "
-                f"above {UNRELATED:g}; look at the load cell, its channel, and whether the damper is mounted",
+                "dead_channel", "limitation" if by_current else "fault", "position",
+                f"rests at {_milli(run.position[0])} mm while the force swings over {high - low:.3g} N; expected the "
+                "motion that causes it: look at the position sensor",
             )
-    elif not view.stroke and swings:
-        # Steps of the current move the force of a rod at rest, too.
-        by_current = view.varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
-        yield view.finding(
-            "dead_channel", "limitation" if by_current else "fault", "position",
-            f"rests at {_milli(run.position[0])} mm while the force spans {np.ptp(run.force):.3g} N; expected the motion "
-            "that causes it: look at the position sensor",
-        )
     still = run.acceleration is not None and np.ptp(run.acceleration) <= 2 * view.channels["acceleration"].step
     if still and view.stroke > MOVED:
         yield view.finding(
@@ -604,7 +617,7 @@ def _rates(views: Sequence[_View]) -> Iterator[Finding]:
             "clock", "remark",
             f"runs are sampled at {rates.min():.4g} to {rates.max():.4g} Hz; what is fast shows in the faster ones only",
         )
-    slow = [view for view in views if 1 / view.interval < (1 - RATES) * LOW_RATE]
+    slow = [view for view in views if view.slow]
     if slow:
         longest = max(view.interval for view in slow)
         travel = max(view.speed * view.interval for view in slow)
@@ -619,12 +632,13 @@ def _rates(views: Sequence[_View]) -> Iterator[Finding]:
 
 
 def _signs(views: Sequence[_View]) -> Iterator[Finding]:
-    opposite = [view for view in views if view.stroke > MOVED and _dissipation(view) < OPPOSITE]
+    moved = [view for view in views if view.stroke > MOVED and len(view.strokes) > FEW_STROKES]
+    opposite = [view for view in moved if _dissipation(view) < OPPOSITE]
     text = (
         "the damper would drive the rod: force and motion have opposite signs, expected force > 0 to resist extension and "
         "position > 0 to extend; turn the sign of {}"
     )
-    if opposite and len(opposite) == sum(view.stroke > MOVED for view in views):
+    if opposite and len(opposite) == len(moved):
         yield Finding("rig", "fault", text.format("the force (or of the position) in all runs"), channel="force")
         return
     for view in opposite:
@@ -642,6 +656,8 @@ def _dissipation(view: _View) -> float:
     return float(parts.sum()) / total if total else 0.0
 
 
+CELL = 0.02
+"""Share of a run's samples from which they tell a force, not a transition."""
 SPEEDS = np.array([0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64])
 """m/s; edges of the cells in which forces of runs are compared, above the speeds at which hysteresis rules."""
 CURRENTS = np.array([-np.inf, *np.arange(0.05, 3.0, 0.1), np.inf])
@@ -649,7 +665,7 @@ CURRENTS = np.array([-np.inf, *np.arange(0.05, 3.0, 0.1), np.inf])
 
 
 def _forces(view: _View) -> Array:
-    """Half the force between out and in stroke, N, (speeds, currents); nan where there are fewer than 20 samples each."""
+    """Half the force between out and in stroke, N, (speeds, currents); nan where there are few samples."""
     speed = np.digitize(np.abs(view.run.velocity), SPEEDS) - 1
     current = np.digitize(np.abs(view.run.current), CURRENTS) - 1
     shape = (len(SPEEDS) - 1, len(CURRENTS) - 1)
@@ -658,7 +674,7 @@ def _forces(view: _View) -> Array:
     cell = np.where(inside, speed * shape[1] + current, -1)
     for side, mask in enumerate((view.run.velocity > 0, view.run.velocity < 0)):
         counts = np.bincount(cell[inside & mask], minlength=shape[0] * shape[1])
-        for index in np.flatnonzero(counts >= 20):
+        for index in np.flatnonzero(counts >= max(20, CELL * len(speed))):
             found[side].flat[index] = np.median(view.run.force[mask & (cell == index)])
     return np.asarray(0.5 * (found[0] - found[1]))
 
@@ -692,7 +708,7 @@ def _against(others: Sequence[Array], own: Array) -> tuple[int, float]:
     if not shared.any():
         return 0, 1.0
     usual = np.nanmedian(rest[:, shared], axis=0)
-    ratio, size = float(own[shared] @ usual / (usual @ usual)), float(np.sqrt(np.mean(usual**2)))
+    ratio, size = float(own[shared] @ usual / (usual @ usual + 1e-12)), float(np.sqrt(np.mean(usual**2)))
     if abs(np.log((ratio * size + RIG_FORCE) / (size + RIG_FORCE))) < np.log(RIG_RATIO):
         return 0, ratio
     return int(np.isfinite(rest[:, shared]).any(axis=1).sum()), ratio
@@ -840,10 +856,11 @@ def _coverage(views: Sequence[_View], model: DamperModel | None) -> Iterator[Fin
         )
     peaks, frequencies = _peaks_and_frequencies(views)
     if len(peaks) and np.quantile(peaks, 0.95) < ONE_SPEED * np.quantile(peaks, 0.05):
+        several = np.quantile(frequencies, 0.95) > ONE_SPEED * np.quantile(frequencies, 0.05)
         yield Finding(
             "coverage", "limitation",
-            f"all strokes peak at one speed ({_milli(float(np.median(peaks)))} mm/s): what grows with speed or frequency "
-            "cannot be told from what does not; record other speeds",
+            f"all strokes peak at one speed ({_milli(float(np.median(peaks)))} mm/s): what grows with "
+            f"{'it' if several else 'it, or with frequency,'} cannot be told from what does not; record other speeds",
             channel="position",
         )
     lowest = min(float(view.run.position.min()) for view in views)
