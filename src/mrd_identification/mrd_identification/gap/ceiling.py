@@ -50,7 +50,8 @@ def explainable(
 
     The model is ridge regression on motion, current and modelled force, their memories that fade over time, travel or change
     of current, and random Fourier features of these (Rahimi & Recht 2007). One run is left out in turn; of a single run,
-    blocks with gaps between them. The ridge for each is the one that predicts the others best.
+    blocks with gaps between them. The ridge for each is the one that predicts the others best; a run that is predicted worse
+    than by nothing, being unlike the others, counts as not explained.
 
     This is no cause, and only a lower bound of what can be explained: a true effect has a better form than this.
 
@@ -86,7 +87,8 @@ def explainable(
     errors = _unseen(basis, residual, weight, folds)
     others = errors.sum(axis=0) - errors
     chosen = errors[np.arange(len(folds)), np.argmin(others, axis=1)]
-    closed = float(np.sum(residual[used] ** 2) - chosen.sum())
+    before = np.array([np.sum(residual[fold] ** 2) for fold in folds])
+    closed = float(np.maximum(before - chosen, 0.0).sum())
     return float(np.clip(closed / max(excess, FLOOR_ERROR * noise), 0.0, 1.0))
 
 
