@@ -21,7 +21,7 @@ from mrd_identification.gap.diagnosis import (
     Verdict,
 )
 from mrd_identification.gap.ground import Ground, first_fit
-from mrd_identification.gap.judge import closed, nrmse, probabilities, resampled, values
+from mrd_identification.gap.judge import closed, dispersion, nrmse, probabilities, resampled, values
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
@@ -123,7 +123,9 @@ def diagnose(
     posed, notes = pose(base, fitted, fixed=fixed)
     theta = first_fit(posed, simulator, rng)
     noises = run_noise(fitted, base, theta, rng)
-    ground = Ground(fitted, noises, FIRST_SCATTER, [recording.modelled(base, theta) for recording in fitted], fixed)
+    reference = [recording.modelled(base, theta) for recording in fitted]
+    level = _level([r.force - f for r, f in zip(fitted, reference, strict=True)], noises)
+    ground = Ground(fitted, noises, FIRST_SCATTER, reference, fixed, level)
     problem = ground.problem(base)
     noise = null_errors(problem, theta, [found.force for found in ground.noises], rng)
     alone = refit(problem, theta, ground.parts, noise)
@@ -211,7 +213,8 @@ class _Judged:
         scatter = learned_scatter(best)
         noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
         # A run's own gain multiplies the force of the plain model still: else it would bring the effects in by itself.
-        ground = replace(first, noises=noises, scatter=scatter)
+        errors = [best.problem.modelled(best.theta, run) - r.force for run, r in enumerate(first.recordings)]
+        ground = replace(first, noises=noises, scatter=scatter, level=_level(errors, noises))
 
         def again(old: Refit) -> Refit:
             return refit(ground.problem(old.problem.model), old.theta, ground.parts)
@@ -239,6 +242,11 @@ class _Judged:
         return cls(ground, refits[id(alone)], chain, effects, rivals)
 
 
+def _level(errors: Sequence[Array], noises: Sequence[RunNoise]) -> float:
+    """By how much errors count less than as many independent ones of the size of noise."""
+    return dispersion(np.concatenate([error / noise.sigma for error, noise in zip(errors, noises, strict=True)]))
+
+
 def learned_scatter(fitted: Refit) -> Scatter:
     """Scatter of gain and offset of runs, by expectation-maximisation from what a refit leaves of each run."""
     problem = fitted.problem
@@ -255,7 +263,7 @@ def learned_scatter(fitted: Refit) -> Scatter:
         for gram, right, level in known:
             covariance = np.linalg.inv(gram / level + np.diag(1 / variance))
             moments.append((covariance @ right / level) ** 2 + np.diag(covariance))
-        variance = np.clip(np.mean(moments, axis=0), [1e-6, 1e-2], [0.05**2, 20.0**2])
+        variance = np.clip(np.mean(moments, axis=0), [1e-6, 1e-2], [0.04**2, 20.0**2])
     return Scatter(float(np.sqrt(variance[0])), float(np.sqrt(variance[1])))
 
 
@@ -288,7 +296,7 @@ def _conclude(
     sizes = np.array([part.stop - part.start for _, part in ground.parts], dtype=float)
     lowest = float(np.quantile((shares @ best.unseen) / (shares @ sizes), 0.1))
     chances = {
-        effect: dict(zip(rivals, probabilities(list(rivals.values()), samples, rng), strict=True))
+        effect: dict(zip(rivals, probabilities(list(rivals.values()), rng), strict=True))
         for effect, rivals in judged.rivals.items()
     }
     unknown = level > UNEXPLAINED and lowest > 1.2
@@ -301,7 +309,7 @@ def _conclude(
         verdict = "explained"
     else:
         verdict = "ambiguous"
-    found = values(best, samples) if judged.effects else {}
+    found = values(best) if judged.effects else {}
     listed = _candidates(judged, singles, nulls, chances, ground, rng)
     alone_p = {candidate.effects[0]: candidate.p_value for candidate in listed if len(candidate.effects) == 1}
     steps = [judged.alone, *judged.chain]
@@ -399,7 +407,7 @@ def _candidates(
                 if without > energy else Interval(np.nan),
                 p_value(gain, nulls),
                 float(chances.get(effect.id, {}).get(effect.id, chances.get(first or "", {}).get(effect.id, 0.0))),
-                values(shown, samples),
+                values(shown),
                 alike,
                 remark,
                 smallest,
@@ -415,7 +423,7 @@ def _candidates(
                 _part_closed(judged.alone, best, judged, rng),
                 min(candidate.p_value for candidate in found if candidate.effects[0] in judged.effects),
                 float(np.prod([chances[effect][effect] for effect in judged.effects])),
-                values(best, samples),
+                values(best),
             ),
         )
     return found

@@ -38,6 +38,9 @@ class Ground:
         Modelled force of each run in N at the counted samples: what a run's own gain multiplies.
     fixed : mapping
         Values of the model's parameters that are not searched.
+    level : float
+        By how much the white error of the model counts less than as many independent ones of variance one: while it errs by
+        more than noise, a run's own gain and offset are as much less free, or they would stand in for what is missing.
     """
 
     recordings: Sequence[Recording]
@@ -45,12 +48,15 @@ class Ground:
     scatter: Scatter
     reference: Sequence[Array]
     fixed: Mapping[str, float]
+    level: float = 1.0
 
     def problem(self, model: DamperModel, freed: Sequence[str] = ()) -> GapProblem:
         """What these recordings can tell about a model, with white residuals where it is true."""
         posed, _ = pose(model, self.recordings, fixed=self.fixed, freed=freed)
+        root = np.sqrt(self.level)
+        scatter = Scatter(self.scatter.gain / root, self.scatter.offset / root)
         whitenings = tuple(
-            whitening(noise.sigma, force, self.scatter) for noise, force in zip(self.noises, self.reference, strict=True)
+            whitening(noise.sigma, force, scatter) for noise, force in zip(self.noises, self.reference, strict=True)
         )
         return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings)
 

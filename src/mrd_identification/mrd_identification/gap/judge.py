@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 RESAMPLES = 400
 
 
-def probabilities(rivals: Sequence[Refit], samples: int, rng: np.random.Generator) -> Array:
+def probabilities(rivals: Sequence[Refit], rng: np.random.Generator) -> Array:
     """Probability (rivals,) that each of some refits is the one that predicts unseen parts best.
 
     The likelihood of the unseen white error, tempered by its correlation in time and by the level that even the best rival
@@ -24,18 +24,17 @@ def probabilities(rivals: Sequence[Refit], samples: int, rng: np.random.Generato
     """
     unseen = np.stack([rival.unseen for rival in rivals])
     best = rivals[int(np.argmin(unseen.sum(axis=1)))]
-    temperature = dispersion(best, samples)
+    temperature = dispersion(best.problem.residuals(best.theta))
     weights = rng.dirichlet(np.ones(unseen.shape[1]), RESAMPLES) * unseen.shape[1]
     return np.asarray(softmax(-0.5 * weights @ unseen.T / temperature, axis=1).mean(axis=0))
 
 
-def dispersion(refit: Refit, samples: int) -> float:
-    """By how much the white error counts less than as many independent ones of variance one."""
-    white = refit.problem.residuals(refit.theta)
-    return max(1.0, refit.total / samples) * correlation_length(white)
+def dispersion(white: Array) -> float:
+    """By how much white errors (n,) count less than as many independent ones of variance one."""
+    return max(1.0, float(np.mean(white**2))) * correlation_length(white)
 
 
-def values(refit: Refit, samples: int) -> dict[str, Value]:
+def values(refit: Refit) -> dict[str, Value]:
     """Parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
 
     The covariance is the larger of what the scatter of the parts says (sandwich; Liang & Zeger, 1986) and of what the
@@ -47,7 +46,7 @@ def values(refit: Refit, samples: int) -> dict[str, Value]:
     eigen, vectors = np.linalg.eigh(gram / np.outer(size, size))
     inverse = (vectors / np.maximum(eigen, 1e-12)) @ vectors.T / np.outer(size, size)
     spare = len(refit.slopes) - len(unit)
-    deviation = 1.96 * np.sqrt(dispersion(refit, samples) * np.diag(inverse))
+    deviation = 1.96 * np.sqrt(dispersion(problem.residuals(refit.theta)) * np.diag(inverse))
     if spare > 4:
         root = inverse @ refit.slopes.T * np.sqrt(len(refit.slopes) / spare)
         deviation = np.maximum(deviation, stdtrit(spare, 0.975) * np.linalg.norm(root, axis=1))

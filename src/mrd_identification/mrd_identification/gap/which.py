@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 LEAST_GAIN = 0.1
 """Share of the noise's energy by which an effect must lower the unseen error to matter."""
 
-LEAST_SHARE = 0.03
-"""Share of the gap by which it must."""
+LEAST_SHARE = 0.2
+"""Share of what is left of the gap by which it must."""
 
 MOST_CAUSES = 3
 """Effects that are added to the model, one after the other."""
