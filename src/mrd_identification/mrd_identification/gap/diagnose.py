@@ -21,7 +21,7 @@ from mrd_identification.gap.diagnosis import (
     Verdict,
 )
 from mrd_identification.gap.ground import Ground, first_fit
-from mrd_identification.gap.judge import closed, dispersion, nrmse, probabilities, resampled, values
+from mrd_identification.gap.judge import closed, nrmse, probabilities, resampled, values
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
@@ -124,8 +124,7 @@ def diagnose(
     theta = first_fit(posed, simulator, rng)
     noises = run_noise(fitted, base, theta, rng)
     reference = [recording.modelled(base, theta) for recording in fitted]
-    level = _level([r.force - f for r, f in zip(fitted, reference, strict=True)], noises)
-    ground = Ground(fitted, noises, FIRST_SCATTER, reference, fixed, level)
+    ground = Ground(fitted, noises, FIRST_SCATTER, reference, fixed).after(posed.errors(theta))
     problem = ground.problem(base)
     noise = null_errors(problem, theta, [found.force for found in ground.noises], rng)
     alone = refit(problem, theta, ground.parts, noise)
@@ -213,8 +212,7 @@ class _Judged:
         scatter = learned_scatter(best)
         noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
         # A run's own gain multiplies the force of the plain model still: else it would bring the effects in by itself.
-        errors = [best.problem.modelled(best.theta, run) - r.force for run, r in enumerate(first.recordings)]
-        ground = replace(first, noises=noises, scatter=scatter, level=_level(errors, noises))
+        ground = replace(first, noises=noises, scatter=scatter).after(best.problem.errors(best.theta))
 
         def again(old: Refit) -> Refit:
             return refit(ground.problem(old.problem.model), old.theta, ground.parts)
@@ -240,11 +238,6 @@ class _Judged:
             if len(effects) == 1:
                 rivals[effect][""] = refits[id(alone)]
         return cls(ground, refits[id(alone)], chain, effects, rivals)
-
-
-def _level(errors: Sequence[Array], noises: Sequence[RunNoise]) -> float:
-    """By how much errors count less than as many independent ones of the size of noise."""
-    return dispersion(np.concatenate([error / noise.sigma for error, noise in zip(errors, noises, strict=True)]))
 
 
 def learned_scatter(fitted: Refit) -> Scatter:
@@ -291,15 +284,14 @@ def _conclude(
     variance = float(np.var(np.concatenate([trace.recording.force for trace in counted])))
     gap = closed(before, after, floor, draws)
     # --- verdict
-    level, level_before = best.total / samples, judged.alone.total / samples
-    shares = resampled(len(best.unseen), rng)
+    shares = resampled(len(best.noises), rng)
     sizes = np.array([part.stop - part.start for _, part in ground.parts], dtype=float)
-    lowest = float(np.quantile((shares @ best.unseen) / (shares @ sizes), 0.1))
+    lowest = float(np.quantile((shares @ best.noises) / (shares @ sizes), 0.1))
     chances = {
         effect: dict(zip(rivals, probabilities(list(rivals.values()), rng), strict=True))
         for effect, rivals in judged.rivals.items()
     }
-    unknown = level > UNEXPLAINED and lowest > 1.2
+    unknown = best.level > UNEXPLAINED and lowest > 1.2
     verdict: Verdict
     if unknown:
         verdict = "unknown_effect"

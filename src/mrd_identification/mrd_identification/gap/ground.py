@@ -10,6 +10,7 @@ from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.gap.refit import GapProblem, Scatter, whitening
 from mrd_identification.polish import polish
 from mrd_identification.problem import Problem, Recording, pose
+from mrd_identification.stretches import correlation_length
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel
 
@@ -38,9 +39,12 @@ class Ground:
         Modelled force of each run in N at the counted samples: what a run's own gain multiplies.
     fixed : mapping
         Values of the model's parameters that are not searched.
-    level : float
-        By how much the white error of the model counts less than as many independent ones of variance one: while it errs by
-        more than noise, a run's own gain and offset are as much less free, or they would stand in for what is missing.
+    missing : float
+        N rms by which the best model so far errs beyond noise. As long as something is missing, samples without noise say no
+        more than others.
+    together : float
+        Samples over which its error hangs together: a run's own gain and offset are as much less free, or they would stand in
+        for what is missing.
     """
 
     recordings: Sequence[Recording]
@@ -48,17 +52,32 @@ class Ground:
     scatter: Scatter
     reference: Sequence[Array]
     fixed: Mapping[str, float]
-    level: float = 1.0
+    missing: float = 0.0
+    together: float = 1.0
 
     def problem(self, model: DamperModel, freed: Sequence[str] = ()) -> GapProblem:
         """What these recordings can tell about a model, with white residuals where it is true."""
         posed, _ = pose(model, self.recordings, fixed=self.fixed, freed=freed)
-        root = np.sqrt(self.level)
+        root = np.sqrt(self.together)
         scatter = Scatter(self.scatter.gain / root, self.scatter.offset / root)
+        sigmas = tuple(noise.sigma for noise in self.noises)
         whitenings = tuple(
-            whitening(noise.sigma, force, scatter) for noise, force in zip(self.noises, self.reference, strict=True)
+            whitening(np.sqrt(sigma**2 + self.missing**2), force, scatter)
+            for sigma, force in zip(sigmas, self.reference, strict=True)
         )
-        return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings)
+        return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings, sigmas=sigmas)
+
+    def after(self, errors: Array) -> "Ground":
+        """The ground on which a model that leaves ``errors`` (samples,) in N is the best so far."""
+        sigma = np.concatenate([noise.sigma for noise in self.noises])
+        missing = np.sqrt(max(float(np.mean(errors**2 - sigma**2)), 0.0))
+        white = errors / np.sqrt(sigma**2 + missing**2)
+        return replace(self, missing=float(missing), together=max(1.0, float(np.mean(white**2))) * correlation_length(white))
+
+    @property
+    def noise_share(self) -> float:
+        """What noise alone contributes to the squared white error of everything."""
+        return float(sum(np.sum(n.sigma**2 / (n.sigma**2 + self.missing**2)) for n in self.noises))
 
     @property
     def samples(self) -> int:

@@ -86,9 +86,12 @@ class GapProblem(Problem):
     ----------
     whitenings : tuple of Whitening
         One for each run.
+    sigmas : tuple of ndarray
+        Noise of each run in N at the counted samples.
     """
 
     whitenings: tuple[Whitening, ...] = ()
+    sigmas: tuple[Array, ...] = ()
 
     @cached_property
     def _alike(self) -> bool:
@@ -113,6 +116,8 @@ class Refit:
         The same of parameters that have not seen the part.
     plain : ndarray (parts,)
         Squared error in N² of these parameters on the part, the run's own offset and gain taken out.
+    noises : ndarray (parts,)
+        The same over the variance of the noise alone.
     grams : ndarray (parts, free, free)
         Normal matrices of the parts at the optimum.
     slopes : ndarray (parts, free)
@@ -126,6 +131,7 @@ class Refit:
     cost: Array
     unseen: Array
     plain: Array
+    noises: Array
     grams: Array
     slopes: Array
     nulls: Array
@@ -134,6 +140,11 @@ class Refit:
     def total(self) -> float:
         """Squared white residual of everything, unseen."""
         return float(self.unseen.sum())
+
+    @property
+    def level(self) -> float:
+        """Mean squared error over the variance of the noise, unseen: 1 where nothing is missing."""
+        return float(self.noises.sum() / len(self.problem.force))
 
 
 def refit(
@@ -167,8 +178,8 @@ def refit(
     cost = np.array([residuals[part] @ residuals[part] for _, part in parts])
     nulls = [errors @ jacobian[block] for errors, block in zip(noise, problem.blocks, strict=False)]
     thetas = without_each(problem, unit, grams, slopes)
-    unseen, plain = unseen_cost(problem, thetas, parts)
-    return Refit(problem, theta, cost, unseen, plain, grams, slopes, np.array(nulls))
+    unseen, plain, noises = unseen_cost(problem, thetas, parts)
+    return Refit(problem, theta, cost, unseen, plain, noises, grams, slopes, np.array(nulls))
 
 
 def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> Array:
@@ -201,15 +212,16 @@ def own_error(problem: GapProblem, theta: Array, run: int) -> tuple[Array, Array
     return whitening(error), error - gain * whitening.reference - offset
 
 
-def unseen_cost(problem: GapProblem, thetas: Array, parts: Sequence[tuple[int, slice]]) -> tuple[Array, Array]:
-    """Squared error of each part with parameters of its own: white, and in N²."""
+def unseen_cost(problem: GapProblem, thetas: Array, parts: Sequence[tuple[int, slice]]) -> tuple[Array, Array, Array]:
+    """Squared error of each part with parameters of its own: white, in N², and over the variance of the noise alone."""
 
-    def of(index: int) -> tuple[float, float]:
+    def of(index: int) -> tuple[float, float, float]:
         run, part = parts[index]
         start = problem.blocks[run].start
         here = slice(part.start - start, part.stop - start)
         white, plain = (error[here] for error in own_error(problem, thetas[index], run))
-        return float(white @ white), float(plain @ plain)
+        noisy = plain / problem.sigmas[run][here]
+        return float(white @ white), float(plain @ plain), float(noisy @ noisy)
 
-    found = np.array(in_threads(of, range(len(parts))))
-    return found[:, 0], found[:, 1]
+    white, plain, noisy = np.array(in_threads(of, range(len(parts)))).T
+    return white, plain, noisy

@@ -197,45 +197,44 @@ def search(
     trials : list of Trial
         Everything that was fitted.
     """
-    samples = ground.samples
     first = around(ground, Foundation.of(base), effects, len(effects), lambda share: progress(0.6 * share), noise=noise)
     trials = list(first)
     chosen: list[Trial] = []
-    reached = base.total
+    before = base
     frontier = sorted(first, key=lambda trial: trial.refit.total)
     while frontier and len(chosen) < MOST_CAUSES:
         best = frontier[0]
-        if not worth(reached, best.refit.total, samples):
+        if not worth(ground, before, best.refit):
             break
         chosen.append(best)
-        reached = best.refit.total
-        if reached < (1 + LEAST_GAIN) * samples:
+        if best.refit.level < 1 + LEAST_GAIN:
             break
         leads = frontier[:BEAM] if len(chosen) == 1 else frontier[:1]
+        ground = ground.after(best.refit.problem.errors(best.refit.theta))
+        again = [refit(ground.problem(lead.refit.problem.model), lead.refit.theta, ground.parts) for lead in leads]
+        before = again[0]
         found = [
             trial
-            for lead in leads
+            for lead, fitted in zip(leads, again, strict=True)
             for trial in around(
-                ground, Foundation.of(lead.refit), [e for e in effects if e not in lead.effects], SHORTLIST,
+                ground, Foundation.of(fitted), [e for e in effects if e not in lead.effects], SHORTLIST,
                 lambda _share: None, lead.effects,
             )
         ]
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
         trials += found
         frontier = sorted(found, key=lambda trial: trial.refit.total)
-        if frontier and frontier[0].effects[: len(chosen)] != best.effects and worth(reached, frontier[0].refit.total, samples):
-            # The pair does not hold the first effect: its own first one is that of the chain.
-            lead = next(trial for trial in first if trial.effects == frontier[0].effects[:1])
-            chosen = [lead]
-            reached = lead.refit.total
+        if frontier and frontier[0].effects[:1] != chosen[0].effects[:1] and worth(ground, before, frontier[0].refit):
+            # The pair does not hold what was the best alone: its own first effect leads to it.
+            chosen = [leads[1]]
     progress(1.0)
     return chosen, trials
 
 
-def worth(before: float, after: float, samples: int) -> bool:
-    """Whether an effect lowers the unseen squared white error enough to matter."""
-    gain = before - after
-    return gain > LEAST_GAIN * samples and gain > LEAST_SHARE * max(before - samples, 0.0)
+def worth(ground: Ground, before: Refit, after: Refit) -> bool:
+    """Whether an effect lowers the unseen error enough to matter."""
+    gain = before.total - after.total
+    return before.level - after.level > LEAST_GAIN and gain > LEAST_SHARE * (before.total - ground.noise_share)
 
 
 def around(
