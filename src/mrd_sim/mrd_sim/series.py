@@ -1,12 +1,19 @@
-"""A damper in series with something that gives way: a compliance, a play."""
+"""A damper in series with something that gives way: a compliance, a play.
+
+The damper's motion is what is left of the rod's after the elongation of what is in series with it. At each vertex the force
+F is the root of damper(x - elongation(F)) = F, whose left side never rises with F: unique, and bracketed by any F and the
+damper's answer to it. Implicit in F, so stable for any stiffness; of first order in the step.
+"""
 
 import warnings
 from typing import Any
 
 import numpy as np
-from numba import njit, types
+from numba import carray, njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from mrd_sim.dual import STEP, clip
 from mrd_sim.root import settled
 
 Array = NDArray[np.float64]
@@ -17,29 +24,54 @@ warnings.filterwarnings("ignore", "First-class function type feature is experime
 MOST = 3
 """Things in series."""
 
-_ACCURACY = 1e-7  # N
-_NUDGE = 1e-4  # N, for the slope of the damper's force over the elongation
+_ACCURACY = 1e-6  # N, of Newton's last step, whose own error is of the order of its square
+_INSTANT = 1e-9  # s; in less nothing gives way, and speeds of elongation would be rounding
 
 
 def _signatures(number: Any) -> list[Any]:
-    step, row, rows = types.Array(types.float64, 1, "C"), types.Array(number, 1, "C"), types.Array(number, 2, "C")
-    kernel = types.FunctionType(types.none(rows, row, step, row, row, row, row))
-    stretch = types.FunctionType(number(row, number, types.float64, number))
-    return [
-        types.none(kernel, types.UniTuple(stretch, count), rows, row, rows, row, step, row, row, row, row)
-        for count in range(1, MOST + 1)
-    ]
+    """Of the functions below, for every number of things in series."""
+    reals, row, rows = types.float64[::1], number[::1], number[:, ::1]
+    dual, duals = types.complex128[::1], types.complex128[:, ::1]
+    kernel = types.FunctionType(types.none(duals, dual, reals, dual, dual, dual, dual))
+    stretch = types.FunctionType(types.complex128(dual, types.complex128, types.float64, types.complex128))
+    arguments = rows, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
+    return [types.none(kernel, types.UniTuple(stretch, n), *arguments) for n in range(1, MOST + 1)]
 
 
-@njit([*_signatures(types.float64), *_signatures(types.complex128)], cache=True, nogil=True)
+@intrinsic
+def _address(context: Any, array: Any) -> Any:
+    """Where the elements of an array are."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(array.dtype)(array), code
+
+
+@njit(inline="always")
+def _lent(array: Any) -> Any:
+    """View that does not count as a reference to the memory, which ``array`` keeps; counting takes longer than a kernel."""
+    return carray(_address(array), array.shape)
+
+
+@njit(inline="always")
+def _elongation(stretches: Any, p: Any, before: Any, step: float, force: Any, after: Any) -> Any:
+    """Sum of the elongations after a step under a force; each in ``after``."""
+    total = 0.0j
+    for i, stretch in enumerate(stretches):
+        after[i] = stretch(p[i], before[i], step, force)
+        total += after[i]
+    return total
+
+
+@njit(_signatures(types.float64), cache=True, nogil=True)
 def in_series(
     kernel: Any, stretches: Any, p: Array, stretched: Array, q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array,
-    force: Array,
+    force: Array, solved: Array,
 ) -> None:
-    """Force of a damper whose motion is what is left of the rod's after the elongation of things in series with it.
+    """Force of a damper with things in series.
 
-    At each vertex the force F is the root of damper(x - elongation(F)) = F, whose left side never rises with F: unique, and
-    bracketed by any F and the damper's answer to it. Implicit in F, so stable for any stiffness; of first order in the step.
+    By Newton's method: with the derivative over F on the motion, one call gives the damper's answer and its slope.
 
     Parameters
     ----------
@@ -50,73 +82,124 @@ def in_series(
     p : ndarray (stretches, parameters)
     stretched : ndarray (stretches + 1,)
         Elongations and the force so far; carried on.
-    q, state, dt, x, v, a, force
+    q : ndarray (quantities, m)
+    state, dt, x, v, a, force
         As of the kernel.
+    solved : ndarray (m, 2 + states)
+        Filled with the F of the last call, next to the root, and derivatives over F there: of the damper's answer and of its
+        state.
     """
-    count = len(stretches)
-    trial = np.empty_like(state)
-    at, speed, answer = np.empty_like(x[:1]), np.empty_like(x[:1]), np.empty_like(x[:1])
-    before = 0.0 * stretched[0]
-    for i in range(count):
-        before += stretched[i]
+    count, states, quantities = len(stretches), len(state), len(q)
+    constants = p + 0.0j
+    row, moved, step = np.zeros((1, quantities), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
+    at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
+    before, after = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
+    before[:] = stretched[:count]
+    lent = _lent(constants), _lent(before), _lent(after)
+    arguments = _lent(row), _lent(moved), _lent(step), _lent(at), _lent(speed), _lent(acceleration), _lent(answer)
+    elongation: Any = np.sum(before)
+    found, rate = stretched[count], 0.0
     for k in range(len(x)):
-        step = dt[k]
-        guess = stretched[count]
+        step[0] = dt[k]
+        acceleration[0] = a[k]
+        for i in range(quantities):
+            row[0, i] = q[i, k]
+        if 0.0 < dt[k] < _INSTANT:
+            force[k] = found
+            continue
+        sum_before = elongation.real
+        guess = found + rate * dt[k]
         low, high, last = 0.0, 0.0, 0.0
+        newton, slope = 0.0, 0.0
         for attempt in range(100):
-            elongation = 0.0 * before
-            for i, stretch in enumerate(stretches):
-                elongation += stretch(p[i], stretched[i], step, guess)
-            trial[:] = state
-            at[0] = x[k] - elongation
-            speed[0] = v[k] - ((elongation - before) / step if step > 0.0 else 0.0 * before)
-            kernel(q[k : k + 1], trial, dt[k : k + 1], at, speed, a[k : k + 1], answer)
-            excess = answer[0] - guess
-            if step == 0.0:
-                break
-            # The slope of the damper's force over F, by what a nudge of F changes.
-            nudged = 0.0 * before
-            for i, stretch in enumerate(stretches):
-                nudged += stretch(p[i], stretched[i], step, guess + _NUDGE)
-            slope = 0.0
-            if nudged.real != elongation.real:
-                trial[:] = state
-                at[0] = x[k] - nudged
-                speed[0] = v[k] - (nudged - before) / step
-                moved = answer[0]
-                kernel(q[k : k + 1], trial, dt[k : k + 1], at, speed, a[k : k + 1], answer)
-                slope = min((answer[0] - moved).real / _NUDGE, 0.0)
-                answer[0] = moved
+            if dt[k] > 0.0:
+                elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(guess, STEP), lent[2])
+                speed[0] = complex(v[k] - (elongation.real - sum_before) / dt[k], -elongation.imag / dt[k])
             else:
-                again = 0.0 * before
-                for i, stretch in enumerate(stretches):
-                    again += stretch(p[i], stretched[i], step, answer[0])
-                if again.real == elongation.real:
-                    # Nothing gives way between the two: the damper's answer is the root.
-                    guess = answer[0]
-                    break
+                elongation = complex(sum_before, 0.0)
+                speed[0] = v[k]
+            at[0] = complex(x[k] - elongation.real, -elongation.imag)
+            for i in range(states):
+                moved[i] = state[i]
+            kernel(*arguments)
+            value = answer[0].real
+            slope = min(answer[0].imag / STEP, 0.0)
+            newton = (value - guess) / (1.0 - slope)
+            if dt[k] == 0.0 or not abs(newton) > _ACCURACY:  # or not a number
+                break
             if attempt == 0:
-                low, high = min(guess.real, answer[0].real), max(guess.real, answer[0].real)
+                low, high = min(guess, value), max(guess, value)
                 last = 4.0 * (high - low)
-            elif excess.real > 0.0:
-                low = guess.real
+            elif value > guess:
+                low = guess
             else:
-                high = guess.real
-            newton = excess / (1.0 - slope)
-            if abs(newton.real) <= _ACCURACY or high - low <= _ACCURACY:
-                guess = guess + newton
+                high = guess
+            if high - low <= _ACCURACY:
+                newton = clip(newton, low - guess, high - guess)
                 break
+            if elongation.imag == 0.0:
+                at_value = _elongation(stretches, lent[0], lent[1], dt[k], complex(value, 0.0), lent[2])
+                if at_value.real == elongation.real:  # nothing gives way between the two: the damper's answer is the root
+                    break
             guess, last = settled(guess, newton, low, high, last)
-        if step > 0.0:
-            elongation = 0.0 * before
-            for i, stretch in enumerate(stretches):
-                stretched[i] = stretch(p[i], stretched[i], step, guess)
-                elongation += stretched[i]
-            at[0] = x[k] - elongation
-            speed[0] = v[k] - (elongation - before) / step
-            before = elongation
-        else:
-            at[0], speed[0] = x[k] - before, v[k]
-        kernel(q[k : k + 1], state, dt[k : k + 1], at, speed, a[k : k + 1], answer)
-        force[k] = answer[0]
-        stretched[count] = answer[0]
+            newton = 0.0
+        if dt[k] > 0.0:
+            rate = (guess + newton - found) / dt[k]
+            for i in range(count):
+                before[i] = after[i].real + after[i].imag / STEP * newton
+            elongation = complex(elongation.real + elongation.imag / STEP * newton, 0.0)
+        found = guess + newton
+        force[k] = found
+        solved[k, 0], solved[k, 1] = guess, slope
+        for i in range(states):
+            solved[k, 2 + i] = moved[i].imag / STEP
+            state[i] = moved[i].real + solved[k, 2 + i] * newton
+    stretched[:count] = before.real
+    stretched[count] = found
+
+
+@njit(_signatures(types.complex128), cache=True, nogil=True)
+def derivatives_in_series(
+    kernel: Any, stretches: Any, p: Array, stretched: Array, q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array,
+    force: Array, solved: Array,
+) -> None:
+    """Derivative of that force to whatever the arguments carry one of, by the implicit function theorem.
+
+    Arguments as of `in_series`, which has found ``force`` and ``solved``.
+    """
+    count, states, quantities = len(stretches), len(state), len(q)
+    row, moved, step = np.zeros((1, quantities), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
+    at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
+    before, after = stretched[:count].copy(), np.zeros(count, np.complex128)
+    lent = _lent(p), _lent(before), _lent(after)
+    arguments = _lent(row), _lent(moved), _lent(step), _lent(at), _lent(speed), _lent(acceleration), _lent(answer)
+    elongation: Any = np.sum(before)
+    found = stretched[count]
+    for k in range(len(x)):
+        if 0.0 < dt[k] < _INSTANT:
+            force[k] = found
+            continue
+        step[0] = dt[k]
+        acceleration[0] = a[k]
+        for i in range(quantities):
+            row[0, i] = q[i, k]
+        for i in range(states):
+            moved[i] = state[i]
+        speed[0] = v[k]
+        sum_before = elongation
+        if dt[k] > 0.0:
+            elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(solved[k, 0], 0.0), lent[2])
+            speed[0] -= (elongation - sum_before) * (1.0 / dt[k])
+        at[0] = x[k] - elongation
+        kernel(*arguments)
+        found = complex(force[k].real, answer[0].imag / (1.0 - solved[k, 1]))
+        force[k] = found
+        change = found - solved[k, 0]
+        for i in range(states):
+            state[i] = moved[i] + solved[k, 2 + i] * change
+        if dt[k] > 0.0:
+            elongation = _elongation(stretches, lent[0], lent[1], dt[k], found, lent[2])
+            for i in range(count):
+                before[i] = after[i]
+    stretched[:count] = before
+    stretched[count] = found

@@ -13,12 +13,14 @@ from mrd_sim.current import LAWS, coefficients, lagged_current, rise
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series import in_series
+from mrd_sim.series import derivatives_in_series, in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
 
 NO_FLOOR = -1e300
+
+_KEPT = 64  # paths
 
 
 @dataclass(frozen=True)
@@ -302,6 +304,7 @@ class DamperModel:
         if state is None:
             state = self.initial_state(path)
         state = np.asarray(state, theta.dtype)
+        start = state.real.tobytes()
         x, v, a, current = path.position, path.velocity, path.acceleration, path.current
         force = np.zeros(len(x), theta.dtype)
         if self.effects:  # they change the signals in place
@@ -311,10 +314,8 @@ class DamperModel:
         rows = self._coefficients(theta, current)
         inner = state[2 : 2 + self.states]
         if self._series:
-            p = np.stack([np.resize(theta[part], 4) for part in self._effect_parameters(self._series)])
-            stretches = tuple(effect.stretch for effect in self._series)
             stretched = state[-len(self._series) - 1 :]
-            in_series(self.kernel, stretches, p, stretched, np.ascontiguousarray(rows), inner, path.dt, x, v, a, force)
+            self._run_in_series(theta, path, start, (stretched, rows.T, inner, path.dt, x, v, a, force))
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
         self._act(("fluid", "structure"), theta, path.dt, (x, v, a, current, force), state)
@@ -323,6 +324,34 @@ class DamperModel:
             return on_rod, on_rod
         self._act(("sensing",), theta, path.dt, (x, v, a, current, force), state)
         return on_rod, force[path.samples]
+
+    def _run_in_series(self, theta: Array, path: Path, start: bytes, arguments: tuple[Array, ...]) -> None:
+        """Fill the force of the damper and of what is in series with it.
+
+        Derivatives begin with the force itself, and a fit asks for them parameter by parameter: what was found last along a
+        path is kept for them, with the parameters and the state at the ``start`` that it belongs to.
+        """
+        p = np.stack([np.resize(theta[part], 4) for part in self._effect_parameters(self._series)])
+        stretches = tuple(effect.stretch for effect in self._series)
+        derivatives = np.iscomplexobj(theta)
+        key = theta.real.tobytes(), start
+        known = self._found.get(id(path))
+        if known is None or known[0] != key or not derivatives:
+            values = [np.ascontiguousarray(argument.real) for argument in (p, *arguments)]
+            solved = np.empty((len(path.dt), 2 + self.states))
+            in_series(self.kernel, stretches, *values, solved)
+            known = key, path, values[-1].copy(), solved
+            self._found[id(path)] = known
+            if len(self._found) > _KEPT:
+                self._found.pop(next(iter(self._found)), None)
+        if derivatives:
+            arguments[-1][:] = known[2]
+            derivatives_in_series(self.kernel, stretches, p, *arguments, known[3])
+
+    @cached_property
+    def _found(self) -> dict[int, tuple[tuple[bytes, bytes], Path, Array, Array]]:
+        """What it belongs to, the path, the force and what was `solved` (`mrd_sim.series`), by the path's identity."""
+        return {}
 
     @cached_property
     def _series(self) -> tuple[Effect, ...]:
