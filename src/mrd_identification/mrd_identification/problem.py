@@ -81,6 +81,18 @@ def prepare(run: Run, weight: float = 1.0) -> Recording:
     return Recording(run, path_of(run), slice(start, len(run)), weight)
 
 
+def forces_in_turn(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
+    """Modelled force in N of runs recorded one after the other: what outlasts a run, such as heat, goes on to the next."""
+    if not any(effect.carries for effect in model.effects):
+        return [recording.modelled(model, theta) for recording in recordings]
+    found, state = [], None
+    for recording in recordings:
+        begin = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
+        state = begin.astype(theta.dtype)
+        found.append(model.force(theta, recording.path, state)[recording.counted])
+    return found
+
+
 def run_weights(runs: Sequence[Run], weights: Weights | Sequence[float]) -> list[float]:
     """Factor of each run's squared residuals, 1 on average over the samples.
 
@@ -212,10 +224,12 @@ class Problem:
 
     def forces(self, theta: Array) -> Array:
         """Modelled force in N over all counted samples."""
-        return np.concatenate([self.modelled(theta, index) for index in range(len(self.recordings))])
+        return np.concatenate(forces_in_turn(self.model, theta, self.recordings))
 
     def modelled(self, theta: Array, index: int) -> Array:
         """Modelled force in N at the counted samples of one recording."""
+        if any(effect.carries for effect in self.model.effects):
+            return forces_in_turn(self.model, theta, self.recordings[: index + 1])[-1]
         return self.recordings[index].modelled(self.model, theta)
 
     def errors(self, theta: Array) -> Array:

@@ -25,7 +25,7 @@ from mrd_identification.gap.judge import closed, nrmse, probabilities, resampled
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
-from mrd_identification.gap.refit import Refit, Scatter, own_error, refit, without_each
+from mrd_identification.gap.refit import Refit, Scatter, errors_of, own_error, refit, without_each
 from mrd_identification.gap.where import where
 from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Trial, search
 from mrd_identification.gap.words import describe, human
@@ -51,6 +51,9 @@ MIMICRY = 0.9
 
 BEYOND = 1.15
 """A run goes beyond the others where its stroke, speed or current is larger than theirs by this factor."""
+
+ALONE = 0.8
+"""Share of what all runs say of an effect's parameter that makes one run the only one to say it."""
 
 FIRST_SCATTER = Scatter(0.01, 2.0)
 """Of runs of the same bench, before anything is learned from them: relative, and in N."""
@@ -124,11 +127,11 @@ def diagnose(
     theta = first_fit(posed, simulator, rng)
     noises = run_noise(fitted, base, theta, rng)
     reference = [recording.modelled(base, theta) for recording in fitted]
-    ground = Ground(fitted, noises, FIRST_SCATTER, reference, fixed).after(posed.errors(theta))
+    ground = Ground(fitted, noises, FIRST_SCATTER, reference, fixed).after(errors_of(posed, theta))
     problem = ground.problem(base)
     noise = null_errors(problem, theta, [found.force for found in ground.noises], rng)
     alone = refit(problem, theta, ground.parts, noise)
-    present = _testable(candidates, fitted)
+    present = _testable(candidates, base, fitted)
     progress("trying effects", 0.15)
     chosen, trials = search(
         ground, alone, [effect for effect in candidates if effect not in present], noise,
@@ -163,12 +166,14 @@ def _simulator(base: DamperModel, parameters: StoredFit | None) -> Array | None:
     return base.vector({name: value for name, value in parameters.values.items() if "." not in name})
 
 
-def _testable(candidates: Sequence[str], recordings: Sequence[Recording]) -> dict[str, str]:
+def _testable(candidates: Sequence[str], base: DamperModel, recordings: Sequence[Recording]) -> dict[str, str]:
     """Candidates of which these recordings can say nothing whatever their size, and why."""
     found: dict[str, str] = {}
     rate = min(recording.run.rate for recording in recordings)
     still = all(np.ptp(recording.path.current) < 1e-3 for recording in recordings)
     for name in candidates:
+        if EFFECTS[name].structural and base.states:
+            found[name] = "the model has its own"
         if name == "mains_hum" and rate < 130.0:
             found[name] = f"at {rate:.0f} Hz the mains frequency cannot be seen"
         if still and name in ("coil_lag", "magnetic_hysteresis"):
@@ -212,7 +217,7 @@ class _Judged:
         scatter = learned_scatter(best)
         noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
         # A run's own gain multiplies the force of the plain model still: else it would bring the effects in by itself.
-        ground = replace(first, noises=noises, scatter=scatter).after(best.problem.errors(best.theta))
+        ground = replace(first, noises=noises, scatter=scatter).after(errors_of(best.problem, best.theta))
 
         def again(old: Refit) -> Refit:
             return refit(ground.problem(old.problem.model), old.theta, ground.parts)
@@ -438,7 +443,7 @@ def _part_closed(before: Refit, after: Refit, judged: _Judged, rng: np.random.Ge
 
 
 def _extrapolations(recordings: Sequence[Recording]) -> list[str]:
-    """In which respect each run goes beyond all others."""
+    """In which respect each run goes beyond all others; empty where it does not."""
     reach = {
         "stroke": [float(np.ptp(recording.path.position)) for recording in recordings],
         "speed": [float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings],
@@ -481,8 +486,21 @@ def _unseen_residuals(fitted: Refit, judged: _Judged, beyond: Sequence[str]) -> 
     return found
 
 
+def _alone_in(judged: _Judged) -> set[int]:
+    """Runs that are (nearly) the only ones to say how large an effect is."""
+    problem = judged.best.problem
+    of_effects = [i for i, parameter in enumerate(problem.parameters) if "." in parameter.name]
+    places = np.array([run for run, _ in judged.ground.parts])
+    told = np.stack([np.diagonal(gram)[of_effects] for gram in judged.best.grams])
+    by_run = np.stack([told[places == run].sum(axis=0) for run in range(len(judged.ground.recordings))])
+    shares = by_run / np.maximum(by_run.sum(axis=0), 1e-300)
+    return set(map(int, np.flatnonzero((shares > ALONE).any(axis=1))))
+
+
 def _traces(judged: _Judged) -> list[Trace]:
     beyond = _extrapolations(judged.ground.recordings)
+    for run in _alone_in(judged):
+        beyond[run] = beyond[run] or "what the effect needs to show"
     before = _unseen_residuals(judged.alone, judged, beyond)
     after = _unseen_residuals(judged.best, judged, beyond) if judged.effects else before
     own = [_own(judged.best, run) for run in range(len(beyond))]

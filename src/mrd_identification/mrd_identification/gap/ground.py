@@ -67,12 +67,17 @@ class Ground:
         )
         return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings, sigmas=sigmas)
 
-    def after(self, errors: Array) -> "Ground":
-        """The ground on which a model that leaves ``errors`` (samples,) in N is the best so far."""
-        sigma = np.concatenate([noise.sigma for noise in self.noises])
-        missing = np.sqrt(max(float(np.mean(errors**2 - sigma**2)), 0.0))
-        white = errors / np.sqrt(sigma**2 + missing**2)
-        return replace(self, missing=float(missing), together=max(1.0, float(np.mean(white**2))) * correlation_length(white))
+    def after(self, errors: Sequence[Array]) -> "Ground":
+        """The ground on which a model is the best so far that errs by so much on each run, in N, modelled minus measured."""
+        left = []
+        for error, noise, force in zip(errors, self.noises, self.reference, strict=True):
+            gain, offset = whitening(noise.sigma, force, self.scatter).own @ error
+            left.append(error - gain * force - offset)
+        error, sigma = np.concatenate(left), np.concatenate([noise.sigma for noise in self.noises])
+        missing = np.sqrt(max(float(np.mean(error**2 - sigma**2)), 0.0))
+        white = error / np.sqrt(sigma**2 + missing**2)
+        together = max(1.0, float(np.mean(white**2))) * correlation_length(white)
+        return replace(self, missing=float(missing), together=together)
 
     @property
     def noise_share(self) -> float:

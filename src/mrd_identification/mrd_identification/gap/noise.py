@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from mrd_base import InputError
 from mrd_identification.gap.diagnosis import RunNoise
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.problem import Recording, forces_in_turn, in_threads
 from mrd_runs import Run
 from mrd_runs.motion import motion, motion_errors
 from mrd_runs.steady import current_noise, steady_current
@@ -63,7 +63,8 @@ def run_noise(
     """
     of_runs = list(zip(recordings, rng.spawn(len(recordings)), strict=True))
     carried = in_threads(lambda each: _carried(each[0], model, theta, each[1], draws), of_runs)
-    residuals = [recording.force - recording.modelled(model, theta) for recording in recordings]
+    modelled = forces_in_turn(model, theta, recordings)
+    residuals = [recording.force - force for recording, force in zip(recordings, modelled, strict=True)]
     found = []
     for index, recording in enumerate(recordings):
         residual, errors = _without_own(residuals[index], recording.force), carried[index]

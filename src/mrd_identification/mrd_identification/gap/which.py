@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_identification.gap.ground import Ground, with_effect
-from mrd_identification.gap.refit import GapProblem, Refit, refit
+from mrd_identification.gap.refit import GapProblem, Refit, errors_of, refit
 from mrd_identification.problem import in_threads
-from mrd_sim.effects import Effect, find_effects
+from mrd_sim.effects import EFFECTS, Effect, find_effects
 
 Array = NDArray[np.float64]
 
@@ -201,7 +201,8 @@ def search(
     trials = list(first)
     chosen: list[Trial] = []
     before = base
-    frontier = sorted(first, key=lambda trial: trial.refit.total)
+    # What a model lacks by construction comes first: others may imitate it, alone.
+    frontier = sorted(first, key=lambda trial: (not lacking(trial, ground, base), trial.refit.total))
     while frontier and len(chosen) < MOST_CAUSES:
         best = frontier[0]
         if not worth(ground, before, best.refit):
@@ -210,7 +211,7 @@ def search(
         if best.refit.level < 1 + LEAST_GAIN:
             break
         leads = frontier[:BEAM] if len(chosen) == 1 else frontier[:1]
-        ground = ground.after(best.refit.problem.errors(best.refit.theta))
+        ground = ground.after(errors_of(best.refit.problem, best.refit.theta))
         again = [refit(ground.problem(lead.refit.problem.model), lead.refit.theta, ground.parts) for lead in leads]
         before = again[0]
         found = [
@@ -224,11 +225,18 @@ def search(
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
         trials += found
         frontier = sorted(found, key=lambda trial: trial.refit.total)
-        if frontier and frontier[0].effects[:1] != chosen[0].effects[:1] and worth(ground, before, frontier[0].refit):
+        if len(chosen) == 1 and frontier and frontier[0].effects[:1] != chosen[0].effects and worth(
+            ground, before, frontier[0].refit
+        ):
             # The pair does not hold what was the best alone: its own first effect leads to it.
             chosen = [leads[1]]
     progress(1.0)
     return chosen, trials
+
+
+def lacking(trial: Trial, ground: Ground, base: Refit) -> bool:
+    """Whether a trial brings in what is part of damper models and the base does not have."""
+    return EFFECTS[trial.effects[-1]].structural and worth(ground, base, trial.refit)
 
 
 def worth(ground: Ground, before: Refit, after: Refit) -> bool:

@@ -51,6 +51,8 @@ class Effect:
     phrase : str, optional
         The effect as a cause, a clause with its parameters in braces, ``{lag}``; ``{gain:%}`` in per cent,
         ``{amplitude:size}`` without sign, ``{inverse_cap:inverse}`` one over it.
+    structural : bool
+        Whether damper models with a hysteretic state have it of their own: it stands for what others lack by construction.
     """
 
     id: str
@@ -68,3 +70,4 @@ class Effect:
     carries: bool = False
     stretch: Callable[[Any, Any, Any, Any], Any] | None = None
     phrase: str = ""
+    structural: bool = False
