@@ -34,7 +34,7 @@ def _signatures(number: Any) -> list[Any]:
     dual, duals = types.complex128[::1], types.complex128[:, ::1]
     kernel = types.FunctionType(types.none(duals, dual, reals, dual, dual, dual, dual))
     stretch = types.FunctionType(types.complex128(dual, types.complex128, types.float64, types.complex128))
-    arguments = rows, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
+    arguments = duals, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
     return [types.none(kernel, types.UniTuple(stretch, n), *arguments) for n in range(1, MOST + 1)]
 
 
@@ -50,7 +50,10 @@ def _address(context: Any, array: Any) -> Any:
 
 @njit(inline="always")
 def _lent(array: Any) -> Any:
-    """View that does not count as a reference to the memory, which ``array`` keeps; counting takes longer than a kernel."""
+    """View that does not count as a reference to the memory: counting takes longer than a kernel.
+
+    Whoever uses it has to keep ``array``, or use it later on.
+    """
     return carray(_address(array), array.shape)
 
 
@@ -79,7 +82,7 @@ def in_series(
         Of the damper model.
     stretches : tuple of compiled functions
         See `mrd_sim.effects.effect.Effect`.
-    p : ndarray (stretches, parameters)
+    p : ndarray (stretches, parameters) of complex
     stretched : ndarray (stretches + 1,)
         Elongations and the force so far; carried on.
     q : ndarray (quantities, m)
@@ -90,12 +93,11 @@ def in_series(
         state.
     """
     count, states, quantities = len(stretches), len(state), len(q)
-    constants = p + 0.0j
     row, moved, step = np.zeros((1, quantities), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
     before, after = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
     before[:] = stretched[:count]
-    lent = _lent(constants), _lent(before), _lent(after)
+    lent = _lent(p), _lent(before), _lent(after)
     arguments = _lent(row), _lent(moved), _lent(step), _lent(at), _lent(speed), _lent(acceleration), _lent(answer)
     elongation: Any = np.sum(before)
     found, rate = stretched[count], 0.0

@@ -337,9 +337,9 @@ class DamperModel:
         key = theta.real.tobytes(), start
         known = self._found.get(id(path))
         if known is None or known[0] != key or not derivatives:
-            values = [np.ascontiguousarray(argument.real) for argument in (p, *arguments)]
+            values = [np.ascontiguousarray(argument.real) for argument in arguments]
             solved = np.empty((len(path.dt), 2 + self.states))
-            in_series(self.kernel, stretches, *values, solved)
+            in_series(self.kernel, stretches, p.real + 0j, *values, solved)
             known = key, path, values[-1].copy(), solved
             self._found[id(path)] = known
             if len(self._found) > _KEPT:
