@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_sim.dual import exp, tanh
+from mrd_sim.lag import decay, follow
 
 Array = NDArray[np.float64]
 
@@ -69,19 +70,17 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
     """
     effective = np.empty(len(current), state.dtype)
     u, before = state[0], state[1]
-    step, decay = 0.0, 0.0 * lag
+    step, left = 0.0, 0.0 * lag
     for k in range(len(current)):
         now = current[k]
-        if dt[k] == 0.0 or lag.real < 1e-9:
-            # So short a lag only delays a ramp.
-            u = now - (lag * (now - before) / dt[k] if dt[k] > 0.0 else 0.0 * lag)
+        if dt[k] == 0.0:
+            u = now + 0.0 * lag
         else:
             # Samples are as far apart as those before, but for rounding: few exponentials are worth computing.
             if abs(dt[k] - step) > 1e-9 * step:
                 step = dt[k]
-                decay = exp(-step / lag)
-            rise = (now - before) / step * lag
-            u = (now - rise) + (u - (before - rise)) * decay
+                left = decay(step, lag)
+            u = follow(u, before, now, lag / step, left)
         effective[k] = u
         before = now + 0.0 * lag
     state[0], state[1] = u, before

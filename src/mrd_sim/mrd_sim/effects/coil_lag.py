@@ -2,8 +2,8 @@
 
 from numba import njit
 
-from mrd_sim.dual import exp
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.lag import decay, follow
 from mrd_sim.parameter import Parameter
 
 
@@ -17,11 +17,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
         else:
             # Rising or falling, by which side of the lagged current the measured one is on.
             lag = p[0] if now.real >= lagged.real else p[0] * (1.0 + p[1])
-            if lag.real < 1e-9:
-                lagged = now - lag * (now - before) / dt[k]
-            else:
-                ramp = (now - before) / dt[k] * lag
-                lagged = now - ramp + (lagged - before + ramp) * exp(-dt[k] / lag)
+            lagged = follow(lagged, before, now, lag / dt[k], decay(dt[k], lag))
         before = now + 0.0 * p[0]
         u[k] = lagged
     state[0], state[1] = lagged, before

@@ -2,8 +2,8 @@
 
 from numba import njit
 
-from mrd_sim.dual import exp
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.lag import decay, follow
 from mrd_sim.parameter import Parameter
 
 
@@ -13,14 +13,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
     read, before = state[0], state[1]
     for k in range(len(force)):
         now = force[k]
-        if dt[k] == 0.0:
-            read = now
-        elif lag.real < 1e-9:
-            # So short a lag only delays a ramp.
-            read = now - lag * (now - before) / dt[k]
-        else:
-            ramp = (now - before) / dt[k] * lag
-            read = now - ramp + (read - before + ramp) * exp(-dt[k] / lag)
+        read = now if dt[k] == 0.0 else follow(read, before, now, lag / dt[k], decay(dt[k], lag))
         before = now
         force[k] = read
     state[0], state[1] = read, before

@@ -1,0 +1,23 @@
+"""A first-order lag, y' = (u - y) / lag, stepped exactly for u linear over the step."""
+
+from typing import Any
+
+from numba import njit
+
+from mrd_sim.dual import exp
+
+
+@njit(cache=True, nogil=True)
+def decay(step: float, lag: Any) -> Any:
+    """What is left of a deviation after a step in s; nothing for so short a lag that it only delays a ramp."""
+    return exp(-step / lag) if lag.real >= 1e-9 else 0.0 * lag
+
+
+@njit(cache=True, nogil=True)
+def follow(lagged: Any, before: Any, now: Any, steps: Any, left: Any) -> Any:
+    """y after a step over which u went from ``before`` to ``now``, from y = ``lagged``.
+
+    ``steps`` is the lag in steps, ``left`` their `decay`.
+    """
+    behind = (now - before) * steps
+    return now - behind + (lagged - before + behind) * left
