@@ -75,9 +75,9 @@ model. Switched on in the simulated bench it changes what is recorded; added to 
 explains. Its first parameter is its size; by default it is 0, and nothing happens.
 
 Each effect belongs to one stage, and the stages follow each other as cause becomes reading; effects of one stage act in the
-order in which they are named. Signs as for the [damper models](models.md): x > 0 extends, F > 0 resists extension. Errors of
-the position and of the current sensor are written from the measured value to the true one, because the measured one is what
-is known.
+order of the catalogue below, your own after those. Signs as for the [damper models](models.md): x > 0 extends, F > 0
+resists extension. Errors of the position and of the current sensor are written from the measured value to the true one,
+because the measured one is what is known.
 
 | stage | what it is | effects |
 |---|---|---|

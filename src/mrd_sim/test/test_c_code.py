@@ -247,6 +247,6 @@ def test_wrong_values_and_prefixes_are_refused():
 
 
 def test_a_model_with_effects_is_refused():
-    words = r"model bingham with effects \(joint_play, thermal_fade\) has no translation to C, expected one without effects"
+    words = r"model bingham with effects \(thermal_fade, joint_play\) has no translation to C, expected one without effects"
     with pytest.raises(InputError, match=words):
         c_source(find_model("bingham", effects=["joint_play", "thermal_fade"]), {})

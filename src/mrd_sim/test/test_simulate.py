@@ -91,7 +91,7 @@ def test_the_tool(tmp_path):
     again = [*command[:-1], str(tmp_path / "more.csv"), "--model", "bingham", "--parameters", "{offset: -40}", *more]
     assert subprocess.run(again, capture_output=True).returncode == 0
     before, after = read_run(tmp_path / "out.csv"), read_run(tmp_path / "more.csv")
-    assert after.force == pytest.approx(1.1 * (before.force + 7.0), abs=1e-6)  # in the order given
+    assert after.force == pytest.approx(1.1 * before.force + 7.0, abs=1e-6)  # in the catalogue's order
     bench = tmp_path / "plant.yaml"
     bench.write_text("""/**/plant: {ros__parameters: {seed: 1, damper: {model: bingham, parameters: "offset: -40",
         effects: "{load_cell_drift: {offset: 7}, load_cell_gain: {gain: 0.1}}"}}}""")

@@ -73,7 +73,7 @@ _SHIPPED = frozenset(EFFECTS)
 
 
 def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects by their ids.
+    """Effects by their ids, in the order of the catalogue, however they are named; a user's own after those.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
             raise InputError(f"unknown effect {name} (known: {', '.join(EFFECTS)})")
         if list(names).count(name) > 1:
             raise InputError(f"effect {name} is named twice, expected once")
-    return tuple(EFFECTS[name] for name in names)
+    return tuple(effect for name, effect in EFFECTS.items() if name in names)
 
 
 def load_effects(folder: str | Path) -> tuple[Effect, ...]:
