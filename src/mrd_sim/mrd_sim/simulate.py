@@ -1,15 +1,58 @@
 """The damper's answer to an experiment or to a recorded motion, without a bench around it."""
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from mrd_base import InputError
-from mrd_runs import Run
+from mrd_runs import Run, make_run
 from mrd_runs.motion import motion
 from mrd_sim.damper import Damper
 from mrd_sim.path import make_path, path_of
 from mrd_trajectory.plan import Plan
+
+Array = NDArray[np.float64]
+
+FINE_RATE = 4000.0
+"""Hz; `measure_plan` integrates at this or the next multiple of the experiment's rate."""
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """What stands between a damper and its recording.
+
+    The defaults are those of the simulated bench in round numbers, with the noise of a bench that is wired with some care.
+
+    Attributes
+    ----------
+    position_noise, force_noise, current_noise, acceleration_noise : float
+        m, N, A, m/s² rms of every sample; white.
+    acceleration_gain, acceleration_offset : float
+        Error of the accelerometer: relative, and in m/s².
+    bandwidth : float
+        Hz, -3 dB of the first-order anti-alias filter that all channels have alike; infinite for none.
+    supply_lag : float
+        s, first-order lag from the current that is asked for to that in the coil.
+    run_gain, run_offset : float
+        How far the force of single runs is off though nothing has changed: standard deviations of its scale, relative, and
+        of its zero in N.
+    """
+
+    position_noise: float = 8e-6
+    force_noise: float = 1.5
+    current_noise: float = 0.004
+    acceleration_noise: float = 0.05
+    acceleration_gain: float = 0.01
+    acceleration_offset: float = 0.02
+    bandwidth: float = 250.0
+    supply_lag: float = 0.003
+    run_gain: float = 0.01
+    run_offset: float = 2.0
 
 
 def simulate_run(run: Run, damper: Damper) -> Run:
@@ -38,6 +81,82 @@ def simulate_plan(plan: Plan, damper: Damper) -> Run:
         at.current[samples], force[samples], at.acceleration[samples],
         info={"source": f"{damper.description} along the setpoints of {plan.experiment.name}"},
     )
+
+
+def measure_plan(
+    plan: Plan, damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None
+) -> Run:
+    """A plan as a bench would have recorded it with a fresh damper; see `measure_plans`."""
+    return measure_plans([plan], damper, rng, instruments=instruments)[0]
+
+
+def measure_plans(
+    plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None
+) -> list[Run]:
+    """Plans as a bench would have recorded them, one after the other.
+
+    Rod and coil follow their setpoints, the coil with the lag of its supply; every sample is the mean of what has passed the
+    anti-alias filter since the one before, as of the simulated bench. What outlasts a run (heat, settling, drift) goes on to
+    the next.
+
+    Parameters
+    ----------
+    plans : sequence of Plan
+    damper : Damper
+        Fresh; it is not changed. The motion of the setpoints is the measured one: drive effects lead from it to what the
+        damper sees, as everywhere.
+    rng : numpy Generator
+        Of noise and run scatter; a run does not depend on those after it.
+    instruments : Instruments, optional
+
+    Returns
+    -------
+    list of Run
+        Named like their experiments, from rest at mid-stroke and back, at the experiments' rates.
+    """
+    instruments = instruments or Instruments()
+    model, state = damper.model, None
+    runs = []
+    for plan in plans:
+        (own,) = rng.spawn(1)
+        rate = plan.experiment.rate
+        steps = math.ceil(FINE_RATE / rate)
+        samples = int(plan.duration * rate)
+        step = 1.0 / (steps * rate)
+        time = np.arange(samples * steps) / (steps * rate)
+        at = plan.at(time)
+        current = _lagged(at.current, instruments.supply_lag, step)
+        path = make_path(time, at.position, at.velocity, at.acceleration, current)
+        state = model.initial_state(path) if state is None else model.next_state(state, path)
+        force = model.force(damper.theta, path, state)
+        filtered = _lagged(
+            np.stack([at.position, force, current, at.acceleration]), 0.5 / (math.pi * instruments.bandwidth), step
+        )
+        position, force, current, acceleration = filtered.reshape(4, samples, steps).mean(axis=2)
+        gain, offset = own.normal(0.0, (instruments.run_gain, instruments.run_offset))
+        columns = {
+            "time_s": np.arange(samples) / rate,
+            "position_m": position + own.normal(0.0, instruments.position_noise, samples),
+            "current_A": current + own.normal(0.0, instruments.current_noise, samples),
+            "force_N": (1.0 + gain) * force + offset + own.normal(0.0, instruments.force_noise, samples),
+            "acceleration_mps2": (1.0 + instruments.acceleration_gain) * acceleration
+            + instruments.acceleration_offset
+            + own.normal(0.0, instruments.acceleration_noise, samples),
+        }
+        source = f"{damper.description} along {plan.experiment.name}, as measured"
+        runs.append(make_run(plan.experiment.name, columns, {"source": source}))
+    return runs
+
+
+def _lagged(series: Array, lag: float, step: float) -> Array:
+    """Series (..., n) after a first-order lag in s, exact where they are linear over each ``step`` in s."""
+    if lag == 0.0:
+        return series
+    keep = math.exp(-step / lag)
+    mean = (1.0 - keep) * lag / step
+    # Before the first value all was as it is then.
+    filtered, _ = lfilter([1.0 - mean, mean - keep], [1.0, -keep], series, zi=mean * series[..., :1])
+    return np.asarray(filtered, np.float64)
 
 
 def write_csv(run: Run, path: str | Path) -> None:

@@ -1,5 +1,6 @@
 """The simulator as a tool: an experiment or a recorded motion in, a run out."""
 
+import dataclasses
 import subprocess
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from mrd_runs import read_run
 from mrd_sim.cli.simulate import parse_effect
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects
-from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
+from mrd_sim.simulate import Instruments, measure_plan, measure_plans, simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
@@ -26,9 +27,19 @@ coil: {waveform: constant, level_mA: 200.0}
 """
 
 
+QUIET = Instruments(
+    position_noise=0.0, force_noise=0.0, current_noise=0.0, acceleration_noise=0.0, acceleration_gain=0.0,
+    acceleration_offset=0.0, run_gain=0.0, run_offset=0.0,
+)
+
+
+def planned(text=EXPERIMENT):
+    return plan(parse_experiment(text, "short"), Limits(), ForceEnvelope())
+
+
 @pytest.fixture
 def simulated():
-    return simulate_plan(plan(parse_experiment(EXPERIMENT, "short"), Limits(), ForceEnvelope()), Damper("bouc_wen"))
+    return simulate_plan(planned(), Damper("bouc_wen"))
 
 
 def test_a_plan_gives_a_run_that_reads_back(simulated, tmp_path):
@@ -48,15 +59,83 @@ def test_along_a_recorded_motion_the_same_model_gives_the_same_force(simulated):
 
 
 def test_effects_act_around_the_model(simulated):
-    planned = plan(parse_experiment(EXPERIMENT, "short"), Limits(), ForceEnvelope())
-    same = simulate_plan(planned, Damper("bouc_wen", effects={"seal_friction": {}, "load_cell_gain": {}}))
+    same = simulate_plan(planned(), Damper("bouc_wen", effects={"seal_friction": {}, "load_cell_gain": {}}))
     assert np.array_equal(same.force, simulated.force)
     damper = Damper("bouc_wen", effects={"seal_friction": {"coulomb": 30.0}, "load_cell_gain": {"gain": 0.1}})
-    changed = simulate_plan(planned, damper)
+    changed = simulate_plan(planned(), damper)
     fast = np.abs(simulated.velocity) > 0.03
     expected = 1.1 * (simulated.force + 30.0 * np.sign(simulated.velocity))
     assert changed.force[fast] == pytest.approx(expected[fast])
     assert changed.info["source"].startswith("bouc_wen with seal_friction, load_cell_gain along")
+
+
+def test_quiet_instruments_measure_the_setpoints_and_the_damper_force(simulated):
+    ideal = dataclasses.replace(QUIET, bandwidth=np.inf, supply_lag=0.0)
+    run = measure_plan(planned(), Damper("bouc_wen", {"coil_lag": 0.0}), np.random.default_rng(0), instruments=ideal)
+    # A sample is the mean of eight readings, its time their middle; `simulate_plan` takes the first of them.
+    at = planned().at(run.time + 3.5 / 4000)
+    assert run.position == pytest.approx(at.position, abs=5e-7)
+    assert run.acceleration == pytest.approx(at.acceleration, abs=0.02)
+    assert len(run) == len(simulated) - 1
+    other = simulate_plan(planned(), Damper("bouc_wen", {"coil_lag": 0.0}))
+    expected = np.interp(run.time + 3.5 / 4000, other.time, other.force)
+    assert np.sqrt(np.mean((run.force - expected) ** 2)) < 0.01 * np.std(expected)
+    assert run.name == "short"
+
+
+def test_one_filter_in_all_channels_opens_no_loop():
+    damper = Damper("linear_viscous", {"viscous": 2000.0, "viscous_per_A": 0.0, "coil_lag": 0.0})
+    run = measure_plan(planned(), damper, np.random.default_rng(0), instruments=dataclasses.replace(QUIET, bandwidth=5.0))
+    late = planned().at(run.time + 3.5 / 4000).velocity
+    velocity = np.gradient(run.position, run.time)
+    assert run.force == pytest.approx(2000.0 * velocity, abs=2.0)
+    assert np.abs(run.force - 2000.0 * late).max() > 30.0
+    assert np.gradient(velocity, run.time)[2:-2] == pytest.approx(run.acceleration[2:-2], abs=0.03)
+
+
+def test_the_coil_current_follows_with_the_lag_of_its_supply():
+    quick = dataclasses.replace(QUIET, bandwidth=np.inf)
+    fast = planned(EXPERIMENT.replace("500.0", "2000.0"))  # from 0 to 0.2 A where the sine begins
+    for lag in (0.003, 0.01):
+        instruments = dataclasses.replace(quick, supply_lag=lag)
+        run = measure_plan(fast, Damper("bouc_wen"), np.random.default_rng(0), instruments=instruments)
+        risen = run.time[int(np.argmax(run.current > 0.2 * (1 - np.exp(-1))))] - fast.body[0]
+        assert risen == pytest.approx(lag, abs=6e-4)
+
+
+def test_noise_and_run_scatter_are_as_large_as_asked():
+    quiet = measure_plan(planned(), Damper("bouc_wen"), np.random.default_rng(0), instruments=QUIET)
+    noise = Instruments(run_gain=0.0, run_offset=0.0)
+    run = measure_plan(planned(), Damper("bouc_wen"), np.random.default_rng(0), instruments=noise)
+    for name in ("position", "force", "current"):
+        assert np.std(getattr(run, name) - getattr(quiet, name)) == pytest.approx(getattr(noise, f"{name}_noise"), rel=0.1)
+    error = run.acceleration - 1.01 * quiet.acceleration
+    assert error.mean() == pytest.approx(0.02, abs=0.008)
+    assert error.std() == pytest.approx(0.05, rel=0.1)
+
+    scatter = dataclasses.replace(QUIET, run_gain=0.02, run_offset=3.0)
+    runs = measure_plans([planned()] * 30, Damper("bouc_wen"), np.random.default_rng(1), instruments=scatter)
+    lines = np.array([np.polyfit(quiet.force, found.force, 1) for found in runs])
+    assert lines[:, 0].std() == pytest.approx(0.02, rel=0.4)
+    assert lines[:, 1].std() == pytest.approx(3.0, rel=0.4)
+    assert np.polyval(lines[0], quiet.force) == pytest.approx(runs[0].force)
+
+
+def test_what_outlasts_a_run_goes_on_to_the_next():
+    hot = Damper("bouc_wen", effects={"thermal_fade": {"fade": 2e-4}})
+    first, second = measure_plans([planned()] * 2, hot, np.random.default_rng(0), instruments=QUIET)
+    assert first.force == pytest.approx(measure_plan(planned(), hot, np.random.default_rng(5), instruments=QUIET).force)
+    assert np.ptp(second.force) < 0.999 * np.ptp(first.force)
+    cold = measure_plans([planned()] * 2, Damper("bouc_wen"), np.random.default_rng(0), instruments=QUIET)
+    assert np.array_equal(cold[0].force, cold[1].force)
+
+
+def test_a_measured_run_depends_on_the_seed_and_on_no_later_run():
+    alone = measure_plan(planned(), Damper("bouc_wen"), np.random.default_rng(3))
+    again, repeat = measure_plans([planned()] * 2, Damper("bouc_wen"), np.random.default_rng(3))
+    assert np.array_equal(alone.force, again.force)
+    assert np.array_equal(alone.position, again.position)
+    assert not np.array_equal(again.position, repeat.position)
 
 
 def test_effects_are_chosen_by_text():
