@@ -97,18 +97,16 @@ def test_its_loop_widens_with_the_speed_where_that_of_yielding_does_not(frequenc
     assert np.max(np.abs(found[last])) / 1000.0 == pytest.approx(2e-3 * 0.005 * w**2, rel=0.01)
 
 
-def test_pre_yield_hysteresis_gives_a_bingham_damper_the_loop_of_dahl():
+def test_pre_yield_hysteresis_gives_a_coulomb_force_the_loop_of_dahl():
     time, x, v, _, u = motion = sine(amplitude=0.005)
     friction = 100.0 + 600.0 * u
-    found = apply(
-        "pre_yield_hysteresis", {"amount": 100.0, "amount_per_A": 600.0, "yield_travel": 3e-4}, *motion,
-        friction * np.tanh(v / 2e-3),
-    )
+    travel = 2e-4 * (1 + 0.5 * u[0])
+    found = apply("pre_yield_hysteresis", {"yield_travel": 2e-4, "growth": 0.5}, *motion, friction * np.sign(v))
     settled = time > 0.5
     turning, direction = np.where(v > 0, x.min(), x.max()), np.sign(v)
     # Saturated at every reversal, so from there on one exponential in travel.
-    expected = friction * direction * (1 - 2 * np.exp(-np.abs(x - turning) / 3e-4))
-    assert found[settled & (v != 0)] == pytest.approx(expected[settled & (v != 0)], abs=1e-3 * friction.max())
+    expected = friction * direction * (1 - 2 * np.exp(-np.abs(x - turning) / travel))
+    assert found[settled & (v != 0)] == pytest.approx(expected[settled & (v != 0)], abs=2e-2 * friction.max())
 
 
 def test_thermal_fade_follows_the_energy_and_cools():

@@ -2,11 +2,10 @@
 
 from numba import njit
 
-from mrd_sim.dual import absolute, exp
+from mrd_sim.dual import absolute
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.lag import decay, follow
 from mrd_sim.parameter import Parameter
-
-_NONE = 1e-8  # m; so short a travel only delays a ramp
 
 
 @njit(cache=True, nogil=True)
@@ -18,11 +17,8 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
         span = p[0] * (1.0 + p[1] * u[k])
         if dt[k] == 0.0:
             reached = now
-        elif span.real < _NONE:
-            reached = now - (now - before) * span / (travel + _NONE)
         elif travel.real > 0.0:
-            ramp = (now - before) * span / travel
-            reached = now - ramp + (reached - before + ramp) * exp(-travel / span)
+            reached = follow(reached, before, now, span / travel, decay(travel, span))
         before, place = now, here
         force[k] = reached
     state[0], state[1], state[2] = reached, before, place
