@@ -29,6 +29,7 @@ from mrd_identification.gap.refit import Refit, Scatter, errors_of, own_error, r
 from mrd_identification.gap.where import where
 from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Trial, search
 from mrd_identification.gap.words import describe, human
+from mrd_identification.polish import descend
 from mrd_identification.problem import Recording, in_threads, pose, prepare
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -37,8 +38,17 @@ from mrd_sim.models import DamperModel, find_model
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-UNEXPLAINED = 1.5
-"""Mean squared white error on unseen parts beyond which noise cannot be what is left."""
+NO_GAP = 1.5
+"""Mean squared error over the variance of noise up to which noise may be all there is: its estimate errs by so much."""
+
+UNEXPLAINED = 0.3
+"""Mean squared error beyond noise, over the variance of noise, that may be left of an explained gap."""
+
+IMPRECISE = 0.03
+"""Share of a gap that may be left of it too: an effect's form and the step of its integration are never quite right."""
+
+MOST_PART = 0.5
+"""Share of the explainable gap that causes must close to be named."""
 
 CERTAIN = 0.8
 """Probability from which an effect is named without an alternative."""
@@ -291,17 +301,18 @@ def _conclude(
     # --- verdict
     shares = resampled(len(best.noises), rng)
     sizes = np.array([part.stop - part.start for _, part in ground.parts], dtype=float)
-    lowest = float(np.quantile((shares @ best.noises) / (shares @ sizes), 0.1))
+    allowed = UNEXPLAINED + IMPRECISE * (judged.alone.level - 1.0)
+    least_left = float(np.quantile((shares @ best.noises) / (shares @ sizes), 0.1)) - 1.0
+    part = _part_closed(judged.alone, best, judged, rng).value if judged.effects else 0.0
     chances = {
         effect: dict(zip(rivals, probabilities(list(rivals.values()), rng), strict=True))
         for effect, rivals in judged.rivals.items()
     }
-    unknown = best.level > UNEXPLAINED and lowest > 1.2
     verdict: Verdict
-    if unknown:
-        verdict = "unknown_effect"
-    elif not judged.effects:
+    if judged.alone.level <= NO_GAP and part < MOST_PART:
         verdict = "no_gap"
+    elif part < MOST_PART or (best.level - 1.0 > allowed and least_left > 0.7 * allowed):
+        verdict = "unknown_effect"
     elif all(chances[effect][effect] >= CERTAIN for effect in judged.effects):
         verdict = "explained"
     else:
@@ -326,6 +337,9 @@ def _conclude(
         for other, chance in sorted(of.items(), key=lambda item: -item[1])
         if other not in ("", effect) and chance >= WORTH_NAMING
     )
+    if verdict == "no_gap":
+        judged = replace(judged, chain=[], effects=(), rivals={})
+        best, causes, alternatives = judged.alone, (), ()
     progress("looking where the gap lies", 0.9)
     residuals = [trace.before for trace in counted]
     seen, of_noise = [trace.recording for trace in counted], [trace.noise for trace in counted]
@@ -459,12 +473,21 @@ def _extrapolations(recordings: Sequence[Recording]) -> list[str]:
 
 
 def _of_runs(fitted: Refit, judged: _Judged) -> Array:
-    """Parameters (runs, parameters) that have not seen the run."""
+    """Parameters (runs, parameters) that have not seen the run: a step from the joint optimum, then fitted to the others."""
+    problem = fitted.problem
     places = np.array([run for run, _ in judged.ground.parts])
     runs = range(len(judged.ground.recordings))
     grams = np.stack([fitted.grams[places == run].sum(axis=0) for run in runs])
     slopes = np.stack([fitted.slopes[places == run].sum(axis=0) for run in runs])
-    return without_each(fitted.problem, fitted.problem.unit(fitted.theta), grams, slopes)
+    starts = without_each(problem, problem.unit(fitted.theta), grams, slopes)
+
+    def of(run: int) -> Array:
+        silent = problem.whitenings[run].silent()
+        others = replace(problem, whitenings=(*problem.whitenings[:run], silent, *problem.whitenings[run + 1 :]))
+        unit, _ = descend(others, problem.unit(starts[run]), np.arange(len(problem.free)), 10, 1e-4, renewal=4)
+        return problem.theta(unit)
+
+    return np.stack(in_threads(of, list(runs)))
 
 
 def _unseen_residuals(fitted: Refit, judged: _Judged, beyond: Sequence[str]) -> list[Array]:

@@ -18,7 +18,10 @@ LEAST_GAIN = 0.1
 """Share of the noise's energy by which an effect must lower the unseen error to matter."""
 
 LEAST_SHARE = 0.2
-"""Share of what is left of the gap by which it must."""
+"""Share of the gap by which it must."""
+
+LEAST_SHARE_BESIDE = 0.3
+"""Share of what is left of the gap by which it must beside another effect, whose own form may be a little off."""
 
 MOST_CAUSES = 3
 """Effects that are added to the model, one after the other."""
@@ -241,8 +244,9 @@ def lacking(trial: Trial, ground: Ground, base: Refit) -> bool:
 
 def worth(ground: Ground, before: Refit, after: Refit) -> bool:
     """Whether an effect lowers the unseen error enough to matter."""
+    least = LEAST_SHARE_BESIDE if before.problem.model.effects else LEAST_SHARE
     gain = before.total - after.total
-    return before.level - after.level > LEAST_GAIN and gain > LEAST_SHARE * (before.total - ground.noise_share)
+    return before.level - after.level > LEAST_GAIN and gain > least * (before.total - ground.noise_share)
 
 
 def around(
