@@ -243,7 +243,7 @@ class Diagnosis:
     extrapolated : Interval or None
         ``closed`` on the runs that go beyond the others.
     causes : tuple of Cause
-        Empty unless the verdict is ``explained`` or ``ambiguous``.
+        Where the verdict is ``unknown_effect``, only what the model lacks by construction.
     nearest : Candidate or None
         What the gap resembles most where it is not explained.
     candidates : tuple of Candidate
@@ -256,6 +256,8 @@ class Diagnosis:
         Effects in ``parameters``.
     notes : tuple of str
         What limits the answer.
+    forms : tuple of Candidate
+        Other forms of the damper model in the place of effects, by name, best first; where the gap is not explained.
     """
 
     model: DamperModel
@@ -283,3 +285,4 @@ class Diagnosis:
     effects: tuple[str, ...]
     traces: tuple[Trace, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
+    forms: tuple[Candidate, ...] = ()

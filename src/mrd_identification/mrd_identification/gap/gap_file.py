@@ -57,6 +57,15 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "nearest": _candidate(diagnosis.nearest) if diagnosis.nearest else None,
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
         "untestable": [_candidate(candidate) for candidate in diagnosis.untestable],
+        "forms": [
+            {
+                "model": form.effects[0],
+                "nrmse": finite(form.nrmse),
+                "closed_fraction": finite(form.closed.value),
+                "ci95": _ends(form.closed),
+            }
+            for form in diagnosis.forms
+        ],
         "next_experiment": _advice(diagnosis.advice) if diagnosis.advice else None,
         "corrected": {
             "effects": list(diagnosis.effects),

@@ -1,5 +1,6 @@
 """The ground on which models are compared: recordings, the noise in them, the parts that are held out in turn."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -43,8 +44,8 @@ class Ground:
         N rms by which the best model so far errs beyond noise. As long as something is missing, samples without noise say no
         more than others.
     together : float
-        Samples over which its error hangs together: a run's own gain and offset are as much less free, or they would stand in
-        for what is missing.
+        Samples over which its error hangs together: a run's own gain and offset are as much less free, or they would stand
+        in for what is missing.
     """
 
     recordings: Sequence[Recording]
@@ -98,7 +99,7 @@ class Ground:
             length = len(recording.force)
             count = max(fewest, min(3, int(recording.run.duration / PART)), 1)
             edges = start + np.linspace(0, length, count + 1).astype(int)
-            found += [(run, slice(int(a), int(b))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+            found += [(run, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)]
             start += length
         return found
 

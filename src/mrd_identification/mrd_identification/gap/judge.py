@@ -65,7 +65,8 @@ def values(refit: Refit) -> dict[str, Value]:
                 remark = "at the end of what is plausible"
         elif ends[0] == 0.0 and ends[1] == 1.0:
             remark = "not determined by these runs"
-        found[parameter.name] = Value(Interval(float(refit.theta[index]), float(lower), float(upper)), parameter.unit, remark)
+        interval = Interval(float(refit.theta[index]), float(lower), float(upper))
+        found[parameter.name] = Value(interval, parameter.unit, remark)
     return found
 
 

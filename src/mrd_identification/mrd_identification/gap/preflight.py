@@ -839,7 +839,12 @@ def _coverage(views: Sequence[_View], model: DamperModel | None) -> Iterator[Fin
                 "coverage", "limitation", "position",
                 f"is shorter than one stroke to and fro ({len(view.strokes) - 1} reversals): no loop; record longer",
             )
-    if reversals < FEWEST_REVERSALS:
+    if all(len(view.strokes) < 3 for view in views):
+        yield Finding(
+            "coverage", "fault", "no run holds a stroke to and fro: there is no loop to compare; record longer",
+            channel="position",
+        )
+    elif reversals < FEWEST_REVERSALS:
         yield Finding(
             "coverage", "limitation",
             f"{reversals} reversals in all runs, expected {FEWEST_REVERSALS} at least: effects at reversals (hysteresis, "

@@ -62,6 +62,7 @@ def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
     found = figures.most_telling(diagnosis)
     told = figures.telling(diagnosis.traces)
     advice, near = diagnosis.advice, diagnosis.nearest
+    together = "all together close" if near and len(near.effects) > 1 else "closes"
     return {
         "headline": _headline(diagnosis),
         "how_far": _how_far(diagnosis),
@@ -78,9 +79,14 @@ def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
             _cause(c.effect, f"probability {share(c.probability)}, closes {share(c.closed)} of the gap", c.parameters)
             for c in diagnosis.causes
         ],
-        "nearest": [_cause(e, f"closes {share(near.closed)} of the gap", near.parameters) for e in near.effects]
+        "nearest": [
+            _cause(effect, f"{together} {share(near.closed)} of the gap", near.parameters)
+            for effect in near.effects
+            if effect not in [cause.effect for cause in diagnosis.causes]
+        ]
         if near and diagnosis.verdict == "unknown_effect"
         else [],
+        "forms": [(f.effects[0], share(f.closed), f"{f.nrmse:.4f}") for f in diagnosis.forms],
         "remarks": [
             (candidate_name(candidate), candidate.remark) for candidate in diagnosis.candidates if candidate.remark
         ],

@@ -142,7 +142,7 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
     plain = np.array([values.get(p.name, p.default) for p in problem.model.parameters])
     own = [names.index(f"{effect.id}.{p.name}") for p in effect.parameters]
     best: Score | None = None
-    for index, variant in enumerate(variants(effect)):
+    for variant in variants(effect):
         theta = plain.copy()
         theta[own] = [variant[p.name] for p in effect.parameters]
         change = problem.residuals(theta) - foundation.residual
@@ -213,7 +213,8 @@ def search(
         chosen.append(best)
         if best.refit.level < 1 + LEAST_GAIN:
             break
-        leads = frontier[:BEAM] if len(chosen) == 1 else frontier[:1]
+        first_is_sure = EFFECTS[chosen[0].effects[0]].structural
+        leads = frontier[:BEAM] if len(chosen) == 1 and not first_is_sure else frontier[:1]
         ground = ground.after(errors_of(best.refit.problem, best.refit.theta))
         again = [refit(ground.problem(lead.refit.problem.model), lead.refit.theta, ground.parts) for lead in leads]
         before = again[0]
@@ -235,6 +236,19 @@ def search(
             chosen = [leads[1]]
     progress(1.0)
     return chosen, trials
+
+
+def beside(ground: Ground, best: Refit, effects: Sequence[str]) -> list[Score]:
+    """What each effect would do around the best model, in whose error it would show."""
+    foundation = Foundation.of(best)
+
+    def of(effect: str) -> Score:
+        if effect in foundation.effects:
+            return Score(0.0, best.theta, 1.0, 0.0)
+        model, _ = with_effect(best.problem.model, best.theta, effect)
+        return score(ground.problem(model), foundation, find_effects([effect])[0])
+
+    return in_threads(of, effects)
 
 
 def lacking(trial: Trial, ground: Ground, base: Refit) -> bool:

@@ -14,6 +14,9 @@ from mrd_sim.parameter import Parameter
 NOTABLE = 1.2
 """A refit that lowers the error by less than this factor is not worth a word."""
 
+NOTABLE_FORM = 0.05
+"""Share of the gap by which another form of the model must close more than the nearest effect to be told."""
+
 PRECISE = 1e-3
 """An interval narrower than this, relative to its value, is not written out."""
 
@@ -180,12 +183,23 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
 
 def _unknown_effect(diagnosis: Diagnosis) -> str:
     text = "something that is not in the catalogue"
+    if diagnosis.causes:
+        closed = share(sum(cause.closed.value for cause in diagnosis.causes))
+        text = f"{_clauses(diagnosis.causes)}, which closes {closed} of the gap; beyond this, {text}"
     places = [region for region in diagnosis.where if region.axis != "run"] or list(diagnosis.where)
     if places:
         text += f": {share(places[0].share.value)} of the excess error lies {_at(places[0].label)}"
-    if diagnosis.nearest is not None:
-        nearest, some = diagnosis.nearest, share(diagnosis.nearest.closed.value)
-        text += f"; it resembles {names_of(nearest.effects)}, which would close {some} of the gap"
+    sure = {cause.effect for cause in diagnosis.causes}
+    nearest = diagnosis.nearest
+    if nearest is not None and not sure.issuperset(nearest.effects):
+        like = names_of([effect for effect in nearest.effects if effect not in sure])
+        some = share(nearest.closed.value)
+        closing = f"with which {some} of the gap would close" if sure else f"which would close {some} of the gap"
+        text += f"; it resembles {like}, {closing}"
+    reached = nearest.closed.value if nearest is not None else 0.0
+    if diagnosis.forms and diagnosis.forms[0].closed.value > reached + NOTABLE_FORM:
+        form = diagnosis.forms[0]
+        text += f"; another form of the damper model ({form.effects[0]}) closes {share(form.closed.value)}"
     return f"{text}."
 
 

@@ -1,0 +1,108 @@
+"""The refits between which is judged, on the noise floor and the run scatter of the best of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mrd_identification.gap.ground import Ground
+from mrd_identification.gap.noise import run_noise
+from mrd_identification.gap.refit import Refit, Scatter, errors_of, refit
+from mrd_identification.gap.which import Trial
+from mrd_identification.problem import in_threads
+
+MOST_RIVALS = 6
+"""Effects that are compared in the place of each cause."""
+
+FIRST_SCATTER = Scatter(0.01, 2.0)
+"""Of runs of the same bench, before anything is learned from them: relative, and in N."""
+
+MOST_SCATTER = Scatter(0.04, 20.0)
+"""More than this is no scatter."""
+
+
+@dataclass(frozen=True)
+class Contest:
+    """The model alone, with the effects that were found, and with others in their place.
+
+    Attributes
+    ----------
+    ground : Ground
+    alone : Refit
+        The model without effects.
+    chain : tuple of Refit
+        With one effect, two, ...
+    effects : tuple of str
+        Those of the chain, in its order.
+    rivals : dict
+        For each effect of the chain, refits in which another one, or none (""), takes its place.
+    """
+
+    ground: Ground
+    alone: Refit
+    chain: tuple[Refit, ...]
+    effects: tuple[str, ...]
+    rivals: dict[str, dict[str, Refit]]
+
+    @property
+    def best(self) -> Refit:
+        """The model with all effects that were found."""
+        return self.chain[-1] if self.chain else self.alone
+
+
+def contest(
+    first: Ground, alone: Refit, chosen: Sequence[Trial], trials: Sequence[Trial], rng: np.random.Generator
+) -> Contest:
+    """Learn noise and scatter from the best model, and fit anew what may still be it.
+
+    Parameters
+    ----------
+    first : Ground
+        On which was searched.
+    alone, chosen, trials
+        See `mrd_identification.gap.which.search`.
+    rng : numpy Generator
+    """
+    best = chosen[-1].refit if chosen else alone
+    noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
+    # A run's own gain multiplies the force of the plain model still: else it would bring the effects in by itself.
+    ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(errors_of(best.problem, best.theta))
+    ranked = sorted(trials, key=lambda trial: trial.refit.total)
+    effects = chosen[-1].effects if chosen else ()
+    places: dict[str, dict[str, Refit]] = {}
+    for effect in effects:
+        others = set(effects) - {effect}
+        alike = [trial for trial in ranked if len(trial.effects) == len(effects) and others <= set(trial.effects)]
+        in_place = {(set(trial.effects) - others).pop(): trial.refit for trial in alike[:MOST_RIVALS]}
+        places[effect] = in_place | ({"": alone} if not others else {})
+    old = [alone, *(trial.refit for trial in chosen), *(refit for place in places.values() for refit in place.values())]
+    distinct = list({id(one): one for one in old}.values())
+    anew = in_threads(lambda one: refit(ground.problem(one.problem.model), one.theta, ground.parts), distinct)
+    by_old = {id(one): new for one, new in zip(distinct, anew, strict=True)}
+    return Contest(
+        ground,
+        by_old[id(alone)],
+        tuple(by_old[id(trial.refit)] for trial in chosen),
+        effects,
+        {effect: {name: by_old[id(one)] for name, one in place.items()} for effect, place in places.items()},
+    )
+
+
+def learned_scatter(fitted: Refit) -> Scatter:
+    """Scatter of gain and offset of runs, by expectation-maximisation from what a refit leaves of each run."""
+    problem = fitted.problem
+    known = []
+    for index, block in enumerate(problem.blocks):
+        whitening = problem.whitenings[index]
+        columns = np.stack([whitening.reference, np.ones_like(whitening.reference)], axis=1) * whitening.weight[:, None]
+        error = (problem.modelled(fitted.theta, index) - problem.force[block]) * whitening.weight
+        # A gap is no noise: what it leaves makes offset and gain of a run less certain.
+        known.append((columns.T @ columns, columns.T @ error, max(1.0, float(np.mean(error**2)))))
+    variance = np.array([FIRST_SCATTER.gain**2, FIRST_SCATTER.offset**2])
+    for _ in range(50):
+        moments = []
+        for gram, right, level in known:
+            covariance = np.linalg.inv(gram / level + np.diag(1 / variance))
+            moments.append((covariance @ right / level) ** 2 + np.diag(covariance))
+        variance = np.clip(np.mean(moments, axis=0), [1e-6, 1e-2], [MOST_SCATTER.gain**2, MOST_SCATTER.offset**2])
+    return Scatter(float(np.sqrt(variance[0])), float(np.sqrt(variance[1])))
