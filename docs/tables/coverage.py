@@ -1,0 +1,104 @@
+"""Write what the standard set covers into docs/characterise.md: `python docs/tables/coverage.py`, half a minute."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mrd_identification.gap.coverage import Coverage, coverage, foreseen
+from mrd_identification.gap.words import human
+from mrd_sim.damper import Damper, parse_values
+from mrd_sim.effects import EFFECTS
+from mrd_sim.models import find_model
+from mrd_sim.plant import DamperConfig
+from mrd_trajectory.experiment import read_experiment
+from mrd_trajectory.plan import Plan, plan
+from mrd_trajectory.settings import read_settings
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "characterise.md"
+BEGIN, END = "<!-- coverage: begin -->\n", "<!-- coverage: end -->\n"
+BLANK = 0.05
+"""Smaller shares are left out."""
+MOST = 0.5
+"""Share from which an effect rests on one run."""
+LEAST = 0.01
+"""Of the typical size; a table need not say how much smaller a size would show."""
+
+
+def main() -> None:
+    """Compute, write."""
+    settings = read_settings(ROOT / "config" / "bench.yaml")
+    files = sorted((ROOT / "config" / "experiments" / "characterise").glob("*.yaml"))
+    plans = [plan(read_experiment(file), settings.limits, settings.force_envelope) for file in files]
+    structural = [name for name, effect in EFFECTS.items() if effect.structural]
+    found = covered(plans, "bouc_wen", [name for name in EFFECTS if name not in structural])
+    found |= covered(plans, "bingham", structural)
+    rows = [found[name] for name in EFFECTS]
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    _, after = rest.split(END)
+    PAGE.write_text(before + BEGIN + text([file.stem[:2] for file in files], rows) + END + after, encoding="utf-8")
+
+
+def covered(plans: list[Plan], model: str, effects: list[str]) -> dict[str, Coverage]:
+    """Coverage by effect, around a model with the parameters of the simulated bench's damper."""
+    values = parse_values(DamperConfig().parameters, "damper.parameters") | {"coil_lag": 0.0}
+    names = find_model(model).names
+    damper = Damper(model, {name: value for name, value in values.items() if name in names})
+    return {found.effect: found for found in coverage(*foreseen(plans, damper, np.random.default_rng(0)), effects)}
+
+
+def text(runs: list[str], rows: list[Coverage]) -> str:
+    """The section: what the table is, the table, what it says."""
+    header = ["effect", "smallest", "typical", *runs]
+    table = [header, ["---", *["---:"] * (len(header) - 1)], *map(cells, rows)]
+    newline = "\n"
+    lines = ["| " + " | ".join(row) + " |" for row in table]
+    return f"""\
+For each effect the smallest size (its first parameter, see [effects](effects.md)) that a diagnosis of all ten runs would
+show when everything else is refitted, its typical size, and which runs say so: their shares of the evidence in per cent,
+nothing below {100 * BLANK:.0f}. Computed by `python docs/tables/coverage.py`, for the damper of the simulated bench as
+`bouc_wen` (for an effect that this model has of its own, as `bingham`), with noise and run scatter as in
+`mrd_sim.simulate.Instruments`. Each effect is alone there and has its typical shape: to tell it from a look-alike takes more.
+
+{newline.join(lines)}
+
+{meaning(runs, rows)}
+"""
+
+
+def cells(row: Coverage) -> list[str]:
+    """A row of the table."""
+    least = LEAST * typical(row.effect)
+    smallest = shown(row.effect, row.smallest) if row.smallest >= least else f"< {shown(row.effect, least)}"
+    shares = [f"{100 * share:.0f}" if share >= BLANK and not row.remark else "" for share in row.shares]
+    return [f"`{row.effect}`", smallest, shown(row.effect, typical(row.effect)), *shares]
+
+
+def typical(effect: str) -> float:
+    """Typical size."""
+    return abs(EFFECTS[effect].typical[EFFECTS[effect].parameters[0].name])
+
+
+def shown(effect: str, size: float) -> str:
+    """A size to two figures."""
+    unit = EFFECTS[effect].parameters[0].unit
+    return human(float(f"{size:.2g}"), unit, "" if unit else "%")
+
+
+def meaning(runs: list[str], rows: list[Coverage]) -> str:
+    """What the table says, in items."""
+    one = [f"`{r.effect}` on {runs[int(r.shares.argmax())]}" for r in rows if not r.remark and r.shares.max() >= MOST]
+    items = [f"Half of the evidence or more rests on one run: {', '.join(one)}. The others say little of these."]
+    for row in rows:
+        if row.remark:
+            why = f"stays untestable: {row.remark}"
+        elif row.smallest > typical(row.effect):
+            why = f"stays untestable at its typical size and shows from {row.smallest / typical(row.effect):.2g} times that"
+        else:
+            continue
+        items.append(f"`{row.effect}` {why}. What tells: {EFFECTS[row.effect].separated_by}.")
+    return "\n".join(f"- {item}" for item in items)
+
+
+if __name__ == "__main__":
+    main()
