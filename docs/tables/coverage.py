@@ -58,7 +58,8 @@ For each effect the smallest size (its first parameter, see [effects](effects.md
 show when everything else is refitted, its typical size, and which runs say so: their shares of the evidence in per cent,
 nothing below {100 * BLANK:.0f}. Computed by `python docs/tables/coverage.py`, for the damper of the simulated bench as
 `bouc_wen` (for an effect that this model has of its own, as `bingham`), with noise and run scatter as in
-`mrd_sim.simulate.Instruments`. Each effect is alone there and has its typical shape: to tell it from a look-alike takes more.
+`mrd_sim.simulate.Instruments`. Each effect is alone there and has its typical shape; to tell it from a look-alike takes
+more.
 
 {newline.join(lines)}
 
