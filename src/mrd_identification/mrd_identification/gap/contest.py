@@ -11,7 +11,7 @@ from mrd_identification.gap.refit import Refit, Scatter, errors_of, refit
 from mrd_identification.gap.which import Trial
 from mrd_identification.problem import in_threads
 
-MOST_RIVALS = 6
+MOST_RIVALS = 4
 """Effects that are compared in the place of each cause."""
 
 FIRST_SCATTER = Scatter(0.01, 2.0)

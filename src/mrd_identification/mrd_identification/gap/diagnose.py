@@ -22,7 +22,7 @@ from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
 from mrd_identification.gap.refit import Refit, errors_of, refit
 from mrd_identification.gap.where import where
-from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Trial, beside, search
+from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Trial, beside, may_be_left, search
 from mrd_identification.gap.words import describe, human
 from mrd_identification.problem import Recording, in_threads, pose, prepare
 from mrd_runs import Run
@@ -34,12 +34,6 @@ Progress = Callable[[str, float], None]
 
 NO_GAP = 1.5
 """Mean squared error over the variance of noise up to which noise may be all there is: its estimate errs by so much."""
-
-UNEXPLAINED = 0.3
-"""Mean squared error beyond noise, over the variance of noise, that may be left of an explained gap."""
-
-IMPRECISE = 0.03
-"""Share of a gap that may be left of it too: an effect's form and the step of its integration are never quite right."""
 
 MOST_PART = 0.5
 """Share of the explainable gap that causes must close to be named."""
@@ -250,7 +244,7 @@ def _notes(asked: _Asked, ground: Ground) -> list[str]:
     rate = min(recording.run.rate for recording in asked.recordings)
     if rate < 100.0:
         found.append(
-            f"at {rate:.0f} Hz, what takes less than about {1000 / rate:.0f} ms, or less travel than the rod does in one sample, "
+            f"at {rate:.0f} Hz, what takes less than about {1000 / rate:.0f} ms, or less travel than the rod's in a sample, "
             "is not seen: not found is not absent"
         )
     return found
@@ -265,7 +259,7 @@ def _verdict(found: Contest, chances: Mapping[str, Mapping[str, float]], rng: np
     samples = np.array([part.stop - part.start for _, part in found.ground.parts], dtype=float)
     left = best.level - 1.0
     surely_left = float(np.quantile((draws @ best.noises) / (draws @ samples), 0.1)) - 1.0
-    allowed = UNEXPLAINED + IMPRECISE * (alone.level - 1.0)
+    allowed = may_be_left(alone)
     if not closed >= MOST_PART or (left > allowed and surely_left > 0.7 * allowed):
         return "unknown_effect"
     return "explained" if all(chances[effect][effect] >= CERTAIN for effect in found.effects) else "ambiguous"

@@ -224,7 +224,12 @@ class Foreseen:
                 return None
             run = Run(planned.experiment.name, times, at.position, at.velocity, at.current, force, at.acceleration)
             errors = np.stack([rival.force(theta, wrong) - force for wrong in misread])
-            imagined[name] = Recording(run, path, slice(0, len(run))), errors + rng.normal(0.0, self.noise, errors.shape)
+            variance = np.mean(errors**2, axis=0)
+            # Of a few draws: neighbours help, but must not wear down a peak.
+            sigma = np.sqrt(self.noise**2 + np.maximum(variance, uniform_filter1d(variance, AROUND)))
+            white = (errors + rng.normal(0.0, self.noise, errors.shape)) / sigma
+            together = max(self.ground.together, float(np.mean([dispersion(error) for error in white])))
+            imagined[name] = Recording(run, path, slice(0, len(run))), sigma, together
         return {
             (one, other): min(
                 self.distance(*imagined[true], self.rivals[rival])
@@ -242,19 +247,19 @@ class Foreseen:
         current = planned.at(times + shift).current
         return make_path(times, at.position + position, at.velocity + velocity, at.acceleration + acceleration, current)
 
-    def distance(self, imagined: Recording, errors: Array, rival: "_Rival") -> float:
+    def distance(self, imagined: Recording, sigma: Array, together: float, rival: "_Rival") -> float:
         """Squared distance of a run from a rival that is fitted to it and, by its normal matrix, to those before.
 
         Parameters
         ----------
         imagined : Recording
-        errors : ndarray (draws, n)
-            N, that it may have.
+        sigma : ndarray (n,)
+            N, its noise.
+        together : float
+            By how much its errors count less than as many independent ones.
         rival : _Rival
         """
         old = rival.problem
-        sigma = np.sqrt(uniform_filter1d(np.mean(errors**2, axis=0), AROUND))
-        together = max(self.ground.together, float(np.mean([dispersion(error / sigma) for error in errors])))
         # As in `Ground.problem`.
         scatter = Scatter(self.ground.scatter.gain / np.sqrt(together), self.ground.scatter.offset / np.sqrt(together))
         problem = _Afterwards(

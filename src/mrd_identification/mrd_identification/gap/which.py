@@ -23,6 +23,12 @@ LEAST_SHARE = 0.2
 LEAST_SHARE_BESIDE = 0.3
 """Share of what is left of the gap by which it must beside another effect, whose own form may be a little off."""
 
+UNEXPLAINED = 0.3
+"""Mean squared error beyond noise, over the variance of noise, that may be left of an explained gap."""
+
+IMPRECISE = 0.03
+"""Share of a gap that may be left of it too: an effect's form and the step of its integration are never quite right."""
+
 MOST_CAUSES = 3
 """Effects that are added to the model, one after the other."""
 
@@ -211,7 +217,7 @@ def search(
         if not worth(ground, before, best.refit):
             break
         chosen.append(best)
-        if best.refit.level < 1 + LEAST_GAIN:
+        if best.refit.level - 1.0 <= may_be_left(base):
             break
         first_is_sure = EFFECTS[chosen[0].effects[0]].structural
         leads = frontier[:BEAM] if len(chosen) == 1 and not first_is_sure else frontier[:1]
@@ -254,6 +260,11 @@ def beside(ground: Ground, best: Refit, effects: Sequence[str]) -> list[Score]:
 def lacking(trial: Trial, ground: Ground, base: Refit) -> bool:
     """Whether a trial brings in what is part of damper models and the base does not have."""
     return EFFECTS[trial.effects[-1]].structural and worth(ground, base, trial.refit)
+
+
+def may_be_left(alone: Refit) -> float:
+    """Mean squared error beyond noise, over the variance of noise, that an explained gap may leave."""
+    return UNEXPLAINED + IMPRECISE * (alone.level - 1.0)
 
 
 def worth(ground: Ground, before: Refit, after: Refit) -> bool:
