@@ -214,7 +214,7 @@ class Foreseen:
         times = planned.times()
         at = planned.at(times)
         path = make_path(times, at.position, at.velocity, at.acceleration, at.current)
-        shifts = ((np.arange(DRAWS) + 0.5) / DRAWS - 0.5) / planned.experiment.rate
+        shifts = np.linspace(-0.5, 0.5, DRAWS) / planned.experiment.rate
         misread = [self._misread(planned, *each) for each in zip(self.misreadings, shifts, strict=True)]
         imagined = {}
         for name, rival in self.rivals.items():
