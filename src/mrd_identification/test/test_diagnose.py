@@ -1,0 +1,211 @@
+"""Diagnoses of simulated dampers whose effect is known."""
+
+from dataclasses import replace
+from textwrap import dedent
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_identification import diagnose
+from mrd_identification.fit_file import StoredFit
+from mrd_sim.damper import Damper
+from mrd_sim.simulate import Instruments, measure_plans
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import plan
+from mrd_trajectory.settings import read_settings
+
+EXPERIMENTS = {
+    "multisine": """
+        rod: {waveform: multisine, amplitude_mm: 14, lowest_hz: 0.3, highest_hz: 6, period_s: 10, rolloff: 1.2, seed: 0}
+        coil: {waveform: aprbs, low_mA: 0, high_mA: 300, shortest_s: 0.05, longest_s: 0.3, count: 8, seed: 1}""",
+    "triangle": """
+        rod: {waveform: triangle, amplitude_mm: 12, slope_mm_per_s: 40}
+        coil: {waveform: staircase, levels_mA: [0, 200, 400, 200], hold_s: 0.7}""",
+    "sine": """
+        rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 3}
+        coil: {waveform: prbs, low_mA: 50, high_mA: 300, bit_s: 0.1, order: 7, seed: 2}""",
+    "slow": """
+        rod: {waveform: sine, amplitude_mm: 20, frequency_hz: 0.25}
+        coil: {waveform: constant, level_mA: 150}""",
+}
+DAMPER = {
+    "yield_force": 60.0, "yield_force_per_A": 800.0, "yield_travel": 1.5e-4, "viscous": 800.0, "viscous_per_A": 1500.0,
+    "stiffness": 1000.0, "offset": -40.0, "coil_lag": 0.0,
+}
+FEW = ("coil_lag", "gas_spring", "moving_mass", "force_sensor_lag", "channel_delay")
+
+
+def recorded(effects=None, model="bouc_wen", seed=0, rate=250, instruments=None, only=EXPERIMENTS, **values):
+    settings = read_settings(None)
+    plans = [
+        plan(
+            parse_experiment(f"name: {name}\nduration_s: 8\nrate_hz: {rate}\n{dedent(EXPERIMENTS[name])}", name),
+            settings.limits,
+            settings.force_envelope,
+        )
+        for name in only
+    ]
+    own = {name: value for name, value in DAMPER.items() if model == "bouc_wen" or name not in ("yield_travel", "stiffness")}
+    damper = Damper(model, own | values, effects=effects)
+    return measure_plans(plans, damper, np.random.default_rng(seed), instruments=instruments)
+
+
+@pytest.fixture(scope="module")
+def delayed():
+    return recorded({"channel_delay": {"delay": 0.012}})
+
+
+@pytest.fixture(scope="module")
+def explained(delayed):
+    return diagnose(delayed, "bouc_wen", effects=FEW)
+
+
+def test_the_effect_is_named_with_its_size_and_what_it_closes(explained):
+    assert (explained.verdict, [cause.effect for cause in explained.causes]) == ("explained", ["channel_delay"])
+    (cause,) = explained.causes
+    found = cause.parameters["channel_delay.delay"].value
+    assert found.value == pytest.approx(0.012, abs=3e-4)
+    assert 0.0 < found.upper - found.lower < 0.001
+    assert cause.probability > 0.95
+    assert cause.p_value < 0.01
+    assert explained.closed.value > 0.97
+    assert explained.closed.lower > 0.9
+    assert explained.floor.value < explained.after.value < 1.3 * explained.floor.value < explained.before.value
+    assert explained.sentence.startswith("The force channel is late by 1")
+    assert explained.parameters["channel_delay.delay"] == found.value
+    assert explained.held_out_by == "leave-one-run-out"
+
+
+def test_where_it_lies_is_told(explained):
+    assert explained.where
+    assert explained.where[0].q_value < 0.05
+    assert explained.where[0].lift > 1
+
+
+def test_the_same_seed_gives_the_same_answer(delayed, explained):
+    again = diagnose(delayed, "bouc_wen", effects=FEW[::-1])
+    assert again.sentence == explained.sentence
+    assert again.closed == explained.closed
+    assert again.candidates == explained.candidates
+
+
+def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
+    found = diagnose(delayed, "bouc_wen", effects=("gas_spring", "moving_mass"))
+    assert found.verdict == "unknown_effect"
+    assert not found.causes
+    assert found.where
+    assert "not in the catalogue" in found.sentence
+    assert found.forms
+    assert {form.effects[0] for form in found.forms} >= {"sigmoid", "bouc_wen with exponent freed"}
+
+
+def test_without_an_effect_there_is_no_gap():
+    found = diagnose(recorded(seed=1), "bouc_wen", effects=FEW)
+    assert (found.verdict, found.causes, found.effects) == ("no_gap", (), ())
+    assert found.before.value < 1.2 * found.floor.value
+    smallest = {candidate.effects[0]: candidate.smallest for candidate in found.candidates}
+    assert smallest["channel_delay"].endswith(("ms", "µs"))
+
+
+def test_scatter_from_run_to_run_is_no_effect():
+    noisy = recorded(seed=2, instruments=Instruments(run_gain=0.03, run_offset=6.0))
+    found = diagnose(noisy, "bouc_wen")
+    assert found.verdict == "no_gap"
+    gains = np.array([trace.gain for trace in found.traces])
+    assert 0.005 < gains.std() < 0.08
+
+
+def test_parameters_alone_can_be_the_answer():
+    simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"yield_force": 140.0, "viscous": 1500.0}, {})
+    found = diagnose(recorded(seed=3), "bouc_wen", parameters=simulator, effects=FEW)
+    assert found.verdict == "no_gap"
+    assert found.unfitted > 5 * found.before.value
+    assert "parameters" in found.sentence
+
+
+def test_a_lag_that_the_simulator_has_is_no_candidate():
+    simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"coil_lag": 0.004}, {})
+    found = diagnose(recorded(seed=4, coil_lag=0.004), "bouc_wen", parameters=simulator, effects=FEW)
+    assert found.verdict == "no_gap"
+    assert "coil_lag" in {candidate.effects[0] for candidate in found.untestable}
+
+
+def test_a_model_without_hysteresis_is_told_so():
+    runs = recorded(seed=5)
+    found = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "channel_delay", "moving_mass"))
+    assert "pre_yield_hysteresis" in {cause.effect for cause in found.causes}
+
+
+def test_one_run_is_judged_by_its_parts(delayed):
+    found = diagnose(delayed[:1], "bouc_wen", effects=FEW)
+    assert found.held_out_by == "blocks"
+    assert [cause.effect for cause in found.causes] == ["channel_delay"]
+    assert any("one run only" in note for note in found.notes)
+
+
+def test_held_out_runs_judge(delayed):
+    found = diagnose(delayed[:3], "bouc_wen", held_out=delayed[3:], effects=("channel_delay", "moving_mass"))
+    assert found.held_out_by == "runs"
+    assert [trace.held_out for trace in found.traces] == [False, False, False, True]
+    assert [cause.effect for cause in found.causes] == ["channel_delay"]
+    assert found.closed.value > 0.9
+
+
+def test_faulty_recordings_stop_the_diagnosis(delayed):
+    dead = replace(delayed[0], name="dead", force=np.full(len(delayed[0]), 3.0))
+    found = diagnose([*delayed[1:], dead], "bouc_wen")
+    assert found.verdict == "data_fault"
+    assert "dead" in found.sentence
+    assert not found.candidates
+
+
+def test_heat_goes_on_from_run_to_run():
+    effect = {"thermal_fade": {"fade": 2e-4}}
+    runs = recorded(effect, seed=6, only=["multisine", "sine", "triangle", "slow", "multisine"])
+    found = diagnose(runs, "bouc_wen", effects=("thermal_fade", "gas_spring"))
+    fade = next(candidate for candidate in found.candidates if candidate.effects == ("thermal_fade",))
+    assert fade.parameters["thermal_fade.fade"].value.value == pytest.approx(2e-4, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"effects": ["ghost"]}, "unknown effect ghost"),
+        ({"model": "ghost"}, "unknown model ghost"),
+        ({"runs": []}, "no runs to diagnose"),
+        ({"parameters": StoredFit("bingham", {}, (), {}, {})}, "of the model bingham, expected bouc_wen"),
+        ({"parameters": StoredFit("bouc_wen", {}, (), {"yield_force": 1e9}, {})}, "yield_force is 1e.09 N, expected"),
+    ],
+)
+def test_bad_input(delayed, change, says):
+    asked = {"runs": delayed, "model": "bouc_wen"} | change
+    with pytest.raises(InputError, match=says):
+        diagnose(**asked)
+
+
+def test_it_can_be_cancelled(delayed):
+    class CancelledError(Exception):
+        pass
+
+    def progress(stage, fraction):
+        if fraction > 0.1:
+            raise CancelledError(stage)
+
+    with pytest.raises(CancelledError):
+        diagnose(delayed, "bouc_wen", effects=FEW, progress=progress)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [("backlash", 2e-4), ("coil_lag", 0.01), ("moving_mass", 2.0), ("shear_thinning", 600.0), ("flow_asymmetry", 0.08)],
+)
+def test_the_whole_catalogue_names_it(effect, size):
+    from mrd_sim.effects import EFFECTS
+
+    first = EFFECTS[effect].parameters[0].name
+    runs = recorded({effect: dict(EFFECTS[effect].typical) | {first: size}}, seed=7, rate=500)
+    found = diagnose(runs, "bouc_wen")
+    assert found.causes[0].effect == effect
+    assert found.closed.value > 0.9

@@ -1,0 +1,188 @@
+"""Refits that know noise and scatter: white errors, parts left out, the null distribution."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import kstest
+
+from mrd_identification.gap.contest import FIRST_SCATTER, learned_scatter
+from mrd_identification.gap.diagnosis import RunNoise
+from mrd_identification.gap.ground import Ground
+from mrd_identification.gap.judge import closed, probabilities, resampled
+from mrd_identification.gap.null import null_errors, null_gains, p_value
+from mrd_identification.gap.refit import Scatter, errors_of, refit, whitening, without_each
+from mrd_identification.gap.which import Foundation, score, variants
+from mrd_identification.polish import polish
+from mrd_identification.problem import prepare
+from mrd_runs import Run
+from mrd_sim.effects import EFFECTS, find_effects
+from mrd_sim.models import find_model
+from mrd_sim.path import path_of
+
+FORCE_NOISE = 1.5
+BASE = find_model("bouc_wen")
+THETA = BASE.vector({"yield_force": 60.0, "yield_force_per_A": 800.0, "coil_lag": 0.0})
+
+
+def run(seed, gain=0.0, offset=0.0, model=BASE, theta=THETA, rate=250.0, seconds=6.0):
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(seconds * rate)) / rate
+    phase = rng.uniform(0, 6, 3)
+    x = sum(a * np.sin(2 * np.pi * f * t + p) for a, f, p in zip((8e-3, 4e-3, 1e-3), (0.6, 1.7, 4.1), phase, strict=True))
+    x = np.asarray(x)
+    current = np.repeat(rng.uniform(0, 0.5, 12), len(t) // 12)
+    current = np.concatenate([current, np.full(len(t) - len(current), current[-1])])
+    found = Run(f"run{seed}", t, x, np.gradient(x, t), current, np.zeros_like(t))
+    force = model.force(theta, path_of(found))
+    return Run(
+        found.name, t, x, found.velocity, current, (1 + gain) * force + offset + rng.normal(0, FORCE_NOISE, len(t))
+    )
+
+
+def ground_of(runs, scatter=FIRST_SCATTER):
+    recordings = [prepare(one) for one in runs]
+    noises = [RunNoise(np.full(len(r.force), FORCE_NOISE), FORCE_NOISE, 0.0, "residual") for r in recordings]
+    return Ground(recordings, noises, scatter, [r.modelled(BASE, THETA) for r in recordings], {"coil_lag": 0.0})
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return ground_of([run(seed) for seed in range(5)])
+
+
+@pytest.fixture(scope="module")
+def alone(ground):
+    problem = ground.problem(BASE)
+    noise = null_errors(problem, THETA, [FORCE_NOISE] * 5, np.random.default_rng(0))
+    return refit(problem, polish(problem, THETA)[0], ground.parts, noise)
+
+
+@given(
+    gain=st.floats(1e-4, 0.1), offset=st.floats(1e-3, 30.0), seed=st.integers(0, 2**32 - 1),
+    sigma=st.floats(0.1, 10.0),
+)  # fmt: skip
+def test_whitening_is_the_inverse_root_of_the_covariance(gain, offset, seed, sigma):
+    rng = np.random.default_rng(seed)
+    sigmas, force = sigma * rng.uniform(0.5, 2.0, 20), rng.normal(0, 200, 20)
+    white = whitening(sigmas, force, Scatter(gain, offset))
+    root = white(np.eye(20))
+    covariance = np.diag(sigmas**2) + gain**2 * np.outer(force, force) + offset**2
+    assert root @ covariance @ root.T == pytest.approx(np.eye(20), abs=1e-5)
+    assert not white.silent()(rng.normal(0, 1, 20)).any()
+
+
+def test_own_gain_and_offset_of_a_run_are_found_and_taken_out():
+    found = ground_of([run(1, gain=0.03, offset=4.0)], Scatter(0.05, 10.0)).problem(BASE)
+    error = found.modelled(THETA, 0) - found.force
+    gain, offset = found.whitenings[0].own @ error
+    assert (-gain, -offset) == pytest.approx((0.03, 4.0), rel=0.1)
+
+
+def test_scatter_is_learned_from_the_runs():
+    rng = np.random.default_rng(0)
+    runs = [run(seed, *rng.normal(0, (0.02, 5.0))) for seed in range(12)]
+    ground = ground_of(runs)
+    problem = ground.problem(BASE)
+    found = learned_scatter(refit(problem, polish(problem, THETA)[0], ground.parts))
+    assert 0.01 < found.gain < 0.035
+    assert 2.5 < found.offset < 9.0
+
+
+def test_a_true_model_leaves_white_errors_of_variance_one(alone):
+    assert alone.level == pytest.approx(1.0, abs=0.1)
+    assert alone.total >= alone.cost.sum()
+
+
+def test_leaving_a_part_out_is_fitting_without_it(ground, alone):
+    problem = alone.problem
+    index = 4
+    run_of, part = ground.parts[index]
+    block = problem.blocks[run_of]
+    sigma = np.full(block.stop - block.start, FORCE_NOISE)
+    sigma[part.start - block.start : part.stop - block.start] = 1e9
+    noises = list(ground.noises)
+    noises[run_of] = replace(noises[run_of], sigma=sigma)
+    without = replace(ground, noises=noises).problem(BASE)
+    theta, _ = polish(without, alone.theta)
+    step = without_each(problem, problem.unit(alone.theta), alone.grams, alone.slopes)[index]
+    moved = np.abs(problem.unit(step) - problem.unit(alone.theta))
+    wrong = np.abs(problem.unit(step) - problem.unit(theta))
+    assert wrong.max() < 0.2 * moved.max()
+
+
+def test_gains_in_noise_follow_their_null_distribution(ground, alone):
+    effects = ("moving_mass", "flow_asymmetry", "channel_delay")
+    foundation = Foundation.of(alone)
+    problems = {name: ground.problem(BASE.with_effects(find_effects([name]))) for name in effects}
+    noise = null_errors(alone.problem, alone.theta, [FORCE_NOISE] * 5, np.random.default_rng(1))
+    starts = {name: score(problems[name], foundation, EFFECTS[name]).start for name in effects}
+    trials = [refit(problems[name], starts[name], ground.parts, noise) for name in effects]
+    nulls = null_gains(alone, trials, np.random.default_rng(2))
+    found = max(alone.cost.sum() - trial.cost.sum() for trial in trials)
+    assert p_value(found, nulls) > 0.005
+    # Three effects with one parameter each: about the largest of three squared normal variables.
+    expected = np.max(np.random.default_rng(3).chisquare(1, (999, 3)), axis=1)
+    assert kstest(nulls, expected).statistic < 0.5
+    assert p_value(1e6, nulls) == pytest.approx(1e-3)
+
+
+def test_a_score_promises_what_a_fit_keeps(ground):
+    model = BASE.with_effects(find_effects(["flow_asymmetry"]))
+    theta = np.append(THETA, 0.05)
+    moved = ground_of([run(seed, model=model, theta=theta) for seed in range(5)])
+    problem = moved.problem(BASE)
+    alone = refit(problem, polish(problem, THETA)[0], moved.parts)
+    foundation = Foundation.of(alone)
+    scores = {
+        name: score(moved.problem(BASE.with_effects(find_effects([name]))), foundation, EFFECTS[name])
+        for name in ("flow_asymmetry", "moving_mass", "coil_lag", "load_cell_gain")
+    }
+    assert max(scores, key=lambda name: scores[name].gain) == "flow_asymmetry"
+    fitted = refit(moved.problem(model), scores["flow_asymmetry"].start, moved.parts)
+    assert fitted.theta[-1] == pytest.approx(0.05, abs=0.01)
+    assert alone.cost.sum() - fitted.cost.sum() == pytest.approx(scores["flow_asymmetry"].gain, rel=0.2)
+    assert scores["load_cell_gain"].left_over < 0.03 < scores["coil_lag"].left_over
+    assert fitted.level < 1.1 < alone.level
+
+
+def test_what_has_no_doubt_has_all_the_probability(ground, alone):
+    worse = replace(alone, unseen=alone.unseen * 1.5)
+    assert probabilities([alone, worse], np.random.default_rng(0)) == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert probabilities([alone, alone], np.random.default_rng(0)) == pytest.approx([0.5, 0.5])
+    one_part = replace(alone, unseen=alone.unseen + np.eye(len(alone.unseen))[0] * 50.0)
+    sure = probabilities([alone, one_part], np.random.default_rng(0))[0]
+    assert 0.5 < sure < 1.0  # a bootstrap may leave out the part that tells
+
+
+@given(st.floats(0.0, 0.99), st.floats(0.1, 10.0))
+def test_closed_is_the_share_of_what_noise_does_not_explain(share, noise):
+    rng = np.random.default_rng(0)
+    floor = noise * rng.uniform(0.5, 2.0, 8)
+    before = floor + rng.uniform(1.0, 5.0, 8)
+    after = before - share * (before - floor)
+    found = closed(before, after, floor, resampled(8, rng))
+    assert found.value == pytest.approx(share)
+    assert found.lower <= found.value + 1e-9
+    assert found.upper >= found.value - 1e-9
+
+
+def test_every_effect_has_forms_from_which_a_fit_can_begin():
+    for effect in EFFECTS.values():
+        for variant in variants(effect):
+            assert set(variant) == {parameter.name for parameter in effect.parameters}
+            assert all(p.lower <= variant[p.name] <= p.upper for p in effect.parameters)
+            assert variant[effect.parameters[0].name] != effect.parameters[0].default
+
+
+def test_while_something_is_missing_runs_are_less_free(ground):
+    wrong = THETA.copy()
+    wrong[0] *= 3
+    problem = ground.problem(BASE)
+    missing = ground.after(errors_of(problem, wrong))
+    assert missing.missing > 20.0
+    assert missing.together > 3.0
+    assert missing.noise_share < 0.1 * ground.samples
+    assert ground.after(errors_of(problem, THETA)).missing < 0.5
