@@ -108,9 +108,10 @@ def test_leaving_a_part_out_is_fitting_without_it(ground, alone):
     without = replace(ground, noises=noises).problem(BASE)
     theta, _ = polish(without, alone.theta)
     step = without_each(problem, problem.unit(alone.theta), alone.grams, alone.slopes)[index]
-    moved = np.abs(problem.unit(step) - problem.unit(alone.theta))
     wrong = np.abs(problem.unit(step) - problem.unit(theta))
-    assert wrong.max() < 0.2 * moved.max()
+    standard_error = np.sqrt(np.diag(np.linalg.inv(alone.grams.sum(axis=0))))
+    assert (wrong < 0.25 * standard_error).all()
+    assert np.abs(problem.unit(step) - problem.unit(alone.theta)).max() > 0.1 * standard_error.min()
 
 
 def test_gains_in_noise_follow_their_null_distribution(ground, alone):
