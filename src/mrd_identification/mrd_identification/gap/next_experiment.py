@@ -299,11 +299,12 @@ class _Rival:
         free = tuple(i for i, p in enumerate(model.parameters) if p.free and p.name not in fixed)
         silent = sorted(set(free) - set(problem.free))
         if silent:
-            # At one current nothing is known of slopes over current: as usual, and the rest anew so that it suits them.
+            # At one current nothing is known of slopes over current: they are as usual, and the rest is fitted anew to suit.
             theta = refit.theta.copy()
             theta[silent] = model.defaults[silent]
             problem = replace(problem, free=free, base=theta)
-            unit, _ = descend(problem, problem.unit(theta), np.arange(len(free)), 2 * EVALUATIONS, 1e-3)
+            known = np.flatnonzero(~np.isin(free, silent))
+            unit, _ = descend(problem, problem.unit(theta), known, 10, 1e-6)
             jacobian = problem.jacobian(unit)
             gram = jacobian.T @ jacobian
         values, vectors = np.linalg.eigh(gram)
