@@ -16,7 +16,7 @@ from mrd_identification import diagnose
 from mrd_identification.gap.contest import FIRST_SCATTER
 from mrd_identification.gap.ground import Ground, first_fit, with_effect
 from mrd_identification.gap.noise import run_noise
-from mrd_identification.gap.refit import errors_of, refit
+from mrd_identification.gap.refit import refit
 from mrd_identification.gap.which import Foundation, score
 from mrd_identification.problem import in_threads, pose, prepare
 from mrd_runs import Run
@@ -62,21 +62,20 @@ def candidates(runs: list[Run]) -> Table:
     posed, _ = pose(base, recordings, fixed={"coil_lag": 0.0})
     theta = first_fit(posed, None, np.random.default_rng(0))
     noises = run_noise(recordings, base, theta, np.random.default_rng(0))
-    reference = [recording.modelled(base, theta) for recording in recordings]
-    ground = Ground(recordings, noises, FIRST_SCATTER, reference, {"coil_lag": 0.0}).after(errors_of(posed, theta))
-    foundation = Foundation.of(refit(ground.problem(base), theta, ground.parts))
+    ground = Ground(recordings, noises, FIRST_SCATTER, {"coil_lag": 0.0}).after(base, theta)
+    foundation = Foundation.of(ground, refit(ground.problem(base, theta), theta, ground.parts))
     table = Table("candidate", box=None)
     for title in ("score", "refit and parts left out", "scipy, refit only", "ratio"):
         table.add_column(title, justify="right")
     for name, effect in EFFECTS.items():
         if effect.structural:
             continue
-        model, _ = with_effect(base, theta, name)
-        problem = ground.problem(model)
+        model, neutral = with_effect(base, theta, name)
+        problem = ground.problem(model, neutral)
         began = time.perf_counter()
         start = score(problem, foundation, effect).start
         scored = time.perf_counter()
-        refit(problem, start, ground.parts)
+        refit(ground.problem(model, start), start, ground.parts)
         fitted = time.perf_counter()
         unit = np.clip(problem.unit(start), 1e-9, 1 - 1e-9)
         least_squares(lambda at, p=problem: p.residuals(p.theta(at)), unit, bounds=(0, 1), ftol=1e-6)

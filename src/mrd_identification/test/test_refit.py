@@ -10,10 +10,10 @@ from scipy.stats import kstest
 
 from mrd_identification.gap.contest import FIRST_SCATTER, learned_scatter
 from mrd_identification.gap.diagnosis import RunNoise
-from mrd_identification.gap.ground import Ground
+from mrd_identification.gap.ground import Ground, with_effect
 from mrd_identification.gap.judge import closed, probabilities, resampled
 from mrd_identification.gap.null import null_errors, null_gains, p_value
-from mrd_identification.gap.refit import Scatter, errors_of, refit, whitening, without_each
+from mrd_identification.gap.refit import Scatter, refit, whitening, without_each
 from mrd_identification.gap.which import Foundation, score, variants
 from mrd_identification.polish import polish
 from mrd_identification.problem import prepare
@@ -45,7 +45,11 @@ def run(seed, gain=0.0, offset=0.0, model=BASE, theta=THETA, rate=250.0, seconds
 def ground_of(runs, scatter=FIRST_SCATTER):
     recordings = [prepare(one) for one in runs]
     noises = [RunNoise(np.full(len(r.force), FORCE_NOISE), FORCE_NOISE, 0.0, "residual") for r in recordings]
-    return Ground(recordings, noises, scatter, [r.modelled(BASE, THETA) for r in recordings], {"coil_lag": 0.0})
+    return Ground(recordings, noises, scatter, {"coil_lag": 0.0})
+
+
+def neutral(ground, effect, theta):
+    return ground.problem(*with_effect(BASE, theta, effect))
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +59,7 @@ def ground():
 
 @pytest.fixture(scope="module")
 def alone(ground):
-    problem = ground.problem(BASE)
+    problem = ground.problem(BASE, THETA)
     noise = null_errors(problem, THETA, [FORCE_NOISE] * 5, np.random.default_rng(0))
     return refit(problem, polish(problem, THETA)[0], ground.parts, noise)
 
@@ -75,7 +79,7 @@ def test_whitening_is_the_inverse_root_of_the_covariance(gain, offset, seed, sig
 
 
 def test_own_gain_and_offset_of_a_run_are_found_and_taken_out():
-    found = ground_of([run(1, gain=0.03, offset=4.0)], Scatter(0.05, 10.0)).problem(BASE)
+    found = ground_of([run(1, gain=0.03, offset=4.0)], Scatter(0.05, 10.0)).problem(BASE, THETA)
     error = found.modelled(THETA, 0) - found.force
     gain, offset = found.whitenings[0].own @ error
     assert (-gain, -offset) == pytest.approx((0.03, 4.0), rel=0.1)
@@ -85,7 +89,7 @@ def test_scatter_is_learned_from_the_runs():
     rng = np.random.default_rng(0)
     runs = [run(seed, *rng.normal(0, (0.02, 5.0))) for seed in range(12)]
     ground = ground_of(runs)
-    problem = ground.problem(BASE)
+    problem = ground.problem(BASE, THETA)
     found = learned_scatter(refit(problem, polish(problem, THETA)[0], ground.parts))
     assert 0.01 < found.gain < 0.035
     assert 2.5 < found.offset < 9.0
@@ -105,7 +109,7 @@ def test_leaving_a_part_out_is_fitting_without_it(ground, alone):
     sigma[part.start - block.start : part.stop - block.start] = 1e9
     noises = list(ground.noises)
     noises[run_of] = replace(noises[run_of], sigma=sigma)
-    without = replace(ground, noises=noises).problem(BASE)
+    without = replace(ground, noises=noises).problem(BASE, THETA)
     theta, _ = polish(without, alone.theta)
     step = without_each(problem, problem.unit(alone.theta), alone.grams, alone.slopes)[index]
     wrong = np.abs(problem.unit(step) - problem.unit(theta))
@@ -116,8 +120,8 @@ def test_leaving_a_part_out_is_fitting_without_it(ground, alone):
 
 def test_gains_in_noise_follow_their_null_distribution(ground, alone):
     effects = ("moving_mass", "flow_asymmetry", "channel_delay")
-    foundation = Foundation.of(alone)
-    problems = {name: ground.problem(BASE.with_effects(find_effects([name]))) for name in effects}
+    foundation = Foundation.of(ground, alone)
+    problems = {name: neutral(ground, name, alone.theta) for name in effects}
     noise = null_errors(alone.problem, alone.theta, [FORCE_NOISE] * 5, np.random.default_rng(1))
     starts = {name: score(problems[name], foundation, EFFECTS[name]).start for name in effects}
     trials = [refit(problems[name], starts[name], ground.parts, noise) for name in effects]
@@ -134,15 +138,16 @@ def test_a_score_promises_what_a_fit_keeps(ground):
     model = BASE.with_effects(find_effects(["flow_asymmetry"]))
     theta = np.append(THETA, 0.05)
     moved = ground_of([run(seed, model=model, theta=theta) for seed in range(5)])
-    problem = moved.problem(BASE)
+    problem = moved.problem(BASE, THETA)
     alone = refit(problem, polish(problem, THETA)[0], moved.parts)
-    foundation = Foundation.of(alone)
+    foundation = Foundation.of(moved, alone)
     scores = {
-        name: score(moved.problem(BASE.with_effects(find_effects([name]))), foundation, EFFECTS[name])
+        name: score(neutral(moved, name, alone.theta), foundation, EFFECTS[name])
         for name in ("flow_asymmetry", "moving_mass", "coil_lag", "load_cell_gain")
     }
     assert max(scores, key=lambda name: scores[name].gain) == "flow_asymmetry"
-    fitted = refit(moved.problem(model), scores["flow_asymmetry"].start, moved.parts)
+    start = scores["flow_asymmetry"].start
+    fitted = refit(moved.problem(model, start), start, moved.parts)
     assert fitted.theta[-1] == pytest.approx(0.05, abs=0.01)
     assert alone.cost.sum() - fitted.cost.sum() == pytest.approx(scores["flow_asymmetry"].gain, rel=0.2)
     assert scores["load_cell_gain"].left_over < 0.03 < scores["coil_lag"].left_over
@@ -181,9 +186,9 @@ def test_every_effect_has_forms_from_which_a_fit_can_begin():
 def test_while_something_is_missing_runs_are_less_free(ground):
     wrong = THETA.copy()
     wrong[0] *= 3
-    problem = ground.problem(BASE)
-    missing = ground.after(errors_of(problem, wrong))
+    problem = ground.problem(BASE, THETA)
+    missing = ground.after(BASE, wrong)
     assert missing.missing > 20.0
     assert missing.together > 3.0
     assert missing.noise_share < 0.1 * ground.samples
-    assert ground.after(errors_of(problem, THETA)).missing < 0.5
+    assert ground.after(BASE, THETA).missing < 0.5

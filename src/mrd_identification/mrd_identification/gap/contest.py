@@ -7,8 +7,8 @@ import numpy as np
 
 from mrd_identification.gap.ground import Ground
 from mrd_identification.gap.noise import run_noise
-from mrd_identification.gap.refit import Refit, Scatter, errors_of, refit
-from mrd_identification.gap.which import Trial
+from mrd_identification.gap.refit import Refit, Scatter
+from mrd_identification.gap.which import Trial, anew
 from mrd_identification.problem import in_threads
 
 MOST_RIVALS = 4
@@ -65,8 +65,7 @@ def contest(
     """
     best = chosen[-1].refit if chosen else alone
     noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
-    # A run's own gain multiplies the force of the plain model still: else it would bring the effects in by itself.
-    ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(errors_of(best.problem, best.theta))
+    ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(best.problem.model, best.theta)
     ranked = sorted(trials, key=lambda trial: trial.refit.total)
     effects = chosen[-1].effects if chosen else ()
     places: dict[str, dict[str, Refit]] = {}
@@ -77,8 +76,7 @@ def contest(
         places[effect] = in_place | ({"": alone} if not others else {})
     old = [alone, *(trial.refit for trial in chosen), *(refit for place in places.values() for refit in place.values())]
     distinct = list({id(one): one for one in old}.values())
-    anew = in_threads(lambda one: refit(ground.problem(one.problem.model), one.theta, ground.parts), distinct)
-    by_old = {id(one): new for one, new in zip(distinct, anew, strict=True)}
+    by_old = {id(one): new for one, new in zip(distinct, in_threads(lambda one: anew(ground, one), distinct), strict=True)}
     return Contest(
         ground,
         by_old[id(alone)],

@@ -11,7 +11,7 @@ from mrd_identification.gap.ground import Ground, with_effect
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import Scatter, refit
 from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Foundation
-from mrd_identification.problem import forces_in_turn, in_threads, prepare
+from mrd_identification.problem import in_threads, prepare
 from mrd_sim.damper import Damper
 from mrd_sim.effects import Effect, find_effects
 from mrd_sim.simulate import Instruments, measure_plans
@@ -86,9 +86,9 @@ def foreseen(
     recordings = [replace(other, counted=one.counted) for one, other in zip(noisy, still, strict=True)]
     ground = Ground(
         recordings, run_noise(noisy, model, theta, rng), Scatter(instruments.run_gain, instruments.run_offset),
-        forces_in_turn(model, theta, recordings), {"coil_lag": float(theta[model.names.index("coil_lag")])},
+        {"coil_lag": float(theta[model.names.index("coil_lag")])},
     )
-    return ground, Foundation.of(refit(ground.problem(model), theta, ground.parts))
+    return ground, Foundation.of(ground, refit(ground.problem(model, theta), theta, ground.parts))
 
 
 def coverage(
@@ -115,7 +115,7 @@ def coverage(
 
 def _coverage(ground: Ground, foundation: Foundation, effect: Effect, needed: float) -> Coverage:
     model, plain = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect.id)
-    problem = ground.problem(model)
+    problem = ground.problem(model, plain)
     largest = largest_size(effect)
 
     def change(log_share: float) -> tuple[Array, float]:

@@ -20,9 +20,9 @@ from mrd_identification.gap.next_experiment import advise
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
-from mrd_identification.gap.refit import Refit, errors_of, refit
+from mrd_identification.gap.refit import Refit, refit
 from mrd_identification.gap.where import where
-from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Trial, beside, may_be_left, search
+from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Foundation, Trial, beside, may_be_left, search
 from mrd_identification.gap.words import describe, human
 from mrd_identification.problem import Recording, in_threads, pose, prepare
 from mrd_runs import Run
@@ -152,8 +152,10 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     singles = [trial for trial in trials if len(trial.effects) == 1]
     nulls = null_gains(alone, [trial.refit for trial in singles], rng) if singles else np.zeros(1)
     found = contest(ground, alone, chosen, trials, rng)
+    # What is left beyond what may be left is something else.
+    known = min(1.0, may_be_left(found.alone) / max(found.best.level - 1.0, 1e-9))
     chances = {
-        effect: dict(zip(rivals, probabilities(list(rivals.values()), rng), strict=True))
+        effect: dict(zip(rivals, known * probabilities(list(rivals.values()), rng), strict=True))
         for effect, rivals in found.rivals.items()
     }
     verdict = _verdict(found, chances, rng)
@@ -211,10 +213,8 @@ def _without_effects(asked: _Asked, rng: np.random.Generator) -> tuple[Ground, R
     fixed = {} if asked.simulator is not None and asked.simulator[base.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
     posed, notes = pose(base, recordings, fixed=fixed)
     theta = first_fit(posed, asked.simulator, rng)
-    reference = [recording.modelled(base, theta) for recording in recordings]
-    ground = Ground(recordings, run_noise(recordings, base, theta, rng), FIRST_SCATTER, reference, fixed)
-    ground = ground.after(errors_of(posed, theta))
-    return ground, refit(ground.problem(base), theta, ground.parts), notes
+    ground = Ground(recordings, run_noise(recordings, base, theta, rng), FIRST_SCATTER, fixed).after(base, theta)
+    return ground, refit(ground.problem(base, theta), theta, ground.parts), notes
 
 
 def _silent(asked: _Asked) -> dict[str, str]:
@@ -331,7 +331,8 @@ def _candidates(
     listed = []
     lead = chances[found.effects[0]] if len(found.effects) == 1 else {}
     rivals = found.rivals[found.effects[0]] if len(found.effects) == 1 else {}
-    for trial, promise in zip(ranked, beside(ground, found.best, [t.effects[0] for t in ranked]), strict=True):
+    promises = beside(ground, Foundation.of(ground, found.best), [trial.effects[0] for trial in ranked])
+    for trial, promise in zip(ranked, promises, strict=True):
         name = trial.effects[0]
         size = EFFECTS[name].parameters[0]
         shown = rivals.get(name, trial.refit)

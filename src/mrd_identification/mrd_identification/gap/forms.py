@@ -29,7 +29,7 @@ def forms(ground: Ground, base: DamperModel, rng: np.random.Generator) -> dict[s
     for name, model, freed in _variants(ground, base):
         plain, _ = pose(model, ground.recordings, fixed=ground.fixed, freed=freed)
         start = first_fit(plain, None, rng)
-        found[name] = refit(ground.problem(model, freed), start, ground.parts)
+        found[name] = refit(ground.problem(model, start, freed), start, ground.parts)
     return found
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.gap.refit import GapProblem, Scatter, whitening
 from mrd_identification.polish import polish
-from mrd_identification.problem import Problem, Recording, pose
+from mrd_identification.problem import Problem, Recording, forces_in_turn, pose
 from mrd_identification.stretches import correlation_length
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel
@@ -36,8 +36,6 @@ class Ground:
     recordings : sequence of Recording
     noises : sequence of RunNoise
     scatter : Scatter
-    reference : sequence of ndarray
-        Modelled force of each run in N at the counted samples: what a run's own gain multiplies.
     fixed : mapping
         Values of the model's parameters that are not searched.
     missing : float
@@ -51,34 +49,45 @@ class Ground:
     recordings: Sequence[Recording]
     noises: Sequence[RunNoise]
     scatter: Scatter
-    reference: Sequence[Array]
     fixed: Mapping[str, float]
     missing: float = 0.0
     together: float = 1.0
 
-    def problem(self, model: DamperModel, freed: Sequence[str] = ()) -> GapProblem:
-        """What these recordings can tell about a model, with white residuals where it is true."""
+    def problem(self, model: DamperModel, theta: Array, freed: Sequence[str] = ()) -> GapProblem:
+        """What these recordings can tell about a model, with white residuals where it is true.
+
+        Parameters
+        ----------
+        model : DamperModel
+        theta : ndarray (parameters,)
+            Near the optimum: a run's own gain multiplies the force that they give.
+        freed : sequence of str
+            See `mrd_identification.problem.pose`.
+        """
         posed, _ = pose(model, self.recordings, fixed=self.fixed, freed=freed)
         root = np.sqrt(self.together)
         scatter = Scatter(self.scatter.gain / root, self.scatter.offset / root)
         sigmas = tuple(noise.sigma for noise in self.noises)
         whitenings = tuple(
             whitening(np.sqrt(sigma**2 + self.missing**2), force, scatter)
-            for sigma, force in zip(sigmas, self.reference, strict=True)
+            for sigma, force in zip(sigmas, forces_in_turn(model, theta, self.recordings), strict=True)
         )
         return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings, sigmas=sigmas)
 
-    def after(self, errors: Sequence[Array]) -> "Ground":
-        """The ground on which a model is the best so far that errs by so much on each run, in N, modelled minus measured."""
+    def after(self, model: DamperModel, theta: Array) -> "Ground":
+        """The ground on which a model with these parameters is the best so far."""
         left = []
-        for error, noise, force in zip(errors, self.noises, self.reference, strict=True):
+        for recording, noise, force in zip(
+            self.recordings, self.noises, forces_in_turn(model, theta, self.recordings), strict=True
+        ):
+            error = force - recording.force
             gain, offset = whitening(noise.sigma, force, self.scatter).own @ error
             left.append(error - gain * force - offset)
         error, sigma = np.concatenate(left), np.concatenate([noise.sigma for noise in self.noises])
-        missing = np.sqrt(max(float(np.mean(error**2 - sigma**2)), 0.0))
+        missing = float(np.sqrt(max(float(np.mean(error**2 - sigma**2)), 0.0)))
         white = error / np.sqrt(sigma**2 + missing**2)
-        together = max(1.0, float(np.mean(white**2))) * correlation_length(white)
-        return replace(self, missing=float(missing), together=together)
+        share = missing**2 / (missing**2 + float(np.mean(sigma**2)))
+        return replace(self, missing=missing, together=1.0 + share * (correlation_length(white) - 1.0))
 
     @property
     def noise_share(self) -> float:

@@ -194,9 +194,8 @@ def _held_out(found: Contest, unseen: Sequence[Recording], rng: np.random.Genera
         return []
     alone, best = found.alone, found.best
     noises = run_noise(unseen, best.problem.model, best.theta, rng)
-    reference = [recording.modelled(alone.problem.model, alone.theta) for recording in unseen]
-    ground = Ground(unseen, noises, found.ground.scatter, reference, found.ground.fixed)
-    both = [(ground.problem(fitted.problem.model), fitted.theta) for fitted in (alone, best)]
+    ground = Ground(unseen, noises, found.ground.scatter, found.ground.fixed)
+    both = [(ground.problem(fitted.problem.model, fitted.theta), fitted.theta) for fitted in (alone, best)]
     beyond = _extrapolations([*found.ground.recordings, *unseen])[len(found.ground.recordings) :]
     traces = []
     for run, noise in enumerate(noises):

@@ -208,12 +208,6 @@ def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> 
     return problem.theta(found)
 
 
-def errors_of(problem: Problem, theta: Array) -> list[Array]:
-    """Modelled minus measured force in N of each run."""
-    errors = problem.errors(theta)
-    return [errors[block] for block in problem.blocks]
-
-
 def own_error(problem: GapProblem, theta: Array, run: int) -> tuple[Array, Array]:
     """Modelled minus measured force (n,) in N of a run: white, and plain without the run's own offset and gain."""
     error = problem.modelled(theta, run) - problem.recordings[run].force

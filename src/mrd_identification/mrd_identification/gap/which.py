@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_identification.gap.ground import Ground, with_effect
-from mrd_identification.gap.refit import GapProblem, Refit, errors_of, refit
+from mrd_identification.gap.refit import GapProblem, Refit, refit
 from mrd_identification.problem import in_threads
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 
@@ -62,15 +62,15 @@ class Foundation:
     inverse: Array
 
     @classmethod
-    def of(cls, fitted: Refit) -> "Foundation":
-        """From a refit."""
-        unit = fitted.problem.unit(fitted.theta)
-        jacobian = fitted.problem.jacobian(unit)
+    def of(cls, ground: Ground, fitted: Refit) -> "Foundation":
+        """From a refit; what a run's own gain multiplies is the force of the refit itself."""
+        problem = ground.problem(fitted.problem.model, fitted.theta)
+        jacobian = problem.jacobian(problem.unit(fitted.theta))
         gram = jacobian.T @ jacobian
         size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
         values, vectors = np.linalg.eigh(gram / np.outer(size, size))
         inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T / np.outer(size, size)
-        return cls(fitted, fitted.problem.residuals(fitted.theta), jacobian, inverse)
+        return cls(fitted, problem.residuals(fitted.theta), jacobian, inverse)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -206,7 +206,9 @@ def search(
     trials : list of Trial
         Everything that was fitted.
     """
-    first = around(ground, Foundation.of(base), effects, len(effects), lambda share: progress(0.6 * share), noise=noise)
+    first = around(
+        ground, Foundation.of(ground, base), effects, len(effects), lambda share: progress(0.6 * share), noise=noise
+    )
     trials = list(first)
     chosen: list[Trial] = []
     before = base
@@ -221,14 +223,14 @@ def search(
             break
         first_is_sure = EFFECTS[chosen[0].effects[0]].structural
         leads = frontier[:BEAM] if len(chosen) == 1 and not first_is_sure else frontier[:1]
-        ground = ground.after(errors_of(best.refit.problem, best.refit.theta))
-        again = [refit(ground.problem(lead.refit.problem.model), lead.refit.theta, ground.parts) for lead in leads]
+        ground = ground.after(best.refit.problem.model, best.refit.theta)
+        again = [anew(ground, lead.refit) for lead in leads]
         before = again[0]
         found = [
             trial
             for lead, fitted in zip(leads, again, strict=True)
             for trial in around(
-                ground, Foundation.of(fitted), [e for e in effects if e not in lead.effects], SHORTLIST,
+                ground, Foundation.of(ground, fitted), [e for e in effects if e not in lead.effects], SHORTLIST,
                 lambda _share: None, lead.effects,
             )
         ]
@@ -244,15 +246,19 @@ def search(
     return chosen, trials
 
 
-def beside(ground: Ground, best: Refit, effects: Sequence[str]) -> list[Score]:
-    """What each effect would do around the best model, in whose error it would show."""
-    foundation = Foundation.of(best)
+def anew(ground: Ground, old: Refit) -> Refit:
+    """The same model refitted on another ground."""
+    return refit(ground.problem(old.problem.model, old.theta), old.theta, ground.parts)
+
+
+def beside(ground: Ground, foundation: Foundation, effects: Sequence[str]) -> list[Score]:
+    """What each effect promises around the foundation's model; nothing if it is there already."""
 
     def of(effect: str) -> Score:
         if effect in foundation.effects:
-            return Score(0.0, best.theta, 1.0, 0.0)
-        model, _ = with_effect(best.problem.model, best.theta, effect)
-        return score(ground.problem(model), foundation, find_effects([effect])[0])
+            return Score(0.0, foundation.refit.theta, 1.0, 0.0)
+        model, neutral = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
+        return score(ground.problem(model, neutral), foundation, find_effects([effect])[0])
 
     return in_threads(of, effects)
 
@@ -286,18 +292,14 @@ def around(
     """Refit the foundation's model with each of the most promising effects."""
     parts = ground.parts
 
-    def problem(effect: str) -> GapProblem:
-        model, _ = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
-        return ground.problem(model)
-
-    problems = {effect: problem(effect) for effect in effects}
-    scores = in_threads(lambda e: score(problems[e], foundation, find_effects([e])[0]), effects)
+    scores = beside(ground, foundation, effects)
     ranked = sorted(zip(effects, scores, strict=True), key=lambda found: -found[1].gain)[:most]
     done = itertools.count(1)
 
     def fit(found: tuple[str, Score]) -> Trial:
         effect, promise = found
-        fitted = refit(problems[effect], promise.start, parts, noise)
+        model, _ = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
+        fitted = refit(ground.problem(model, promise.start), promise.start, parts, noise)
         progress(next(done) / len(ranked))
         before = foundation.refit
         gain = float(before.cost.sum() - fitted.cost.sum())
