@@ -82,10 +82,10 @@ def test_a_recorded_effect_shows_as_was_foreseen(known, effect):
     recordings = [replace(prepare(run), counted=other.counted) for run, other in zip(runs, ground.recordings, strict=True)]
     recorded = replace(ground, recordings=recordings)
     base = Damper("bouc_wen", OWN)
-    alone = refit(recorded.problem(base.model), base.theta, recorded.parts)
+    alone = refit(recorded.problem(base.model, base.theta), base.theta, recorded.parts)
     model, theta = with_effect(base.model, alone.theta, effect)
     for name, value in values.items():
         theta[model.names.index(f"{effect}.{name}")] = value
-    both = refit(recorded.problem(model), theta, recorded.parts)
+    both = refit(recorded.problem(model, theta), theta, recorded.parts)
     gain = float(alone.cost.sum() - both.cost.sum()) / (LEAST_GAIN * recorded.samples)
     assert 2.5 < gain < 6.5

@@ -18,7 +18,7 @@ from mrd_identification.gap.next_experiment import (
     sensor,
 )
 from mrd_identification.gap.noise import run_noise
-from mrd_identification.gap.refit import Refit, Scatter, errors_of, refit
+from mrd_identification.gap.refit import Refit, Scatter, refit
 from mrd_identification.problem import forces_in_turn, prepare
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -53,20 +53,18 @@ def fitted(plans, truth, rivals) -> tuple[Ground, dict[str, Refit]]:
     random = np.random.default_rng(0)
     recordings = [prepare(run) for run in measure_plans(plans, truth, random)]
     noises = run_noise(recordings, truth.model, truth.theta, random)
-    reference = forces_in_turn(truth.model, truth.theta, recordings)
-    ground = Ground(recordings, noises, Scatter(0.01, 2.0), reference, {"coil_lag": 0.0})
+    ground = Ground(recordings, noises, Scatter(0.01, 2.0), {"coil_lag": 0.0})
 
     def fit(ground, rival, start):
         model = find_model("bouc_wen", None, [rival] if rival else [])
-        problem = ground.problem(model)
         if start is None:
             typical = {f"{rival}.{p}": v for p, v in EFFECTS[rival].typical.items()} if rival else {}
             start = model.vector(BASE | typical)
-        return refit(problem, start, ground.parts)
+        return refit(ground.problem(model, start), start, ground.parts)
 
     found = {rival: fit(ground, rival, None) for rival in rivals}
     best = min(found.values(), key=lambda of: of.cost.sum())
-    ground = ground.after(errors_of(best.problem, best.theta))
+    ground = ground.after(best.problem.model, best.theta)
     return ground, {rival: fit(ground, rival, of.theta) for rival, of in found.items()}
 
 

@@ -60,7 +60,7 @@ def ground():
 @pytest.fixture(scope="module")
 def alone(ground):
     problem = ground.problem(BASE, THETA)
-    noise = null_errors(problem, THETA, [FORCE_NOISE] * 5, np.random.default_rng(0))
+    noise = null_errors(problem, THETA, [FORCE_NOISE] * 5, FIRST_SCATTER, np.random.default_rng(0))
     return refit(problem, polish(problem, THETA)[0], ground.parts, noise)
 
 
@@ -122,7 +122,7 @@ def test_gains_in_noise_follow_their_null_distribution(ground, alone):
     effects = ("moving_mass", "flow_asymmetry", "channel_delay")
     foundation = Foundation.of(ground, alone)
     problems = {name: neutral(ground, name, alone.theta) for name in effects}
-    noise = null_errors(alone.problem, alone.theta, [FORCE_NOISE] * 5, np.random.default_rng(1))
+    noise = null_errors(alone.problem, alone.theta, [FORCE_NOISE] * 5, FIRST_SCATTER, np.random.default_rng(1))
     starts = {name: score(problems[name], foundation, EFFECTS[name]).start for name in effects}
     trials = [refit(problems[name], starts[name], ground.parts, noise) for name in effects]
     nulls = null_gains(alone, trials, np.random.default_rng(2))
@@ -186,7 +186,6 @@ def test_every_effect_has_forms_from_which_a_fit_can_begin():
 def test_while_something_is_missing_runs_are_less_free(ground):
     wrong = THETA.copy()
     wrong[0] *= 3
-    problem = ground.problem(BASE, THETA)
     missing = ground.after(BASE, wrong)
     assert missing.missing > 20.0
     assert missing.together > 3.0

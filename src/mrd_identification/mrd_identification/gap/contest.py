@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mrd_identification.gap.ground import Ground
+from mrd_identification.gap.ground import Ground, without_effect
 from mrd_identification.gap.noise import run_noise
-from mrd_identification.gap.refit import Refit, Scatter
-from mrd_identification.gap.which import Trial, anew
+from mrd_identification.gap.refit import Refit, Scatter, refit
+from mrd_identification.gap.which import Foundation, Trial, anew, around
 from mrd_identification.problem import in_threads
 
 MOST_RIVALS = 4
@@ -66,24 +66,22 @@ def contest(
     best = chosen[-1].refit if chosen else alone
     noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
     ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(best.problem.model, best.theta)
-    ranked = sorted(trials, key=lambda trial: trial.refit.total)
     effects = chosen[-1].effects if chosen else ()
-    places: dict[str, dict[str, Refit]] = {}
-    for effect in effects:
-        others = set(effects) - {effect}
-        alike = [trial for trial in ranked if len(trial.effects) == len(effects) and others <= set(trial.effects)]
-        in_place = {(set(trial.effects) - others).pop(): trial.refit for trial in alike[:MOST_RIVALS]}
-        places[effect] = in_place | ({"": alone} if not others else {})
-    old = [alone, *(trial.refit for trial in chosen), *(refit for place in places.values() for refit in place.values())]
-    distinct = list({id(one): one for one in old}.values())
-    by_old = {id(one): new for one, new in zip(distinct, in_threads(lambda one: anew(ground, one), distinct), strict=True)}
+    chain = tuple(in_threads(lambda trial: anew(ground, trial.refit), chosen))
+    singles = sorted((trial for trial in trials if len(trial.effects) == 1), key=lambda trial: trial.refit.total)
+    others = [trial.effects[0] for trial in singles if trial.effects[0] not in effects][:MOST_RIVALS]
+    alone = anew(ground, alone)
     return Contest(
-        ground,
-        by_old[id(alone)],
-        tuple(by_old[id(trial.refit)] for trial in chosen),
-        effects,
-        {effect: {name: by_old[id(one)] for name, one in place.items()} for effect, place in places.items()},
+        ground, alone, chain, effects, {effect: _rivals(ground, chain[-1], effect, others) for effect in effects}
     )
+
+
+def _rivals(ground: Ground, best: Refit, effect: str, others: Sequence[str]) -> dict[str, Refit]:
+    """The best model, the same without one of its effects (""), and with others in its place."""
+    model, theta = without_effect(best.problem.model, best.theta, effect)
+    without = refit(ground.problem(model, theta), theta, ground.parts)
+    trials = around(ground, Foundation.of(ground, without), others, len(others))
+    return {effect: best, "": without} | {trial.effects[-1]: trial.refit for trial in trials}
 
 
 def learned_scatter(fitted: Refit) -> Scatter:

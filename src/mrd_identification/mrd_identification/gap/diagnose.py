@@ -20,11 +20,20 @@ from mrd_identification.gap.next_experiment import advise
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
-from mrd_identification.gap.refit import Refit, refit
+from mrd_identification.gap.refit import Refit, own_error, refit
 from mrd_identification.gap.where import where
-from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Foundation, Trial, beside, may_be_left, search
+from mrd_identification.gap.which import (
+    LEAST_GAIN,
+    LEAST_SHARE_BESIDE,
+    LEFT_OVER,
+    Foundation,
+    Trial,
+    beside,
+    may_be_left,
+    search,
+)
 from mrd_identification.gap.words import describe, human
-from mrd_identification.problem import Recording, in_threads, pose, prepare
+from mrd_identification.problem import Recording, current_levels, in_threads, pose, prepare
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
@@ -43,6 +52,9 @@ CERTAIN = 0.8
 
 WORTH_NAMING = 0.05
 """Probability from which a rival is told."""
+
+SIGNIFICANT = 0.05
+"""Probability of so large an improvement in noise alone below which an effect may be named."""
 
 MIMICRY = 0.9
 """Share of what the best effect closes from which another one is said to act alike on these runs."""
@@ -134,6 +146,15 @@ def _simulator(base: DamperModel, parameters: StoredFit | None) -> Array | None:
         return None
     if parameters.model != base.id:
         raise InputError(f"--parameters: of the model {parameters.model}, expected {base.id}")
+    if parameters.effects:
+        raise InputError(
+            f"--parameters: has the effects {', '.join(parameters.effects)} around the model, expected none; "
+            "fit the model alone"
+        )
+    if dict(parameters.laws) != {name: law for name, law in base.laws.items() if name in parameters.laws}:
+        raise InputError(
+            f"--parameters: has the current laws {dict(parameters.laws)}, expected those of the model: {dict(base.laws)}"
+        )
     return base.vector({name: value for name, value in parameters.values.items() if "." not in name})
 
 
@@ -142,7 +163,7 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     ground, alone, notes = _without_effects(asked, rng)
     silent = _silent(asked)
     progress("trying effects", 0.15)
-    noise = null_errors(alone.problem, alone.theta, [found.force for found in ground.noises], rng)
+    noise = null_errors(alone.problem, alone.theta, [found.force for found in ground.noises], ground.scatter, rng)
     alone = refit(alone.problem, alone.theta, ground.parts, noise)
     chosen, trials = search(
         ground, alone, [effect for effect in asked.candidates if effect not in silent], noise,
@@ -158,12 +179,12 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
         effect: dict(zip(rivals, known * probabilities(list(rivals.values()), rng), strict=True))
         for effect, rivals in found.rivals.items()
     }
-    verdict = _verdict(found, chances, rng)
-    listed = _candidates(found, singles, nulls, chances, rng)
-    causes = _causes(found, listed, chances, rng)
-    nearest = next((candidate for candidate in listed if candidate.effects == found.effects), None)
+    p_values = [p_value(trial.gain, nulls) for trial in chosen]
+    verdict = _verdict(found, chances, p_values, rng)
     if verdict == "no_gap":
-        found = replace(found, chain=(), effects=(), rivals={})
+        found, chances = replace(found, chain=(), effects=(), rivals={}), {}
+    listed = _candidates(found, singles, nulls, chances, rng)
+    causes = _causes(found, p_values, chances, rng)
     best = found.best
 
     progress("judging how far the gap closes", 0.85)
@@ -171,7 +192,7 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     diagnosis = replace(
         diagnosis,
         verdict=verdict,
-        unfitted=_unfitted(asked, alone),
+        unfitted=_unfitted(asked, ground),
         floor=far.floor,
         before=far.before,
         after=far.after,
@@ -201,6 +222,9 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     if verdict == "unknown_effect":
         progress("trying other forms of the model", 0.93)
         sure = tuple(cause for cause in causes if EFFECTS[cause.effect].structural)
+        nearest = next((candidate for candidate in listed if candidate.effects == found.effects), None)
+        if nearest is None and listed and listed[0].closed.value > 0.0:
+            nearest = listed[0]
         return replace(diagnosis, causes=sure, nearest=nearest, forms=_forms(found, rng))
     progress("looking for the next experiment", 0.95)
     return replace(diagnosis, causes=causes, alternatives=_alternatives(chances), advice=_advice(found, chances))
@@ -222,7 +246,7 @@ def _silent(asked: _Asked) -> dict[str, str]:
     found: dict[str, str] = {}
     base = asked.base
     rate = min(recording.run.rate for recording in asked.recordings)
-    still = all(np.ptp(recording.path.current) < 1e-3 for recording in asked.recordings)
+    levels, varies = current_levels([recording.run for recording in asked.recordings])
     for name in asked.candidates:
         if EFFECTS[name].structural and base.states:
             found[name] = "the model has its own"
@@ -230,8 +254,10 @@ def _silent(asked: _Asked) -> dict[str, str]:
             found[name] = "the simulator has it already"
         if name == "mains_hum" and rate < 130.0:
             found[name] = f"at {rate:.0f} Hz the mains frequency cannot be seen"
-        if still and name in ("coil_lag", "magnetic_hysteresis"):
+        if not varies and name in ("coil_lag", "magnetic_hysteresis"):
             found[name] = "the current never changes within a run"
+        if levels == 1 and name in ("current_saturation", "current_sensor_error"):
+            found[name] = "all runs have the same current"
     return found
 
 
@@ -250,11 +276,15 @@ def _notes(asked: _Asked, ground: Ground) -> list[str]:
     return found
 
 
-def _verdict(found: Contest, chances: Mapping[str, Mapping[str, float]], rng: np.random.Generator) -> Verdict:
+def _verdict(
+    found: Contest, chances: Mapping[str, Mapping[str, float]], p_values: Sequence[float], rng: np.random.Generator
+) -> Verdict:
     best, alone = found.best, found.alone
-    closed = closed_between(alone, best, found, rng).value if found.effects else 0.0
-    if alone.level <= NO_GAP and not closed >= MOST_PART:
+    part = closed_between(alone, best, found, rng) if found.effects else Interval(0.0, 0.0, 0.0)
+    # A gap so small that the estimate of the noise may be what is wrong is one only if an effect surely closes most of it.
+    if alone.level <= NO_GAP and not (part.lower >= MOST_PART and p_values[0] <= SIGNIFICANT):
         return "no_gap"
+    closed = part.value
     draws = resampled(len(best.noises), rng)
     samples = np.array([part.stop - part.start for _, part in found.ground.parts], dtype=float)
     left = best.level - 1.0
@@ -266,21 +296,22 @@ def _verdict(found: Contest, chances: Mapping[str, Mapping[str, float]], rng: np
 
 
 def _causes(
-    found: Contest, listed: Sequence[Candidate], chances: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+    found: Contest, p_values: Sequence[float], chances: Mapping[str, Mapping[str, float]], rng: np.random.Generator
 ) -> tuple[Cause, ...]:
-    p_values = {candidate.effects[0]: candidate.p_value for candidate in listed if len(candidate.effects) == 1}
+    """The effects that were found, most probable first; each closes what it adds to those found before it."""
     parameters = values(found.best)
     steps = [found.alone, *found.chain]
-    return tuple(
+    causes = [
         Cause(
             effect,
             float(chances[effect][effect]),
-            p_values[effect],
+            p_values[index],
             closed_between(steps[index], steps[index + 1], found, rng),
             {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
         )
         for index, effect in enumerate(found.effects)
-    )
+    ]
+    return tuple(sorted(causes, key=lambda cause: -cause.probability))
 
 
 def _alternatives(chances: Mapping[str, Mapping[str, float]]) -> tuple[Alternative, ...]:
@@ -299,7 +330,9 @@ def _advice(found: Contest, chances: Mapping[str, Mapping[str, float]]) -> Advic
         return None
     effect = min(open_ones, key=lambda name: chances[name][name])
     names = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])[:MOST_ADVISED]
-    return advise({name: found.rivals[effect][name] for name in names}, found.ground) if len(names) > 1 else None
+    if len(names) < 2:
+        names.append("")
+    return advise({name: found.rivals[effect][name] for name in names}, found.ground)
 
 
 def _forms(found: Contest, rng: np.random.Generator) -> tuple[Candidate, ...]:
@@ -328,6 +361,9 @@ def _candidates(
     ground, variance = found.ground, _variance(found.ground)
     ranked = sorted(singles, key=lambda trial: trial.refit.total)
     needed = max(LEAST_GAIN * ground.samples, float(np.quantile(nulls, 0.95)))
+    # What an effect must take of the best model's error to be added to it, see `mrd_identification.gap.which.worth`.
+    energy = max(LEAST_GAIN * ground.noise_share, LEAST_SHARE_BESIDE * (found.best.total - ground.noise_share))
+    lead_gain = ranked[0].unseen_gain if ranked else 0.0
     listed = []
     lead = chances[found.effects[0]] if len(found.effects) == 1 else {}
     rivals = found.rivals[found.effects[0]] if len(found.effects) == 1 else {}
@@ -338,15 +374,16 @@ def _candidates(
         shown = rivals.get(name, trial.refit)
         remark, smallest = "", ""
         if name not in found.effects:
-            if promise.left_over < LEFT_OVER and trial.gain < needed:
-                remark = f"{_UNTESTABLE}: the model's own parameters take it up"
-            elif promise.strength > 0:
-                least = abs(EFFECTS[name].typical[size.name]) * np.sqrt(LEAST_GAIN * ground.noise_share / promise.strength)
+            if promise.strength == 0.0:
+                remark = f"{_UNTESTABLE}: it does not act in these runs"
+            elif promise.left_over < LEFT_OVER and trial.gain < needed:
+                remark = f"{_UNTESTABLE}: the model's own parameters imitate it"
+            else:
+                least = abs(EFFECTS[name].typical.get(size.name, 0.0)) * np.sqrt(energy / promise.strength)
                 smallest = human(float(least), size.unit)
                 if least > max(abs(size.lower), abs(size.upper)):
                     remark = f"{_UNTESTABLE}: even the largest plausible size would not show"
-        best_gain = ranked[0].unseen_gain
-        alike = trial is not ranked[0] and best_gain > needed and trial.unseen_gain >= MIMICRY * best_gain
+        alike = trial is not ranked[0] and lead_gain > needed and trial.unseen_gain >= MIMICRY * lead_gain
         listed.append(
             Candidate(
                 trial.effects,
@@ -381,8 +418,10 @@ def _nrmse(fitted: Refit, variance: float) -> float:
     return float(np.sqrt(fitted.plain.sum() / len(fitted.problem.force) / variance))
 
 
-def _unfitted(asked: _Asked, alone: Refit) -> float | None:
-    """NRMSE of the simulator as it was handed in."""
+def _unfitted(asked: _Asked, ground: Ground) -> float | None:
+    """NRMSE of the simulator as it was handed in, each run's own offset and gain taken out."""
     if asked.simulator is None:
         return None
-    return float(np.sqrt(np.mean(alone.problem.errors(asked.simulator) ** 2) / np.var(alone.problem.force)))
+    problem = ground.problem(asked.base, asked.simulator)
+    errors = [own_error(problem, asked.simulator, run)[1] for run in range(len(ground.recordings))]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2) / np.var(problem.force)))

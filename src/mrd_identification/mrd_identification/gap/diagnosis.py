@@ -208,6 +208,8 @@ class Trace:
         Whether the run was set aside from the start.
     extrapolates : str
         In which respect this run goes beyond the others; empty where it does not.
+    in_parts : bool
+        Whether parts of the run were left out in turn, not all of it: it goes beyond the others, or alone shows the effect.
     """
 
     recording: Recording
@@ -218,6 +220,7 @@ class Trace:
     gain: float
     held_out: bool = False
     extrapolates: str = ""
+    in_parts: bool = False
 
 
 @dataclass(frozen=True)

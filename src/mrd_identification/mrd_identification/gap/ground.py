@@ -114,17 +114,23 @@ class Ground:
 
 
 def first_fit(problem: Problem, start: Array | None, rng: np.random.Generator) -> Array:
-    """Least squares (parameters,) from ``start``, or from the best of random points of the box.
+    """Least squares (parameters,) from ``start``, if there is one, and from the best of random points of the box.
 
     Parameters in which the force is linear follow from the others (variable projection), so few points are enough.
     """
-    if start is not None:
-        return polish(problem, problem.theta(problem.unit(start)))[0]
     units = np.vstack([problem.unit(problem.model.defaults), rng.random((STARTS, len(problem.free)))])
     thetas, norms = problem.project(problem.theta(units))
     best = np.argsort(norms[:, 0], kind="stable")[:4]
-    brief = [polish(problem, thetas[index], 15) for index in best]
+    begins = [*thetas[best], *([] if start is None else [problem.theta(problem.unit(start))])]
+    brief = [polish(problem, begin, 15) for begin in begins]
     return polish(problem, min(brief, key=lambda found: found[1])[0])[0]
+
+
+def without_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:
+    """The model without one of its effects, and its other parameters."""
+    poorer = model.with_effects([other for other in model.effects if other.id != effect])
+    values = dict(zip(model.names, theta, strict=True))
+    return poorer, np.array([values[name] for name in poorer.names])
 
 
 def with_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from mrd_identification.gap.contest import Contest
 from mrd_identification.gap.diagnosis import Interval, RunNoise, Trace
-from mrd_identification.gap.ground import Ground
 from mrd_identification.gap.judge import closed, nrmse, resampled
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import GapProblem, Refit, own_error, without_each
@@ -22,6 +21,10 @@ BEYOND = 1.15
 
 ALONE = 0.8
 """Share of what all runs say of an effect's parameter that makes one run the only one to say it."""
+
+
+_NOTHING = {"stroke": 1e-4, "speed": 1e-3, "current": 0.02}
+"""m, m/s, A: less is no difference."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,12 @@ def how_far(found: Contest, unseen: Sequence[Recording], rng: np.random.Generato
         beyond the others by fits to all but a part of it.
     rng : numpy Generator
     """
-    beyond = _extrapolations(found.ground.recordings)
-    for run in _alone_in(found):
-        beyond[run] = beyond[run] or "what the effect needs to show"
-    alone, best = (_Left.out(fitted, found, beyond) for fitted in (found.alone, found.best))
+    recordings = found.ground.recordings
+    beyond = [_beyond(recording, [*recordings[:run], *recordings[run + 1 :]]) for run, recording in enumerate(recordings)]
+    in_parts = [bool(respect) or run in _alone_in(found) or len(recordings) == 1 for run, respect in enumerate(beyond)]
+    alone, best = (_Left.out(fitted, found, in_parts) for fitted in (found.alone, found.best))
     traces = [
-        _trace(found.best.problem, found.best.theta, run, noise, before, after, beyond[run])
+        _trace(found.best.problem, found.best.theta, run, noise, before, after, beyond[run], in_parts[run])
         for run, (noise, before, after) in enumerate(zip(found.ground.noises, alone.known, best.known, strict=True))
     ]
     held = _held_out(found, unseen, rng)
@@ -73,10 +76,13 @@ def how_far(found: Contest, unseen: Sequence[Recording], rng: np.random.Generato
     counted = tuple(held or traces)
     before, after, floor, samples, draws = _units(counted, rng)
     variance = float(np.var(np.concatenate([trace.recording.force for trace in counted])))
-    outside = [run for run, respect in enumerate(beyond) if respect]
+    further = [trace for trace in held if trace.extrapolates] if held else [
+        replace(traces[run], before=alone.others[run], after=best.others[run])
+        for run, respect in enumerate(beyond)
+        if respect
+    ]
     extrapolated = None
-    if outside and len(beyond) > 1 and found.effects:
-        further = [replace(traces[run], before=alone.others[run], after=best.others[run]) for run in outside]
+    if further and found.effects:
         b, a, f, _, d = _units(further, rng)
         extrapolated = closed(b, a, f, d)
     return HowFar(
@@ -104,20 +110,22 @@ def closed_between(before: Refit, after: Refit, found: Contest, rng: np.random.G
     return Interval(float(np.clip(gained.sum() / gap.sum(), -1.0, 1.0)), *map(float, ends))
 
 
-def _extrapolations(recordings: Sequence[Recording]) -> list[str]:
-    """In which respect each run goes beyond all others; empty where it does not."""
-    reach = {
-        "stroke": [float(np.ptp(recording.path.position)) for recording in recordings],
-        "speed": [float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings],
-        "current": [float(np.quantile(np.abs(recording.path.current), 0.995)) for recording in recordings],
-    }
-    found = []
-    for index in range(len(recordings)):
-        others = {name: max((v for i, v in enumerate(of) if i != index), default=0.0) for name, of in reach.items()}
-        least = {"stroke": 1e-4, "speed": 1e-3, "current": 0.02}
-        beyond = [name for name, of in reach.items() if of[index] > BEYOND * others[name] + least[name]]
-        found.append(" and ".join(beyond) if len(recordings) > 1 else "")
-    return found
+def _beyond(recording: Recording, others: Sequence[Recording]) -> str:
+    """In which respect a run goes beyond others; empty where it does not."""
+
+    def reach(of: Recording) -> dict[str, float]:
+        return {
+            "stroke": float(np.ptp(of.path.position)),
+            "speed": float(np.quantile(np.abs(of.path.velocity), 0.995)),
+            "current": float(np.quantile(np.abs(of.path.current), 0.995)),
+        }
+
+    if not others:
+        return ""
+    own, rest = reach(recording), [reach(other) for other in others]
+    return " and ".join(
+        name for name, value in own.items() if value > BEYOND * max(other[name] for other in rest) + _NOTHING[name]
+    )
 
 
 def _alone_in(found: Contest) -> set[int]:
@@ -165,14 +173,14 @@ class _Left:
     known: list[Array]
 
     @classmethod
-    def out(cls, fitted: Refit, found: Contest, beyond: Sequence[str]) -> "_Left":
-        problem, runs = fitted.problem, range(len(beyond))
-        thetas = _of_runs(fitted, found) if len(beyond) > 1 else [fitted.theta]
+    def out(cls, fitted: Refit, found: Contest, in_parts: Sequence[bool]) -> "_Left":
+        problem, runs = fitted.problem, range(len(in_parts))
+        thetas = _of_runs(fitted, found) if len(in_parts) > 1 else [fitted.theta]
         others = [-own_error(problem, thetas[run], run)[1] for run in runs]
         parts = without_each(problem, problem.unit(fitted.theta), fitted.grams, fitted.slopes)
         known = list(others)
         for run in runs:
-            if not beyond[run] and len(beyond) > 1:
+            if not in_parts[run]:
                 continue
             known[run] = np.empty_like(others[run])
             for (place, part), theta in zip(found.ground.parts, parts, strict=True):
@@ -182,10 +190,14 @@ class _Left:
         return cls(others, known)
 
 
-def _trace(problem: GapProblem, theta: Array, run: int, noise: RunNoise, before: Array, after: Array, beyond: str) -> Trace:
+def _trace(
+    problem: GapProblem, theta: Array, run: int, noise: RunNoise, before: Array, after: Array, beyond: str, in_parts: bool
+) -> Trace:
     recording = problem.recordings[run]
     gain, offset = problem.whitenings[run].own @ (recording.force - problem.modelled(theta, run))
-    return Trace(recording, noise, before, after, float(offset), float(gain), extrapolates=beyond)
+    return Trace(
+        recording, noise, before, after, float(offset), float(gain), extrapolates=beyond, in_parts=in_parts
+    )
 
 
 def _held_out(found: Contest, unseen: Sequence[Recording], rng: np.random.Generator) -> list[Trace]:
@@ -194,13 +206,13 @@ def _held_out(found: Contest, unseen: Sequence[Recording], rng: np.random.Genera
         return []
     alone, best = found.alone, found.best
     noises = run_noise(unseen, best.problem.model, best.theta, rng)
-    ground = Ground(unseen, noises, found.ground.scatter, found.ground.fixed)
+    ground = replace(found.ground, recordings=unseen, noises=noises)
     both = [(ground.problem(fitted.problem.model, fitted.theta), fitted.theta) for fitted in (alone, best)]
-    beyond = _extrapolations([*found.ground.recordings, *unseen])[len(found.ground.recordings) :]
+    beyond = [_beyond(recording, found.ground.recordings) for recording in unseen]
     traces = []
     for run, noise in enumerate(noises):
         before, after = (-own_error(problem, theta, run)[1] for problem, theta in both)
-        traces.append(replace(_trace(*both[1], run, noise, before, after, beyond[run]), held_out=True))
+        traces.append(replace(_trace(*both[1], run, noise, before, after, beyond[run], False), held_out=True))
     return traces
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.gap.refit import GapProblem, Refit
+from mrd_identification.gap.refit import GapProblem, Refit, Scatter
 from mrd_identification.problem import Recording, in_threads
 from mrd_runs.motion import redrawn
 from mrd_sim.path import path_of
@@ -13,27 +13,34 @@ from mrd_sim.path import path_of
 Array = NDArray[np.float64]
 
 DRAWS = 6
-"""Of each run measured again."""
+"""Of each run measured again, at least."""
+
+FEWEST = 40
+"""Runs measured again, all in all."""
 
 REALISATIONS = 999
-"""Of all runs together: each run's draw and its sign are chosen anew."""
+"""Of all runs together: the draw of each part of a run, and its sign, are chosen anew."""
 
 
-def null_errors(problem: GapProblem, theta: Array, force_noise: Sequence[float], rng: np.random.Generator) -> list[Array]:
-    """White errors (DRAWS, n) of each run if the model were true.
+def null_errors(
+    problem: GapProblem, theta: Array, force_noise: Sequence[float], scatter: Scatter, rng: np.random.Generator
+) -> list[Array]:
+    """White errors (draws, n) of each run if the model were true.
 
     The rod is taken to have moved as it seems to have; measured again, with new noise on position, acceleration, current and
-    force, the same model errs by what is drawn here.
+    force, and with another gain and offset of the run, the same model errs by what is drawn here.
     """
+    draws = max(DRAWS, -(-FEWEST // len(problem.recordings)))
 
     def of_run(each: tuple[int, np.random.Generator]) -> Array:
         index, own = each
         recording = problem.recordings[index]
         true = problem.modelled(theta, index)
         found = []
-        for _ in range(DRAWS):
+        for _ in range(draws):
             again = Recording(recording.run, path_of(redrawn(recording.run, own)), recording.counted)
             error = again.modelled(problem.model, theta) - true
+            error += own.normal(0.0, scatter.gain) * true + own.normal(0.0, scatter.offset)
             found.append(problem.whitenings[index](error + own.normal(0.0, force_noise[index], len(true))))
         return np.array(found)
 
@@ -44,14 +51,13 @@ def null_gains(base: Refit, trials: Sequence[Refit], rng: np.random.Generator) -
     """Largest improvement (REALISATIONS,) of the squared white error over all trials where there is only noise.
 
     To first order: the improvement is what the derivatives of a trial, its effect's among them, can take away of an error.
-    Run scatter is white by construction, so it is in the draws with its share of the variance.
     """
-    runs, draws = base.nulls.shape[:2]
-    choice = rng.integers(0, draws, (REALISATIONS, runs))
-    sign = rng.choice([-1.0, 1.0], (REALISATIONS, runs))
+    parts, draws = base.nulls.shape[:2]
+    choice = rng.integers(0, draws, (REALISATIONS, parts))
+    sign = rng.choice([-1.0, 1.0], (REALISATIONS, parts))
 
     def explained(refit: Refit) -> Array:
-        slope = (refit.nulls[np.arange(runs), choice] * sign[:, :, None]).sum(axis=1)
+        slope = (refit.nulls[np.arange(parts), choice] * sign[:, :, None]).sum(axis=1)
         gram = refit.grams.sum(axis=0)
         size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
         values, vectors = np.linalg.eigh(gram / np.outer(size, size))

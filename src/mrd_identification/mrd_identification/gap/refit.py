@@ -126,7 +126,7 @@ class Refit:
         Normal matrices of the parts at the optimum.
     slopes : ndarray (parts, free)
         Derivative of half the cost of each part.
-    nulls : ndarray (runs, draws, free)
+    nulls : ndarray (parts, draws, free)
         Derivatives times white errors that are nothing but noise, see `refit`.
     """
 
@@ -143,7 +143,8 @@ class Refit:
     @property
     def total(self) -> float:
         """Squared white residual of everything, unseen."""
-        return float(self.unseen.sum())
+        total = float(self.unseen.sum())
+        return total if np.isfinite(total) else np.inf
 
     @property
     def level(self) -> float:
@@ -180,7 +181,8 @@ def refit(
     grams = np.stack([jacobian[part].T @ jacobian[part] for _, part in parts])
     slopes = np.stack([jacobian[part].T @ residuals[part] for _, part in parts])
     cost = np.array([residuals[part] @ residuals[part] for _, part in parts])
-    nulls = [errors @ jacobian[block] for errors, block in zip(noise, problem.blocks, strict=False)]
+    joined = np.concatenate(noise, axis=1) if len(noise) else np.empty((0, len(residuals)))
+    nulls = [joined[:, part] @ jacobian[part] for _, part in parts]
     thetas = without_each(problem, unit, grams, slopes)
     unseen, plain, noises = unseen_cost(problem, thetas, parts)
     return Refit(problem, theta, cost, unseen, plain, noises, grams, slopes, np.array(nulls))

@@ -8,7 +8,7 @@ import numpy as np
 
 from mrd_identification.figures import html
 from mrd_identification.gap import figures
-from mrd_identification.gap.diagnosis import Candidate, Diagnosis, Interval, Value
+from mrd_identification.gap.diagnosis import Candidate, Diagnosis, Interval, Trace, Value
 from mrd_identification.gap.gap_file import write_gap_file
 from mrd_identification.gap.words import candidate_name, clause, human, name_of, of_effect, percent, share, with_effects
 from mrd_identification.report import render
@@ -23,7 +23,8 @@ _VERDICTS = {
 }
 _HELD_OUT_BY = {
     "runs": "on runs that were held out from the start",
-    "leave-one-run-out": "on each run in turn, fitted to the others",
+    "leave-one-run-out": "on each run in turn, fitted to the others (by its parts where it goes beyond them or alone "
+    "shows the effect)",
     "blocks": "on each block of the run in turn, fitted to the others: weaker than judging by other runs",
 }
 _SEVERITIES = ("fault", "limitation", "remark")
@@ -160,7 +161,7 @@ def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
     spread = float(np.std(trace.recording.force)) or np.nan
     return {
         "name": trace.recording.run.name,
-        "judged": "held out" if trace.held_out else "in turn" if diagnosis.held_out_by != "runs" else "fitted",
+        "judged": _judged(diagnosis, trace),
         "numbers": [
             f"{100 * np.sqrt(np.mean(part**2)) / spread:.2f}" for part in (trace.before, trace.after, trace.noise.sigma)
         ],
@@ -170,6 +171,14 @@ def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
         "gain": f"{100 * trace.gain:+.2f}".replace("-", "\u2212"),
         "extrapolates": trace.extrapolates,
     }
+
+
+def _judged(diagnosis: Diagnosis, trace: Trace) -> str:
+    if trace.held_out:
+        return "held out"
+    if diagnosis.held_out_by == "runs":
+        return "fitted"
+    return "by its parts" if trace.in_parts else "left out"
 
 
 def _sorted(candidates: Iterable[Candidate]) -> list[Candidate]:

@@ -148,7 +148,10 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
     plain = np.array([values.get(p.name, p.default) for p in problem.model.parameters])
     own = [names.index(f"{effect.id}.{p.name}") for p in effect.parameters]
     best: Score | None = None
+    size = effect.parameters[0]
     for variant in variants(effect):
+        if variant[size.name] == 0.0:
+            continue
         theta = plain.copy()
         theta[own] = [variant[p.name] for p in effect.parameters]
         change = problem.residuals(theta) - foundation.residual
@@ -158,7 +161,6 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
         absorbed = -foundation.inverse @ (foundation.jacobian.T @ change)
         left = change + foundation.jacobian @ absorbed
         strength = float(left @ left)
-        size = effect.parameters[0]
         ends = sorted((size.lower / variant[size.name], size.upper / variant[size.name]))
         factor = float(np.clip(-(left @ foundation.residual) / strength, max(ends[0], -3.0), min(ends[1], 3.0)))
         gain = max(0.0, -factor * (2 * float(left @ foundation.residual) + factor * strength))
@@ -231,7 +233,7 @@ def search(
             for lead, fitted in zip(leads, again, strict=True)
             for trial in around(
                 ground, Foundation.of(ground, fitted), [e for e in effects if e not in lead.effects], SHORTLIST,
-                lambda _share: None, lead.effects,
+                present=lead.effects,
             )
         ]
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
@@ -285,7 +287,7 @@ def around(
     foundation: Foundation,
     effects: Sequence[str],
     most: int,
-    progress: Callable[[float], None],
+    progress: Callable[[float], None] = lambda _share: None,
     present: tuple[str, ...] = (),
     noise: Sequence[Array] = (),
 ) -> list[Trial]:
