@@ -33,14 +33,23 @@ DAMPER = {
     "yield_force": 60.0, "yield_force_per_A": 800.0, "yield_travel": 1.5e-4, "viscous": 800.0, "viscous_per_A": 1500.0,
     "stiffness": 1000.0, "offset": -40.0, "coil_lag": 0.0,
 }
+def cut(run, first, last):
+    """Part of a run, in s."""
+    part = (run.time >= first) & (run.time <= last)
+    series = {n: getattr(run, n)[part] for n in ("position", "velocity", "current", "force", "acceleration")}
+    return replace(run, time=run.time[part] - run.time[part][0], **series)
+
+
 FEW = ("coil_lag", "gas_spring", "moving_mass", "force_sensor_lag", "channel_delay")
 
 
 def recorded(effects=None, model="bouc_wen", seed=0, rate=250, instruments=None, only=EXPERIMENTS, **values):
+    """Runs of a damper; ``only`` names experiments, or holds others."""
     settings = read_settings(None)
+    texts = EXPERIMENTS | (only if isinstance(only, dict) else {})
     plans = [
         plan(
-            parse_experiment(f"name: {name}\nduration_s: 8\nrate_hz: {rate}\n{dedent(EXPERIMENTS[name])}", name),
+            parse_experiment(f"name: {name}\nduration_s: 8\nrate_hz: {rate}\n{dedent(texts[name])}", name),
             settings.limits,
             settings.force_envelope,
         )
@@ -152,12 +161,55 @@ def test_held_out_runs_judge(delayed):
     assert found.closed.value > 0.9
 
 
+def test_an_odd_multisine_tells_noise_from_distortion():
+    odd = """
+        rod: {waveform: multisine, amplitude_mm: 8, lowest_hz: 0.5, highest_hz: 4, period_s: 2, rolloff: 1, seed: 0}
+        coil: {waveform: constant, level_mA: 200}"""
+    (run,) = recorded(seed=11, only={"odd": odd})
+    body = cut(run, run.duration - 7.5, run.duration - 1.2)
+    found = diagnose([body], "bouc_wen", effects=("moving_mass",))
+    assert any("an odd multisine" in note and "even lines" in note for note in found.notes)
+
+
 def test_faulty_recordings_stop_the_diagnosis(delayed):
     dead = replace(delayed[0], name="dead", force=np.full(len(delayed[0]), 3.0))
     found = diagnose([*delayed[1:], dead], "bouc_wen")
     assert found.verdict == "data_fault"
     assert "dead" in found.sentence
     assert not found.candidates
+    assert len(found.runs) == 4
+
+
+def test_constant_currents_say_nothing_of_magnetics():
+    for seed in range(4):
+        runs = [cut(run, 1.5, run.duration - 1.5) for run in recorded(seed=20 + seed, only=["slow", "slow"])]
+        found = diagnose(runs, "bouc_wen", effects=("magnetic_hysteresis", "coil_lag", "moving_mass", "channel_delay"))
+        assert found.verdict == "no_gap", found.sentence
+        assert {"magnetic_hysteresis", "coil_lag"} <= {candidate.effects[0] for candidate in found.untestable}
+
+
+def test_a_true_simulator_among_scattered_runs_is_no_gap_in_the_parameters():
+    runs = recorded(seed=8, instruments=Instruments(run_gain=0.03, run_offset=8.0))
+    found = diagnose(runs, "bouc_wen", parameters=StoredFit("bouc_wen", {}, (), DAMPER, {}), effects=FEW)
+    assert found.unfitted < 1.3 * found.before.value
+    assert found.sentence.startswith("No gap")
+
+
+def test_a_second_cause_is_found_and_both_have_rivals():
+    runs = recorded({"coil_lag": {"lag": 0.002}, "moving_mass": {"mass": 4.0}}, seed=9)
+    found = diagnose(runs, "bouc_wen", effects=FEW)
+    assert {cause.effect for cause in found.causes} == {"coil_lag", "moving_mass"}
+    assert all(cause.probability > 0.8 for cause in found.causes)
+    probabilities = [cause.probability for cause in found.causes]
+    assert probabilities == sorted(probabilities, reverse=True)
+
+
+def test_runs_that_were_set_aside_may_go_beyond_the_fitted():
+    effect = {"channel_delay": {"delay": 0.012}}
+    runs = recorded(effect, seed=10, only=["sine", "multisine", "slow", "slow"])
+    found = diagnose(runs[:2], "bouc_wen", held_out=runs[2:], effects=("channel_delay", "moving_mass"))
+    assert [trace.extrapolates for trace in found.traces if trace.held_out] == ["stroke", "stroke"]
+    assert found.extrapolated is not None
 
 
 def test_heat_goes_on_from_run_to_run():
@@ -176,6 +228,8 @@ def test_heat_goes_on_from_run_to_run():
         ({"runs": []}, "no runs to diagnose"),
         ({"parameters": StoredFit("bingham", {}, (), {}, {})}, "of the model bingham, expected bouc_wen"),
         ({"parameters": StoredFit("bouc_wen", {}, (), {"yield_force": 1e9}, {})}, "yield_force is 1e.09 N, expected"),
+        ({"parameters": StoredFit("bouc_wen", {}, ("backlash",), {}, {})}, "has the effects backlash around the model"),
+        ({"parameters": StoredFit("bouc_wen", {"viscous": "tanh"}, (), {}, {}), "laws": "affine"}, "has the current laws"),
     ],
 )
 def test_bad_input(delayed, change, says):

@@ -17,7 +17,7 @@ from mrd_identification.gap.ground import Ground, first_fit
 from mrd_identification.gap.how_far import closed_between, how_far
 from mrd_identification.gap.judge import probabilities, resampled, values
 from mrd_identification.gap.next_experiment import advise
-from mrd_identification.gap.noise import run_noise
+from mrd_identification.gap.noise import distortion, repeating_period, run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
 from mrd_identification.gap.refit import Refit, own_error, refit
@@ -120,7 +120,7 @@ def diagnose(
         seed=seed, elapsed=0.0, findings=findings, unfitted=None,
         floor=nothing, before=nothing, after=nothing, closed=nothing, ceiling=np.nan,
         extrapolated=None, where=(), causes=(), alternatives=(), nearest=None, candidates=(), untestable=(), advice=None,
-        parameters={}, effects=(), traces=(),
+        runs=tuple(runs), held_out=tuple(held_out), parameters={}, effects=(), traces=(),
     )
     if not any(finding.severity == "fault" for finding in findings):
         recordings = in_threads(prepare, [*runs, *held_out])
@@ -273,7 +273,23 @@ def _notes(asked: _Asked, ground: Ground) -> list[str]:
             f"at {rate:.0f} Hz, what takes less than about {1000 / rate:.0f} ms, or less travel than the rod's in a sample, "
             "is not seen: not found is not absent"
         )
-    return found
+    return [*found, *filter(None, (_distorted(recording.run) for recording in asked.recordings))]
+
+
+def _distorted(run: Run) -> str:
+    """What an odd multisine at constant current says of noise and distortion; empty for other runs."""
+    period = None if current_levels([run])[1] else repeating_period(run)
+    try:
+        levels = distortion(run, period) if period else None
+    except InputError:  # periodic, but no odd multisine
+        levels = None
+    if levels is None:
+        return ""
+    return (
+        f"run {run.name}, an odd multisine: {levels.noise:.1f} N rms of its force differ from period to period, "
+        f"{levels.even:.1f} N lie at even lines (asymmetry), {levels.odd:.1f} N at odd lines that are not excited ("
+        "friction, hysteresis)"
+    )
 
 
 def _verdict(

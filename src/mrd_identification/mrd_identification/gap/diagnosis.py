@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_identification.problem import Recording
+from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -259,6 +260,8 @@ class Diagnosis:
         Effects in ``parameters``.
     notes : tuple of str
         What limits the answer.
+    runs, held_out : tuple of Run
+        What was asked about.
     forms : tuple of Candidate
         Other forms of the damper model in the place of effects, by name, best first; where the gap is not explained.
     """
@@ -288,4 +291,6 @@ class Diagnosis:
     effects: tuple[str, ...]
     traces: tuple[Trace, ...] = field(repr=False)
     notes: tuple[str, ...] = ()
+    runs: tuple[Run, ...] = field(default=(), repr=False)
+    held_out: tuple[Run, ...] = field(default=(), repr=False)
     forms: tuple[Candidate, ...] = ()

@@ -21,6 +21,7 @@ SCHEMA = "mrd-gap/1"
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """Content of gap_report.json; floats that are not finite become null."""
     model = diagnosis.model
+    told = {trace.recording.run.name: _run(trace) for trace in diagnosis.traces}
     return {
         "schema": SCHEMA,
         "sentence": diagnosis.sentence,
@@ -28,8 +29,8 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "model": model.id,
         "laws": model.laws,
         "runs": {
-            "fit": [_run(trace) for trace in diagnosis.traces if not trace.held_out],
-            "held_out": [_run(trace) for trace in diagnosis.traces if trace.held_out],
+            "fit": [told.get(run.name, run_json(run)) for run in diagnosis.runs],
+            "held_out": [told.get(run.name, run_json(run)) for run in diagnosis.held_out],
             "held_out_by": diagnosis.held_out_by,
         },
         "seed": diagnosis.seed,
@@ -122,6 +123,7 @@ def _run(trace: Trace) -> dict[str, Any]:
         "offset_N": finite(trace.offset),
         "gain": finite(trace.gain),
         "extrapolates": trace.extrapolates,
+        "in_parts": trace.in_parts,
     }
 
 

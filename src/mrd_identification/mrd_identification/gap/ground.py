@@ -18,7 +18,7 @@ from mrd_sim.models import DamperModel
 Array = NDArray[np.float64]
 
 PART = 4.0
-"""s; shorter parts of a run hang together too much to be judged by each other."""
+"""s; shorter parts of a run hang together too much to be judged by each other, but see `FEWEST_PARTS`."""
 
 FEWEST_PARTS = 8
 """Fewer of them say too little of scatter."""

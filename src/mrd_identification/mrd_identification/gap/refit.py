@@ -12,6 +12,9 @@ from mrd_identification.problem import Problem, in_threads
 
 Array = NDArray[np.float64]
 
+EVALUATIONS = 40
+"""Of a model, at most, until its refit is good enough."""
+
 FREEZING = 1e-6
 """Information about a parameter, relative to what all parts together have, below which the rest say nothing about it."""
 
@@ -157,7 +160,6 @@ def refit(
     start: Array,
     parts: Sequence[tuple[int, slice]],
     noise: Sequence[Array] = (),
-    evaluations: int = 40,
 ) -> Refit:
     """Fit a model to all runs, then without each part in turn.
 
@@ -172,10 +174,8 @@ def refit(
         See `mrd_identification.gap.ground.Ground.parts`.
     noise : sequence of ndarray (draws, n), optional
         White errors of each run if there were no gap.
-    evaluations : int
-        At most.
     """
-    unit, _ = descend(problem, problem.unit(start), np.arange(len(problem.free)), evaluations, 1e-6, renewal=3)
+    unit, _ = descend(problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, 1e-6, renewal=3)
     theta = problem.theta(unit)
     residuals, jacobian = problem.residuals(theta), problem.jacobian(unit)
     grams = np.stack([jacobian[part].T @ jacobian[part] for _, part in parts])

@@ -38,7 +38,7 @@ def write_gap_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
 
 def content(diagnosis: Diagnosis) -> dict[str, Any]:
     """What the page's template is filled with."""
-    runs = len(diagnosis.traces)
+    runs = len(diagnosis.runs) + len(diagnosis.held_out)
     physics = diagnosis.verdict != "data_fault"
     faults = [finding for finding in diagnosis.findings if finding.severity == "fault"]
     return {

@@ -109,14 +109,12 @@ class Trial:
     effects : tuple of str
         In the order in which they were added.
     refit : Refit
-    score : Score
     gain, unseen_gain : float
         By how much the squared white error is less than without the last of the effects.
     """
 
     effects: tuple[str, ...]
     refit: Refit
-    score: Score
     gain: float
     unseen_gain: float
 
@@ -305,7 +303,7 @@ def around(
         progress(next(done) / len(ranked))
         before = foundation.refit
         gain = float(before.cost.sum() - fitted.cost.sum())
-        return Trial((*present, effect), fitted, promise, gain, before.total - fitted.total)
+        return Trial((*present, effect), fitted, gain, before.total - fitted.total)
 
     return in_threads(fit, ranked)
 
