@@ -354,7 +354,8 @@ def _advice(found: Contest, chances: Mapping[str, Mapping[str, float]]) -> Advic
 def _forms(found: Contest, rng: np.random.Generator) -> tuple[Candidate, ...]:
     """Other forms of the damper model, best first."""
     variance = _variance(found.ground)
-    ranked = sorted(forms(found.ground, found.alone.problem.model, rng).items(), key=lambda item: item[1].total)
+    tried = forms(found.ground, found.alone.problem.model, may_be_left(found.alone), rng)
+    ranked = sorted(tried.items(), key=lambda item: item[1].total)
     return tuple(
         Candidate(
             (name,), _nrmse(fitted, variance), closed_between(found.alone, fitted, found, rng), np.nan, np.nan, {}

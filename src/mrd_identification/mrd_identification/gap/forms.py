@@ -15,21 +15,28 @@ OTHERS = (
 )
 """Models with a loop of different shape."""
 
+STARTS = 20
+"""Random points from which each is fitted: a form that needs more of them is no easy explanation."""
 
-def forms(ground: Ground, base: DamperModel, rng: np.random.Generator) -> dict[str, Refit]:
-    """Refits, by name, of the base with more freedom and of other models, on the same ground.
+
+def forms(ground: Ground, base: DamperModel, enough: float, rng: np.random.Generator) -> dict[str, Refit]:
+    """Refits, by name, of the base with more freedom and of other models, on the same ground, until one explains the gap.
 
     Parameters
     ----------
     ground : Ground
     base : DamperModel
+    enough : float
+        Mean squared error beyond noise, over the variance of noise, that an explanation may leave.
     rng : numpy Generator
     """
     found = {}
     for name, model, freed in _variants(ground, base):
         plain, _ = pose(model, ground.recordings, fixed=ground.fixed, freed=freed)
-        start = first_fit(plain, None, rng)
+        start = first_fit(plain, None, rng, STARTS, 1)
         found[name] = refit(ground.problem(model, start, freed), start, ground.parts)
+        if found[name].level - 1.0 <= enough:
+            break
     return found
 
 

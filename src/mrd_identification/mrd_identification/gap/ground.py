@@ -113,17 +113,19 @@ class Ground:
         return found
 
 
-def first_fit(problem: Problem, start: Array | None, rng: np.random.Generator) -> Array:
+def first_fit(
+    problem: Problem, start: Array | None, rng: np.random.Generator, starts: int = STARTS, evaluations: int = 100
+) -> Array:
     """Least squares (parameters,) from ``start``, if there is one, and from the best of random points of the box.
 
     Parameters in which the force is linear follow from the others (variable projection), so few points are enough.
     """
-    units = np.vstack([problem.unit(problem.model.defaults), rng.random((STARTS, len(problem.free)))])
+    units = np.vstack([problem.unit(problem.model.defaults), rng.random((starts, len(problem.free)))])
     thetas, norms = problem.project(problem.theta(units))
-    best = np.argsort(norms[:, 0], kind="stable")[:4]
+    best = np.argsort(norms[:, 0], kind="stable")[: 1 + starts // 20]
     begins = [*thetas[best], *([] if start is None else [problem.theta(problem.unit(start))])]
     brief = [polish(problem, begin, 15) for begin in begins]
-    return polish(problem, min(brief, key=lambda found: found[1])[0])[0]
+    return polish(problem, min(brief, key=lambda found: found[1])[0], evaluations)[0]
 
 
 def without_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:
