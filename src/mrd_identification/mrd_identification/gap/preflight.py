@@ -658,7 +658,7 @@ def _dissipation(view: _View) -> float:
 
 CELL = 0.02
 """Share of a run's samples from which they tell a force, not a transition."""
-SPEEDS = np.array([0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64])
+SPEEDS = np.array([0.02, 0.04, 0.08, 0.16, 0.32, 0.64])
 """m/s; edges of the cells in which forces of runs are compared, above the speeds at which hysteresis rules."""
 CURRENTS = np.array([-np.inf, *np.arange(0.05, 3.0, 0.1), np.inf])
 """A; edges around round set-points."""
