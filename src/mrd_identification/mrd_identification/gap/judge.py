@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import softmax, stdtrit
 
 from mrd_identification.gap.diagnosis import Interval, Value
-from mrd_identification.gap.refit import Refit
+from mrd_identification.gap.refit import Refit, scaled_inverse
 from mrd_identification.polish import BORDER
 from mrd_identification.stretches import correlation_length
 
@@ -41,10 +41,7 @@ def values(refit: Refit) -> dict[str, Value]:
     correlated noise does.
     """
     problem, unit = refit.problem, refit.problem.unit(refit.theta)
-    gram = refit.grams.sum(axis=0)
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
-    eigen, vectors = np.linalg.eigh(gram / np.outer(size, size))
-    inverse = (vectors / np.maximum(eigen, 1e-12)) @ vectors.T / np.outer(size, size)
+    inverse = scaled_inverse(refit.grams.sum(axis=0), 1e-12)
     spare = len(refit.slopes) - len(unit)
     deviation = 1.96 * np.sqrt(dispersion(problem.residuals(refit.theta)) * np.diag(inverse))
     if spare > 4:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.gap.refit import GapProblem, Refit, Scatter
+from mrd_identification.gap.refit import GapProblem, Refit, Scatter, scaled_inverse
 from mrd_identification.problem import Recording, in_threads
 from mrd_runs.motion import redrawn
 from mrd_sim.path import path_of
@@ -58,11 +58,7 @@ def null_gains(base: Refit, trials: Sequence[Refit], rng: np.random.Generator) -
 
     def explained(refit: Refit) -> Array:
         slope = (refit.nulls[np.arange(parts), choice] * sign[:, :, None]).sum(axis=1)
-        gram = refit.grams.sum(axis=0)
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
-        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-        turned = (slope / size) @ vectors / np.sqrt(np.maximum(values, 1e-9))
-        return np.asarray((turned**2).sum(axis=1))
+        return np.asarray(((slope @ scaled_inverse(refit.grams.sum(axis=0), 1e-9)) * slope).sum(axis=1))
 
     without = explained(base)
     return np.asarray(np.max([explained(trial) - without for trial in trials], axis=0))

@@ -210,6 +210,13 @@ def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> 
     return problem.theta(found)
 
 
+def scaled_inverse(gram: Array, least: float) -> Array:
+    """Inverse of a normal matrix, its eigenvalues, all parameters on one scale, taken to be ``least`` at least."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    return np.asarray((vectors / np.maximum(values, least)) @ vectors.T / np.outer(size, size))
+
+
 def own_error(problem: GapProblem, theta: Array, run: int) -> tuple[Array, Array]:
     """Modelled minus measured force (n,) in N of a run: white, and plain without the run's own offset and gain."""
     error = problem.modelled(theta, run) - problem.recordings[run].force

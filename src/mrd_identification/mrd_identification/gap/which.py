@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_identification.gap.ground import Ground, with_effect
-from mrd_identification.gap.refit import GapProblem, Refit, refit
+from mrd_identification.gap.refit import GapProblem, Refit, refit, scaled_inverse
 from mrd_identification.problem import in_threads
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 
@@ -66,10 +66,7 @@ class Foundation:
         """From a refit; what a run's own gain multiplies is the force of the refit itself."""
         problem = ground.problem(fitted.problem.model, fitted.theta)
         jacobian = problem.jacobian(problem.unit(fitted.theta))
-        gram = jacobian.T @ jacobian
-        size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
-        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-        inverse = (vectors / np.maximum(values, 1e-10)) @ vectors.T / np.outer(size, size)
+        inverse = scaled_inverse(jacobian.T @ jacobian, 1e-10)
         return cls(fitted, problem.residuals(fitted.theta), jacobian, inverse)
 
     @property
