@@ -160,11 +160,9 @@ def _simulator(base: DamperModel, parameters: StoredFit | None) -> Array | None:
 
 def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, progress: Progress) -> Diagnosis:
     progress("fitting the model", 0.05)
-    ground, alone, notes = _without_effects(asked, rng)
+    ground, alone, noise, notes = _without_effects(asked, rng)
     silent = _silent(asked)
     progress("trying effects", 0.15)
-    noise = null_errors(alone.problem, alone.theta, [found.force for found in ground.noises], ground.scatter, rng)
-    alone = refit(alone.problem, alone.theta, ground.parts, noise)
     chosen, trials = search(
         ground, alone, [effect for effect in asked.candidates if effect not in silent], noise,
         lambda share: progress("trying effects", 0.15 + 0.6 * share),
@@ -230,15 +228,17 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     return replace(diagnosis, causes=causes, alternatives=_alternatives(chances), advice=_advice(found, chances))
 
 
-def _without_effects(asked: _Asked, rng: np.random.Generator) -> tuple[Ground, Refit, list[str]]:
-    """The model alone, fitted; the ground on which effects are tried around it; what limits the fit."""
+def _without_effects(asked: _Asked, rng: np.random.Generator) -> tuple[Ground, Refit, list[Array], list[str]]:
+    """The ground on which effects are tried; the model alone, fitted; how it errs by noise alone; what limits the fit."""
     base, recordings = asked.base, asked.recordings
     # Lag behind the current is a candidate, unless the simulator has it already.
     fixed = {} if asked.simulator is not None and asked.simulator[base.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
     posed, notes = pose(base, recordings, fixed=fixed)
     theta = first_fit(posed, asked.simulator, rng)
     ground = Ground(recordings, run_noise(recordings, base, theta, rng), FIRST_SCATTER, fixed).after(base, theta)
-    return ground, refit(ground.problem(base, theta), theta, ground.parts), notes
+    problem = ground.problem(base, theta)
+    noise = null_errors(problem, theta, [found.force for found in ground.noises], ground.scatter, rng)
+    return ground, refit(problem, theta, ground.parts, noise), noise, notes
 
 
 def _silent(asked: _Asked) -> dict[str, str]:
