@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from mrd_base.nodes.bench_node import LATCHED, RECORDED
 from mrd_interfaces.msg import BenchSamples, Calibration, Setpoint
@@ -109,8 +110,10 @@ class Bench:
         return self.call("stop_recording", StopRecording)
 
     def hear(self) -> list[BenchSamples]:
+        """Samples as they come in; none is dropped for a reader that a busy machine keeps waiting."""
         heard: list[BenchSamples] = []
-        self.node.create_subscription(BenchSamples, "samples", heard.append, RECORDED)
+        patient = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
+        self.node.create_subscription(BenchSamples, "samples", heard.append, patient)
         return heard
 
     def close(self) -> None:

@@ -17,6 +17,8 @@ EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 SERIES = pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.stretch], ids=lambda effect: effect.id)
 MONOTONE = tuple(name for name in MODELS if name != "polynomial")
 """In series, the force is unique only where the damper's does not fall with its speed: not all over the polynomial's box."""
+SMOOTH = ("algebraic", "bingham", "bouc_wen", "modified_bouc_wen")
+"""Without jumps, and their force rises with speed all over the box."""
 TINY = 1e-9  # of the largest force
 
 # A sensor that the damper's motion or current is computed from is undone at the stage that it feeds.
@@ -235,8 +237,7 @@ def test_finite_in_series_with_a_polynomial(effect):
 @given(data=st.data())
 def test_derivatives_agree_with_central_differences(effect, data):
     """To the effect's parameters, and through the effect to those of the model."""
-    models = ("algebraic", "bingham", "bouc_wen", "modified_bouc_wen")  # no jumps
-    model, theta = data.draw(affected(effect, 0.1, models))
+    model, theta = data.draw(affected(effect, 0.1, SMOOTH))
     path = make_path(*two_tones(**data.draw(motions(samples=[200]))))
     size = np.max(np.abs(model.force(theta, path)))
     own = len(theta) - len(effect.parameters)
@@ -257,17 +258,19 @@ def test_derivatives_agree_with_central_differences(effect, data):
 @settings(max_examples=10, deadline=None)
 @given(data=st.data())
 def test_block_by_block_equals_at_once(effect, data):
-    model, theta = data.draw(affected(effect))
+    # Where a force has several roots, or none at a jump, which one is found depends on where the search begins.
+    model, theta = data.draw(affected(effect, models=SMOOTH if effect.stretch else None))
     time, *series = two_tones(**data.draw(motions()))
     dt = np.diff(time, prepend=time[0])
     whole = Path(dt, *series, np.arange(len(time)))
     at_once = model.force(theta, whole)
     size = data.draw(st.integers(1, 77))
     state = model.initial_state(whole)
+    close = TINY * np.max(np.abs(at_once)) + (1e-4 if effect.stretch else 0.0)  # a root is found to within 1e-6 N
     for first in range(0, len(time), size):
         part = slice(first, first + size)
         block = Path(dt[part], *(values[part] for values in series), np.arange(len(time[part])))
-        assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=TINY * np.max(np.abs(at_once)))
+        assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=close)
 
 
 @pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.carries], ids=lambda effect: effect.id)
