@@ -1,0 +1,1 @@
+"""The court: plants with withheld effects, sealed answers, scores."""
