@@ -8,6 +8,7 @@ import plotly.graph_objects as go
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED
 from mrd_trials.score import Baseline, Calibration, Counts, Ranks, Rate, Spread
 
+_WELL_SAID = {"null": "no_gap", "absent": "unknown_effect"}
 _HEAT = [[0.0, "#f5f7fa"], [0.001, "#f7dfb0"], [0.5, "#edae49"], [1.0, MODELLED]]
 _RIGHT = [[0.0, "#f5f7fa"], [0.001, "#d3e9e6"], [1.0, ACCENT]]
 
@@ -93,7 +94,8 @@ def spreads(named: dict[str, Spread]) -> go.Figure:
 def confusion(counts: Counts) -> go.Figure:
     """Truth by what was named; what was right in another colour."""
     table = np.array(counts.counts, dtype=float)
-    right = np.array([[row.partition(",")[0] == column for column in counts.columns] for row in counts.rows])
+    truths = [row.partition(",")[0] for row in counts.rows]
+    right = np.array([[_WELL_SAID.get(truth, truth) == column for column in counts.columns] for truth in truths])
     figure = go.Figure()
     for mask, scale in ((~right, _HEAT), (right, _RIGHT)):
         cells = np.where(mask & (table > 0), table, np.nan)
