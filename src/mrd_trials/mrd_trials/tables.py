@@ -5,9 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mrd_trials.score import DETECTABLE, LIKELY, Counts, Goal, Part, Ranks, Rate, Score, Spread
-
-Figure = Rate | Spread | float
+from mrd_trials.score import (
+    DETECTABLE,
+    LIKELY,
+    Calibration,
+    Counts,
+    Experiment,
+    Figure,
+    Goal,
+    Part,
+    Ranks,
+    Rate,
+    Score,
+    Spread,
+)
 
 
 @dataclass(frozen=True)
@@ -67,10 +78,10 @@ def overview(score: Score) -> Table:
         ("… fitted form, unknown effect claimed", lambda part: part.mistakes.false_unknown),
         ("absent effect: anything wrong named", lambda part: part.mistakes.absent),
         ("known causes: needless unknown", lambda part: part.mistakes.needless),
-        ("causes named: expected calibration error", lambda part: part.calibration.error),
+        ("causes named: expected calibration error", lambda part: part.calibration),
         ("… Brier", lambda part: part.calibration.brier),
         ("… log score", lambda part: part.calibration.log),
-        ("and first candidates: expected calibration error", lambda part: part.calibration_first.error),
+        ("and first candidates: expected calibration error", lambda part: part.calibration_first),
         ("… Brier", lambda part: part.calibration_first.brier),
         ("… log score", lambda part: part.calibration_first.log),
         ("95 % intervals of sizes that cover", lambda part: part.coverage),
@@ -171,6 +182,11 @@ def text(figure: Figure | str) -> str:
         return f"{figure.hits}/{figure.of} = {_percent(figure.value)} {ends}" if figure.of else "–"
     if isinstance(figure, Spread):
         return f"{figure.median:.2f} ({figure.quantile(0.25):.2f}–{figure.quantile(0.75):.2f})" if figure.values else "–"
+    if isinstance(figure, Calibration):
+        return f"{figure.error:.3f} ({figure.count} claims)" if figure.count else "–"
+    if isinstance(figure, Experiment):
+        rates = f"{figure.advised.hits} against {figure.random.hits} of {figure.advised.of}"
+        return f"{text(figure.ratio)} ({rates})" if figure.advised.of else "–"
     if isinstance(figure, str):
         return figure
     if np.isfinite(figure):

@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from mrd_base import InputError
 from mrd_trials.records import Answer, Bin, Insight, Named, Submission
-from mrd_trials.score import Goal, Rate, Spread, calibration, overlap, score
+from mrd_trials.score import Experiment, Goal, Rate, Spread, calibration, overlap, score
 from mrd_trials.score_report import write_score_report
 from mrd_trials.tables import tables, text
 
@@ -355,7 +355,9 @@ def test_goals_and_their_bounds():
     assert Goal("", Rate(0, 0), most=0.05).met is None
     assert Goal("", Spread((0.2, 0.9, 1.0)), least=0.9).met
     assert Goal("", Rate(20, 20), least=0.9, most=0.99).met is False
-    assert Goal("", math.inf, least=2.0).met
+    assert Goal("", Experiment(Rate(3, 4), Rate(0, 4), 3, 0), least=2.0).met
+    assert Goal("", Experiment(Rate(0, 4), Rate(0, 4), 0, 0), least=2.0).met is None
+    assert text(Experiment(Rate(3, 4), Rate(2, 4), 1, 0)) == "1.5 (3 against 2 of 4)"
 
 
 def trial(seed=3, right=0.9, plants=120):
