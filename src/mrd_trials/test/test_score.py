@@ -84,6 +84,14 @@ def test_naming_and_ranking_are_told_apart():
     assert rich.mistakes.needless == Rate(3, 5)
 
 
+def test_a_cause_beside_something_unknown_can_be_wrong_but_does_not_make_the_answer_right():
+    plants = [answer("a", "single", "backlash"), answer("n", "null")]
+    rich = judged(plants, [said(name, "unknown_effect", ("backlash", 1.0)) for name in "an"]).parts["rich"]
+    assert rich.detectable.named == Rate(0, 1)
+    assert rich.mistakes.null == Rate(1, 1)
+    assert rich.calibration.count == 2
+
+
 def test_groups_are_the_oracle_s_or_else_told_or_claimed():
     single = answer("p", "single", "backlash")
     wrong = said("p", "explained", ("joint_play", 0.9))
