@@ -419,7 +419,7 @@ def score(
     answers: Mapping[str, Answer],
     submissions: Mapping[str, Submission],
     insights: Mapping[str, Insight],
-    alike: Mapping[str, tuple[str, ...]],
+    alike: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Score:
     """Score what was said of plants against what they are.
 
@@ -427,7 +427,7 @@ def score(
     ----------
     answers, submissions, insights : mapping
         By plant. One without submission counts as failed; insights may be missing.
-    alike : mapping
+    alike : mapping, optional
         By effect: those that count as its group where no insight says so.
 
     Raises
@@ -448,7 +448,7 @@ def score(
             answer,
             submissions.get(plant, Submission(plant, "failed", "no submission")),
             insights.get(plant, Insight(plant)),
-            alike,
+            alike or {},
         )
         for plant, answer in answers.items()
     ]

@@ -43,7 +43,7 @@ def named(found):
 
 def judged(answers, submissions, insights=(), alike=None):
     by_plant = ({one.plant: one for one in records} for records in (answers, submissions, insights))
-    return score(*by_plant, alike or {})
+    return score(*by_plant, alike)
 
 
 # Clopper-Pearson
