@@ -4,6 +4,7 @@ All of it is plain data, one JSON object a plant, so that a trial can be scored 
 """
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -131,6 +132,8 @@ class Submission:
     rankings : mapping
         Effects in the order in which simpler methods put them, by the method's name, best first; ``bic`` and ``in_sample``
         hold "" where they prefer no effect.
+    gains : mapping
+        Share of the explainable gap that each effect alone closes, refitted, on parts held out in turn.
     elapsed : float
         s.
     """
@@ -152,6 +155,7 @@ class Submission:
     effects: tuple[str, ...] = ()
     alone: Mapping[str, float] = field(default_factory=dict)
     rankings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
     elapsed: float = float("nan")
 
 
@@ -209,7 +213,16 @@ def from_json(kind: type[R], line: str, where: str) -> R:
             raise ValueError(f"unknown field {sorted(unknown)[0]}")
         return kind(**{name: _restored(kind, name, value) for name, value in found.items()})
     except (ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"{where}: is no {kind.__name__.lower()} ({error}), expected a line that the trials have written") from None
+        text = f"{where}: is no {kind.__name__.lower()} ({error}), expected a line that the trials have written"
+        raise InputError(text) from None
+
+
+def add_record(record: Answer | Submission | Insight, path: Path) -> None:
+    """Append to a file of records; a last line that was cut off when somebody was killed gives way."""
+    if path.exists() and not (kept := path.read_bytes()).endswith(b"\n"):
+        os.truncate(path, kept.rfind(b"\n") + 1)
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(to_json(record) + "\n")
 
 
 def read_records(kind: type[R], path: Path) -> dict[str, R]:

@@ -160,7 +160,7 @@ def _simulator(base: DamperModel, parameters: StoredFit | None) -> Array | None:
 
 def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, progress: Progress) -> Diagnosis:
     progress("fitting the model", 0.05)
-    ground, alone, noise, notes = _without_effects(asked, rng)
+    ground, alone, noise, notes = model_alone(asked.base, asked.simulator, asked.recordings, rng)
     silent = _silent(asked)
     progress("trying effects", 0.15)
     chosen, trials = search(
@@ -228,13 +228,34 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     return replace(diagnosis, causes=causes, alternatives=_alternatives(chances), advice=_advice(found, chances))
 
 
-def _without_effects(asked: _Asked, rng: np.random.Generator) -> tuple[Ground, Refit, list[Array], list[str]]:
-    """The ground on which effects are tried; the model alone, fitted; how it errs by noise alone; what limits the fit."""
-    base, recordings = asked.base, asked.recordings
+def model_alone(
+    base: DamperModel, simulator: Array | None, recordings: Sequence[Recording], rng: np.random.Generator
+) -> tuple[Ground, Refit, list[Array], list[str]]:
+    """What effects are compared with.
+
+    Parameters
+    ----------
+    base : DamperModel
+    simulator : ndarray (parameters,) or None
+        From where to fit it.
+    recordings : sequence of Recording
+    rng : numpy Generator
+
+    Returns
+    -------
+    ground : Ground
+        On which effects are tried.
+    alone : Refit
+        The model without effects.
+    noise : list of ndarray
+        How it errs by noise alone, see `mrd_identification.gap.null.null_errors`.
+    notes : list of str
+        What limits the fit.
+    """
     # Lag behind the current is a candidate, unless the simulator has it already.
-    fixed = {} if asked.simulator is not None and asked.simulator[base.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
+    fixed = {} if simulator is not None and simulator[base.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
     posed, notes = pose(base, recordings, fixed=fixed)
-    theta = first_fit(posed, asked.simulator, rng)
+    theta = first_fit(posed, simulator, rng)
     ground = Ground(recordings, run_noise(recordings, base, theta, rng), FIRST_SCATTER, fixed).after(base, theta)
     problem = ground.problem(base, theta)
     noise = null_errors(problem, theta, [found.force for found in ground.noises], ground.scatter, rng)

@@ -99,12 +99,12 @@ def library(bench: GeneratorSettings) -> tuple[Plan, ...]:
     warm = Experiment("long_and_warm", SECONDS, RATE, _multisine(12, 8, 9), _at(240), repeats=3, description=(
         "the same fast motion for half a minute at constant current: warmth and settling"
     ))
-    fitted = (_fitted(experiment, bench) for experiment in (*experiments, warm))
+    fitted = (within(experiment, bench) for experiment in (*experiments, warm))
     return tuple(planned for planned in fitted if planned is not None)
 
 
-def _fitted(experiment: Experiment, bench: GeneratorSettings) -> Plan | None:
-    """The experiment within the limits, as large as a few trials find it."""
+def within(experiment: Experiment, bench: GeneratorSettings) -> Plan | None:
+    """The experiment within the limits of a bench, as large as a few trials find it; None where it does not fit."""
     for trial in range(TRIALS):
         factor = SHRINKING**trial
         rod, coil = _scaled(experiment.rod, factor), _scaled(experiment.coil, factor)

@@ -1,0 +1,62 @@
+"""Make the plants of a blind trial."""
+
+import argparse
+from pathlib import Path
+
+from mrd_base import InputError, run_tool
+from mrd_trials.cli.options import add_workers, answers_of, progress, workers_of
+from mrd_trials.make import SHARES, Recipe, make, read_trial
+
+STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24}
+"""Plants by tier."""
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_trials make``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Parse, make, report."""
+    parser = argparse.ArgumentParser(
+        prog="make",
+        description="Make dampers with effects that nobody is told: recordings for the diagnosis, sealed answers.",
+    )
+    parser.add_argument("trial", type=Path, metavar="TRIAL", help="folder to be made, or gone on with")
+    parser.add_argument("--seed", type=int, required=True, help="same seed, same plants")
+    parser.add_argument(
+        "--plants", default="", metavar="TIER=N,...",
+        help=f"plants by tier (default: {','.join(f'{tier}={count}' for tier, count in STANDARD.items())})",
+    )
+    parser.add_argument(
+        "--shares", default="", metavar="KIND=SHARE,...",
+        help=f"of each kind (default: {','.join(f'{kind}={share:g}' for kind, share in SHARES.items())})",
+    )
+    parser.add_argument(
+        "--recorded", default="", metavar="FOLDER", help="recordings of measured dampers, one folder a damper"
+    )
+    parser.add_argument("--answers", type=Path, metavar="FILE", help="default: TRIAL.answers.jsonl, beside the folder")
+    add_workers(parser)
+    arguments = parser.parse_args()
+    if arguments.seed < 0:
+        raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
+    plants = {tier: int(count) for tier, count in _pairs(arguments.plants, "--plants").items()} or STANDARD
+    shares = _pairs(arguments.shares, "--shares") or SHARES
+    recipe = Recipe(arguments.seed, dict(plants), dict(shares), arguments.recorded)
+    answers = arguments.answers or answers_of(arguments.trial)
+    with progress("making") as show:
+        left_out = make(recipe, arguments.trial, answers, workers_of(arguments), show)
+    for text in left_out:
+        print(f"left out: {text}")
+    print(f"{len(read_trial(arguments.trial).exhibits)} plants in {arguments.trial}; answers, sealed, in {answers}")
+
+
+def _pairs(text: str, option: str) -> dict[str, float]:
+    found = {}
+    for part in filter(None, text.split(",")):
+        name, _, number = part.partition("=")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            raise InputError(f"{option}: found {part!r}, expected NAME=NUMBER") from None
+    return found

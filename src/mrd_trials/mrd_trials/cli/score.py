@@ -1,0 +1,40 @@
+"""Open the seal and score the verdicts."""
+
+import argparse
+from pathlib import Path
+
+from mrd_base import run_tool
+from mrd_trials.cli.options import add_answers, add_trial, add_workers, answers_of, progress, workers_of
+from mrd_trials.insight import insights
+from mrd_trials.make import read_trial
+from mrd_trials.records import Submission, read_records
+from mrd_trials.run import VERDICTS
+from mrd_trials.score import score, tables
+from mrd_trials.score_report import write_score_report
+from mrd_trials.seal import unseal
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_trials score``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Parse, check the commitments, score, report."""
+    parser = argparse.ArgumentParser(
+        prog="score", description="Open the seal of a trial, check the commitments, score the verdicts; writes score.html."
+    )
+    add_trial(parser)
+    parser.add_argument("verdicts", type=Path, metavar="DIR", help="folder that run wrote; gets the score too")
+    add_answers(parser)
+    add_workers(parser)
+    arguments = parser.parse_args()
+    trial = read_trial(arguments.trial)
+    commitments = {exhibit.plant: exhibit.commitment for exhibit in trial.exhibits}
+    answers = unseal(arguments.answers or answers_of(arguments.trial), commitments)
+    submissions = read_records(Submission, arguments.verdicts / VERDICTS)
+    with progress("asking one who knows") as show:
+        found = insights(arguments.trial, answers, submissions, arguments.verdicts, workers_of(arguments), show)
+    scored = score(answers, submissions, found)
+    print(tables(scored))
+    print(write_score_report(scored, arguments.verdicts))

@@ -1,0 +1,162 @@
+"""What one who knows the answer finds: how far the gap can close, where it lies, what the next experiment was worth."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mrd_base import InputError
+from mrd_identification import diagnose
+from mrd_identification.gap.contest import FIRST_SCATTER
+from mrd_identification.gap.diagnosis import Diagnosis
+from mrd_identification.gap.ground import Ground
+from mrd_identification.gap.library import library
+from mrd_identification.gap.noise import run_noise
+from mrd_identification.gap.refit import own_error
+from mrd_identification.gap.where import where
+from mrd_identification.problem import in_threads, prepare
+from mrd_runs import Run, read_runs
+from mrd_sim.models import DamperModel, find_model
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import Plan, plan
+from mrd_trajectory.settings import read_settings
+from mrd_trials.excitation import commanded
+from mrd_trials.make import Exhibit, Order, Recipe, Session, as_run, plan_trial, read_trial
+from mrd_trials.pool import every
+from mrd_trials.records import Answer, Bin, Insight, Submission, add_record, read_records
+from mrd_trials.run import read_given
+
+MIMICRY = 0.9
+"""Share of what the cause closes from which another effect is as good an answer on these runs."""
+
+
+INSIGHTS = "insights.jsonl"
+
+
+def insights(
+    folder: Path,
+    answers: Mapping[str, Answer],
+    submissions: Mapping[str, Submission],
+    output: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda _n, _of: None,
+) -> dict[str, Insight]:
+    """Of every plant that was judged; those that stand in ``output`` already are kept.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the trial.
+    answers, submissions : mapping
+        By plant.
+    output : Path
+        Folder that gets `INSIGHTS`.
+    workers : int
+        Processes.
+    progress : callable
+        Called with the number of plants that are done, and of all.
+    """
+    trial = read_trial(folder)
+    orders = {order.plant: order for order in plan_trial(trial.recipe)[0]}
+    path = output / INSIGHTS
+    done = read_records(Insight, path)
+    judged = [exhibit for exhibit in trial.exhibits if exhibit.plant in submissions]
+    todo = [
+        (folder, trial.recipe, orders[exhibit.plant], exhibit, answers[exhibit.plant], submissions[exhibit.plant])
+        for exhibit in judged
+        if exhibit.plant not in done
+    ]
+    progress(len(done), len(judged))
+    for found in every(insight, todo, workers):
+        done[found.plant] = found
+        add_record(found, path)
+        progress(len(done), len(judged))
+    return done
+
+
+def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer: Answer, said: Submission) -> Insight:
+    """Of one plant.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the trial.
+    recipe, order
+        By which the plant was made.
+    exhibit, answer, said
+        What everybody sees of it, what it is, what the diagnosis says.
+    """
+    found = Insight(answer.plant, alike={cause: _alike(cause, answer, said) for cause in answer.causes})
+    runs = read_given(folder, exhibit)
+    if answer.causes and answer.kind != "absent":
+        knowing = diagnose(runs, answer.model, effects=answer.causes)
+        if knowing.causes or knowing.nearest:
+            found = replace(found, closed=knowing.closed.value, where=_true_map(knowing))
+    if said.causes and said.alone:
+        fresh = sorted((folder / "fresh" / answer.plant).glob("*.csv"))
+        found = replace(found, fresh=_closed_on(runs, read_runs([str(file) for file in fresh]), answer.model, said))
+    if said.verdict == "ambiguous" and said.advice:
+        session = Session.of(order, recipe.recorded)
+        safe = library(read_settings(None))
+        lot = safe[int(np.random.default_rng([*order.seed, 7]).integers(len(safe)))]
+        found = replace(
+            found,
+            advised=_resolved(session, answer, runs, _plan(said.advice)),
+            random=_resolved(session, answer, runs, lot),
+        )
+    return found
+
+
+def _alike(cause: str, answer: Answer, said: Submission) -> tuple[str, ...]:
+    """Effects that alone close nearly as much as a cause does alone; of a pair, no single effect can be expected to."""
+    if answer.kind != "single" or not said.gains.get(cause, 0.0) > 0.0:
+        return (cause,)
+    return tuple(name for name, gain in said.gains.items() if name == cause or gain >= MIMICRY * said.gains[cause])
+
+
+def _true_map(knowing: Diagnosis) -> tuple[Bin, ...]:
+    """Where what the true causes change lies, on the bins of every axis."""
+    recordings = [trace.recording for trace in knowing.traces]
+    noises = [trace.noise for trace in knowing.traces]
+    silent = [replace(noise, sigma=np.zeros_like(noise.sigma), force=0.0, motion=0.0) for noise in noises]
+    changes = [trace.before - trace.after for trace in knowing.traces]
+    if not any(change.any() for change in changes):
+        return ()
+    regions = where(recordings, silent, changes, np.random.default_rng(0))
+    return tuple(Bin(region.axis, region.lower, region.upper, region.share.value) for region in regions)
+
+
+def _closed_on(runs: Sequence[Run], fresh: Sequence[Run], name: str, said: Submission) -> float:
+    """Share of the gap on fresh runs that the submitted parameters close, those runs' own offset and gain taken out."""
+    model = find_model(name)
+    corrected = find_model(name, effects=said.effects)
+    recordings = in_threads(prepare, [*runs, *fresh])
+    theta = corrected.vector(said.parameters)
+    noises = run_noise(recordings, corrected, theta, np.random.default_rng(0))
+    ground = Ground(recordings, noises, FIRST_SCATTER, {})
+
+    def squares(of: DamperModel, values: Mapping[str, float]) -> float:
+        at = of.vector(values)
+        problem = ground.problem(of, at)
+        errors = [own_error(problem, at, run)[1] for run in range(len(runs), len(recordings))]
+        return float(sum(error @ error for error in errors))
+
+    before, after = squares(model, said.alone), squares(corrected, said.parameters)
+    floor = float(sum(noise.sigma @ noise.sigma for noise in noises[len(runs) :]))
+    return (before - after) / (before - floor) if before > floor else np.nan
+
+
+def _resolved(session: Session, answer: Answer, runs: Sequence[Run], planned: Plan) -> bool:
+    """Whether a diagnosis with one more run names the causes and nothing else."""
+    more = session.record(answer.effects, [commanded(planned)])[-1]
+    try:
+        found = diagnose([*runs, as_run("next", more)], answer.model)
+    except InputError:
+        return False
+    return found.verdict == "explained" and {cause.effect for cause in found.causes} == set(answer.causes)
+
+
+def _plan(text: str) -> Plan:
+    bench = read_settings(None)
+    return plan(parse_experiment(text, "advice"), bench.limits, bench.force_envelope)

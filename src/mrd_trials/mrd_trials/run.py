@@ -1,0 +1,203 @@
+"""Let the diagnosis judge every plant of a trial: frozen, one verdict a plant, failures kept."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+from mrd_base import InputError
+from mrd_identification import diagnose
+from mrd_identification.cluster import run_on_cluster
+from mrd_identification.gap.diagnosis import Candidate, Cause, Diagnosis, Interval
+from mrd_runs import Run, read_runs
+from mrd_sim.effects import EFFECTS
+from mrd_trials.make import Exhibit, read_trial
+from mrd_trials.pool import every
+from mrd_trials.records import Bin, Named, Submission, add_record, read_records
+from mrd_trials.survey import survey
+
+JUDGES = ("mrd_runs", "mrd_sim", "mrd_identification")
+"""Packages whose code decides what a diagnosis says."""
+
+VERDICTS, FROZEN = "verdicts.jsonl", "diagnoser.json"
+
+
+@dataclass(frozen=True)
+class Diagnoser:
+    """What judged, so that nobody has to take a word for it.
+
+    Attributes
+    ----------
+    version : str
+    code, catalogue : str
+        SHA-256 of the sources of `JUDGES`, and of the effects among them.
+    seed : int
+        Of every diagnosis.
+    peers : bool
+        Whether simpler methods were asked too.
+    """
+
+    version: str
+    code: str
+    catalogue: str
+    seed: int
+    peers: bool
+
+
+def frozen(seed: int = 0, peers: bool = True) -> Diagnoser:
+    """The diagnoser that is installed here."""
+    roots = {name: Path(_origin(name)).parent for name in JUDGES}
+    return Diagnoser(
+        version("mrd_identification"), _hash(list(roots.values())), _hash([roots["mrd_sim"] / "effects"]), seed, peers
+    )
+
+
+def run(
+    folder: Path,
+    output: Path,
+    diagnoser: Diagnoser | None = None,
+    *,
+    workers: int = 1,
+    scheduler: str = "",
+    progress: Callable[[int, int], None] = lambda _n, _of: None,
+) -> dict[str, Submission]:
+    """Diagnose every plant of a trial that has no verdict yet.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the trial. The answers are not in it, and nothing here knows where they are.
+    output : Path
+        Folder that gets `FROZEN` and, one line a plant, `VERDICTS`.
+    diagnoser : Diagnoser, optional
+        As `frozen` gives it.
+    workers : int
+        Processes.
+    scheduler : str
+        Address of a dask cluster to work on, in their place.
+    progress : callable
+        Called with the number of plants that are done, and of all.
+
+    Raises
+    ------
+    InputError
+        Where there is no trial, or ``output`` holds verdicts of another diagnoser.
+    """
+    diagnoser = diagnoser or frozen()
+    exhibits = read_trial(folder).exhibits
+    output.mkdir(parents=True, exist_ok=True)
+    _freeze(diagnoser, output)
+    path = output / VERDICTS
+    done = read_records(Submission, path)
+    todo = [exhibit for exhibit in exhibits if exhibit.plant not in done]
+    progress(len(done), len(exhibits))
+
+    def keep(found: Submission) -> None:
+        done[found.plant] = found
+        add_record(found, path)
+        progress(len(done), len(exhibits))
+
+    if scheduler:
+        pieces = [(exhibit, tuple(read_given(folder, exhibit)), diagnoser) for exhibit in todo]
+        # In portions, so that what is done is kept when the work is interrupted.
+        for first in range(0, len(pieces), PORTION):
+            for found in run_on_cluster(scheduler, judge, pieces[first : first + PORTION]):
+                keep(found)
+    else:
+        for found in every(_judge_files, [(folder, exhibit, diagnoser) for exhibit in todo], workers):
+            keep(found)
+    return done
+
+
+PORTION = 16
+"""Plants that are handed to a cluster at once."""
+
+
+def judge(exhibit: Exhibit, runs: Sequence[Run], diagnoser: Diagnoser, effects: Sequence[str] = ()) -> Submission:
+    """One verdict; an error is one too."""
+    began = time.monotonic()
+    try:
+        found = diagnose(runs, exhibit.model, effects=effects, seed=diagnoser.seed)
+    except Exception as error:  # whatever it is, it counts as a failure of the diagnosis
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return Submission(exhibit.plant, "failed", failure=text, elapsed=time.monotonic() - began)
+    kept = submission(exhibit.plant, found)
+    if not diagnoser.peers or found.verdict == "data_fault":
+        return kept
+    peers = survey(runs, exhibit.model, effects or list(EFFECTS), diagnoser.seed)
+    return replace(kept, alone=peers.alone, rankings=peers.rankings, gains=peers.closed)
+
+
+def submission(plant: str, found: Diagnosis) -> Submission:
+    """What is kept of a diagnosis."""
+    return Submission(
+        plant=plant,
+        verdict=found.verdict,
+        causes=tuple(_of_cause(cause, found) for cause in found.causes),
+        candidates=tuple(_of_candidate(candidate) for candidate in found.candidates),
+        untestable=tuple(candidate.effects[0] for candidate in found.untestable),
+        nearest=found.nearest.effects if found.nearest else (),
+        floor=found.floor.value,
+        before=found.before.value,
+        after=found.after.value,
+        closed=_ends(found.closed),
+        where=tuple(Bin(region.axis, region.lower, region.upper, region.share.value) for region in found.where),
+        advice=found.advice.experiment if found.advice else "",
+        parameters=dict(found.parameters),
+        effects=found.effects,
+        elapsed=found.elapsed,
+    )
+
+
+def _of_cause(cause: Cause, found: Diagnosis) -> Named:
+    alike = tuple(other.effect for other in found.alternatives if other.instead_of == cause.effect)
+    sizes = {name: _ends(value.value) for name, value in cause.parameters.items()}
+    return Named((cause.effect,), cause.probability, _ends(cause.closed), sizes, alike)
+
+
+def _of_candidate(candidate: Candidate) -> Named:
+    return Named(candidate.effects, candidate.probability, _ends(candidate.closed), {}, candidate.alike)
+
+
+def _ends(interval: Interval) -> tuple[float, float, float]:
+    return interval.value, interval.lower, interval.upper
+
+
+def _judge_files(folder: Path, exhibit: Exhibit, diagnoser: Diagnoser) -> Submission:
+    return judge(exhibit, read_given(folder, exhibit), diagnoser)
+
+
+def read_given(folder: Path, exhibit: Exhibit) -> list[Run]:
+    """Recordings of a plant that the diagnosis is given."""
+    return read_runs([str(folder / file) for file in exhibit.runs])
+
+
+def _freeze(diagnoser: Diagnoser, output: Path) -> None:
+    path = output / FROZEN
+    kept = json.dumps(vars(diagnoser), indent=1) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != kept:
+        raise InputError(
+            f"{output}: holds verdicts of another diagnoser, see {path}; the code or the options changed since: "
+            "name another --output, or go back to that version"
+        )
+    path.write_text(kept, encoding="utf-8")
+
+
+def _origin(package: str) -> str:
+    found = find_spec(package)
+    if found is None or found.origin is None:
+        raise InputError(f"package {package} is not installed; run: make build")
+    return found.origin
+
+
+def _hash(roots: Sequence[Path]) -> str:
+    """Of all Python sources below some folders."""
+    digest = hashlib.sha256()
+    for root in roots:
+        for file in sorted(root.rglob("*.py")):
+            digest.update(str(file.relative_to(root.parent)).encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()

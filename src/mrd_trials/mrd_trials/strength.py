@@ -1,0 +1,90 @@
+"""How strong an effect is on the runs of a plant: what of it a fitted model cannot take up, against the noise."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_identification.gap.ground import first_fit
+from mrd_identification.problem import Recording, forces_in_turn, in_threads, pose, prepare
+from mrd_runs import Run
+from mrd_sim.models import DamperModel, find_model
+
+Array = NDArray[np.float64]
+
+FITTING_STARTS = 16
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """A model fitted to the runs of a plant without effects.
+
+    Attributes
+    ----------
+    model : DamperModel
+    theta : ndarray (parameters,)
+    errors : ndarray (samples,)
+        N, modelled minus measured force.
+    nuisance : ndarray (samples, k)
+        Orthonormal; spans what the model's parameters, and every run's own offset and gain, can imitate.
+    floor : float
+        N rms of what the fit leaves.
+    """
+
+    model: DamperModel
+    theta: Array
+    errors: Array
+    nuisance: Array
+    floor: float
+
+    @classmethod
+    def of(cls, model: str, runs: Sequence[Run], rng: np.random.Generator) -> "Yardstick":
+        """From the recordings of the plant without effects."""
+        recordings = in_threads(prepare, runs)
+        found = find_model(model)
+        posed, _ = pose(found, recordings, fixed={"coil_lag": 0.0})
+        theta = first_fit(posed, None, rng, starts=FITTING_STARTS)
+        forces = forces_in_turn(found, theta, recordings)
+        own = np.zeros((len(posed.force), 2 * len(recordings)))
+        for place, (block, force) in enumerate(zip(posed.blocks, forces, strict=True)):
+            own[block, 2 * place], own[block, 2 * place + 1] = 1.0, force
+        columns = np.hstack([posed.jacobian(posed.unit(theta)), own])
+        values, vectors = np.linalg.eigh(gram := columns.T @ columns / np.outer(size := _lengths(columns), size))
+        kept = values > 1e-10 * len(gram)
+        nuisance = (columns / size) @ (vectors[:, kept] / np.sqrt(values[kept]))
+        errors = posed.errors(theta)
+        left = errors - nuisance @ (nuisance.T @ errors)
+        return cls(found, theta, errors, nuisance, float(np.sqrt(np.mean(left**2))))
+
+    def signal_to_floor(self, runs: Sequence[Run]) -> float:
+        """Mean square of what effects add to the errors on the same motions and noise, over that of the floor."""
+        recordings: list[Recording] = in_threads(prepare, runs)
+        forces = forces_in_turn(self.model, self.theta, recordings)
+        change = np.concatenate([f - r.force for f, r in zip(forces, recordings, strict=True)]) - self.errors
+        left = change - self.nuisance @ (self.nuisance.T @ change)
+        return float(np.mean(left**2) / self.floor**2)
+
+
+def strength_for(target: float, measured: Callable[[float], float], most: float, trials: int = 5) -> float:
+    """Strength at which the signal to floor comes within a fifth of a target; at most ``most``.
+
+    A signal grows about with the square of its cause, a threshold like an end stop's faster: a secant on logarithmic scales.
+    """
+    strength = 1.0
+    known: list[tuple[float, float]] = []
+    for _ in range(trials):
+        found = max(measured(strength), 1e-9)
+        known.append((strength, found))
+        if abs(np.log(found / target)) < 0.2 or (strength >= most and found < target):
+            break
+        slope = 2.0
+        if len(known) > 1:
+            (a, at_a), (b, at_b) = known[-2:]
+            slope = float(np.clip(np.log(at_b / at_a) / np.log(b / a), 0.5, 6.0))
+        strength = float(min(strength * np.exp(np.clip(np.log(target / found) / slope, -3.0, 3.0)), most))
+    return min(known, key=lambda each: abs(np.log(each[1] / target)))[0]
+
+
+def _lengths(columns: Array) -> Array:
+    return np.asarray(np.maximum(np.linalg.norm(columns, axis=0), 1e-12))
