@@ -9,9 +9,10 @@ from mrd_trials.insight import insights
 from mrd_trials.make import read_trial
 from mrd_trials.records import Submission, read_records
 from mrd_trials.run import VERDICTS
-from mrd_trials.score import score, tables
+from mrd_trials.score import score
 from mrd_trials.score_report import write_score_report
 from mrd_trials.seal import unseal
+from mrd_trials.tables import tables
 
 
 def main() -> None:
