@@ -32,7 +32,7 @@ def add_answers(parser: argparse.ArgumentParser) -> None:
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Number of processes."""
     cores = os.cpu_count() or 1
-    parser.add_argument("--workers", type=int, default=cores, metavar="N", help="processes (default: %(default)s, the cores)")
+    parser.add_argument("--workers", type=int, default=cores, metavar="N", help="processes (default: %(default)s)")
 
 
 def workers_of(arguments: argparse.Namespace) -> int:
