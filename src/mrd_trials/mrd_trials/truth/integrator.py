@@ -3,6 +3,8 @@
 Without anything in series the drive's motion is the piston's. Else the piston's speed is the root of a scalar equation at
 each of a few sub-steps (backward Euler): what drive, joints and springs leave for it under the force that it then makes.
 Everything in series gives way the more, the larger the force, and the force grows with the speed, so that there is one root.
+
+Each process compiles the kernels here anew: a cache on disk would not see that an effect's file has changed.
 """
 
 import math
@@ -83,7 +85,7 @@ def in_series(base: str, effects: Mapping[str, Mapping[str, float]]) -> bool:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def stepped(
     p: Values, position: Array, velocity: Array, current: Array, step: float, gain: float, series: bool, slow: Array
 ) -> Array:
@@ -145,7 +147,7 @@ def stepped(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _between(position: Array, velocity: Array, i: int, part: float, step: float) -> float:
     """Position of the drive within the step that ends at sample ``i``: a cubic."""
     u = 1.0 - part
@@ -155,7 +157,7 @@ def _between(position: Array, velocity: Array, i: int, part: float, step: float)
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _forces(
     p: Values, s: Array, dx: float, v: float, h: float, current: float, gain: float, weak: float, structure: float
 ) -> tuple[float, float, float, float]:
@@ -189,7 +191,7 @@ def _forces(
     return fluid + gain * force, rod, y, n
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _commit(
     p: Values, s: Array, dx: float, v: float, h: float, current: float, gain: float, weak: float, structure: float
 ) -> float:
@@ -209,7 +211,7 @@ def _commit(
     return float(force)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _left(
     p: Values, s: Array, x: float, w: float, h: float, current: float, gain: float, weak: float, structure: float
 ) -> float:
@@ -220,7 +222,7 @@ def _left(
     return float(found + loose(s[JOINT], p.joint_play_play, force, p.joint_play_resistance, 0.0, h))
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _solved(
     p: Values,
     s: Array,

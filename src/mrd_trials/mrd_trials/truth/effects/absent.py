@@ -48,7 +48,7 @@ EFFECTS = tuple(
             "Rod rides over a wavy guide",
             (size("amplitude", 12.0, 60.0), within("length", 2.5e-3, 8e-3), within("phase", -3.1, 3.1)),
         ),
-        ("cell_overload", "Load cell bends against its overload stop", (size("overload", 0.0008, 0.005),)),
+        ("cell_overload", "Load cell bends against its overload stop", (size("overload", 0.0015, 0.006),)),
     )
 )
 """Of a bubble: volume over the piston's area (m), force of its pressure (N); of a cell: one over its utmost (1/N)."""

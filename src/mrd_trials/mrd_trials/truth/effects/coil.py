@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 KNEE = 1.5
 """Sharpness of the saturation: between an exponential approach (1.2) and a root of squares (2)."""
 
-REVERSAL = 3.0
+REVERSAL = 2.0
 """Change of current over which a magnetisation loop is crossed, in half widths; below 2 the loop would bulge backwards."""
 
 EFFECTS = (

@@ -15,7 +15,7 @@ EVEN = 30.0
 OPENING, CLOSING = 3000.0, 300.0
 """N s/m, what resists a void that opens beyond the cap, and that closes."""
 
-SOFT = 0.03
+SOFT = 0.1
 """Share of the cap over which a void begins to open."""
 
 EFFECTS = (
