@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench lock clean
+.PHONY: help build demo test lint bench trials lock clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
 TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
@@ -24,6 +24,13 @@ lint: build  ## check style (ruff) and types (mypy)
 
 bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done
+
+# RECORDED is a folder with recordings of measured dampers, one folder a damper, whose motion is replayed.
+SEED ?= 1
+TRIAL = trials/$(SEED)
+trials: build  ## score the diagnosis on dampers whose effects it is not told (hours; goes on where it was interrupted)
+	@. ./env.sh; ros2 run mrd_trials make $(TRIAL) --seed $(SEED) $(if $(RECORDED),--recorded $(RECORDED)); \
+	ros2 run mrd_trials run $(TRIAL) --output $(TRIAL).verdicts; ros2 run mrd_trials score $(TRIAL) $(TRIAL).verdicts
 
 lock:  ## pin the newest packages that fit setup/*.in (needs uv)
 	@cd setup; compile="uv pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 --no-header --no-annotate"; \

@@ -24,6 +24,7 @@ FLOORS = {
     # Apart from the simulator: an error in the driver must show against the simulated motor, not be shared with it.
     "mrd_bench_driver": {"mrd_base", "mrd_trajectory", "mrd_runs"},
     "mrd_identification": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim"},
+    "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
 }
 
 EXECUTABLES = {
@@ -33,6 +34,7 @@ EXECUTABLES = {
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export", "diagnose", "apply", "trend"},
+    "mrd_trials": {"make", "run", "score", "withhold"},
 }
 
 ROSDEP = {

@@ -93,19 +93,18 @@ def motions(tier: Tier, rng: np.random.Generator, recorded: Sequence[Run] = ()) 
 
 
 def commanded(planned: Plan) -> Motion:
-    """What a bench would tell rod and coil, without the way from and to rest."""
-    begin, end = planned.body
-    time = np.arange(int((end - begin) / STEP)) * STEP
-    at = planned.at(begin + time)
+    """What a bench would tell rod and coil."""
+    time = STEP * np.arange(int(planned.duration / STEP), dtype=float)
+    at = planned.at(time)
     return Motion(time, at.position, at.current)
 
 
 def replayed(run: Run) -> Motion:
     """The motion and current of a recording, smoothed as every recording's are."""
-    time = np.arange(int(run.duration / STEP)) * STEP
+    time = STEP * np.arange(int(run.duration / STEP), dtype=float)
     moved = motion(run)
     position = CubicHermiteSpline(run.time, moved.position, moved.velocity)(time)
-    return Motion(time, position, np.interp(time, run.time, run.current))
+    return Motion(time, position, np.interp(time, run.time, run.current), exact=True)
 
 
 def read_recorded(folder: Path) -> dict[str, list[Run]]:

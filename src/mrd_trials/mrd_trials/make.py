@@ -4,6 +4,7 @@ import itertools
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -256,11 +257,13 @@ class Session:
         """What an order asks for; the same each time."""
         of_motion, of_base, of_seeds = np.random.default_rng(order.seed).spawn(3)
         source = read_recorded(Path(recorded))[order.damper] if order.damper else ()
-        names, moves = zip(*motions(order.tier, of_motion, source), strict=True)
+        moves = motions(order.tier, of_motion, source)
         rate = order.tier.rate or source[0].rate
         noise, effects, fit = map(int, of_seeds.integers(2**62, size=3))
         plant = Plant(order.base, draw(order.base, of_base), {})
-        return cls(names, moves, Instruments(rate=rate, averaged=rate > 100.0), plant, noise, effects, fit)
+        instruments = Instruments(rate=rate, averaged=rate > 100.0)
+        names, given = tuple(name for name, _ in moves), tuple(move for _, move in moves)
+        return cls(names, given, instruments, plant, noise, effects, fit)
 
     def record(self, effects: Mapping[str, Mapping[str, float]], further: Sequence[Motion] = ()) -> list[Recorded]:
         """All runs, and ``further`` ones after them."""
@@ -284,13 +287,16 @@ def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str
             place = order.effects.index(effect)
             return {effect: EFFECTS[effect].drawn(np.random.default_rng([session.effects, place]), strength)}
 
-        def measured(effects: Mapping[str, Mapping[str, float]]) -> float:
+        def signal_of(effects: Mapping[str, Mapping[str, float]]) -> float:
             return yardstick.signal_to_floor(session.given(session.record(effects)))
 
+        def measured(effect: str, strength: float) -> float:
+            return signal_of(drawn(effect, strength))
+
         for effect, target in zip(order.effects, order.targets, strict=True):
-            strength = strength_for(target, lambda size, of=effect: measured(drawn(of, size)), STRONGEST)
+            strength = strength_for(target, partial(measured, effect), STRONGEST)
             effects |= drawn(effect, strength)
-        signal = measured(effects)
+        signal = signal_of(effects)
     causes = tuple(name for name in order.effects if EFFECTS[name].in_catalogue)
     sizes = {key: value for name in causes for key, value in EFFECTS[name].sizes(effects[name]).items()}
     answer = Answer(
