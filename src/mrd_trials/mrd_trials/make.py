@@ -256,7 +256,7 @@ class Session:
     def of(cls, order: Order, recorded: str = "") -> "Session":
         """What an order asks for; the same each time."""
         of_motion, of_base, of_seeds = np.random.default_rng(order.seed).spawn(3)
-        source = read_recorded(Path(recorded))[order.damper] if order.damper else ()
+        source: Sequence[Run] = read_recorded(Path(recorded))[order.damper] if order.damper else ()
         moves = motions(order.tier, of_motion, source)
         rate = order.tier.rate or source[0].rate
         noise, effects, fit = map(int, of_seeds.integers(2**62, size=3))

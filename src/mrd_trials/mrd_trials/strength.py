@@ -1,13 +1,13 @@
 """How strong an effect is on the runs of a plant: what of it a fitted model cannot take up, against the noise."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_identification.gap.ground import first_fit
-from mrd_identification.problem import Recording, forces_in_turn, in_threads, pose, prepare
+from mrd_identification.problem import forces_in_turn, in_threads, pose, prepare
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, find_model
 
@@ -26,6 +26,8 @@ class Yardstick:
     theta : ndarray (parameters,)
     errors : ndarray (samples,)
         N, modelled minus measured force.
+    counted : tuple of slice
+        Samples of each run that count.
     nuisance : ndarray (samples, k)
         Orthonormal; spans what the model's parameters, and every run's own offset and gain, can imitate.
     floor : float
@@ -35,6 +37,7 @@ class Yardstick:
     model: DamperModel
     theta: Array
     errors: Array
+    counted: tuple[slice, ...]
     nuisance: Array
     floor: float
 
@@ -55,11 +58,13 @@ class Yardstick:
         nuisance = (columns / size) @ (vectors[:, kept] / np.sqrt(values[kept]))
         errors = posed.errors(theta)
         left = errors - nuisance @ (nuisance.T @ errors)
-        return cls(found, theta, errors, nuisance, float(np.sqrt(np.mean(left**2))))
+        counted = tuple(recording.counted for recording in recordings)
+        return cls(found, theta, errors, counted, nuisance, float(np.sqrt(np.mean(left**2))))
 
     def signal_to_floor(self, runs: Sequence[Run]) -> float:
         """Mean square of what effects add to the errors on the same motions and noise, over that of the floor."""
-        recordings: list[Recording] = in_threads(prepare, runs)
+        prepared = in_threads(prepare, runs)
+        recordings = [replace(recording, counted=part) for recording, part in zip(prepared, self.counted, strict=True)]
         forces = forces_in_turn(self.model, self.theta, recordings)
         change = np.concatenate([f - r.force for f, r in zip(forces, recordings, strict=True)]) - self.errors
         left = change - self.nuisance @ (self.nuisance.T @ change)
