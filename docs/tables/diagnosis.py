@@ -145,14 +145,14 @@ def table(lines: list[dict[str, Any]]) -> str:
         named = [cause for line in of for cause in line["causes"]]
         title = {"": "the fitted form", "exponent": "exponent 1.4"}.get(form, f"`{form}`")
         rows.append(f"| {title} | {len(of)} | {count['no_gap']} | {count['unknown_effect']} | {', '.join(named) or '0'} |")
-    rows += ["", "| effect withheld | verdict | named | nearest | before → after, % | |", "|" + "---|" * 6]
+    rows += ["", "| effect withheld | verdict | named | nearest | before → after, % |", "|" + "---|" * 5]
     for line in by["withheld"]:
         named = ", ".join(f"`{cause}`" for cause in line["causes"]) or "–"
         rows.append(
             f"| `{line['name']}` | {line['verdict']} | {named} | {', '.join(f'`{e}`' for e in line['nearest']) or '–'} | "
-            f"{100 * line['before']:.2f} → {100 * line['after']:.2f}, noise {100 * line['floor']:.2f} | |"
+            f"{100 * line['before']:.2f} → {100 * line['after']:.2f}, noise {100 * line['floor']:.2f} |"
         )
-    return "\n".join(rows).replace(" | |", " |").replace("| |", "|")
+    return "\n".join(rows)
 
 
 def main() -> None:
