@@ -8,7 +8,7 @@ import numpy as np
 
 from mrd_identification.figures import html
 from mrd_identification.gap import figures
-from mrd_identification.gap.diagnosis import Candidate, Diagnosis, Interval, Trace, Value
+from mrd_identification.gap.diagnosis import Candidate, Cause, Diagnosis, Interval, Trace, Value
 from mrd_identification.gap.gap_file import write_gap_file
 from mrd_identification.gap.words import candidate_name, clause, human, name_of, of_effect, percent, share, with_effects
 from mrd_identification.report import render
@@ -77,7 +77,7 @@ def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
         "tried": len(diagnosis.candidates),
         "most": figures.MOST_CANDIDATES,
         "causes": [
-            _cause(c.effect, f"probability {share(c.probability)}, closes {share(c.closed)} of the gap", c.parameters)
+            _cause(c.effect, f"{_chance(diagnosis, c)}, closes {share(c.closed)} of the gap", c.parameters)
             for c in diagnosis.causes
         ],
         "nearest": [
@@ -138,6 +138,13 @@ def _what(diagnosis: Diagnosis) -> str:
     """What the closed share is due to."""
     name = with_effects(diagnosis).removeprefix("with ")
     return f"{name} close{'s' * (len(diagnosis.causes) <= 1 or diagnosis.verdict != 'explained')}"
+
+
+def _chance(diagnosis: Diagnosis, cause: Cause) -> str:
+    """How sure a cause is; what a model lacks by construction has no rivals, whatever else is missing."""
+    if diagnosis.verdict == "unknown_effect":
+        return "the model lacks it by construction"
+    return f"probability {share(cause.probability)}"
 
 
 def _cause(effect: str, facts: str, parameters: Mapping[str, Value]) -> dict[str, Any]:
