@@ -1,11 +1,12 @@
 """The path along which a damper model is integrated: samples plus the vertices where the rod reverses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs import Run
+from mrd_runs.mains import mains_phase
 from mrd_runs.motion import motion
 from mrd_runs.steady import steady_current
 
@@ -29,6 +30,8 @@ class Path:
         A.
     samples : ndarray (n,) of int
         Which vertices are samples.
+    mains : ndarray (2,)
+        rad, the mains' phase at the start, see `mrd_runs.mains.mains_phase`.
     """
 
     dt: Array
@@ -37,12 +40,14 @@ class Path:
     acceleration: Array
     current: Array
     samples: NDArray[np.intp]
+    mains: Array = field(default_factory=lambda: np.zeros(2))
 
 
 def path_of(run: Run) -> Path:
-    """Path of a recorded run: its smoothed motion, and its measured current without the sensor's noise."""
+    """Path of a recorded run: its smoothed motion, its measured current without the sensor's noise, the mains' phase."""
     moved = motion(run)
-    return make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady_current(run.current))
+    path = make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady_current(run.current))
+    return replace(path, mains=mains_phase(run))
 
 
 def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:

@@ -100,7 +100,7 @@ def _carried(recording: Recording, model: DamperModel, theta: Array, rng: np.ran
             moved.velocity + larger * velocity,
             moved.acceleration + larger * acceleration,
         )
-        path = _switched_path(run.time, wrong, used + current, switches, rng)
+        path = replace(_switched_path(run.time, wrong, used + current, switches, rng), mains=recording.path.mains)
         squares += (model.force(theta, path) - expected) ** 2
     return squares[recording.counted] / draws
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_sim.parameter import Parameter
+from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
 Stage = Literal["drive", "magnetics", "fluid", "structure", "sensing"]
@@ -35,7 +36,9 @@ class Effect:
         vertices (m,), which it changes in place: step in s, position, velocity and acceleration of the rod, effective
         current, force. ``dt[0] == 0`` begins a path.
     states : int
-        Length of ``state``; all zero at first.
+        Length of ``state``.
+    begin : callable, optional
+        ``begin(path)``: state (states,) at the start of a path; zeros without it.
     carries : bool
         Whether the state outlasts a recorded run, so that the next one begins with it (`DamperModel.next_state`); pauses
         between runs are not in it.
@@ -67,6 +70,7 @@ class Effect:
     separated_by: str
     kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
     states: int = 0
+    begin: Callable[[Path], Array] | None = None
     carries: bool = False
     stretch: Callable[[Any, Any, Any, Any], Any] | None = None
     phrase: str = ""

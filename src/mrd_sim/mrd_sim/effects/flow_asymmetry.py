@@ -6,13 +6,13 @@ from mrd_sim.dual import tanh
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
 
-_CREEP = 2e-3  # m/s
+_EVEN = 10.0  # N
 
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     for k in range(len(x)):
-        force[k] *= 1.0 + p[0] * tanh(v[k] / _CREEP)
+        force[k] *= 1.0 + p[0] * tanh(force[k] / _EVEN)
 
 
 EFFECT = Effect(
@@ -20,7 +20,7 @@ EFFECT = Effect(
     title="Asymmetry of extension and compression",
     phrase="the force is off by {asymmetry:%} in extension, and by as much the other way in compression",
     stage="fluid",
-    equation="F (1 + eps tanh(x' / 2 mm/s))",
+    equation="F (1 + eps tanh(F / 10 N)): which way the fluid goes follows from the pressure, not from the rod",
     source="0-15 % between directions in measured dampers of this class",
     parameters=(Parameter("asymmetry", "", 0.0, -0.3, 0.3, "by how much extension needs more force, relative, eps"),),
     typical={"asymmetry": 0.1},

@@ -2,22 +2,30 @@
 
 import math
 
+import numpy as np
 from numba import njit
 
+from mrd_runs.mains import MAINS
 from mrd_sim.dual import cos
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
+from mrd_sim.path import Path
 
 _TURN = 2.0 * math.pi
 
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
-    time = state[0]
+    # The phase at the start is known of 50 and of 60 Hz.
+    time, start = state[0], state[1] if abs(p[1] - MAINS[0]) <= abs(p[1] - MAINS[1]) else state[2]
     for k in range(len(force)):
         time = time + dt[k] if dt[k] > 0.0 else 0.0 * time
-        force[k] += p[0] * cos(_TURN * p[2] * time + p[1])
+        force[k] += p[0] * cos(_TURN * p[1] * time + start)
     state[0] = time
+
+
+def _begin(path: Path) -> Array:
+    return np.concatenate([[0.0], path.mains])
 
 
 EFFECT = Effect(
@@ -25,17 +33,17 @@ EFFECT = Effect(
     title="Mains hum",
     phrase="a hum of {amplitude:size} at {frequency} lies on the force",
     stage="sensing",
-    equation="F + a cos(2 pi f t + phi), t from the start of the recording",
+    equation="F + a cos(2 pi f t + phi), t from the start of the recording, phi as the recording shows it",
     source="10-100 µV on 20 µV/N: 0.1-2 N; 50 or 60 Hz and their doubles, folded by slow sampling (50 Hz at 25 Hz: a bias)",
     parameters=(
-        Parameter("amplitude", "N", 0.0, -10.0, 10.0, "amplitude a; its sign lets a fit turn the phase by half a turn"),
-        Parameter("phase", "rad", 0.0, -math.pi, math.pi, "phase phi at the start of the recording"),
+        Parameter("amplitude", "N", 0.0, 0.0, 10.0, "amplitude a"),
         Parameter("frequency", "Hz", 50.0, 45.0, 125.0, "frequency f", free=False),
     ),
-    typical={"amplitude": 2.0, "phase": 0.0},
+    typical={"amplitude": 2.0},
     signature="a line at the mains' frequency that does not heed motion and current",
     confused_with=("servo_ripple", "load_cell_drift"),
     separated_by="a recording at rest, motor on and off; two sampling rates",
     kernel=_apply,
-    states=1,
+    states=3,
+    begin=_begin,
 )

@@ -2,18 +2,24 @@
 
 from numba import njit
 
-from mrd_sim.dual import exp, tanh
+from mrd_sim.dual import absolute, exp
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
-
-_CREEP = 5e-4  # m/s
 
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    bent, place = state[0], state[1]
     for k in range(len(x)):
+        here = x[k] + 0.0 * p[0]
+        travel = here - place
+        if dt[k] > 0.0 and travel.real != 0.0:
+            side = 1.0 if travel.real > 0.0 else -1.0
+            bent = side + (bent - side) * exp(-absolute(travel) / p[3])
+        place = here
         slow = v[k] / p[2]
-        force[k] += p[0] * tanh(v[k] / _CREEP) * (1.0 + p[1] * exp(-slow * slow))
+        force[k] += p[0] * bent * (1.0 + p[1] * exp(-slow * slow))
+    state[0], state[1] = bent, place
 
 
 EFFECT = Effect(
@@ -21,16 +27,18 @@ EFFECT = Effect(
     title="Seal friction",
     phrase="the seal rubs with {coulomb}",
     stage="structure",
-    equation="F + F_c tanh(x' / 0.5 mm/s) (1 + s exp(-(x' / v_s)²))",
-    source="Stribeck (1902), in the form of Armstrong-Hélouvry, Dupont & Canudas de Wit (1994); seals of this size 20-60 N",
+    equation="F + F_c w (1 + s exp(-(x' / v_s)²)), dw / d|x| = (sgn x' - w) / x_p",
+    source="Stribeck (1902), in the form of Armstrong-Hélouvry, Dupont & Canudas de Wit (1994), after presliding as of Dahl (1968); seals of this size 20-60 N",
     parameters=(
         Parameter("coulomb", "N", 0.0, 0.0, 120.0, "friction at speed, F_c"),
         Parameter("stiction", "", 0.3, 0.0, 1.5, "relative excess at rest, s = F_s / F_c - 1"),
         Parameter("stribeck_speed", "m/s", 3e-3, 5e-4, 2e-2, "over which the excess vanishes, v_s", log=True),
+        Parameter("presliding", "m", 3e-5, 5e-6, 2e-4, "travel over which the seal gives before it slides, x_p", log=True),
     ),
-    typical={"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 4e-3},
+    typical={"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 4e-3, "presliding": 3e-5},
     signature="a box of force at every current, with a hump at reversals",
     confused_with=("settling", "shear_thinning", "pre_yield_hysteresis", "side_load_friction"),
     separated_by="ramps from 0.1 to 10 mm/s at 0 A",
     kernel=_apply,
+    states=2,
 )

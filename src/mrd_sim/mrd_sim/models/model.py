@@ -265,8 +265,9 @@ class DamperModel:
 
     def initial_state(self, path: Path) -> Array:
         """State of a damper at rest and unloaded, its effective current equal to the first measured one."""
-        effects = sum(effect.states for effect in self.effects) + len(self._series) + 1
-        return np.concatenate(([path.current[0], path.current[0]], np.zeros(self.states + effects)))
+        effects = [effect.begin(path) if effect.begin else np.zeros(effect.states) for effect in self.effects]
+        own = [[path.current[0], path.current[0]], np.zeros(self.states)]
+        return np.concatenate([*own, *effects, np.zeros(len(self._series) + 1)])
 
     def next_state(self, state: Array, path: Path) -> Array:
         """State at the start of a path recorded after another: as `initial_state`, but for what outlasts a run.

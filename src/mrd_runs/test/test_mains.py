@@ -1,0 +1,36 @@
+"""The mains' phase is found under motion and current, or not at all."""
+
+import numpy as np
+import pytest
+
+from mrd_runs import Run
+from mrd_runs.mains import MAINS, mains_phase
+
+
+def recording(hum, phase, frequency=50.0, rate=500.0, seconds=10.0):
+    """A damper under a switched current, with noise and hum."""
+    rng = np.random.default_rng(4)
+    time = np.arange(int(rate * seconds)) / rate
+    position = 0.01 * np.sin(2 * np.pi * 1.3 * time)
+    velocity = 0.082 * np.cos(2 * np.pi * 1.3 * time)
+    current = rng.choice([0.0, 0.2, 0.3], 40)[(4 * time).astype(int)] + rng.normal(0, 0.004, len(time))
+    force = (60 + 800 * current) * np.tanh(velocity / 0.01) + 800 * velocity + rng.normal(0, 1.5, len(time))
+    return Run("run", time, position, velocity, current, force + hum * np.cos(2 * np.pi * frequency * time + phase))
+
+
+@pytest.mark.parametrize("phase", [-3.0, -1.0, 0.0, 2.0])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_hum_shows_its_phase(phase, place):
+    found = mains_phase(recording(2.0, phase, MAINS[place]))[place]
+    assert np.exp(1j * (found - phase)).real > 0.97
+
+
+@pytest.mark.parametrize("rate", [25.0, 100.0])
+def test_a_slow_recording_shows_none(rate):
+    assert np.array_equal(mains_phase(recording(2.0, 1.0, rate=rate)), [0.0, 0.0])
+
+
+def test_a_current_that_never_rests_shows_none():
+    run = recording(2.0, 1.0)
+    busy = Run("run", run.time, run.position, run.velocity, np.arange(len(run.time)) % 10 * 0.05, run.force)
+    assert np.array_equal(mains_phase(busy), [0.0, 0.0])
