@@ -216,13 +216,14 @@ def search(
         if not worth(ground, before, best.refit):
             break
         chosen.append(best)
-        if best.refit.level - 1.0 <= may_be_left(base):
-            break
         first_is_sure = EFFECTS[chosen[0].effects[0]].structural
         leads = frontier[:BEAM] if len(chosen) == 1 and not first_is_sure else frontier[:1]
         ground = ground.after(best.refit.problem.model, best.refit.theta)
         again = [anew(ground, lead.refit) for lead in leads]
         before = again[0]
+        # Judged where samples weigh as they do once the effect is in: before, the gap itself has flattened their weights.
+        if min(best.refit.level, before.level) - 1.0 <= may_be_left(base):
+            break
         found = [
             trial
             for lead, fitted in zip(leads, again, strict=True)

@@ -2,17 +2,23 @@
 
 from numba import njit
 
-from mrd_sim.dual import tanh
+from mrd_sim.dual import absolute, exp
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
-
-_EVEN = 10.0  # N
 
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    flow, place = state[0], state[1]
     for k in range(len(x)):
-        force[k] *= 1.0 + p[0] * tanh(force[k] / _EVEN)
+        here = x[k] + 0.0 * p[0]
+        travel = here - place
+        if dt[k] > 0.0 and travel.real != 0.0:
+            side = 1.0 if travel.real > 0.0 else -1.0
+            flow = side + (flow - side) * exp(-absolute(travel) / p[1])
+        place = here
+        force[k] *= 1.0 + p[0] * flow
+    state[0], state[1] = flow, place
 
 
 EFFECT = Effect(
@@ -20,12 +26,16 @@ EFFECT = Effect(
     title="Asymmetry of extension and compression",
     phrase="the force is off by {asymmetry:%} in extension, and by as much the other way in compression",
     stage="fluid",
-    equation="F (1 + eps tanh(F / 10 N)): which way the fluid goes follows from the pressure, not from the rod",
+    equation="F (1 + eps w), dw / d|x| = (sgn x' - w) / x_t: the flow turns once the fluid has yielded, not with the rod",
     source="0-15 % between directions in measured dampers of this class",
-    parameters=(Parameter("asymmetry", "", 0.0, -0.3, 0.3, "by how much extension needs more force, relative, eps"),),
-    typical={"asymmetry": 0.1},
+    parameters=(
+        Parameter("asymmetry", "", 0.0, -0.3, 0.3, "by how much extension needs more force, relative, eps"),
+        Parameter("turning", "m", 1.5e-4, 1e-5, 2e-3, "travel after a reversal over which the flow turns, x_t", log=True),
+    ),
+    typical={"asymmetry": 0.1, "turning": 1.5e-4},
     signature="the force in one direction is larger by the same share at every speed and current",
     confused_with=("cavitation", "load_cell_drift", "gas_spring"),
     separated_by="both directions at several currents and speeds",
     kernel=_apply,
+    states=2,
 )

@@ -102,8 +102,8 @@ def void(p: Values, n: float, force: float, step: float) -> float:
     if p.cavitation_inverse_cap == 0.0:
         return 0.0
     soft = SOFT / p.cavitation_inverse_cap
-    over = (-force - 1.0 / p.cavitation_inverse_cap) / soft
-    n -= step / OPENING * soft * (max(over, 0.0) + math.log1p(math.exp(-abs(over))))
+    over = max((-force - 1.0 / p.cavitation_inverse_cap) / soft, 0.0)
+    n -= step / OPENING * soft * over * over / (1.0 + over)  # nothing below the cap: a leak would add up
     return min(n + step / CLOSING * max(force, 0.0), 0.0)
 
 
