@@ -19,9 +19,9 @@ LOUD = 0.04
 def mains_phase(run: Run) -> Array:
     """Phase (2,) in rad of the force at 50 and at 60 Hz at the start of a recording.
 
-    Recordings start at any moment, so each has a phase of its own. The force, less its mean over a period of the mains, twice
-    so that motion leaves little, is fitted by a cosine and a sine where the current does not switch. 0 where the rate is too
-    low to see the mains.
+    Recordings start at any moment, so each has a phase of its own. The force, less its mean over a period of the mains,
+    twice so that motion leaves little, is fitted by a cosine and a sine where the current does not switch. 0 where the rate
+    is too low to see the mains.
     """
     return np.array([_phase(run, frequency) for frequency in MAINS])
 

@@ -147,7 +147,7 @@ def test_names_in_any_order_give_the_order_of_the_catalogue():
 
 @EVERY
 def test_declaration(effect):
-    assert 1 <= len(effect.parameters) <= 3
+    assert 1 <= len(effect.parameters) <= 4
     assert {parameter.name for parameter in effect.parameters} == effect.typical.keys() | {
         parameter.name for parameter in effect.parameters if not parameter.free
     }
@@ -506,13 +506,26 @@ def test_lvdt_error_at_its_end():
 @given(st.floats(0, 0.1), st.lists(st.floats(0, 2), min_size=2, max_size=30))
 def test_magnetic_hysteresis_is_a_play(half_width, currents):
     """Within the half width of the current, moved by nothing but the current beyond it, however many samples that takes."""
-    few = act("magnetic_hysteresis", {"half_width": half_width}, dt=steps(len(currents), 1.0), u=currents)["u"]
+    sharp = {"half_width": half_width, "spread": 0.0}
+    few = act("magnetic_hysteresis", sharp, dt=steps(len(currents), 1.0), u=currents)["u"]
     assert np.max(np.abs(few - currents)) <= half_width * (1 + 1e-12) + 1e-15
     inside = np.abs(np.array(currents[1:]) - few[:-1]) < half_width
     assert np.array_equal(few[1:][inside], few[:-1][inside])
     fine = np.interp(np.arange(10 * len(currents) - 9) / 10, np.arange(len(currents)), currents)
-    many = act("magnetic_hysteresis", {"half_width": half_width}, dt=steps(len(fine), 8000.0), u=fine)["u"]
+    many = act("magnetic_hysteresis", sharp, dt=steps(len(fine), 8000.0), u=fine)["u"]
     assert np.allclose(many[::10], few, atol=1e-12)
+
+
+def test_spread_domains_make_a_round_loop_of_the_same_width():
+    u = np.r_[np.linspace(0, 1, 400), np.linspace(1, 0, 400)]
+    sharp, blunt = (
+        act("magnetic_hysteresis", {"half_width": 0.05, "spread": s}, dt=steps(len(u), 100.0), u=u)["u"] for s in (0.0, 1.0)
+    )
+    assert blunt[399] == pytest.approx(sharp[399]) == pytest.approx(0.95)
+    assert blunt[-1] == pytest.approx(sharp[-1]) == pytest.approx(0.05)
+    turning = slice(400, 480)  # 0.2 A after the reversal
+    assert np.unique(np.round(np.diff(sharp[turning]), 9)).size <= 3
+    assert np.unique(np.round(np.diff(blunt[turning]), 9)).size >= 6
 
 
 def test_magnetic_hysteresis_leaves_a_remanence():

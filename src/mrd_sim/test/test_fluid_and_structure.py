@@ -58,9 +58,18 @@ def test_cavitation_caps_compression_only_and_delays_the_rebound():
 def test_asymmetry_is_a_share_of_the_force_by_direction():
     motion = sine()
     v = motion[2]
-    found = apply("flow_asymmetry", {"asymmetry": 0.1}, *motion, 500.0 * np.sign(v))
-    assert found[v > 0.02] == pytest.approx(550.0)
-    assert found[v < -0.02] == pytest.approx(-450.0)
+    found = apply("flow_asymmetry", {"asymmetry": 0.1, "turning": 5e-5}, *motion, 500.0 * np.sign(v))
+    assert found[v > 0.05] == pytest.approx(550.0)
+    assert found[v < -0.05] == pytest.approx(-450.0)
+
+
+def test_asymmetry_turns_with_travel_after_a_reversal():
+    x = np.r_[np.linspace(0, 0.01, 101), np.linspace(0.01, 0.0, 101)]
+    time, still = np.arange(202) / 100, np.zeros(202)
+    found = apply("flow_asymmetry", {"asymmetry": 0.1, "turning": 1e-3}, time, x, still, still, still, np.full(202, 100.0))
+    travelled = np.linspace(0, 0.01, 101)
+    assert found[:101] == pytest.approx(110.0 - 10.0 * np.exp(-travelled / 1e-3))
+    assert found[101:] == pytest.approx(90.0 + 20.0 * np.exp(-travelled / 1e-3), abs=1e-2)
 
 
 def test_shear_thinning_turns_a_viscous_force_into_a_power_law():
@@ -147,8 +156,18 @@ def test_seal_friction_is_a_box_with_a_hump_at_low_speed():
     found = added("seal_friction", {"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 5e-3}, motion)
     assert found[v > 0.05] == pytest.approx(40.0)
     assert found[v < -0.05] == pytest.approx(-40.0)
-    assert 1.3 * 40.0 < found.max() < 1.5 * 40.0
-    assert (found * v >= 0).all()
+    assert 1.3 * 40.0 < found.max() <= 1.5 * 40.0
+    assert (found * v)[np.abs(v) > 0.02].min() > 0.0
+
+
+def test_a_seal_gives_before_it_slides():
+    x = np.r_[np.linspace(0, 1e-3, 101), np.linspace(1e-3, 0.0, 101)]
+    time, still = np.arange(202) / 100, np.zeros(202)
+    values = {"coulomb": 40.0, "stiction": 0.0, "presliding": 1e-4}
+    found = added("seal_friction", values, (time, x, still, still, still))
+    travelled = np.linspace(0, 1e-3, 101)
+    assert found[:101] == pytest.approx(40.0 * (1 - np.exp(-travelled / 1e-4)))
+    assert found[101:] == pytest.approx(40.0 * (2 * np.exp(-travelled / 1e-4) - 1), abs=1e-2)
 
 
 def test_side_load_friction_is_a_bow_tie():

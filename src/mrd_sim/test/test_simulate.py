@@ -65,7 +65,7 @@ def test_effects_act_around_the_model(simulated):
     changed = simulate_plan(planned(), damper)
     fast = np.abs(simulated.velocity) > 0.03
     expected = 1.1 * (simulated.force + 30.0 * np.sign(simulated.velocity))
-    assert changed.force[fast] == pytest.approx(expected[fast])
+    assert changed.force[fast] == pytest.approx(expected[fast], rel=1e-3)
     assert changed.info["source"].startswith("bouc_wen with seal_friction, load_cell_gain along")
 
 

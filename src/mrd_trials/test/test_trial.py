@@ -4,14 +4,9 @@ import os
 
 import pytest
 
-from mrd_trials.insight import insights
 from mrd_trials.make import Recipe, make, read_trial
-from mrd_trials.records import Submission, read_records
-from mrd_trials.run import VERDICTS, frozen, run
-from mrd_trials.score import score
-from mrd_trials.score_report import write_score_report
+from mrd_trials.run import frozen, run
 from mrd_trials.seal import unseal
-from mrd_trials.tables import tables
 
 RECIPE = Recipe(20, {"rich@250": 12})
 """Three nulls, five single effects, two pairs, two effects that the catalogue has not."""

@@ -5,7 +5,6 @@ from numba import njit
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
 
-
 # Widths of the domains over their mean, where they are spread most: quintiles' middles of an exponential distribution.
 _WIDEST = (0.113, 0.382, 0.742, 1.289, 2.474)
 _DOMAINS = len(_WIDEST)
@@ -32,7 +31,7 @@ EFFECT = Effect(
     title="Magnetic hysteresis",
     phrase="magnetic hysteresis holds the effective current back by {half_width}",
     stage="magnetics",
-    equation="u: mean of five plays, w = min(I + r_i, max(I - r_i, w before)), r_i of mean r and spread s r, demagnetised at first",
+    equation="u: mean of five plays w = min(I + r_i, max(I - r_i, w before)), r_i of mean r and spread s; demagnetised",
     source="play operators: Krasnosel'skii & Pokrovskii (1989); Prandtl-Ishlinskii; remanent force 10-60 N",
     parameters=(
         Parameter("half_width", "A", 0.0, 0.0, 0.12, "half width r of the loop over current"),

@@ -28,7 +28,7 @@ EFFECT = Effect(
     phrase="the seal rubs with {coulomb}",
     stage="structure",
     equation="F + F_c w (1 + s exp(-(x' / v_s)²)), dw / d|x| = (sgn x' - w) / x_p",
-    source="Stribeck (1902), in the form of Armstrong-Hélouvry, Dupont & Canudas de Wit (1994), after presliding as of Dahl (1968); seals of this size 20-60 N",
+    source="Stribeck (1902), as Armstrong-Hélouvry, Dupont & Canudas de Wit (1994); presliding as Dahl (1968); 20-60 N",
     parameters=(
         Parameter("coulomb", "N", 0.0, 0.0, 120.0, "friction at speed, F_c"),
         Parameter("stiction", "", 0.3, 0.0, 1.5, "relative excess at rest, s = F_s / F_c - 1"),
