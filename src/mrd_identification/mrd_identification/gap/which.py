@@ -26,7 +26,7 @@ LEAST_SHARE_BESIDE = 0.3
 UNEXPLAINED = 0.3
 """Mean squared error beyond noise, over the variance of noise, that may be left of an explained gap."""
 
-IMPRECISE = 0.03
+IMPRECISE = 0.06
 """Share of a gap that may be left of it too: an effect's form and the step of its integration are never quite right."""
 
 MOST_CAUSES = 3
