@@ -44,7 +44,11 @@ Progress = Callable[[str, float], None]
 NO_GAP = 1.5
 """Mean squared error over the variance of noise up to which noise may be all there is: its estimate errs by so much."""
 
-MOST_PART = 0.5
+BARELY = 1.1
+"""The same, with the noise as the model alone leaves it, up to which nothing more is asked: an effect that smooths the measured
+current makes even noise smaller."""
+
+MOST_PART = 0.65
 """Share of the explainable gap that causes must close to be named."""
 
 CERTAIN = 0.8
@@ -178,7 +182,7 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
         for effect, rivals in found.rivals.items()
     }
     p_values = [p_value(trial.gain, nulls) for trial in chosen]
-    verdict = _verdict(found, chances, p_values, rng)
+    verdict = _verdict(found, alone.level, chances, p_values, rng)
     if verdict == "no_gap":
         found, chances = replace(found, chain=(), effects=(), rivals={}), {}
     listed = _candidates(found, singles, nulls, chances, rng)
@@ -314,12 +318,18 @@ def _distorted(run: Run) -> str:
 
 
 def _verdict(
-    found: Contest, chances: Mapping[str, Mapping[str, float]], p_values: Sequence[float], rng: np.random.Generator
+    found: Contest,
+    level: float,
+    chances: Mapping[str, Mapping[str, float]],
+    p_values: Sequence[float],
+    rng: np.random.Generator,
 ) -> Verdict:
+    """Given also the ``level`` of the model alone, by the noise that was known of then."""
     best, alone = found.best, found.alone
     part = closed_between(alone, best, found, rng) if found.effects else Interval(0.0, 0.0, 0.0)
     # A gap so small that the estimate of the noise may be what is wrong is one only if an effect surely closes most of it.
-    if alone.level <= NO_GAP and not (part.lower >= MOST_PART and p_values[0] <= SIGNIFICANT):
+    sure = part.lower >= MOST_PART and p_values[0] <= SIGNIFICANT
+    if level <= BARELY or (alone.level <= NO_GAP and not sure):
         return "no_gap"
     closed = part.value
     draws = resampled(len(best.noises), rng)

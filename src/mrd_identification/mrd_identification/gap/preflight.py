@@ -84,7 +84,7 @@ REPEAT = (0.05, 0.2)
 """Relative differences of force between repeats: larger than scatter from run to run (1 to 2 %); no repeat."""
 SHAPE = 0.1
 """Rest of a repeat's force, its gain and offset taken out, over the standard deviation."""
-RIG_RATIO = 2.6
+RIG_RATIO = 2.4
 """Ratio of forces at the same speed and current which no scatter, heat or remanence explains."""
 RIG_FORCE = 30.0
 """N added to both before they are compared: remanence may double a small off-state force."""
