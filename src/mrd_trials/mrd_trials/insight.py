@@ -118,8 +118,9 @@ def _alike(cause: str, answer: Answer, said: Submission) -> tuple[str, ...]:
 def _true_map(knowing: Diagnosis) -> tuple[Bin, ...]:
     """Where what the true causes change lies, on the bins of every axis."""
     recordings = [trace.recording for trace in knowing.traces]
+    nothing = 1e-9  # N: where nothing may be, no sample counts
     noises = [trace.noise for trace in knowing.traces]
-    silent = [replace(noise, sigma=np.zeros_like(noise.sigma), force=0.0, motion=0.0) for noise in noises]
+    silent = [replace(noise, sigma=np.full_like(noise.sigma, nothing), force=nothing, motion=0.0) for noise in noises]
     changes = [trace.before - trace.after for trace in knowing.traces]
     if not any(change.any() for change in changes):
         return ()

@@ -45,8 +45,8 @@ NO_GAP = 1.5
 """Mean squared error over the variance of noise up to which noise may be all there is: its estimate errs by so much."""
 
 BARELY = 1.1
-"""The same, with the noise as the model alone leaves it, up to which nothing more is asked: an effect that smooths the measured
-current makes even noise smaller."""
+"""The same, with the noise as the model alone leaves it, up to which nothing more is asked: an effect that smooths the
+measured current makes even noise smaller."""
 
 MOST_PART = 0.65
 """Share of the explainable gap that causes must close to be named."""
