@@ -23,19 +23,19 @@ def mains_phase(run: Run) -> Array:
     twice so that motion leaves little, is fitted by a cosine and a sine where the current does not switch. 0 where the rate
     is too low to see the mains.
     """
-    return np.array([_phase(run, frequency) for frequency in MAINS])
+    change = np.abs(np.diff(steady_current(run.current), prepend=run.current[0]))
+    near = maximum_filter1d(change, 2 * int(LOUD * run.rate) + 1)
+    calm = near <= max(3.0 * current_noise(run.current), 1e-3)
+    return np.array([_phase(run, calm.copy(), frequency) for frequency in MAINS])
 
 
-def _phase(run: Run, frequency: float) -> float:
+def _phase(run: Run, calm: NDArray[np.bool_], frequency: float) -> float:
     period = run.rate / frequency
     if period < 2.2 or len(run) < 10 * period:
         return 0.0
     rest = run.force
     for _ in range(2):
         rest = rest - _mean(rest, period)
-    change = np.abs(np.diff(steady_current(run.current), prepend=run.current[0]))
-    near = maximum_filter1d(change, 2 * int(LOUD * run.rate) + 1)
-    calm = near <= max(3.0 * current_noise(run.current), 1e-3)
     calm[: int(2 * period)] = calm[-int(2 * period) :] = False
     if calm.sum() < 5 * period:
         return 0.0

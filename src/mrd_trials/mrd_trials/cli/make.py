@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
-from mrd_trials.cli.options import add_workers, answers_of, progress, workers_of
+from mrd_trials.cli.options import add_answers, add_workers, answers_of, progress, workers_of
 from mrd_trials.make import SHARES, Recipe, make, read_trial
 
 STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24}
@@ -35,7 +35,7 @@ def work() -> None:
     parser.add_argument(
         "--recorded", default="", metavar="FOLDER", help="recordings of measured dampers, one folder a damper"
     )
-    parser.add_argument("--answers", type=Path, metavar="FILE", help="default: TRIAL.answers.jsonl, beside the folder")
+    add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
     if arguments.seed < 0:

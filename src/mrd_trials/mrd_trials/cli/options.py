@@ -10,6 +10,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from mrd_base import InputError
+from mrd_trials.make import read_trial
+from mrd_trials.records import Answer
+from mrd_trials.seal import unseal
 
 
 def answers_of(trial: Path) -> Path:
@@ -27,6 +30,12 @@ def add_answers(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--answers", type=Path, metavar="FILE", help="the sealed answers (default: TRIAL.answers.jsonl, beside the folder)"
     )
+
+
+def unsealed(arguments: argparse.Namespace) -> dict[str, Answer]:
+    """The answers, each checked against what everybody may know of the trial."""
+    commitments = {exhibit.plant: exhibit.commitment for exhibit in read_trial(arguments.trial).exhibits}
+    return unseal(arguments.answers or answers_of(arguments.trial), commitments)
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:

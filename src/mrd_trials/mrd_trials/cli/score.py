@@ -4,14 +4,12 @@ import argparse
 from pathlib import Path
 
 from mrd_base import run_tool
-from mrd_trials.cli.options import add_answers, add_trial, add_workers, answers_of, progress, workers_of
+from mrd_trials.cli.options import add_answers, add_trial, add_workers, progress, unsealed, workers_of
 from mrd_trials.insight import insights
-from mrd_trials.make import read_trial
 from mrd_trials.records import Submission, read_records
 from mrd_trials.run import VERDICTS
 from mrd_trials.score import score
 from mrd_trials.score_report import write_score_report
-from mrd_trials.seal import unseal
 from mrd_trials.tables import tables
 
 
@@ -30,9 +28,7 @@ def work() -> None:
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
-    trial = read_trial(arguments.trial)
-    commitments = {exhibit.plant: exhibit.commitment for exhibit in trial.exhibits}
-    answers = unseal(arguments.answers or answers_of(arguments.trial), commitments)
+    answers = unsealed(arguments)
     submissions = read_records(Submission, arguments.verdicts / VERDICTS)
     with progress("asking one who knows") as show:
         found = insights(arguments.trial, answers, submissions, arguments.verdicts, workers_of(arguments), show)

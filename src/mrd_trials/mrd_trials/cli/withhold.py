@@ -4,9 +4,7 @@ import argparse
 from pathlib import Path
 
 from mrd_base import run_tool
-from mrd_trials.cli.options import add_answers, add_trial, add_workers, answers_of, progress, workers_of
-from mrd_trials.make import read_trial
-from mrd_trials.seal import unseal
+from mrd_trials.cli.options import add_answers, add_trial, add_workers, progress, unsealed, workers_of
 from mrd_trials.withhold import table, withhold
 
 
@@ -27,9 +25,7 @@ def work() -> None:
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
-    trial = read_trial(arguments.trial)
-    commitments = {exhibit.plant: exhibit.commitment for exhibit in trial.exhibits}
-    answers = unseal(arguments.answers or answers_of(arguments.trial), commitments)
+    answers = unsealed(arguments)
     with progress("diagnosing") as show:
         found = withhold(
             arguments.trial, answers, arguments.output, most=arguments.plants, workers=workers_of(arguments), progress=show
