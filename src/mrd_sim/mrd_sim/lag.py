@@ -4,7 +4,7 @@ from typing import Any
 
 from numba import njit
 
-from mrd_sim.dual import exp
+from mrd_sim.dual import absolute, exp
 
 
 @njit(cache=True, nogil=True)
@@ -21,3 +21,10 @@ def follow(lagged: Any, before: Any, now: Any, steps: Any, left: Any) -> Any:
     """
     behind = (now - before) * steps
     return now - behind + (lagged - before + behind) * left
+
+
+@njit(cache=True, nogil=True)
+def turned(direction: Any, travel: Any, over: Any) -> Any:
+    """A direction of motion (-1 to 1) that lags in travel, not in time, after ``travel`` (m, not 0); its lag is ``over``."""
+    side = 1.0 if travel.real > 0.0 else -1.0
+    return side + (direction - side) * exp(-absolute(travel) / over)

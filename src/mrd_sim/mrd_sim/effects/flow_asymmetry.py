@@ -2,8 +2,8 @@
 
 from numba import njit
 
-from mrd_sim.dual import absolute, exp
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.lag import turned
 from mrd_sim.parameter import Parameter
 
 
@@ -14,8 +14,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
         here = x[k] + 0.0 * p[0]
         travel = here - place
         if dt[k] > 0.0 and travel.real != 0.0:
-            side = 1.0 if travel.real > 0.0 else -1.0
-            flow = side + (flow - side) * exp(-absolute(travel) / p[1])
+            flow = turned(flow, travel, p[1])
         place = here
         force[k] *= 1.0 + p[0] * flow
     state[0], state[1] = flow, place

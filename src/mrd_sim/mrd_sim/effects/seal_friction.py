@@ -2,8 +2,9 @@
 
 from numba import njit
 
-from mrd_sim.dual import absolute, exp
+from mrd_sim.dual import exp
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.lag import turned
 from mrd_sim.parameter import Parameter
 
 
@@ -14,8 +15,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
         here = x[k] + 0.0 * p[0]
         travel = here - place
         if dt[k] > 0.0 and travel.real != 0.0:
-            side = 1.0 if travel.real > 0.0 else -1.0
-            bent = side + (bent - side) * exp(-absolute(travel) / p[3])
+            bent = turned(bent, travel, p[3])
         place = here
         slow = v[k] / p[2]
         force[k] += p[0] * bent * (1.0 + p[1] * exp(-slow * slow))
