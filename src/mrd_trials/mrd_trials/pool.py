@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from typing import Any, TypeVar
 
 R = TypeVar("R")
@@ -16,7 +17,8 @@ def every(function: Callable[..., R], arguments: Sequence[tuple[Any, ...]], work
         for given in arguments:
             yield function(*given)
         return
-    with ProcessPoolExecutor(workers) as pool:
+    # Not forked: a copy of a process with threads holds whatever locks these held, and waits for them forever.
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         waiting = [pool.submit(function, *given) for given in arguments]
         try:
             for future in as_completed(waiting):
