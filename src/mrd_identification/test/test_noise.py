@@ -40,6 +40,9 @@ def recorded(
     if kind == "multisine":
         lines = np.arange(0.3, 7.5, 0.6)
         moved = sines(t, lines, 4e-3 / lines, 7)
+    elif kind == "fast":
+        lines = np.arange(0.3, 11.0, 0.7) * 1.0137
+        moved = sines(t, lines, 4e-3 / lines, 7)
     elif kind == "sine":
         moved = sines(t, np.array([2.3]), np.array([8e-3]), 7)
     elif kind == "wander":
@@ -87,6 +90,13 @@ def test_of_true_models_nothing_is_left(accelerometer: bool) -> None:
         assert 0.7 < rms(left[~near]) < 1.4
         assert noise.force == pytest.approx(FORCE, rel=0.2)
         assert rms(noise.sigma) == pytest.approx(np.hypot(noise.force, noise.motion), rel=1e-6)
+
+
+def test_what_happens_between_few_samples_is_noise() -> None:
+    recording = recorded("fast", rate=25.0, seconds=60.0)
+    (noise,) = run_noise([recording], DAMPER.model, DAMPER.theta, np.random.default_rng(1))
+    left = (recording.force - recording.modelled(DAMPER.model, DAMPER.theta)) / noise.sigma
+    assert 0.7 < rms(left) < 1.4
 
 
 # At 100 Hz nothing between two reversals is slow: some of what the model misses then counts as noise.

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import optimize
+from scipy.interpolate import BPoly
 
 from mrd_base import InputError
 from mrd_runs.run import Run
@@ -136,7 +137,24 @@ def carry_over(run: Run, other: Run) -> None:
         remember(other, _MOTIONS[run])
 
 
-def motion_errors(run: Run, rng: np.random.Generator, count: int) -> tuple[Array, Array, Array]:
+def finer(time: Array, parts: int) -> Array:
+    """Instants (m,) in s that divide every interval of a clock (n,) into so many parts."""
+    return np.interp(np.arange((len(time) - 1) * parts + 1) / parts, np.arange(len(time)), time)
+
+
+def between_samples(run: Run, parts: int) -> tuple[Array, Array, Array]:
+    """Smoothed position, velocity and acceleration (m,) of a run on a clock finer by ``parts``.
+
+    The polynomials of fifth degree that match all three at the samples are what the smoother expects there (order 3).
+    """
+    moved = motion(run)
+    states = np.stack([moved.position, moved.velocity, moved.acceleration], axis=1)
+    position = BPoly.from_derivatives(run.time, states)
+    time = finer(run.time, parts)
+    return position(time), position(time, 1), position(time, 2)
+
+
+def motion_errors(run: Run, rng: np.random.Generator, count: int, parts: int = 1) -> tuple[Array, Array, Array]:
     """Draw what the smoothed motion of a run may be wrong by (smoothed minus true).
 
     Parameters
@@ -145,10 +163,12 @@ def motion_errors(run: Run, rng: np.random.Generator, count: int) -> tuple[Array
     rng : numpy Generator
     count : int
         Number of draws.
+    parts : int
+        Also between the samples, on a clock (m,) finer by so much; see `between_samples`.
 
     Returns
     -------
-    position, velocity, acceleration : ndarray (count, n)
+    position, velocity, acceleration : ndarray (count, m)
         m, m/s, m/s²; in each draw derivatives of each other. Zero where the rod stood still.
 
     Notes
@@ -158,12 +178,14 @@ def motion_errors(run: Run, rng: np.random.Generator, count: int) -> tuple[Array
     as known.
     """
     model = motion(run)._model
+    many = (len(run) - 1) * parts + 1
     if model is None:
-        return np.zeros((count, len(run))), np.zeros((count, len(run))), np.zeros((count, len(run)))
+        return np.zeros((count, many)), np.zeros((count, many)), np.zeros((count, many))
     steps, interval = _clock(run.time)
-    normal = rng.standard_normal((len(run), count, model.order))
+    steps = np.append(np.repeat(steps[:-1] / parts, parts), 1.0)
+    normal = rng.standard_normal((many, count, model.order))
     pace = model.pace
-    drawn = _draw_errors(steps * pace, normal, pace, model.gain, model.second_noise / pace**4)
+    drawn = _draw_errors(steps * pace, parts, normal, pace, model.gain, model.second_noise / pace**4)
     position, velocity, acceleration = drawn * math.sqrt(model.noise)
     return position, velocity * (pace / interval), acceleration * (pace / interval) ** 2
 
@@ -677,9 +699,10 @@ def _unread_variance(N, element, gain, weight, K, work):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
-def _draw_errors(steps, normal, density, gain, second_noise):  # type: ignore[no-untyped-def]
+def _draw_errors(steps, parts, normal, density, gain, second_noise):  # type: ignore[no-untyped-def]
     """Errors of the smoothed x, ẋ, ẍ from standard normal numbers (n, count, order): (3, count, n), in the kernels' units.
 
+    Of ``parts`` instants, the first one is read.
     Given the next state, the error of a state is J·(that of the next) + (I - J F) a - J w with J = P Fᵀ (F P Fᵀ + Q)⁻¹. The
     error of its filtered estimate, a, has covariance P; what the white derivative adds, w, has covariance Q.
     """
@@ -692,9 +715,10 @@ def _draw_errors(steps, normal, density, gain, second_noise):  # type: ignore[no
     for k in range(n):
         if not steady:
             held += 1
-            _read(P, 0, 1.0, 1.0, K)
-            if gain != 0.0:
-                _read(P, 2, gain, second_noise, K)
+            if k % parts == 0:
+                _read(P, 0, 1.0, 1.0, K)
+                if gain != 0.0:
+                    _read(P, 2, gain, second_noise, K)
             kept[held] = P
         which[k] = held
         even = abs(steps[k] - last) <= 1e-6 * last
@@ -703,7 +727,7 @@ def _draw_errors(steps, normal, density, gain, second_noise):  # type: ignore[no
             _set_interval(last, density, shares, F, Q)
         if not (steady and even):
             _advance(P, F, Q, work)
-            steady = _settled(P, before) and even
+            steady = _settled(P, before) and even and parts == 1
 
     drawn = np.empty((3, count, n))
     J, root = np.zeros((order, order)), _root(kept[which[n - 1]])

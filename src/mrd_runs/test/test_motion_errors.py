@@ -1,12 +1,11 @@
 """What the smoothed motion may be wrong by."""
 
-import time
-
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from mrd_runs import Run, make_run
-from mrd_runs.motion import motion, motion_errors, redrawn
+from mrd_runs.motion import between_samples, finer, motion, motion_errors, redrawn
 
 FREQUENCIES = 0.5 * np.arange(1, 16, 2)
 AMPLITUDES = 2.5e-3 / FREQUENCIES
@@ -95,9 +94,27 @@ def test_standstill_has_no_error() -> None:
     np.testing.assert_array_equal(redrawn(run, np.random.default_rng(11)).position, run.position)
 
 
-def test_fast() -> None:
-    run = measured(accelerometer=True)
-    motion_errors(run, np.random.default_rng(12), 1)
-    started = time.perf_counter()
-    motion_errors(run, np.random.default_rng(12), 8)
-    assert time.perf_counter() - started < 0.2
+def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
+    # White noise, filtered to third order above 0.3 Hz: what the smoother takes a motion for, read at 25 Hz.
+    rng = np.random.default_rng(2)
+    keep = np.exp(-2 * np.pi * 0.3 / 1600)
+    exact = lfilter([1.0], np.poly([keep] * 3), rng.standard_normal(40 * 1600))
+    exact *= 0.01 / np.std(exact)
+    t, every = np.arange(1000) / 25, 64
+    read = exact[::every] + rng.normal(0, 5e-7, len(t))
+    run = make_run("few", {"time_s": t, "position_m": read, "current_A": t / 60, "force_N": np.sin(t)})
+    values, errors = between_samples(run, 8), motion_errors(run, rng, 8, 8)
+    true = exact, np.gradient(exact, 1 / 1600)
+    for found, right, drawn in zip(values, true, errors, strict=False):
+        wrong = found - right[: len(exact) - every + 1 : every // 8]
+        assert drawn.shape == (8, len(finer(t, 8)))
+        assert 1 / 1.5 < rms(wrong[4::8]) / rms(drawn[:, 4::8]) < 1.5
+    assert rms(errors[0][:, 4::8]) > 1.2 * rms(errors[0][:, ::8])
+
+
+def test_between_samples_nothing_changes_at_the_samples() -> None:
+    run = measured(accelerometer=True, n=300)
+    for fine, values in zip(between_samples(run, 4), (motion(run).position, motion(run).velocity), strict=False):
+        np.testing.assert_allclose(fine[::4], values, rtol=1e-6, atol=1e-9)
+    coarse, fine = (motion_errors(run, np.random.default_rng(3), 400, parts)[1] for parts in (1, 4))
+    assert rms(fine[:, ::4]) == pytest.approx(rms(coarse), rel=0.05)

@@ -29,6 +29,24 @@ def test_a_third_of_the_noise_is_left(current: np.ndarray) -> None:
     assert rms(steady_current(noisy(current)) - current) < SIGMA / 3
 
 
+@pytest.mark.parametrize("current", [np.full(len(T), 0.5), steps(300), T / 15, 0.5 + 0.01 * np.sin(0.6 * np.pi * T)])
+def test_of_long_levels_and_slow_waves_a_sixth_of_the_noise_is_left(current: np.ndarray) -> None:
+    assert rms(steady_current(noisy(current)) - current) < SIGMA / 6
+
+
+def test_a_wave_in_the_noise_is_not_flattened() -> None:
+    wave = 0.75 * SIGMA * np.sin(4 * np.pi * T)
+    found = steady_current(noisy(0.5 + wave)) - 0.5
+    assert (found @ wave) / (wave @ wave) > 0.9
+
+
+@pytest.mark.parametrize("hold", [1, 2, 3])
+def test_levels_that_last_a_few_samples_are_no_noise(hold: int) -> None:
+    current = np.repeat(np.random.default_rng(1).choice([0.0, 0.5], 600 // hold), hold)
+    assert 0.7 * SIGMA < current_noise(noisy(current)) < 1.35 * SIGMA
+    assert rms(steady_current(noisy(current)) - current) < 1.1 * SIGMA
+
+
 def test_steps_stay_sharp() -> None:
     current = steps()
     found = steady_current(noisy(current))

@@ -19,7 +19,7 @@ from mrd_base import InputError
 from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.problem import Recording, forces_in_turn, in_threads
 from mrd_runs import Run
-from mrd_runs.motion import motion, motion_errors
+from mrd_runs.motion import between_samples, finer, motion, motion_errors
 from mrd_runs.steady import current_noise, steady_current
 from mrd_sim.models import DamperModel
 from mrd_sim.path import Path, make_path
@@ -30,6 +30,9 @@ _STRETCH = 32
 """Samples over which noise is estimated at a time: fewer than between two reversals, mostly."""
 _ALIKE = 0.005
 """Motions and currents that differ by less than this share of their span (rms), noise aside, are the same."""
+
+_FINE = 250.0
+"""Hz; what happens between samples that come faster does not matter."""
 
 _COIL, _APART = 0.02, 8
 """s, a usual lag of coils; samples after which a sensor's noise has forgotten itself."""
@@ -87,22 +90,43 @@ def run_noise(
 
 def _carried(recording: Recording, model: DamperModel, theta: Array, rng: np.random.Generator, draws: int) -> Array:
     """Variance in N² of the model's force due to errors of motion and current, at the counted samples."""
-    run, moved = recording.run, motion(recording.run)
+    run = recording.run
+    parts = _parts(run)
+    time, moved = finer(run.time, parts), between_samples(run, parts)
     used = recording.path.current[recording.path.samples]
     steady = steady_current(run.current)
     switches = _switches(steady, current_noise(run.current))
     of_current = _current_errors(run, steady, not np.array_equal(used, run.current), rng, draws)
     expected = model.force(theta, recording.path)
-    squares, larger = np.zeros(len(run)), _rounding(run)
-    for position, velocity, acceleration, current in zip(*motion_errors(run, rng, draws), of_current, strict=True):
-        wrong = (
-            moved.position + larger * position,
-            moved.velocity + larger * velocity,
-            moved.acceleration + larger * acceleration,
-        )
-        path = replace(_switched_path(run.time, wrong, used + current, switches, rng), mains=recording.path.mains)
+    squares, larger = np.zeros(len(run)), np.interp(time, run.time, _rounding(run))
+    for *errors, wrong_current in zip(*motion_errors(run, rng, draws, parts), of_current, strict=True):
+        wrong = [series + larger * error for series, error in zip(moved, errors, strict=True)]
+        current, at = _between(used + wrong_current, switches, parts, rng)
+        path = replace(_switched_path(time, wrong, current, at, rng), mains=recording.path.mains)
+        path = replace(path, samples=path.samples[::parts])
         squares += (model.force(theta, path) - expected) ** 2
     return squares[recording.counted] / draws
+
+
+def _parts(run: Run) -> int:
+    """Into how many parts a sampling interval is divided: one where the motion hardly changes meanwhile."""
+    moved = motion(run)
+    if moved.position_noise == 0.0:
+        return 1
+    return max(1, min(int(np.ceil(2.0 / (run.rate * moved.time_constant))), int(_FINE / run.rate)))
+
+
+def _between(
+    current: Array, switches: NDArray[np.intp], parts: int, rng: np.random.Generator
+) -> tuple[Array, NDArray[np.intp]]:
+    """A current between its samples, on a clock finer by ``parts``, and after which instants it switches there."""
+    many = (len(current) - 1) * parts + 1
+    finer = np.interp(np.arange(many), np.arange(len(current)) * parts, current)
+    at = switches * parts + rng.integers(parts, size=len(switches))
+    for start, place in zip(switches * parts, at, strict=True):
+        finer[start : place + 1] = finer[start]
+        finer[place + 1 : start + parts] = finer[start + parts]
+    return finer, at
 
 
 def _rounding(run: Run) -> Array:
@@ -146,7 +170,7 @@ def _switches(current: Array, noise: float) -> NDArray[np.intp]:
 
 
 def _switched_path(
-    time: Array, moved: tuple[Array, Array, Array], current: Array, switches: NDArray[np.intp], rng: np.random.Generator
+    time: Array, moved: Sequence[Array], current: Array, switches: NDArray[np.intp], rng: np.random.Generator
 ) -> Path:
     """The path with the current switching at once, no one knows when between the two samples, instead of ramping."""
     if not len(switches):
