@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from mrd_runs.run import Run
-from mrd_runs.steady import current_noise, steady_current
+from mrd_runs.steady import current_noise, steady
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ def mains_phase(run: Run) -> Array:
     twice so that motion leaves little, is fitted by a cosine and a sine where the current does not switch. 0 where the rate
     is too low to see the mains.
     """
-    change = np.abs(np.diff(steady_current(run.current), prepend=run.current[0]))
+    change = np.abs(np.diff(steady(run), prepend=run.current[0]))
     near = maximum_filter1d(change, 2 * int(LOUD * run.rate) + 1)
     calm = near <= max(3.0 * current_noise(run.current), 1e-3)
     return np.array([_phase(run, calm.copy(), frequency) for frequency in MAINS])

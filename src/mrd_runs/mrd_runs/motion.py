@@ -21,7 +21,7 @@ from scipy.interpolate import BPoly
 
 from mrd_base import InputError
 from mrd_runs.run import Run
-from mrd_runs.steady import current_noise, steady_current
+from mrd_runs.steady import current_noise, steady
 
 Array = NDArray[np.float64]
 
@@ -148,6 +148,8 @@ def between_samples(run: Run, parts: int) -> tuple[Array, Array, Array]:
     The polynomials of fifth degree that match all three at the samples are what the smoother expects there (order 3).
     """
     moved = motion(run)
+    if parts == 1:
+        return moved.position, moved.velocity, moved.acceleration
     states = np.stack([moved.position, moved.velocity, moved.acceleration], axis=1)
     position = BPoly.from_derivatives(run.time, states)
     time = finer(run.time, parts)
@@ -195,7 +197,7 @@ def redrawn(run: Run, rng: np.random.Generator) -> Run:
 
     Its motion is smoothed by the model that was fitted to ``run``. The force stays.
     """
-    moved, current = motion(run), steady_current(run.current)
+    moved, current = motion(run), steady(run)
     position, acceleration = moved.position, run.acceleration
     steps, interval = _clock(run.time)
     again = moved

@@ -5,12 +5,16 @@ read off the line or parabola through a stretch around it: of all stretches that
 least of it (adaptive local polynomials: Katkovnik, Egiazarian and Astola 2006). Beside a step, it lies on one side of it.
 """
 
+import weakref
 from collections.abc import Iterator
 
 import numpy as np
+from numba import njit
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import chdtri
+
+from mrd_runs.run import Run
 
 Array = NDArray[np.float64]
 
@@ -63,40 +67,60 @@ def steady_current(current: Array) -> Array:
     noise = current_noise(current)
     if noise <= 1e-6 * float(np.abs(current).max(initial=0.0)):
         return current.copy()
-    cleaned = _without_outliers(current, noise)
-    found, todo = cleaned.copy(), np.ones(len(current), dtype=bool)
-    for _, samples, values in sorted(_polynomials(cleaned, noise), key=lambda each: each[0]):
-        taken = todo[samples]
-        found[samples[taken]] = values[taken]
-        todo[samples[taken]] = False
+    found = _without_outliers(current, noise)
+    cleaned, left = found.copy(), np.ones(len(current))
+    for length in _SHORT + _LONG:
+        if length <= len(cleaned):
+            for starts, basis, coefficients in _polynomials(cleaned, noise, length):
+                _take(starts, basis, coefficients, np.sum(basis**2, axis=1), found, left)
     return found
 
 
-def _polynomials(series: Array, noise: float) -> Iterator[tuple[float, NDArray[np.intp], Array]]:
-    """What polynomials through stretches of all lengths say where they hold.
+_STEADY: weakref.WeakKeyDictionary[Run, Array] = weakref.WeakKeyDictionary()
 
-    Each is (share of the noise variance left, samples, their values), the samples at the same place of their stretches.
+
+def steady(run: Run) -> Array:
+    """`steady_current` of a run, computed once."""
+    if run not in _STEADY:
+        _STEADY[run] = steady_current(run.current)
+    return _STEADY[run]
+
+
+def _polynomials(series: Array, noise: float, length: int) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
+    """Lines, then parabolas, through the stretches of a length where they hold.
+
+    Each is (starts (stretches,), orthonormal polynomials (length, terms), their coefficients (stretches, terms)).
     """
-    for length in _SHORT + _LONG:
-        if length > len(series):
+    starts = np.arange(0, len(series) - length + 1, 1 if length in _SHORT else length // _PLACES)
+    stretches = sliding_window_view(series, length)[starts]
+    # Orthonormal, so that each takes its share of the squares.
+    powers = np.vander(np.linspace(-1.0, 1.0, length), min(3 + _HIGHER, length), increasing=True)
+    basis = np.linalg.qr(powers)[0]
+    coefficients = stretches @ basis
+    squares = np.einsum("ij,ij->i", stretches, stretches)
+    for terms in (2, 3):
+        if terms == length:
             continue
-        starts = np.arange(0, len(series) - length + 1, 1 if length in _SHORT else length // _PLACES)
-        stretches = sliding_window_view(series, length)[starts]
-        # Orthonormal polynomials, so that each takes its share of the squares.
-        terms = min(3 + _HIGHER, length)
-        basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), terms, increasing=True))[0]
-        coefficients = stretches @ basis
-        squares = np.einsum("ij,ij->i", stretches, stretches)
-        for terms in (2, 3):
-            if terms == length:
-                continue
-            misfit = squares - np.sum(coefficients[:, :terms] ** 2, axis=1)
-            holds = misfit <= noise**2 * chdtri(length - terms, 1.0 - _ACCEPTED)
-            if length in _LONG:
-                higher = np.sum(coefficients[:, terms : terms + _HIGHER] ** 2, axis=1)
-                holds &= higher <= noise**2 * chdtri(_HIGHER, 1.0 - _ACCEPTED_LONG)
-            for place, weights in enumerate(basis[:, :terms]):
-                yield float(weights @ weights), starts[holds] + place, coefficients[holds, :terms] @ weights
+        misfit = squares - np.sum(coefficients[:, :terms] ** 2, axis=1)
+        holds = misfit <= noise**2 * chdtri(length - terms, 1.0 - _ACCEPTED)
+        if length in _LONG:
+            higher = np.sum(coefficients[:, terms : terms + _HIGHER] ** 2, axis=1)
+            holds &= higher <= noise**2 * chdtri(_HIGHER, 1.0 - _ACCEPTED_LONG)
+        yield starts[holds], np.ascontiguousarray(basis[:, :terms]), coefficients[holds, :terms]
+
+
+@njit(cache=True, nogil=True)
+def _take(starts, basis, coefficients, share, found, left):  # type: ignore[no-untyped-def]
+    """Put the polynomials' values into ``found`` where they leave less of the noise's variance than ``left``."""
+    length, terms = basis.shape
+    for stretch, start in enumerate(starts):
+        for place in range(length):
+            if share[place] < left[start + place]:
+                value = 0.0
+                for term in range(terms):
+                    value += coefficients[stretch, term] * basis[place, term]
+                found[start + place] = value
+                left[start + place] = share[place]
 
 
 def _without_outliers(current: Array, noise: float) -> Array:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mrd_runs import Run
 from mrd_runs.mains import mains_phase
 from mrd_runs.motion import motion
-from mrd_runs.steady import steady_current
+from mrd_runs.steady import steady
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class Path:
 def path_of(run: Run) -> Path:
     """Path of a recorded run: its smoothed motion, its measured current without the sensor's noise, the mains' phase."""
     moved = motion(run)
-    path = make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady_current(run.current))
+    path = make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady(run))
     return replace(path, mains=mains_phase(run))
 
 

@@ -270,9 +270,11 @@ class Session:
         plant = replace(self.plant, effects=effects)
         return record(plant, [*self.motions, *further], self.instruments, np.random.default_rng(self.noise))
 
-    def given(self, found: Sequence[Recorded]) -> list[Run]:
-        """Those of the recordings that the diagnosis is given."""
-        return [as_run(*named) for named in zip(self.names[:-FRESH], found, strict=False)]
+    def given(self, effects: Mapping[str, Mapping[str, float]]) -> list[Run]:
+        """The runs that the diagnosis is given: the same as among all."""
+        plant = replace(self.plant, effects=effects)
+        found = record(plant, self.motions[:-FRESH], self.instruments, np.random.default_rng(self.noise))
+        return [as_run(*named) for named in zip(self.names[:-FRESH], found, strict=True)]
 
 
 def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str, Recorded]]]:
@@ -281,14 +283,14 @@ def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str
     effects: dict[str, Mapping[str, float]] = {}
     signal = 0.0
     if order.effects:
-        yardstick = Yardstick.of(MODEL, session.given(session.record({})), np.random.default_rng(session.fit))
+        yardstick = Yardstick.of(MODEL, session.given({}), np.random.default_rng(session.fit))
 
         def drawn(effect: str, strength: float) -> dict[str, Mapping[str, float]]:
             place = order.effects.index(effect)
             return {effect: EFFECTS[effect].drawn(np.random.default_rng([session.effects, place]), strength)}
 
         def signal_of(effects: Mapping[str, Mapping[str, float]]) -> float:
-            return yardstick.signal_to_floor(session.given(session.record(effects)))
+            return yardstick.signal_to_floor(session.given(effects))
 
         def measured(effect: str, strength: float) -> float:
             return signal_of(drawn(effect, strength))

@@ -137,9 +137,13 @@ class Case:
 
     @property
     def left_open(self) -> frozenset[str]:
-        """The set that the diagnosis leaves open: causes, what is like them, likely candidates, and what it cannot test."""
-        likely = [one for one in self.submission.candidates if one.probability > LIKELY]
+        """The set that the diagnosis leaves open: causes, what it says acts alike, likely ones, what it cannot test."""
         causes = self.submission.causes
+        likely = [
+            one
+            for one in self.submission.candidates
+            if one.probability > LIKELY or not set(self.claimed).isdisjoint(one.alike)
+        ]
         return frozenset(
             [*self.submission.untestable, *(effect for one in (*causes, *likely) for effect in (*one.effects, *one.alike))]
         )

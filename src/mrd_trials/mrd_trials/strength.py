@@ -71,23 +71,27 @@ class Yardstick:
         return float(np.mean(left**2) / self.floor**2)
 
 
-def strength_for(target: float, measured: Callable[[float], float], most: float, trials: int = 5) -> float:
-    """Strength at which the signal to floor comes within a fifth of a target; at most ``most``.
+def strength_for(target: float, measured: Callable[[float], float], most: float, trials: int = 8) -> float:
+    """Strength at which the signal to floor comes within a quarter of a target; at most ``most``.
 
-    A signal grows about with the square of its cause, a threshold like an end stop's faster: a secant on logarithmic scales.
+    A signal grows about with the square of its cause: a secant on logarithmic scales. Beyond a threshold, like that of a
+    void, it grows by far more: where the secant leaves what is known to be too weak and too strong, their middle is next.
     """
-    strength = 1.0
+    strength, weak, strong = 1.0, 0.0, np.inf
     known: list[tuple[float, float]] = []
     for _ in range(trials):
         found = max(measured(strength), 1e-9)
         known.append((strength, found))
-        if abs(np.log(found / target)) < 0.2 or (strength >= most and found < target):
+        if abs(np.log(found / target)) < 0.25 or (strength >= most and found < target):
             break
+        weak, strong = (max(weak, strength), strong) if found < target else (weak, min(strong, strength))
         slope = 2.0
         if len(known) > 1:
             (a, at_a), (b, at_b) = known[-2:]
             slope = float(np.clip(np.log(at_b / at_a) / np.log(b / a), 0.5, 6.0))
         strength = float(min(strength * np.exp(np.clip(np.log(target / found) / slope, -3.0, 3.0)), most))
+        if not weak < strength < strong:
+            strength = float(np.sqrt(max(weak, 0.1 * strong) * strong))
     return min(known, key=lambda each: abs(np.log(each[1] / target)))[0]
 
 

@@ -156,3 +156,10 @@ def test_a_strength_meets_its_target(power):
 
 def test_a_strength_stays_plausible():
     assert strength_for(5.0, lambda size: 1e-3 * size**2, 6.0) == 6.0
+
+
+def test_strength_beyond_a_threshold():
+    def signal(size):
+        return 1e-4 + 400.0 * max(size - 1.3, 0.0) ** 2
+
+    assert abs(np.log(signal(strength_for(5.0, signal, 6.0)) / 5.0)) < 0.25

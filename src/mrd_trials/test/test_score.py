@@ -337,7 +337,7 @@ def test_experiments_are_counted_in_pairs():
 
 
 def test_sets_left_open():
-    plants = [answer(f"p{k}", "single", "backlash", excitation="sine") for k in range(6)]
+    plants = [answer(f"p{k}", "single", "backlash", excitation="sine") for k in range(7)]
     sets = judged(
         plants,
         [
@@ -346,12 +346,13 @@ def test_sets_left_open():
             said("p2", "ambiguous", ("joint_play", 0.6), candidates=[("joint_play", 0.6), ("backlash", 0.04)]),
             said("p3", "no_gap", untestable=("backlash", "coil_lag")),
             said("p4", "unknown_effect"),
+            said("p6", "explained", ("joint_play", 1.0), candidates=[("backlash", 0.0, {}, ("joint_play",))]),
         ],
     ).parts["sine"].sets  # fmt: skip
-    assert sets.holds == Rate(4, 6)
-    assert sets.holds_it == Rate(3, 6)
-    assert sets.named_wrong == Rate(2, 6)  # p0 says itself that it may be the backlash
-    assert sets.size.values == (2.0, 2.0, 1.0, 2.0, 0.0)
+    assert sets.holds == Rate(5, 7)
+    assert sets.holds_it == Rate(4, 7)
+    assert sets.named_wrong == Rate(3, 7)  # p0 says itself that it may be the backlash
+    assert sets.size.values == (2.0, 2.0, 1.0, 2.0, 0.0, 2.0)
 
 
 # Goals, tables, page

@@ -385,7 +385,7 @@ def _advice(found: Contest, chances: Mapping[str, Mapping[str, float]]) -> Advic
 def _forms(found: Contest, rng: np.random.Generator) -> tuple[Candidate, ...]:
     """Other forms of the damper model, best first."""
     variance = _variance(found.ground)
-    tried = forms(found.ground, found.alone.problem.model, may_be_left(found.alone), rng)
+    tried = forms(found.ground, found.alone, may_be_left(found.alone), rng)
     ranked = sorted(tried.items(), key=lambda item: item[1].total)
     return tuple(
         Candidate(
@@ -416,10 +416,10 @@ def _candidates(
     lead = chances[found.effects[0]] if len(found.effects) == 1 else {}
     rivals = found.rivals[found.effects[0]] if len(found.effects) == 1 else {}
     promises = beside(ground, Foundation.of(ground, found.best), [trial.effects[0] for trial in ranked])
-    for trial, promise in zip(ranked, promises, strict=True):
+    refits = [rivals.get(trial.effects[0], trial.refit) for trial in ranked]
+    for trial, promise, shown, sizes in zip(ranked, promises, refits, in_threads(values, refits), strict=True):
         name = trial.effects[0]
         size = EFFECTS[name].parameters[0]
-        shown = rivals.get(name, trial.refit)
         remark, smallest = "", ""
         if name not in found.effects:
             if promise.strength == 0.0:
@@ -439,7 +439,7 @@ def _candidates(
                 closed_between(found.alone, shown, found, rng),
                 p_value(trial.gain, nulls),
                 float(chances[name][name] if name in chances else lead.get(name, 0.0)),
-                values(shown),
+                sizes,
                 ranked[0].effects if alike else (),
                 remark,
                 smallest,

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 RESAMPLES = 400
 
-FORM = 0.01
+FORM = 0.02
 """Share of a gap that the right effect may leave, more than another one, because its form is a little off."""
 
 

@@ -20,7 +20,7 @@ from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.problem import Recording, forces_in_turn, in_threads
 from mrd_runs import Run
 from mrd_runs.motion import between_samples, finer, motion, motion_errors
-from mrd_runs.steady import current_noise, steady_current
+from mrd_runs.steady import current_noise, steady, steady_current
 from mrd_sim.models import DamperModel
 from mrd_sim.path import Path, make_path
 
@@ -94,14 +94,14 @@ def _carried(recording: Recording, model: DamperModel, theta: Array, rng: np.ran
     parts = _parts(run)
     time, moved = finer(run.time, parts), between_samples(run, parts)
     used = recording.path.current[recording.path.samples]
-    steady = steady_current(run.current)
-    switches = _switches(steady, current_noise(run.current))
-    of_current = _current_errors(run, steady, not np.array_equal(used, run.current), rng, draws)
+    level = steady(run)
+    switches = _switches(level, current_noise(run.current))
+    of_current = _current_errors(run, level, not np.array_equal(used, run.current), rng, draws)
     expected = model.force(theta, recording.path)
     squares, larger = np.zeros(len(run)), np.interp(time, run.time, _rounding(run))
-    for *errors, wrong_current in zip(*motion_errors(run, rng, draws, parts), of_current, strict=True):
-        wrong = [series + larger * error for series, error in zip(moved, errors, strict=True)]
-        current, at = _between(used + wrong_current, switches, parts, rng)
+    for position, velocity, acceleration, error in zip(*motion_errors(run, rng, draws, parts), of_current, strict=True):
+        wrong = (moved[0] + larger * position, moved[1] + larger * velocity, moved[2] + larger * acceleration)
+        current, at = _between(used + error, switches, parts, rng)
         path = replace(_switched_path(time, wrong, current, at, rng), mains=recording.path.mains)
         path = replace(path, samples=path.samples[::parts])
         squares += (model.force(theta, path) - expected) ** 2
@@ -145,13 +145,13 @@ def _rounding(run: Run) -> Array:
     return np.where(peak > 4.0 * np.median(np.abs(aside)) / 0.6745, np.maximum(2.5 * peak, 1.0), 1.0)
 
 
-def _current_errors(run: Run, steady: Array, averaged: bool, rng: np.random.Generator, draws: int) -> Array:
+def _current_errors(run: Run, level: Array, averaged: bool, rng: np.random.Generator, draws: int) -> Array:
     """Errors in A (draws, n) of a measured current, or of what `steady_current` makes of it."""
     errors = rng.normal(0.0, current_noise(run.current), (draws, len(run)))
     if not averaged or not errors.any():
         return errors
     # Averaging takes longer than the model does: a few of them serve for all draws.
-    few = np.array([steady_current(steady + error) - steady for error in errors[:3]])
+    few = np.array([steady_current(level + error) - level for error in errors[:3]])
     signs = rng.choice([-1.0, 1.0], draws)
     return np.asarray(few[np.arange(draws) % len(few)] * signs[:, None])
 
@@ -170,7 +170,7 @@ def _switches(current: Array, noise: float) -> NDArray[np.intp]:
 
 
 def _switched_path(
-    time: Array, moved: Sequence[Array], current: Array, switches: NDArray[np.intp], rng: np.random.Generator
+    time: Array, moved: tuple[Array, Array, Array], current: Array, switches: NDArray[np.intp], rng: np.random.Generator
 ) -> Path:
     """The path with the current switching at once, no one knows when between the two samples, instead of ramping."""
     if not len(switches):
@@ -326,7 +326,7 @@ def _like_states(recording: Recording, residual: Array) -> float:
     last = np.zeros(len(run), dtype=int)
     last[turns] = turns
     travel = np.abs(moved.position - moved.position[np.maximum.accumulate(last)])
-    current = steady_current(run.current)
+    current = steady(run)
     keep = np.exp(-1.0 / (run.rate * _COIL))
     lagged = lfilter([1 - keep], [1, -keep], current, zi=[keep * current[0]])[0]
     # Right after a turn the hysteresis changes fastest, hence the root; the current acts most.
