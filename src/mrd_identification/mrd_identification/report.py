@@ -56,11 +56,11 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
     )
 
 
-def render(name: str, folder: str | Path, **content: Any) -> Path:
-    """Write ``name``.html from its template into ``folder``; the file is whole or not there."""
+def render(name: str, folder: str | Path, package: str = "mrd_identification", /, **content: Any) -> Path:
+    """Write ``name``.html from the template of a package into ``folder``; the file is whole or not there."""
+    loaders = [jinja2.PackageLoader(each) for each in dict.fromkeys((package, "mrd_identification"))]
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("mrd_identification"), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
+        loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
     environment.filters["figures"] = four_figures
     page = environment.get_template(f"{name}.html.j2").render(plotly=get_plotlyjs(), **content)

@@ -1,6 +1,6 @@
 """What one who knows the answer finds: how far the gap can close, where it lies, what the next experiment was worth."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,12 +24,11 @@ from mrd_trajectory.settings import read_settings
 from mrd_trials.excitation import commanded
 from mrd_trials.make import Exhibit, Order, Recipe, Session, as_run, plan_trial, read_trial
 from mrd_trials.pool import every
-from mrd_trials.records import Answer, Bin, Insight, Submission, add_record, read_records
+from mrd_trials.records import Answer, Bin, Insight, Submission, completed
 from mrd_trials.run import read_given
 
 MIMICRY = 0.9
 """Share of what the cause closes from which another effect is as good an answer on these runs."""
-
 
 INSIGHTS = "insights.jsonl"
 
@@ -59,20 +58,16 @@ def insights(
     """
     trial = read_trial(folder)
     orders = {order.plant: order for order in plan_trial(trial.recipe)[0]}
-    path = output / INSIGHTS
-    done = read_records(Insight, path)
-    judged = [exhibit for exhibit in trial.exhibits if exhibit.plant in submissions]
-    todo = [
-        (folder, trial.recipe, orders[exhibit.plant], exhibit, answers[exhibit.plant], submissions[exhibit.plant])
-        for exhibit in judged
-        if exhibit.plant not in done
-    ]
-    progress(len(done), len(judged))
-    for found in every(insight, todo, workers):
-        done[found.plant] = found
-        add_record(found, path)
-        progress(len(done), len(judged))
-    return done
+    judged = {exhibit.plant: exhibit for exhibit in trial.exhibits if exhibit.plant in submissions}
+
+    def work(plants: Sequence[str]) -> Iterator[Insight]:
+        return every(
+            insight,
+            [(folder, trial.recipe, orders[p], judged[p], answers[p], submissions[p]) for p in plants],
+            workers,
+        )
+
+    return completed(Insight, output / INSIGHTS, list(judged), work, progress)
 
 
 def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer: Answer, said: Submission) -> Insight:

@@ -5,7 +5,7 @@ All of it is plain data, one JSON object a plant, so that a trial can be scored 
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -235,6 +235,37 @@ def read_records(kind: type[R], path: Path) -> dict[str, R]:
         lines.pop()
     found = [from_json(kind, line, f"{path}: line {number}") for number, line in enumerate(lines, 1)]
     return {record.plant: record for record in found}
+
+
+def completed(
+    kind: type[R],
+    path: Path,
+    plants: Sequence[str],
+    work: Callable[[Sequence[str]], Iterable[R]],
+    progress: Callable[[int, int], None] = lambda _n, _of: None,
+) -> dict[str, R]:
+    """Records of some plants: those that a file has, and what work makes of the others, each kept as soon as it is there.
+
+    Parameters
+    ----------
+    kind : type
+        Of the records.
+    path : Path
+        The file; grows.
+    plants : sequence of str
+    work : callable
+        Makes the records of the plants that are left to do.
+    progress : callable
+        Called with the number of plants that are done, and of all.
+    """
+    found = read_records(kind, path)
+    done = {plant: found[plant] for plant in plants if plant in found}
+    progress(len(done), len(plants))
+    for record in work([plant for plant in plants if plant not in done]):
+        done[record.plant] = record
+        add_record(record, path)
+        progress(len(done), len(plants))
+    return done
 
 
 def _restored(kind: type, name: str, value: Any) -> Any:

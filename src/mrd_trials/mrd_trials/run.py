@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -17,7 +17,7 @@ from mrd_runs import Run, read_runs
 from mrd_sim.effects import EFFECTS
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
-from mrd_trials.records import Bin, Named, Submission, add_record, read_records
+from mrd_trials.records import Bin, Named, Submission, completed
 from mrd_trials.survey import survey
 
 JUDGES = ("mrd_runs", "mrd_sim", "mrd_identification")
@@ -88,29 +88,20 @@ def run(
         Where there is no trial, or ``output`` holds verdicts of another diagnoser.
     """
     diagnoser = diagnoser or frozen()
-    exhibits = read_trial(folder).exhibits
+    exhibits = {exhibit.plant: exhibit for exhibit in read_trial(folder).exhibits}
     output.mkdir(parents=True, exist_ok=True)
     _freeze(diagnoser, output)
-    path = output / VERDICTS
-    done = read_records(Submission, path)
-    todo = [exhibit for exhibit in exhibits if exhibit.plant not in done]
-    progress(len(done), len(exhibits))
 
-    def keep(found: Submission) -> None:
-        done[found.plant] = found
-        add_record(found, path)
-        progress(len(done), len(exhibits))
-
-    if scheduler:
-        pieces = [(exhibit, tuple(read_given(folder, exhibit)), diagnoser) for exhibit in todo]
+    def work(plants: Sequence[str]) -> Iterator[Submission]:
+        if not scheduler:
+            yield from every(_judge_files, [(folder, exhibits[plant], diagnoser) for plant in plants], workers)
         # In portions, so that what is done is kept when the work is interrupted.
-        for first in range(0, len(pieces), PORTION):
-            for found in run_on_cluster(scheduler, judge, pieces[first : first + PORTION]):
-                keep(found)
-    else:
-        for found in every(_judge_files, [(folder, exhibit, diagnoser) for exhibit in todo], workers):
-            keep(found)
-    return done
+        for first in range(0, len(plants) if scheduler else 0, PORTION):
+            portion = [exhibits[plant] for plant in plants[first : first + PORTION]]
+            pieces = [(exhibit, tuple(read_given(folder, exhibit)), diagnoser) for exhibit in portion]
+            yield from run_on_cluster(scheduler, judge, pieces)
+
+    return completed(Submission, output / VERDICTS, list(exhibits), work, progress)
 
 
 PORTION = 16

@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from plotly.offline import get_plotlyjs
-
 from mrd_identification.figures import html
+from mrd_identification.report import render
 from mrd_trials import figures
 from mrd_trials.score import Score
 from mrd_trials.tables import tabulate, verdict
@@ -16,15 +14,7 @@ _BADGES = {"yes": "met", "NO": "missed", "not measured": "open"}
 
 def write_score_report(score: Score, folder: str | Path, title: str = "Blind trial") -> Path:
     """Write score.html, which needs no network, into ``folder``; returns its path. The file is whole or not there."""
-    loaders = [jinja2.PackageLoader(package) for package in ("mrd_trials", "mrd_identification")]
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("score.html.j2").render(plotly=get_plotlyjs(), title=title, **content(score))
-    path = Path(folder) / "score.html"
-    partial = path.with_suffix(".part")
-    partial.write_text(page, encoding="utf-8")
-    return partial.replace(path)
+    return render("score", folder, "mrd_trials", title=title, **content(score))
 
 
 def content(score: Score) -> dict[str, Any]:
@@ -54,5 +44,3 @@ def content(score: Score) -> dict[str, Any]:
         "confusion": html(figures.confusion(score.confusion)) if score.confusion.rows else "",
     }  # fmt: skip
 
-
-__all__ = ["content", "write_score_report"]

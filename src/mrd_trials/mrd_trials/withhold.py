@@ -1,19 +1,16 @@
 """Take the true effect out of the catalogue: whatever is named then is wrong."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from mrd_sim.effects import EFFECTS
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
-from mrd_trials.records import Answer, Submission, add_record, read_records
+from mrd_trials.records import Answer, Submission, completed
 from mrd_trials.run import Diagnoser, frozen, judge, read_given
+from mrd_trials.score import DETECTABLE
 
 WITHHELD = "withheld.jsonl"
-
-DETECTABLE = 3.0
-"""Signal to floor from which an effect should be seen."""
 
 
 def withhold(
@@ -47,18 +44,15 @@ def withhold(
         answer = answers[exhibit.plant]
         if answer.kind == "single" and answer.signal_to_floor > DETECTABLE and exhibit.excitation == "rich":
             chosen.setdefault(answer.causes[0], []).append(exhibit)
-    wanted = [exhibit for exhibits in chosen.values() for exhibit in exhibits[:most]]
+    wanted = {exhibit.plant: exhibit for exhibits in chosen.values() for exhibit in exhibits[:most]}
     output.mkdir(parents=True, exist_ok=True)
-    path = output / WITHHELD
-    done = read_records(Submission, path)
-    diagnoser = replace(frozen(), peers=False)
-    todo = [(folder, each, answers[each.plant].causes[0], diagnoser) for each in wanted if each.plant not in done]
-    progress(len(done), len(wanted))
-    for found in every(_without, todo, workers):
-        done[found.plant] = found
-        add_record(found, path)
-        progress(len(done), len(wanted))
-    return done
+    diagnoser = frozen(peers=False)
+
+    def work(plants: Sequence[str]) -> Iterator[Submission]:
+        todo = [(folder, wanted[plant], answers[plant].causes[0], diagnoser) for plant in plants]
+        return every(_without, todo, workers)
+
+    return completed(Submission, output / WITHHELD, list(wanted), work, progress)
 
 
 def _without(folder: Path, exhibit: Exhibit, effect: str, diagnoser: Diagnoser) -> Submission:
