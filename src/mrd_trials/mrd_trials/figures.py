@@ -6,7 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED
-from mrd_trials.score import Baseline, Calibration, Counts, Ranks, Rate, Spread
+from mrd_trials.rates import Calibration, Rate, Spread
+from mrd_trials.score import Baseline, Counts, Ranks
 
 _WELL_SAID = {"null": "no_gap", "absent": "unknown_effect"}
 _HEAT = [[0.0, "#f5f7fa"], [0.001, "#f7dfb0"], [0.5, "#edae49"], [1.0, MODELLED]]

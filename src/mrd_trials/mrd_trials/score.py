@@ -9,147 +9,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import betaincinv
 
 from mrd_base import InputError
+from mrd_trials.case import Case, Cases
+from mrd_trials.rates import Calibration, Rate, Spread, calibration
 from mrd_trials.records import Answer, Bin, Insight, Named, Submission
-
-Array = NDArray[np.float64]
-
-DETECTABLE = 3.0
-"""Signal to floor from which on an effect should be found."""
-
-LIKELY = 0.05
-"""Probability from which on a candidate belongs to the set that a diagnosis leaves open."""
-
-LEAST_PROBABILITY = 1e-3
-"""The log score takes no probability as nearer to 0 or 1: one wrong "certain" shall not decide alone."""
 
 VERDICTS = ("no_gap", "explained", "ambiguous", "unknown_effect", "data_fault", "failed")
 EXCITATIONS = ("rich", "paper", "sine", "replay")
-_NAMING = ("explained", "ambiguous")
 _MISSED = "not named"
-
-
-@dataclass(frozen=True)
-class Rate:
-    """A share of plants (or causes, intervals) with its 95 % Clopper-Pearson interval; all nan where there are none.
-
-    Source: C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
-    """
-
-    hits: int
-    of: int
-
-    @property
-    def value(self) -> float:
-        return self.hits / self.of if self.of else float("nan")
-
-    @property
-    def lower(self) -> float:
-        return self._quantile(0.025, self.hits, 0.0)
-
-    @property
-    def upper(self) -> float:
-        return self._quantile(0.975, self.hits + 1, 1.0)
-
-    @property
-    def bound(self) -> float:
-        """One-sided upper bound, at 95 %."""
-        return self._quantile(0.95, self.hits + 1, 1.0)
-
-    def _quantile(self, level: float, first: int, end: float) -> float:
-        if not self.of:
-            return float("nan")
-        second = self.of + 1 - first
-        return float(betaincinv(first, second, level)) if first and second else end
-
-
-@dataclass(frozen=True)
-class Spread:
-    """A figure over plants; nan where there are none."""
-
-    values: tuple[float, ...]
-
-    @property
-    def median(self) -> float:
-        return self.quantile(0.5)
-
-    def quantile(self, level: float) -> float:
-        return float(np.quantile(self.values, level)) if self.values else float("nan")
-
-
-@dataclass(frozen=True)
-class Case:
-    """A plant with all that is kept of it.
-
-    Attributes
-    ----------
-    alike : mapping
-        By effect: those that are taken as the same where no one who knew the answer looked.
-    """
-
-    answer: Answer
-    submission: Submission
-    insight: Insight
-    alike: Mapping[str, tuple[str, ...]]
-
-    @property
-    def failed(self) -> bool:
-        return self.submission.verdict == "failed"
-
-    @property
-    def claimed(self) -> tuple[str, ...]:
-        """Every effect that is given as a cause, whatever the verdict: what can be wrong."""
-        return tuple(effect for cause in self.submission.causes for effect in cause.effects)
-
-    @property
-    def named(self) -> tuple[str, ...]:
-        """Effects that the answer consists of, most probable first: what can be right."""
-        return self.claimed if self.submission.verdict in _NAMING else ()
-
-    @property
-    def ranking(self) -> tuple[str, ...]:
-        """What is named, then all candidates, best first."""
-        tried = [effect for candidate in self.submission.candidates for effect in candidate.effects]
-        return tuple(dict.fromkeys([*self.named, *tried]))
-
-    @property
-    def detectable(self) -> bool:
-        return self.answer.signal_to_floor > DETECTABLE
-
-    @property
-    def truth(self) -> frozenset[str]:
-        return frozenset(self.answer.causes)
-
-    def group(self, cause: str) -> frozenset[str]:
-        """Effects as good as ``cause`` on these runs: as one who knows the answer found; else as was told or claimed."""
-        if cause in self.insight.alike:
-            return frozenset({cause, *self.insight.alike[cause]})
-        said = self.submission.causes + self.submission.candidates
-        claimed = [effect for one in said if cause in one.alike for effect in one.effects]
-        return frozenset({cause, *self.alike.get(cause, ()), *claimed})
-
-    @property
-    def groups(self) -> frozenset[str]:
-        return frozenset[str]().union(*(self.group(cause) for cause in self.answer.causes))
-
-    @property
-    def left_open(self) -> frozenset[str]:
-        """The set that the diagnosis leaves open: causes, what it says acts alike, likely ones, what it cannot test."""
-        causes = self.submission.causes
-        likely = [
-            one
-            for one in self.submission.candidates
-            if one.probability > LIKELY or not set(self.claimed).isdisjoint(one.alike)
-        ]
-        return frozenset(
-            [*self.submission.untestable, *(effect for one in (*causes, *likely) for effect in (*one.effects, *one.alike))]
-        )
-
-
-Cases = Sequence[Case]
 
 
 @dataclass(frozen=True)
@@ -231,36 +99,6 @@ class Mistakes:
     false_unknown: Rate
     absent: Rate
     needless: Rate
-
-
-@dataclass(frozen=True)
-class Reliable:
-    """A tenth of the probabilities: their mean, and how often they were right."""
-
-    lower: float
-    mean: float
-    right: Rate
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """Whether probabilities are what they say.
-
-    Attributes
-    ----------
-    curve : tuple of Reliable
-        Of the tenths that are not empty.
-    error : float
-        Expected calibration error: mean distance of the curve from the diagonal, weighted by counts.
-    brier, log : float
-        Mean squared error, and mean negative logarithm of the probability given to what was so.
-    """
-
-    count: int
-    curve: tuple[Reliable, ...]
-    error: float
-    brier: float
-    log: float
 
 
 @dataclass(frozen=True)
@@ -423,7 +261,6 @@ def score(
     answers: Mapping[str, Answer],
     submissions: Mapping[str, Submission],
     insights: Mapping[str, Insight],
-    alike: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Score:
     """Score what was said of plants against what they are.
 
@@ -431,8 +268,6 @@ def score(
     ----------
     answers, submissions, insights : mapping
         By plant. One without submission counts as failed; insights may be missing.
-    alike : mapping, optional
-        By effect: those that count as its group where no insight says so.
 
     Raises
     ------
@@ -452,7 +287,6 @@ def score(
             answer,
             submissions.get(plant, Submission(plant, "failed", "no submission")),
             insights.get(plant, Insight(plant)),
-            alike or {},
         )
         for plant, answer in answers.items()
     ]
@@ -468,33 +302,6 @@ def score(
         baselines=_baselines(rich),
         seconds=Spread(_finite(case.submission.elapsed for case in cases)),
         failures={case.answer.plant: case.submission.failure for case in cases if case.failed},
-    )
-
-
-def calibration(probability: Array, right: NDArray[np.bool_]) -> Calibration:
-    """Calibration of claims.
-
-    Parameters
-    ----------
-    probability : ndarray (n,)
-    right : ndarray (n,)
-        Whether each was so.
-    """
-    if not len(probability):
-        return Calibration(0, (), *3 * (float("nan"),))
-    place = np.minimum((10 * probability).astype(int), 9)
-    curve = tuple(
-        Reliable(tenth / 10, float(probability[place == tenth].mean()), Rate(int(right[place == tenth].sum()), int(count)))
-        for tenth, count in enumerate(np.bincount(place, minlength=10))
-        if count
-    )
-    given = np.clip(np.where(right, probability, 1 - probability), LEAST_PROBABILITY, None)
-    return Calibration(
-        count=len(probability),
-        curve=curve,
-        error=sum(one.right.of * abs(one.mean - one.right.value) for one in curve) / len(probability),
-        brier=float(np.mean((probability - right) ** 2)),
-        log=float(-np.mean(np.log(given))),
     )
 
 

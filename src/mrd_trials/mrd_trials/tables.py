@@ -5,20 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mrd_trials.score import (
-    DETECTABLE,
-    LIKELY,
-    Calibration,
-    Counts,
-    Experiment,
-    Figure,
-    Goal,
-    Part,
-    Ranks,
-    Rate,
-    Score,
-    Spread,
-)
+from mrd_trials.case import DETECTABLE, LIKELY
+from mrd_trials.rates import Calibration, Rate, Spread
+from mrd_trials.score import Counts, Experiment, Figure, Goal, Part, Ranks, Score
 
 
 @dataclass(frozen=True)

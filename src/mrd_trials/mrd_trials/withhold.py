@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from mrd_sim.effects import EFFECTS
+from mrd_trials.case import DETECTABLE
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
 from mrd_trials.records import Answer, Submission, completed
 from mrd_trials.run import Diagnoser, frozen, judge, read_given
-from mrd_trials.score import DETECTABLE
 
 WITHHELD = "withheld.jsonl"
 

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from mrd_base import InputError
+from mrd_trials.rates import Rate, Spread, calibration
 from mrd_trials.records import Answer, Bin, Insight, Named, Submission
-from mrd_trials.score import Experiment, Goal, Rate, Spread, calibration, overlap, score
+from mrd_trials.score import Experiment, Goal, overlap, score
 from mrd_trials.score_report import write_score_report
 from mrd_trials.tables import tables, text
 
@@ -41,9 +42,8 @@ def named(found):
     return Named((effect,), probability, NOWHERE, *rest)
 
 
-def judged(answers, submissions, insights=(), alike=None):
-    by_plant = ({one.plant: one for one in records} for records in (answers, submissions, insights))
-    return score(*by_plant, alike)
+def judged(answers, submissions, insights=()):
+    return score(*({one.plant: one for one in records} for records in (answers, submissions, insights)))
 
 
 # Clopper-Pearson
@@ -92,20 +92,20 @@ def test_a_cause_beside_something_unknown_can_be_wrong_but_does_not_make_the_ans
     assert rich.calibration.count == 2
 
 
-def test_groups_are_the_oracle_s_or_else_told_or_claimed():
+def test_groups_are_the_oracle_s_or_else_claimed():
     single = answer("p", "single", "backlash")
     wrong = said("p", "explained", ("joint_play", 0.9))
 
-    def found(submission, alike, *insights):
-        return judged([single], [submission], insights, alike).parts["rich"].detectable
+    def found(submission, *insights):
+        return judged([single], [submission], insights).parts["rich"].detectable
 
-    assert found(wrong, {}).named_group == Rate(0, 1)
-    assert found(wrong, {"backlash": ("joint_play",)}).named_group == Rate(1, 1)
-    assert found(said("p", "explained", ("joint_play", 0.9, {}, ("backlash",))), {}).named_group == Rate(1, 1)
-    own = Insight("p", alike={"backlash": ("backlash",)})
-    assert found(wrong, {"backlash": ("joint_play",)}, own).named_group == Rate(0, 1)
-    assert found(wrong, {}, Insight("p", alike={"backlash": ("backlash", "joint_play")})).named_group == Rate(1, 1)
-    assert found(wrong, {"backlash": ("joint_play",)}).named == Rate(0, 1)
+    assert found(wrong).named_group == Rate(0, 1)
+    claimed = said("p", "explained", ("joint_play", 0.9, {}, ("backlash",)))
+    assert found(claimed).named_group == Rate(1, 1)
+    assert found(claimed, Insight("p", alike={"backlash": ("backlash",)})).named_group == Rate(0, 1)
+    known = Insight("p", alike={"backlash": ("backlash", "joint_play")})
+    assert found(wrong, known).named_group == Rate(1, 1)
+    assert found(wrong, known).named == Rate(0, 1)
 
 
 def test_parts_of_the_plants():
@@ -143,7 +143,7 @@ def test_pairs():
             said("p2", "ambiguous", ("joint_play", 0.5), ("coil_lag", 0.9)),
             said("p3", "unknown_effect"),
         ],
-        alike={"backlash": ("joint_play",)},
+        [Insight("p2", alike={"backlash": ("backlash", "joint_play")})],
     )
     pairs = found.parts["rich"].pairs
     assert pairs.both == pairs.both_detectable == Rate(1, 4)
@@ -166,7 +166,8 @@ def test_pairs():
 def test_one_name_does_not_stand_for_both_of_a_pair():
     alike = {"backlash": ("joint_play",), "coil_lag": ("joint_play",)}
     one = said("p", "explained", ("joint_play", 0.9))
-    assert judged([answer("p", "pair", "backlash", "coil_lag")], [one], (), alike).parts["rich"].pairs.both_group.hits == 0
+    found = judged([answer("p", "pair", "backlash", "coil_lag")], [one], [Insight("p", alike=alike)])
+    assert found.parts["rich"].pairs.both_group.hits == 0
 
 
 # Mistakes
