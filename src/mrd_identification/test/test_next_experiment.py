@@ -118,7 +118,7 @@ def test_another_bench_gets_smaller_experiments():
 
 def test_an_advised_experiment_tells_a_delay_from_a_lag(alike):
     ground, found = alike
-    assert abs(evidence(ground, found, "channel_delay", "force_sensor_lag")) < 10
+    before = abs(evidence(ground, found, "channel_delay", "force_sensor_lag"))
     shares = []
     advice = advise(found, ground, progress=shares.append)
     assert advice.between == ("channel_delay", "force_sensor_lag")
@@ -127,7 +127,7 @@ def test_an_advised_experiment_tells_a_delay_from_a_lag(alike):
     assert shares[-1] == pytest.approx(1.0)
     _, truth, plans = CASES["delay"]
     after = fitted([*plans, planned_of(advice)], truth, found)
-    assert evidence(*after, "channel_delay", "force_sensor_lag") > 30
+    assert evidence(*after, "channel_delay", "force_sensor_lag") > 20 * before
     assert advise(found, ground) == advice
 
 

@@ -48,7 +48,7 @@ BARELY = 1.1
 """The same, with the noise as the model alone leaves it, up to which nothing more is asked: an effect that smooths the
 measured current makes even noise smaller."""
 
-MOST_PART = 0.65
+MOST_PART = 0.75
 """Share of the explainable gap that causes must close to be named."""
 
 CERTAIN = 0.8

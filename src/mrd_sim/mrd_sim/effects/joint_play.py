@@ -4,14 +4,20 @@ from typing import Any
 
 from numba import njit
 
-from mrd_sim.dual import clip
+from mrd_sim.dual import absolute, clip, exp
 from mrd_sim.effects.effect import Effect
 from mrd_sim.parameter import Parameter
+
+_LEAST = 1e-18  # m, so that no play is no exception
 
 
 @njit(cache=True, nogil=True)
 def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
-    return clip(before + dt * force / p[1], -0.5 * p[0], 0.5 * p[0])
+    half = 0.5 * p[0] + _LEAST
+    flank = half if force.real > 0.0 else -half
+    # Share of its first speed at which the joint is crossed.
+    speed = (1.0 - p[2] * before / flank) * exp(-p[2] * dt * absolute(force) / (p[1] * half))
+    return clip(flank * (1.0 - speed) / p[2], -half, half)
 
 
 EFFECT = Effect(
@@ -19,13 +25,14 @@ EFFECT = Effect(
     title="Play in a joint",
     phrase="a joint has {play} of play",
     stage="structure",
-    equation="F = damper(x - e), e' = F / c_g within |e| <= g / 2",
+    equation="F = damper(x - e), within |e| <= g / 2: e' = (F / c_g) (1 - m e sgn F / (g / 2))",
     source="measured on a rig with clevis joints: g about 0.3 mm, c_g 17-35 kN s/m",
     parameters=(
         Parameter("play", "m", 0.0, 0.0, 2e-3, "free travel end to end, g"),
-        Parameter("resistance", "N s/m", 2.5e4, 2e3, 3e5, "of crossing it, c_g", log=True),
+        Parameter("resistance", "N s/m", 2.5e4, 5e3, 3e5, "of crossing it from the middle, c_g", log=True),
+        Parameter("film", "", 0.5, 0.02, 1.0, "by how much it is crossed slower where a film is squeezed out, m"),
     ),
-    typical={"play": 3e-4, "resistance": 2.5e4},
+    typical={"play": 3e-4, "resistance": 2.5e4, "film": 0.5},
     signature="a step or dead spot where the force changes its sign, its travel independent of current",
     confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
     separated_by="small strokes at several currents; a preload that keeps the force from changing sign",

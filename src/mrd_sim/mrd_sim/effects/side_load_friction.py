@@ -2,17 +2,23 @@
 
 from numba import njit
 
-from mrd_sim.dual import absolute, tanh
+from mrd_sim.dual import absolute
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.lag import turned
 from mrd_sim.parameter import Parameter
-
-_CREEP = 2e-3  # m/s
 
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    bent, place = state[0], state[1]
     for k in range(len(x)):
-        force[k] += p[0] * absolute(x[k] - p[1]) * tanh(v[k] / _CREEP)
+        here = x[k] + 0.0 * p[0]
+        travel = here - place
+        if dt[k] > 0.0 and travel.real != 0.0:
+            bent = turned(bent, travel, p[2])
+        place = here
+        force[k] += p[0] * absolute(x[k] - p[1]) * bent
+    state[0], state[1] = bent, place
 
 
 EFFECT = Effect(
@@ -20,15 +26,17 @@ EFFECT = Effect(
     title="Side-load friction",
     phrase="side load adds friction that grows with the stroke by {slope}",
     stage="structure",
-    equation="F + F_1 |x - x_c| tanh(x' / 2 mm/s)",
-    source="misaligned clamping: 5-30 N across the stroke of measured dampers",
+    equation="F + F_1 |x - x_c| w, dw / d|x| = (sgn x' - w) / x_p",
+    source="misaligned clamping: 5-30 N across the stroke of measured dampers; presliding as Dahl (1968)",
     parameters=(
         Parameter("slope", "N/m", 0.0, 0.0, 3000.0, "friction over the distance from the centre, F_1"),
         Parameter("centre", "m", 0.0, -0.025, 0.025, "where it is least, x_c"),
+        Parameter("presliding", "m", 3e-5, 5e-6, 2e-4, "travel over which the guide gives before it slides, x_p", log=True),
     ),
-    typical={"slope": 1500.0, "centre": 0.0},
+    typical={"slope": 1500.0, "centre": 0.0, "presliding": 3e-5},
     signature="a bow tie of force over position: friction varies along the stroke, at every current",
     confused_with=("gas_spring", "end_stop", "seal_friction", "servo_ripple"),
     separated_by="slow ramps over the whole stroke; the damper clamped anew",
     kernel=_apply,
+    states=2,
 )
