@@ -95,7 +95,7 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
         name: np.concatenate([np.asarray(getattr(block, name)) for block in heard])
         for name in ("position", "force", "coil_current", "acceleration")
     }
-    (first,) = np.flatnonzero(live["position"] == run.position[0])
+    (first,) = np.flatnonzero((live["position"] == run.position[0]) & (live["force"] == run.force[0]))
     within = slice(first, first + len(run))
     assert np.array_equal(live["position"][within], run.position)
     assert np.array_equal(live["force"][within], run.force)
@@ -118,6 +118,8 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert replay.returncode == 0, replay.stderr
+    # What was sent as fast as it went is still being read.
+    bench.client.spin(lambda: False, 3)
     goal = Identify.Goal(model="bouc_wen", seed=1, population=40, generations=20, polish=True, output=str(tmp_path))
     sent = action.send_goal_async(goal)
     assert bench.client.spin(sent.done, 10)

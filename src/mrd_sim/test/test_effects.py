@@ -252,7 +252,7 @@ def test_derivatives_agree_with_central_differences(effect, data):
         # At a kink, such as a delay of whole samples has, the derivative is that to one side; a few samples may be near one.
         error = np.min([np.abs(found - slope) for slope in (more - here, here - less, (more - less) / 2)], axis=0)
         error = np.quantile(error, 0.95)
-        assert error <= 3e-3 * np.max(np.abs(found)) + 1e-4 * size, (model.id, parameter.name)
+        assert error <= 1e-3 * np.max(np.abs(found)) + 1e-4 * size, (model.id, parameter.name)
 
 
 @EVERY
