@@ -137,9 +137,9 @@ def carry_over(run: Run, other: Run) -> None:
         remember(other, _MOTIONS[run])
 
 
-def finer(time: Array, parts: int) -> Array:
-    """Instants (m,) in s that divide every interval of a clock (n,) into so many parts."""
-    return np.interp(np.arange((len(time) - 1) * parts + 1) / parts, np.arange(len(time)), time)
+def finer(series: Array, parts: int) -> Array:
+    """A series (n,), the clock itself among them, with every interval divided into so many parts: (m,), straight between."""
+    return np.interp(np.arange((len(series) - 1) * parts + 1) / parts, np.arange(len(series)), series)
 
 
 def between_samples(run: Run, parts: int) -> tuple[Array, Array, Array]:

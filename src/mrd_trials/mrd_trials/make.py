@@ -267,14 +267,16 @@ class Session:
 
     def record(self, effects: Mapping[str, Mapping[str, float]], further: Sequence[Motion] = ()) -> list[Recorded]:
         """All runs, and ``further`` ones after them."""
-        plant = replace(self.plant, effects=effects)
-        return record(plant, [*self.motions, *further], self.instruments, np.random.default_rng(self.noise))
+        return self._along([*self.motions, *further], effects)
 
     def given(self, effects: Mapping[str, Mapping[str, float]]) -> list[Run]:
         """The runs that the diagnosis is given: the same as among all."""
-        plant = replace(self.plant, effects=effects)
-        found = record(plant, self.motions[:-FRESH], self.instruments, np.random.default_rng(self.noise))
+        found = self._along(self.motions[:-FRESH], effects)
         return [as_run(*named) for named in zip(self.names[:-FRESH], found, strict=True)]
+
+    def _along(self, motions: Sequence[Motion], effects: Mapping[str, Mapping[str, float]]) -> list[Recorded]:
+        plant = replace(self.plant, effects=effects)
+        return record(plant, motions, self.instruments, np.random.default_rng(self.noise))
 
 
 def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str, Recorded]]]:

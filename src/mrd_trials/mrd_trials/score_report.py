@@ -43,4 +43,3 @@ def content(score: Score) -> dict[str, Any]:
         "coverage": html(figures.coverage(dict(rich.coverage_of))) if rich.coverage_of else "",
         "confusion": html(figures.confusion(score.confusion)) if score.confusion.rows else "",
     }  # fmt: skip
-

@@ -98,12 +98,12 @@ def _carried(recording: Recording, model: DamperModel, theta: Array, rng: np.ran
     switches = _switches(level, current_noise(run.current))
     of_current = _current_errors(run, level, not np.array_equal(used, run.current), rng, draws)
     expected = model.force(theta, recording.path)
-    squares, larger = np.zeros(len(run)), np.interp(time, run.time, _rounding(run))
+    squares, larger = np.zeros(len(run)), finer(_rounding(run), parts)
     for position, velocity, acceleration, error in zip(*motion_errors(run, rng, draws, parts), of_current, strict=True):
         wrong = (moved[0] + larger * position, moved[1] + larger * velocity, moved[2] + larger * acceleration)
         current, at = _between(used + error, switches, parts, rng)
-        path = replace(_switched_path(time, wrong, current, at, rng), mains=recording.path.mains)
-        path = replace(path, samples=path.samples[::parts])
+        path = _switched_path(time, wrong, current, at, rng)
+        path = replace(path, samples=path.samples[::parts], mains=recording.path.mains)
         squares += (model.force(theta, path) - expected) ** 2
     return squares[recording.counted] / draws
 
@@ -120,13 +120,12 @@ def _between(
     current: Array, switches: NDArray[np.intp], parts: int, rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.intp]]:
     """A current between its samples, on a clock finer by ``parts``, and after which instants it switches there."""
-    many = (len(current) - 1) * parts + 1
-    finer = np.interp(np.arange(many), np.arange(len(current)) * parts, current)
+    found = finer(current, parts)
     at = switches * parts + rng.integers(parts, size=len(switches))
     for start, place in zip(switches * parts, at, strict=True):
-        finer[start : place + 1] = finer[start]
-        finer[place + 1 : start + parts] = finer[start + parts]
-    return finer, at
+        found[start : place + 1] = found[start]
+        found[place + 1 : start + parts] = found[start + parts]
+    return found, at
 
 
 def _rounding(run: Run) -> Array:
