@@ -41,9 +41,9 @@ coil: {waveform: constant, level_mA: 100.0}
 class WholeBench:
     """All nodes with a simulated plant, and somebody who watches."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.processes = BenchProcesses(bench_parts(BENCH, PLANT, folder / "motor", seed=1), folder / "log")
+    def __init__(self, folder: Path, **environment: str) -> None:
+        parts = bench_parts(BENCH, PLANT, folder / "motor", seed=1)
+        self.processes = BenchProcesses(parts, folder / "log", environment=environment)
 
     def __enter__(self) -> "WholeBench":
         self.processes.__enter__()
@@ -133,6 +133,13 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
     action.destroy()
 
 
+def test_the_first_run_ever_waits_for_what_is_compiled(tmp_path: Path) -> None:
+    with WholeBench(tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "numba")) as bench:
+        assert any((tmp_path / "numba").rglob("*.nbi"))
+        result = bench.client.run_experiment(LONG.replace("duration_s: 30.0", "duration_s: 1.0"), tmp_path / "bag", 0)
+        assert result.success, result.message
+
+
 def pull_line(bench: WholeBench) -> None:
     bench.fault("unplug")
 
@@ -175,7 +182,7 @@ def test_the_rod_stops_within_200_ms(
         return bool(truth) and abs(truth[-1].velocity[0]) > 0.04
 
     # Homing is slower than this: the experiment runs.
-    assert bench.client.spin(fast, 40), ended.result() if ended.done() else "the rod never moved"
+    assert bench.client.spin(lambda: fast() or ended.done(), 40), "the rod never moved"
     assert not ended.done(), ended.result().result.message
     begun = time.time()
     accident(bench)
@@ -235,7 +242,7 @@ def record_set(folder: Path, lengths: tuple[float, ...]) -> subprocess.Popen[str
 @pytest.mark.timeout(120)
 def test_a_folder_of_experiments_is_recorded_by_one_command(tmp_path: Path) -> None:
     said, failed = record_set(tmp_path, (1.0, 2.0)).communicate(timeout=100)
-    assert not failed
+    assert not failed, failed
     first, *lines = said.splitlines()
     assert first.startswith("experiments: 2 experiments, ")
     runs = [read_run(tmp_path / f"set/{name}") for name in ("1_run", "2_run")]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
@@ -50,6 +51,11 @@ class BenchClient:
         self._watch = watch
         self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
         self._run_set = ActionClient(self.node, RunSet, "run_set")
+        self._working: set[str] = set()
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self._working.update(status.name.partition(":")[0] for status in message.status)
 
     def __enter__(self) -> "BenchClient":
         return self
@@ -73,16 +79,16 @@ class BenchClient:
         return True
 
     def wait_until_up(self, names: set[str], timeout: float = _START_TIMEOUT) -> None:
-        """Wait until all nodes are seen and the supervisor takes orders."""
-        namespace = self.node.get_namespace()
+        """Wait until all nodes have told how they are, which they do once they work, and the supervisor takes orders."""
+        space = self.node.get_namespace().strip("/")
 
-        def seen() -> set[str]:
-            return {name for name, space in self.node.get_node_names_and_namespaces() if space == namespace}
+        def missing() -> set[str]:
+            return {name for name in names if f"{space}/{name}" not in self._working}
 
         actions = self._run_experiment, self._run_set
-        if not self.spin(lambda: names <= seen() and all(action.server_is_ready() for action in actions), timeout):
-            missing = ", ".join(sorted(names - seen())) or "the actions of the supervisor"
-            raise InputError(f"the bench did not come up within {timeout:g} s: {missing} missing; look at the logs")
+        if not self.spin(lambda: not missing() and all(action.server_is_ready() for action in actions), timeout):
+            late = ", ".join(sorted(missing())) or "the actions of the supervisor"
+            raise InputError(f"the bench did not come up within {timeout:g} s: {late} missing; look at the logs")
 
     def run_experiment(
         self, experiment: str, bag: Path, seed: int, feedback: Callable[[Any], None] = lambda _feedback: None

@@ -26,6 +26,8 @@ class PlantNode(BenchNode[PlantConfig]):
 
     def __init__(self) -> None:
         super().__init__("plant", PlantConfig)
+        # What is compiled on the first run ever takes seconds: before anything moves, not while it does.
+        Plant(self.config).advance(_BLOCK)
         self.plant = Plant(self.config, self.bench.now())
         self.line = SerialLine(self.plant.motor, self.bench, self.config.port_link)
         self._slowest = 0.0
