@@ -265,7 +265,7 @@ def test_an_interrupted_set_keeps_what_it_recorded(tmp_path: Path) -> None:
     time.sleep(2.0)
     tool.send_signal(signal.SIGINT)
     _, said = tool.communicate(timeout=60)
-    assert tool.returncode == 130
+    assert tool.returncode == 130, said
     folders = [tmp_path / "set/1_run", tmp_path / "set/2_run"]
     assert said.splitlines() == [*(f"recorded until then: {folder}" for folder in folders), "interrupted"]
     whole, part = map(read_run, folders)

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest
 
-from mrd_identification.gap.contest import FIRST_SCATTER, learned_scatter
+from mrd_identification.gap.contest import FIRST_SCATTER, contest, learned_scatter
 from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.gap.ground import Ground, with_effect
 from mrd_identification.gap.judge import closed, probabilities, resampled
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.refit import Scatter, refit, whitening, without_each
-from mrd_identification.gap.which import Foundation, score, variants
+from mrd_identification.gap.which import Foundation, around, score, variants
 from mrd_identification.polish import polish
 from mrd_identification.problem import prepare
 from mrd_runs import Run
@@ -177,7 +177,7 @@ def test_closed_is_the_share_of_what_noise_does_not_explain(share, noise):
 
 def test_every_effect_has_forms_from_which_a_fit_can_begin():
     for effect in EFFECTS.values():
-        for variant in variants(effect):
+        for variant in variants(effect, np.linspace(-900.0, 900.0, 10)):
             assert set(variant) == {parameter.name for parameter in effect.parameters}
             assert all(p.lower <= variant[p.name] <= p.upper for p in effect.parameters)
             assert variant[effect.parameters[0].name] != effect.parameters[0].default
@@ -191,3 +191,21 @@ def test_while_something_is_missing_runs_are_less_free(ground):
     assert missing.together > 3.0
     assert missing.noise_share < 0.1 * ground.samples
     assert ground.after(BASE, THETA).missing < 0.5
+
+
+@pytest.mark.parametrize("true", [("gas_spring",), ("moving_mass", "gas_spring")])
+def test_an_effect_that_another_one_makes_superfluous_is_dropped(true):
+    model = find_model("bouc_wen", effects=true)
+    typical = {f"{name}.{key}": value for name in true for key, value in EFFECTS[name].typical.items()}
+    theta = model.vector({"yield_force": 60.0, "yield_force_per_A": 800.0, "coil_lag": 0.0} | typical)
+    ground = ground_of([run(seed, model=model, theta=theta) for seed in range(5)])
+    alone = refit(ground.problem(BASE, THETA), THETA, ground.parts)
+    chosen, fitted = [], alone
+    for present, name in ((), "moving_mass"), (("moving_mass",), "gas_spring"):
+        (trial,) = around(ground, Foundation.of(ground, fitted), [name], 1, present=present)
+        chosen, fitted = [*chosen, trial], trial.refit
+    found = contest(ground, alone, chosen, chosen[:1], np.random.default_rng(0))
+    assert set(found.effects) == set(true)
+    assert [len(step.problem.model.effects) for step in found.chain] == list(range(1, len(true) + 1))
+    assert found.best.level == pytest.approx(1.0, abs=0.1)
+    assert found.rivals.keys() == set(true)

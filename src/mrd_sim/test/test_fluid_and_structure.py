@@ -40,20 +40,31 @@ def test_gas_spring_is_a_polytropic_accumulator_without_its_preload():
 
 
 def test_cavitation_caps_compression_only_and_delays_the_rebound():
-    motion = sine(seconds=2.0)
-    time, x, v = motion[:3]
-    force = 2000.0 * np.tanh(v / 0.01)
-    found = apply("cavitation", {"inverse_cap": 1e-3, "void": 1.0}, *motion, force)
-    assert found.min() == pytest.approx(-1000.0, rel=0.01)
-    moving_out = (v > 0.01) & (time > 1.0)
-    void = x - x[(time > 0.9) & (time < 1.1)].min()
-    # Compressed by 40 mm at twice the cap: half of it is void.
-    assert np.abs(found[moving_out & (void < 0.015)]).max() < 1e-3
-    assert found[moving_out & (void > 0.022)] == pytest.approx(force[moving_out & (void > 0.022)], rel=1e-3)
-    first = (v > 0.01) & (time < 0.5)
-    assert np.array_equal(found[first], force[first])
-    gentle = apply("cavitation", {"inverse_cap": 1e-3}, *motion, 0.25 * force)
-    assert gentle == pytest.approx(0.25 * force, rel=3e-3, abs=1e-9)
+    time, x, v, a, u = sine(seconds=2.0)
+    path = make_path(time, x, v, a, u)
+    base = find_model("bingham")
+    given = {"yield_force": 1500.0, "yield_force_per_A": 0.0, "offset": -50.0}
+    plain = base.force(base.vector(given), path)
+    model = find_model("bingham", effects=["cavitation"])
+
+    def capped(cap):
+        own = {"inverse_cap": 1 / cap, "opening": 10.0, "preload": 50.0}
+        return model.force(model.vector(given | {f"cavitation.{name}": value for name, value in own.items()}), path)
+
+    found = capped(1000.0)
+    inward = (v < -0.05) & (time > 0.55)
+    assert found[inward] == pytest.approx(-1050.0, rel=0.05)
+    outward = v > 0.01
+    first = outward & (time < 0.5)
+    assert found[first] == pytest.approx(plain[first])
+    # The void is crossed against next to nothing, and then all is as before.
+    again = outward & (time > 1.0)
+    crossing = again & (found < 150.0)
+    assert np.ptp(x[crossing]) > 5e-3
+    assert np.abs(found[crossing & (v > 0.02)] + 50.0).max() < 100.0
+    late = again & (time > 1.465)
+    assert found[late] == pytest.approx(plain[late], rel=1e-6)
+    assert capped(5000.0) == pytest.approx(plain)
 
 
 def test_asymmetry_is_a_share_of_the_force_by_direction():

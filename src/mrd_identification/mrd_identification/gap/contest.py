@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from mrd_identification.gap.ground import Ground, without_effect
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import Refit, Scatter, refit
-from mrd_identification.gap.which import Foundation, Trial, anew, around
+from mrd_identification.gap.which import Foundation, Trial, anew, around, worth
 from mrd_identification.problem import in_threads
 
 MOST_RIVALS = 4
@@ -66,22 +67,43 @@ def contest(
     best = chosen[-1].refit if chosen else alone
     noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
     ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(best.problem.model, best.theta)
-    effects = chosen[-1].effects if chosen else ()
-    chain = tuple(in_threads(lambda trial: anew(ground, trial.refit), chosen))
+    chain, effects, without = _needed(ground, in_threads(lambda trial: anew(ground, trial.refit), chosen))
     singles = sorted((trial for trial in trials if len(trial.effects) == 1), key=lambda trial: trial.refit.total)
     others = [trial.effects[0] for trial in singles if trial.effects[0] not in effects][:MOST_RIVALS]
-    alone = anew(ground, alone)
-    return Contest(
-        ground, alone, chain, effects, {effect: _rivals(ground, chain[-1], effect, others) for effect in effects}
-    )
+    rivals = {
+        effect: {effect: chain[-1], "": fitted} | _in_its_place(ground, fitted, others)
+        for effect, fitted in without.items()
+    }
+    return Contest(ground, anew(ground, alone), tuple(chain), effects, rivals)
 
 
-def _rivals(ground: Ground, best: Refit, effect: str, others: Sequence[str]) -> dict[str, Refit]:
-    """The best model, the same without one of its effects (""), and with others in its place."""
-    model, theta = without_effect(best.problem.model, best.theta, effect)
-    without = refit(ground.problem(model, theta), theta, ground.parts)
+def _needed(ground: Ground, chain: list[Refit]) -> tuple[list[Refit], tuple[str, ...], dict[str, Refit]]:
+    """The chain less the effects that those after them made superfluous; its effects, and what it is without each."""
+    while chain:
+        best = chain[-1]
+        effects = tuple(dict.fromkeys(effect.id for step in chain for effect in step.problem.model.effects))
+        fitted = in_threads(partial(_without, ground, best), effects)
+        without = dict(zip(effects, fitted, strict=True))
+        least = min(effects, key=lambda effect: without[effect].total)
+        if len(effects) == 1 or worth(ground, without[least], best):
+            return chain, effects, without
+        kept = [effect for effect in effects if effect != least]
+        chain = [without[least]]
+        for effect in kept[:0:-1]:
+            chain.insert(0, _without(ground, chain[0], effect))
+    return chain, (), {}
+
+
+def _without(ground: Ground, fitted: Refit, effect: str) -> Refit:
+    """The same model refitted without one of its effects."""
+    model, theta = without_effect(fitted.problem.model, fitted.theta, effect)
+    return refit(ground.problem(model, theta), theta, ground.parts)
+
+
+def _in_its_place(ground: Ground, without: Refit, others: Sequence[str]) -> dict[str, Refit]:
+    """A model with each of some other effects."""
     trials = around(ground, Foundation.of(ground, without), others, len(others))
-    return {effect: best, "": without} | {trial.effects[-1]: trial.refit for trial in trials}
+    return {trial.effects[-1]: trial.refit for trial in trials}
 
 
 def learned_scatter(fitted: Refit) -> Scatter:

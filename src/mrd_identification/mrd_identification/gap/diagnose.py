@@ -181,7 +181,8 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
         effect: dict(zip(rivals, known * probabilities(list(rivals.values()), rng), strict=True))
         for effect, rivals in found.rivals.items()
     }
-    p_values = [p_value(trial.gain, nulls) for trial in chosen]
+    by_chance = {trial.effects[-1]: p_value(trial.gain, nulls) for trial in chosen}
+    p_values = [by_chance[effect] for effect in found.effects]
     verdict = _verdict(found, alone.level, chances, p_values, rng)
     if verdict == "no_gap":
         found, chances = replace(found, chain=(), effects=(), rivals={}), {}

@@ -116,11 +116,15 @@ class Trial:
     unseen_gain: float
 
 
-def variants(effect: Effect) -> list[dict[str, float]]:
-    """Values of an effect's parameters from which fits may begin: typical, and with each shape moved either way."""
+def variants(effect: Effect, force: Array) -> list[dict[str, float]]:
+    """Values of an effect's parameters from which fits to a force (n,) may begin: typical, and with each shape moved."""
     typical = {p.name: effect.typical.get(p.name, p.default) for p in effect.parameters}
+    size, *shapes = effect.parameters
     found = [typical]
-    for shape in effect.parameters[1:]:
+    if effect.starts is not None:
+        found = [typical | {size.name: value} for value in effect.starts(force)]
+        typical = found[0]
+    for shape in shapes:
         if not shape.free:
             continue
         for place in (0.15, 0.5, 0.85):
@@ -144,7 +148,7 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
     own = [names.index(f"{effect.id}.{p.name}") for p in effect.parameters]
     best: Score | None = None
     size = effect.parameters[0]
-    for variant in variants(effect):
+    for variant in variants(effect, problem.force):
         if variant[size.name] == 0.0:
             continue
         theta = plain.copy()
@@ -160,13 +164,14 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
         factor = float(np.clip(-(left @ foundation.residual) / strength, max(ends[0], -3.0), min(ends[1], 3.0)))
         gain = max(0.0, -factor * (2 * float(left @ foundation.residual) + factor * strength))
         if best is None or gain > best.gain:
-            # A fit that begins at nothing learns nothing of the shape.
+            # A fit that begins at nothing learns nothing of the shape, nor one short of a threshold of what lies beyond.
             factor = factor if abs(factor) > 0.03 else 0.03
+            scale = 1.0 if effect.starts else factor
             start = plain.copy()
             start[own] = [variant[p.name] for p in effect.parameters]
             for place, parameter in zip(own, effect.parameters, strict=True):
                 if parameter is size or (parameter.default == 0.0 and parameter.lower < 0.0 < parameter.upper):
-                    start[place] *= factor
+                    start[place] *= scale
             moved = problem.unit(start)
             old_free = [names.index(old.names[i]) for i in foundation.refit.problem.free]
             moved[[problem.free.index(i) for i in old_free]] += factor * absorbed

@@ -13,7 +13,7 @@ CROSSING = 500.0
 
 
 @njit(cache=True, nogil=True)
-def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
+def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
     driving = force - clip(force, -p[1], p[1])
     return clip(before + dt * driving / CROSSING, -0.5 * p[0], 0.5 * p[0])
 

@@ -1,6 +1,6 @@
 """What an effect is: something that a simulator leaves out until it is switched on."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -30,6 +30,9 @@ class Effect:
         Their defaults are neutral: with them the effect changes nothing. Their bounds are what is plausible.
     typical : mapping
         A value of each parameter with which the effect is clearly there; where a fit begins.
+    starts : callable, optional
+        ``starts(force)``: values of the first parameter where a fit to such forces in N (n,) may begin, for an effect that
+        sets in at a threshold.
     kernel : callable, optional
         ``kernel(p, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
         (`mrd_sim.dual`): parameters ``p`` (parameters,), ``state`` carried from call to call, then the signals on the
@@ -43,8 +46,9 @@ class Effect:
         Whether the state outlasts a recorded run, so that the next one begins with it (`DamperModel.next_state`); pauses
         between runs are not in it.
     stretch : callable, optional
-        ``stretch(p, before, dt, force)``, compiled likewise: elongation in m, after ``dt`` under ``force``, of something in
-        series with the damper that was elongated by ``before``; never falls with the force. In the place of ``kernel``.
+        ``stretch(p, before, dt, force, x)``, compiled likewise: elongation in m, after ``dt`` under ``force`` with the rod
+        at ``x``, of something in series with the damper that was elongated by ``before``; never falls with the force. In
+        the place of ``kernel``.
     signature : str
         How it shows.
     confused_with : tuple of str
@@ -68,10 +72,11 @@ class Effect:
     signature: str
     confused_with: tuple[str, ...]
     separated_by: str
+    starts: Callable[[Array], Sequence[float]] | None = None
     kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
     states: int = 0
     begin: Callable[[Path], Array] | None = None
     carries: bool = False
-    stretch: Callable[[Any, Any, Any, Any], Any] | None = None
+    stretch: Callable[[Any, Any, Any, Any, Any], Any] | None = None
     phrase: str = ""
     structural: bool = False

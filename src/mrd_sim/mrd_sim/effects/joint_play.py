@@ -12,7 +12,7 @@ _LEAST = 1e-18  # m, so that no play is no exception
 
 
 @njit(cache=True, nogil=True)
-def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
+def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
     half = 0.5 * p[0] + _LEAST
     flank = half if force.real > 0.0 else -half
     # Share of its first speed at which the joint is crossed.

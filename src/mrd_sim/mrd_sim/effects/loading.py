@@ -87,7 +87,7 @@ def _try(file: Path, effect: Effect) -> None:
             raise InputError(f"{file}: {called.__name__} is not compiled, expected numba's @njit")
     try:
         if effect.stretch is not None:
-            changed = effect.stretch(p, 0.0, 1e-3, 100.0) != 0.0
+            changed = effect.stretch(p, 0.0, 1e-3, 100.0, 0.01) != 0.0
         else:
             assert effect.kernel is not None
             before = np.linspace([-0.01, 0.1, 1.0, 0.5, 100.0], [0.01, 0.2, 2.0, 1.0, 300.0], 4).T

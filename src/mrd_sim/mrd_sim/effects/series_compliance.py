@@ -9,7 +9,7 @@ from mrd_sim.parameter import Parameter
 
 
 @njit(cache=True, nogil=True)
-def _stretch(p: Any, before: Any, dt: float, force: Any) -> Any:
+def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
     return p[0] * force
 
 
