@@ -207,5 +207,5 @@ def test_an_effect_that_another_one_makes_superfluous_is_dropped(true):
     found = contest(ground, alone, chosen, chosen[:1], np.random.default_rng(0))
     assert set(found.effects) == set(true)
     assert [len(step.problem.model.effects) for step in found.chain] == list(range(1, len(true) + 1))
-    assert found.best.level == pytest.approx(1.0, abs=0.1)
+    assert found.best.level < 1.2
     assert found.rivals.keys() == set(true)
