@@ -25,7 +25,14 @@ def follow(lagged: Any, before: Any, now: Any, steps: Any, left: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def turned(direction: Any, travel: Any, over: Any) -> Any:
-    """A direction of motion (-1 to 1) that lags in travel, not in time, after ``travel`` (m, not 0); its lag is ``over``."""
-    side = 1.0 if travel.real > 0.0 else -1.0
-    return side + (direction - side) * exp(-absolute(travel) / over)
+def turned(state: Any, step: float, here: Any, over: Any) -> Any:
+    """A direction of motion (-1 to 1) that lags in travel, not in time, after a step in s to ``here``; its lag is ``over``.
+
+    ``state`` holds this direction and the place that was come from, and is brought up to date.
+    """
+    travel = here - state[1]
+    if step > 0.0 and travel.real != 0.0:
+        side = 1.0 if travel.real > 0.0 else -1.0
+        state[0] = side + (state[0] - side) * exp(-absolute(travel) / over)
+    state[1] = here
+    return state[0]

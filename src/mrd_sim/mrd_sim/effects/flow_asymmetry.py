@@ -9,15 +9,8 @@ from mrd_sim.parameter import Parameter
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
-    flow, place = state[0], state[1]
     for k in range(len(x)):
-        here = x[k] + 0.0 * p[0]
-        travel = here - place
-        if dt[k] > 0.0 and travel.real != 0.0:
-            flow = turned(flow, travel, p[1])
-        place = here
-        force[k] *= 1.0 + p[0] * flow
-    state[0], state[1] = flow, place
+        force[k] *= 1.0 + p[0] * turned(state, dt[k], x[k], p[1])
 
 
 EFFECT = Effect(

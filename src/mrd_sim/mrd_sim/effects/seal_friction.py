@@ -10,16 +10,9 @@ from mrd_sim.parameter import Parameter
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
-    bent, place = state[0], state[1]
     for k in range(len(x)):
-        here = x[k] + 0.0 * p[0]
-        travel = here - place
-        if dt[k] > 0.0 and travel.real != 0.0:
-            bent = turned(bent, travel, p[3])
-        place = here
         slow = v[k] / p[2]
-        force[k] += p[0] * bent * (1.0 + p[1] * exp(-slow * slow))
-    state[0], state[1] = bent, place
+        force[k] += p[0] * turned(state, dt[k], x[k], p[3]) * (1.0 + p[1] * exp(-slow * slow))
 
 
 EFFECT = Effect(

@@ -10,15 +10,8 @@ from mrd_sim.parameter import Parameter
 
 @njit(cache=True, nogil=True)
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
-    bent, place = state[0], state[1]
     for k in range(len(x)):
-        here = x[k] + 0.0 * p[0]
-        travel = here - place
-        if dt[k] > 0.0 and travel.real != 0.0:
-            bent = turned(bent, travel, p[2])
-        place = here
-        force[k] += p[0] * absolute(x[k] - p[1]) * bent
-    state[0], state[1] = bent, place
+        force[k] += p[0] * absolute(x[k] - p[1]) * turned(state, dt[k], x[k], p[2])
 
 
 EFFECT = Effect(
