@@ -542,6 +542,8 @@ def test_current_saturation():
     for s in (1e-6, 0.01, 0.8, 2.0):  # its series serves as far as 0.03 / s
         found = act("current_saturation", {"inverse_current": s}, dt=steps(len(u), 100.0), u=u)["u"]
         assert np.allclose(found, np.tanh(s * u) / s, rtol=1e-14, atol=0)
+        found = act("current_saturation", {"inverse_current": s, "circuit": 1.0}, dt=steps(len(u), 100.0), u=u)["u"]
+        assert np.allclose(found, u / (1 + s * u), rtol=1e-14, atol=0)
 
 
 def test_current_sensor_error_is_what_the_sensor_adds():

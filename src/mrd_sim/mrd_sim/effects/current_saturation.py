@@ -2,7 +2,7 @@
 
 from numba import njit
 
-from mrd_sim.dual import tanh
+from mrd_sim.dual import absolute, tanh
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
 
@@ -14,9 +14,10 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
         if -0.03 < z.real < 0.03:
             # tanh(z) / z by its series: neutral at s = 0.
             w = z * z
-            u[k] = u[k] * (1.0 - w * (1.0 / 3.0 - w * (2.0 / 15.0 - w * (17.0 / 315.0))))
+            bent = 1.0 - w * (1.0 / 3.0 - w * (2.0 / 15.0 - w * (17.0 / 315.0)))
         else:
-            u[k] = tanh(z) / p[0]
+            bent = tanh(z) / z
+        u[k] *= bent + p[1] * (1.0 / (1.0 + absolute(z)) - bent)
 
 
 EFFECT = Effect(
@@ -24,10 +25,13 @@ EFFECT = Effect(
     title="Saturation over current",
     phrase="the force saturates over the current, on the scale of {inverse_current:inverse}",
     stage="magnetics",
-    equation="u = tanh(s I) / s, s = 1 / I_s",
-    source="Carlson: yield stress over field is a tanh; I_s of 1 to 2.5 A",
-    parameters=(Parameter("inverse_current", "1/A", 0.0, 0.0, 2.0, "s, one over the current I_s of saturation"),),
-    typical={"inverse_current": 0.8},
+    equation="u = (1 - m) tanh(s I) / s + m I / (1 + s |I|), s = 1 / I_s",
+    source="Carlson: yield stress over field is a tanh; Fröhlich (1881): flux of a circuit over current; I_s of 1 to 2.5 A",
+    parameters=(
+        Parameter("inverse_current", "1/A", 0.0, 0.0, 2.0, "s, one over the current I_s of saturation"),
+        Parameter("circuit", "", 0.0, 0.0, 1.0, "how much of it is the magnetic circuit's, m"),
+    ),
+    typical={"inverse_current": 0.8, "circuit": 0.3},
     signature="the force grows less and less with current, at any speed",
     confused_with=("magnetic_hysteresis", "current_sensor_error", "cavitation", "thermal_fade"),
     separated_by="staircase of current up to 2 A, briefly",
