@@ -67,31 +67,30 @@ def contest(
     best = chosen[-1].refit if chosen else alone
     noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
     ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(best.problem.model, best.theta)
-    chain, effects, without = _needed(ground, in_threads(lambda trial: anew(ground, trial.refit), chosen))
+    chain, without = _needed(ground, in_threads(lambda trial: anew(ground, trial.refit), chosen))
     singles = sorted((trial for trial in trials if len(trial.effects) == 1), key=lambda trial: trial.refit.total)
-    others = [trial.effects[0] for trial in singles if trial.effects[0] not in effects][:MOST_RIVALS]
+    others = [trial.effects[0] for trial in singles if trial.effects[0] not in without][:MOST_RIVALS]
     rivals = {
         effect: {effect: chain[-1], "": fitted} | _in_its_place(ground, fitted, others)
         for effect, fitted in without.items()
     }
-    return Contest(ground, anew(ground, alone), tuple(chain), effects, rivals)
+    return Contest(ground, anew(ground, alone), tuple(chain), tuple(without), rivals)
 
 
-def _needed(ground: Ground, chain: list[Refit]) -> tuple[list[Refit], tuple[str, ...], dict[str, Refit]]:
-    """The chain less the effects that those after them made superfluous; its effects, and what it is without each."""
+def _needed(ground: Ground, chain: list[Refit]) -> tuple[list[Refit], dict[str, Refit]]:
+    """The chain less the effects that others made superfluous, and by effect what it is without each."""
     while chain:
         best = chain[-1]
         effects = tuple(dict.fromkeys(effect.id for step in chain for effect in step.problem.model.effects))
-        fitted = in_threads(partial(_without, ground, best), effects)
-        without = dict(zip(effects, fitted, strict=True))
+        without = dict(zip(effects, in_threads(partial(_without, ground, best), effects), strict=True))
         least = min(effects, key=lambda effect: without[effect].total)
         if len(effects) == 1 or worth(ground, without[least], best):
-            return chain, effects, without
+            return chain, without
         kept = [effect for effect in effects if effect != least]
         chain = [without[least]]
         for effect in kept[:0:-1]:
             chain.insert(0, _without(ground, chain[0], effect))
-    return chain, (), {}
+    return chain, {}
 
 
 def _without(ground: Ground, fitted: Refit, effect: str) -> Refit:

@@ -120,10 +120,9 @@ def variants(effect: Effect, force: Array) -> list[dict[str, float]]:
     """Values of an effect's parameters from which fits to a force (n,) may begin: typical, and with each shape moved."""
     typical = {p.name: effect.typical.get(p.name, p.default) for p in effect.parameters}
     size, *shapes = effect.parameters
-    found = [typical]
-    if effect.starts is not None:
-        found = [typical | {size.name: value} for value in effect.starts(force)]
-        typical = found[0]
+    sizes = effect.starts(force) if effect.starts else [typical[size.name]]
+    found = [typical | {size.name: value} for value in sizes]
+    typical = found[0]
     for shape in shapes:
         if not shape.free:
             continue
