@@ -200,8 +200,17 @@ def test_a_second_cause_is_found_and_both_have_rivals():
     found = diagnose(runs, "bouc_wen", effects=FEW)
     assert {cause.effect for cause in found.causes} == {"coil_lag", "moving_mass"}
     assert all(cause.probability > 0.8 for cause in found.causes)
-    probabilities = [cause.probability for cause in found.causes]
-    assert probabilities == sorted(probabilities, reverse=True)
+    likely = [cause.probability * cause.closed.value for cause in found.causes]
+    assert likely == sorted(likely, reverse=True)
+
+
+def test_a_second_cause_is_sought_where_the_form_of_the_first_could_leave_as_much():
+    runs = recorded({"channel_delay": {"delay": 0.006}, "moving_mass": {"mass": 5.0}}, seed=9)
+    found = diagnose(runs, "bouc_wen", effects=FEW)
+    assert [cause.effect for cause in found.causes] == ["channel_delay", "moving_mass"]
+    sizes = found.causes[1].parameters["moving_mass.mass"].value
+    assert sizes.value == pytest.approx(5.0, rel=0.1)
+    assert found.causes[1].closed.value < 0.06
 
 
 def test_runs_that_were_set_aside_may_go_beyond_the_fitted():

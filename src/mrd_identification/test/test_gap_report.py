@@ -241,6 +241,11 @@ def test_sentences():
     assert ambiguous.sentence.endswith("recording the experiment “current_steps” would separate them.")
     sensor = replace(ambiguous, advice=Advice("A second displacement sensor across the damper would tell them apart."))
     assert describe(sensor).endswith("closed; a second displacement sensor across the damper would tell them apart.")
+    doubtful = replace(ambiguous, alternatives=(), advice=None)
+    assert re.fullmatch(
+        r"The force channel is late by 12\.0 ± 0\.6 ms; adding this removes \d+ % of the explainable gap, "
+        r"but this is not certain \(\d+ %\)\.", describe(doubtful),
+    )  # fmt: skip
     unknown = diagnosed("unknown_effect").sentence
     assert re.fullmatch(
         r"Something that is not in the catalogue: \d+ % of the excess error lies at .*; "

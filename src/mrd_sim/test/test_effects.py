@@ -478,7 +478,7 @@ def test_backlash_is_absent_where_a_preload_keeps_the_force_from_changing_sign()
     ("name", "values"),
     [
         ("servo_ripple", {"amplitude": 5e-5, "phase": 1.0}),
-        ("servo_ripple", {"amplitude": -2e-5, "phase": 2.0, "period": 5e-3}),
+        ("servo_ripple", {"amplitude": 2e-5, "phase": 4.0, "period": 5e-3}),
         ("lvdt_nonlinearity", {"cubic": 0.05, "gain": -0.05}),
         ("lvdt_nonlinearity", {"cubic": -0.05, "gain": -0.1}),
     ],

@@ -33,7 +33,7 @@ class Case:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Effects that the answer consists of, most probable first: what can be right."""
+        """Effects that the answer consists of, first what is likely to close most: what can be right."""
         return self.claimed if self.submission.verdict in _NAMING else ()
 
     @property

@@ -12,6 +12,7 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_runs import Run
+from mrd_trials.case import DETECTABLE
 from mrd_trials.excitation import FRESH, Tier, motions, parse_tier, read_recorded
 from mrd_trials.pool import every
 from mrd_trials.records import Answer, Kind, add_record, read_records
@@ -59,7 +60,23 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Order:
-    """One plant to be made."""
+    """One plant to be made.
+
+    Attributes
+    ----------
+    plant : str
+    kind, tier
+    seed : tuple of int
+    base : str
+        Form of the damper.
+    effects : tuple of str
+    targets : tuple of float
+        Signal to floor of each.
+    damper : str
+        Whose recorded motion is replayed.
+    spare : tuple of str
+        Effects of which the next takes the place of one that cannot be made detectable.
+    """
 
     plant: str
     kind: Kind
@@ -69,6 +86,7 @@ class Order:
     effects: tuple[str, ...]
     targets: tuple[float, ...]
     damper: str = ""
+    spare: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -211,6 +229,7 @@ def _of_tier(
     for kind, many in zip(get_args(Kind), np.diff(edges), strict=True):
         for place in range(many):
             base = FORM
+            spare: tuple[str, ...] = ()
             effects: tuple[str, ...] = ()
             targets: tuple[float, ...] = ()
             if kind == "null" and place % 2:
@@ -223,8 +242,10 @@ def _of_tier(
                 one = str(next(turns["known"]))
                 other = str(rng.choice([name for name in known if name != one]))
                 effects, targets = (one, other), (aimed(3), aimed(3))
+                (lot,) = rng.spawn(1)  # so that what is drawn next does not depend on this
+                spare = tuple(map(str, lot.permutation([name for name in known if name not in effects])))
             damper = str(next(dampers)) if tier.excitation == "replay" else ""
-            yield Order("", kind, tier, (0, 0), base, effects, targets, damper)
+            yield Order("", kind, tier, (0, 0), base, effects, targets, damper, spare)
 
 
 @dataclass(frozen=True)
@@ -287,21 +308,25 @@ def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str
     if order.effects:
         yardstick = Yardstick.of(MODEL, session.given({}), np.random.default_rng(session.fit))
 
-        def drawn(effect: str, strength: float) -> dict[str, Mapping[str, float]]:
-            place = order.effects.index(effect)
+        def drawn(place: int, effect: str, strength: float) -> dict[str, Mapping[str, float]]:
             return {effect: EFFECTS[effect].drawn(np.random.default_rng([session.effects, place]), strength)}
 
         def signal_of(effects: Mapping[str, Mapping[str, float]]) -> float:
             return yardstick.signal_to_floor(session.given(effects))
 
-        def measured(effect: str, strength: float) -> float:
-            return signal_of(drawn(effect, strength))
+        def measured(place: int, effect: str, strength: float) -> float:
+            return signal_of(drawn(place, effect, strength))
 
-        for effect, target in zip(order.effects, order.targets, strict=True):
-            strength = strength_for(target, partial(measured, effect), STRONGEST)
-            effects |= drawn(effect, strength)
+        spare = iter(order.spare)
+        for place, (wanted, target) in enumerate(zip(order.effects, order.targets, strict=True)):
+            # Two effects of which one is hardly there are no pair.
+            for effect in itertools.chain([wanted], spare):
+                strength, reached = strength_for(target, partial(measured, place, effect), STRONGEST)
+                if reached > DETECTABLE or not order.spare:
+                    break
+            effects |= drawn(place, effect, strength)
         signal = signal_of(effects)
-    causes = tuple(name for name in order.effects if EFFECTS[name].in_catalogue)
+    causes = tuple(name for name in effects if EFFECTS[name].in_catalogue)
     sizes = {key: value for name in causes for key, value in EFFECTS[name].sizes(effects[name]).items()}
     answer = Answer(
         order.plant, order.kind, MODEL, order.base, order.base != FORM, dict(session.plant.parameters), effects, causes,

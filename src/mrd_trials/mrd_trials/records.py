@@ -113,7 +113,7 @@ class Submission:
     failure : str
         The error in one line.
     causes : tuple of Named
-        One effect each, most probable first.
+        One effect each; first what is likely to close most.
     candidates : tuple of Named
         Everything tried, best first.
     untestable : tuple of str

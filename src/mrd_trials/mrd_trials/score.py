@@ -29,7 +29,7 @@ class Ranks:
     by, value : str
         Which of the plants: ``effect`` and ``backlash``, say.
     named, named_group : Rate
-        The truth, or one of its group, is the most probable of the causes that are named.
+        The truth, or one of its group, is the first of the causes that are named.
     ranked, ranked_group, ranked_three : Rate
         It is the first, or among the first three, of what is named and else of the candidates.
     """

@@ -71,8 +71,10 @@ class Yardstick:
         return float(np.mean(left**2) / self.floor**2)
 
 
-def strength_for(target: float, measured: Callable[[float], float], most: float, trials: int = 8) -> float:
-    """Strength at which the signal to floor comes within a quarter of a target; at most ``most``.
+def strength_for(
+    target: float, measured: Callable[[float], float], most: float, trials: int = 8
+) -> tuple[float, float]:
+    """Strength, at most ``most``, at which the signal to floor comes within a quarter of a target; and that signal.
 
     A signal grows about with the square of its cause: a secant on logarithmic scales. Beyond a threshold, like that of a
     void, it grows by far more: where the secant leaves what is known to be too weak and too strong, their middle is next.
@@ -92,7 +94,7 @@ def strength_for(target: float, measured: Callable[[float], float], most: float,
         strength = float(min(strength * np.exp(np.clip(np.log(target / found) / slope, -3.0, 3.0)), most))
         if not weak < strength < strong:
             strength = float(np.sqrt(max(weak, 0.1 * strong) * strong))
-    return min(known, key=lambda each: abs(np.log(each[1] / target)))[0]
+    return min(known, key=lambda each: abs(np.log(each[1] / target)))
 
 
 def _lengths(columns: Array) -> Array:

@@ -91,7 +91,7 @@ def overview(score: Score) -> Table:
     ]
     rows = tuple((name, *(text(of(part)) for part in score.parts.values())) for name, of in figures)
     note = (
-        f"Detectable: signal to floor above {DETECTABLE:g}. Named: the most probable cause of a verdict `explained` or "
+        f"Detectable: signal to floor above {DETECTABLE:g}. Named: the first cause of a verdict `explained` or "
         "`ambiguous`; ranking: that, else the first candidate. Group: effects that close nine tenths of the same, refitted. "
         f"Left open: causes and what is like them, candidates above {LIKELY:.0%}, and what is untestable; of detectable "
         f"single effects. ≤: one-sided bound at 95 %. Spreads are median (quartiles). {_seconds(score.seconds)}"

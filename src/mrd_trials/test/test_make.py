@@ -9,7 +9,7 @@ import pytest
 from mrd_base import InputError
 from mrd_runs import read_runs
 from mrd_trials.excitation import FRESH, motions, parse_tier, read_recorded
-from mrd_trials.make import Recipe, Session, make, plan_trial, read_trial
+from mrd_trials.make import Order, Recipe, Session, make, make_plant, plan_trial, read_trial
 from mrd_trials.records import Answer, read_records
 from mrd_trials.seal import commitment, unseal
 from mrd_trials.strength import strength_for
@@ -118,6 +118,16 @@ def test_a_plant_can_be_put_on_the_bench_again_for_one_more_run():
     assert not np.array_equal(again[-1].force, again[0].force)
 
 
+def test_an_effect_that_cannot_be_seen_gives_way_in_a_pair():
+    # A sine shows little of a gas spring, whatever its size: the damper's own stiffness does the same.
+    tier = parse_tier("sine@100")
+    effects, targets, spare = ("flow_asymmetry", "gas_spring"), (5.0, 5.0), ("side_load_friction",)
+    order = Order("p0001", "pair", tier, (5, 1), "bouc_wen", effects, targets, spare=spare)
+    answer, _ = make_plant(order)
+    assert set(answer.causes) == {"flow_asymmetry", "side_load_friction"}
+    assert answer.signal_to_floor > 3.0
+
+
 def test_a_folder_that_is_no_trial_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"is no trial, expected trial\.json"):
         read_trial(tmp_path)
@@ -150,16 +160,18 @@ def test_recordings_are_read_by_damper(tmp_path):
 
 @pytest.mark.parametrize("power", [1.0, 2.0, 5.0])
 def test_a_strength_meets_its_target(power):
-    strength = strength_for(5.0, lambda size: 0.3 * size**power, 100.0)
-    assert 0.3 * strength**power == pytest.approx(5.0, rel=0.25)
+    strength, reached = strength_for(5.0, lambda size: 0.3 * size**power, 100.0)
+    assert reached == 0.3 * strength**power == pytest.approx(5.0, rel=0.25)
 
 
 def test_a_strength_stays_plausible():
-    assert strength_for(5.0, lambda size: 1e-3 * size**2, 6.0) == 6.0
+    assert strength_for(5.0, lambda size: 1e-3 * size**2, 6.0) == (6.0, 1e-3 * 6.0**2)
 
 
 def test_strength_beyond_a_threshold():
     def signal(size):
         return 1e-4 + 400.0 * max(size - 1.3, 0.0) ** 2
 
-    assert abs(np.log(signal(strength_for(5.0, signal, 6.0)) / 5.0)) < 0.25
+    strength, reached = strength_for(5.0, signal, 6.0)
+    assert reached == signal(strength)
+    assert abs(np.log(reached / 5.0)) < 0.25

@@ -15,6 +15,7 @@ import mrd_trials.truth
 from mrd_trials.truth import BASES, EFFECTS, Instruments, Motion, Plant, draw, record
 from mrd_trials.truth.effects.drive import rippled
 from mrd_trials.truth.effects.sensing import transduced
+from mrd_trials.truth.instruments import sampled
 from mrd_trials.truth.integrator import in_series, stepped, values
 from mrd_trials.truth.plant import followed
 
@@ -220,11 +221,20 @@ def test_the_same_seed_gives_the_same_recordings() -> None:
 @pytest.mark.parametrize("averaged", [False, True])
 def test_a_sample_is_a_mean_or_an_instant(averaged: bool) -> None:
     t = np.arange(40000) * STEP
+    bench = replace(QUIET, rate=80.0, averaged=averaged)
+    at = np.arange(400) / 80.0
+    found = sampled(bench, at, np.zeros_like(at), STEP, 5.0 * np.sin(2 * np.pi * 50.0 * t))
+    assert np.std(found[2:-2]) * np.sqrt(2) == pytest.approx(5.0 * (np.sinc(50.0 / 80.0) if averaged else 1.0), rel=0.02)
+
+
+@pytest.mark.parametrize("rate", [80.0, 500.0])
+def test_hum_is_as_large_as_it_says(rate: float) -> None:
+    t = np.arange(40000) * STEP
     hum = {"mains_hum": {"amplitude": 5.0}}
     still = Motion(t, np.zeros_like(t), np.zeros_like(t))
-    bench = replace(QUIET, rate=80.0, averaged=averaged)
+    bench = replace(QUIET, rate=rate)
     found = forces("bouc_wen", hum, [still], bench) - forces("bouc_wen", {}, [still], bench)
-    assert np.std(found[2:-2]) * np.sqrt(2) == pytest.approx(5.0 * (np.sinc(50.0 / 80.0) if averaged else 1.0), rel=0.02)
+    assert np.std(found[2:-2]) * np.sqrt(2) == pytest.approx(5.0, rel=0.02)
 
 
 def test_delay_lag_and_mass_mean_what_they_say() -> None:

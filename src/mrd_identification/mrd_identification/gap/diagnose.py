@@ -346,7 +346,7 @@ def _verdict(
 def _causes(
     found: Contest, p_values: Sequence[float], chances: Mapping[str, Mapping[str, float]], rng: np.random.Generator
 ) -> tuple[Cause, ...]:
-    """The effects that were found, most probable first; each closes what it adds to those found before it."""
+    """The effects that were found, each with what it adds to those found before it; first what is likely to close most."""
     parameters = values(found.best)
     steps = [found.alone, *found.chain]
     causes = [
@@ -359,7 +359,7 @@ def _causes(
         )
         for index, effect in enumerate(found.effects)
     ]
-    return tuple(sorted(causes, key=lambda cause: -cause.probability))
+    return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed.value))))
 
 
 def _alternatives(chances: Mapping[str, Mapping[str, float]]) -> tuple[Alternative, ...]:

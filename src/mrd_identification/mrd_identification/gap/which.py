@@ -1,7 +1,7 @@
 """Which effect: every candidate refitted around the model, the best one kept, and again around that."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,10 @@ LEAST_SHARE = 0.2
 LEAST_SHARE_BESIDE = 0.3
 """Share of what is left of the gap by which it must beside another effect, whose own form may be a little off."""
 
+SURE_SHARE_BESIDE, SURE_GAIN = 0.7, 1.0
+"""Share of what is left, and of the noise's energy, by which a second effect must lower the unseen error where no more is
+left than the form of the first one may leave."""
+
 UNEXPLAINED = 0.3
 """Mean squared error beyond noise, over the variance of noise, that may be left of an explained gap."""
 
@@ -37,6 +41,9 @@ BEAM = 2
 
 SHORTLIST = 8
 """Effects that are tried beside another one: those that the score puts first."""
+
+BEST_ALONE = 3
+"""Effects that are tried beside another one too, whatever their score: those that are the best alone."""
 
 LEFT_OVER = 0.03
 """Share of an effect's change of the force that the model's own parameters must leave, or else it cannot be tested."""
@@ -208,42 +215,46 @@ def search(
         Everything that was fitted.
     """
     first = around(
-        ground, Foundation.of(ground, base), effects, len(effects), lambda share: progress(0.6 * share), noise=noise
+        ground, Foundation.of(ground, base), effects, len(effects), progress=lambda share: progress(0.6 * share),
+        noise=noise,
     )
     trials = list(first)
+    alone = {trial.effects[0]: trial.refit for trial in sorted(first, key=lambda trial: trial.refit.total)}
     chosen: list[Trial] = []
-    before = base
+    before, within = base, False
     # What a model lacks by construction comes first: others may imitate it, alone.
     frontier = sorted(first, key=lambda trial: (not lacking(trial, ground, base), trial.refit.total))
     while frontier and len(chosen) < MOST_CAUSES:
         best = frontier[0]
-        if not worth(ground, before, best.refit):
+        if not worth(ground, before, best.refit, within):
             break
         chosen.append(best)
-        first_is_sure = EFFECTS[chosen[0].effects[0]].structural
-        leads = frontier[:BEAM] if len(chosen) == 1 and not first_is_sure else frontier[:1]
         ground = ground.after(best.refit.problem.model, best.refit.theta)
-        again = [anew(ground, lead.refit) for lead in leads]
-        before = again[0]
+        before = anew(ground, best.refit)
         # Judged where samples weigh as they do once the effect is in: before, the gap itself has flattened their weights.
-        if min(best.refit.level, before.level) - 1.0 <= may_be_left(base):
+        left = min(best.refit.level, before.level) - 1.0
+        within = left <= may_be_left(base)
+        if within and (left <= SURE_GAIN or len(chosen) > 1):
             break
+        rivals = len(chosen) == 1 and not within and not EFFECTS[best.effects[0]].structural
+        leads = frontier[: BEAM if rivals else 1]
+        again = [before, *(anew(ground, lead.refit) for lead in leads[1:])]
         found = [
             trial
             for lead, fitted in zip(leads, again, strict=True)
             for trial in around(
-                ground, Foundation.of(ground, fitted), [e for e in effects if e not in lead.effects], SHORTLIST,
+                ground, Foundation.of(ground, fitted), [e for e in effects if e not in lead.effects], SHORTLIST, alone,
                 present=lead.effects,
             )
         ]
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
         trials += found
         frontier = sorted(found, key=lambda trial: trial.refit.total)
-        if len(chosen) == 1 and frontier and frontier[0].effects[:1] != chosen[0].effects and worth(
+        if len(chosen) == 1 and frontier and frontier[0].effects[:1] != best.effects and worth(
             ground, before, frontier[0].refit
         ):
             # The pair does not hold what was the best alone: its own first effect leads to it.
-            chosen = [leads[1]]
+            chosen = leads[1:]
     progress(1.0)
     return chosen, trials
 
@@ -275,11 +286,12 @@ def may_be_left(alone: Refit) -> float:
     return UNEXPLAINED + IMPRECISE * (alone.level - 1.0)
 
 
-def worth(ground: Ground, before: Refit, after: Refit) -> bool:
-    """Whether an effect lowers the unseen error enough to matter."""
-    least = LEAST_SHARE_BESIDE if before.problem.model.effects else LEAST_SHARE
+def worth(ground: Ground, before: Refit, after: Refit, surely: bool = False) -> bool:
+    """Whether an effect lowers the unseen error enough to matter, or, as a second one, surely."""
+    least_share = LEAST_SHARE_BESIDE if before.problem.model.effects else LEAST_SHARE
+    share, least = (SURE_SHARE_BESIDE, SURE_GAIN) if surely else (least_share, LEAST_GAIN)
     gain = before.total - after.total
-    return before.level - after.level > LEAST_GAIN and gain > least * (before.total - ground.noise_share)
+    return before.level - after.level > least and gain > share * (before.total - ground.noise_share)
 
 
 def around(
@@ -287,25 +299,34 @@ def around(
     foundation: Foundation,
     effects: Sequence[str],
     most: int,
+    alone: Mapping[str, Refit] | None = None,
     progress: Callable[[float], None] = lambda _share: None,
     present: tuple[str, ...] = (),
     noise: Sequence[Array] = (),
 ) -> list[Trial]:
-    """Refit the foundation's model with each of the most promising effects."""
-    parts = ground.parts
-
-    scores = beside(ground, foundation, effects)
-    ranked = sorted(zip(effects, scores, strict=True), key=lambda found: -found[1].gain)[:most]
+    """Refit the foundation's model with each of the most promising effects, and with those that were the best alone."""
+    scores = dict(zip(effects, beside(ground, foundation, effects), strict=True))
+    promising = sorted(effects, key=lambda effect: -scores[effect].gain)[:most]
+    best_alone = [effect for effect in list(alone or {})[:BEST_ALONE] if effect in scores and effect not in promising]
+    ranked = [*promising, *best_alone]
     done = itertools.count(1)
 
-    def fit(found: tuple[str, Score]) -> Trial:
-        effect, promise = found
-        model, _ = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
-        fitted = refit(ground.problem(model, promise.start), promise.start, parts, noise)
+    def fit(effect: str) -> Trial:
+        model, neutral = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
+        start = scores[effect].start
+        problem = ground.problem(model, start)
+        if alone and effect in alone:
+            # Beside others, an effect begins as it was found alone, where that leaves less.
+            known = dict(zip(alone[effect].problem.model.names, alone[effect].theta, strict=True))
+            other = np.array([
+                known[name] if name.startswith(f"{effect}.") else value
+                for name, value in zip(model.names, neutral, strict=True)
+            ])
+            start = min(start, other, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
+        fitted = refit(ground.problem(model, start), start, ground.parts, noise)
         progress(next(done) / len(ranked))
         before = foundation.refit
         gain = float(before.cost.sum() - fitted.cost.sum())
         return Trial((*present, effect), fitted, gain, before.total - fitted.total)
 
     return in_threads(fit, ranked)
-

@@ -158,9 +158,13 @@ def _no_gap(diagnosis: Diagnosis) -> str:
 
 
 def _explained(diagnosis: Diagnosis) -> str:
+    return f"{_adding(diagnosis)}."
+
+
+def _adding(diagnosis: Diagnosis) -> str:
     causes = diagnosis.causes
     adding = "this" if len(causes) == 1 else "both" if len(causes) == 2 else "all of these"
-    return f"{_clauses(causes)}; adding {adding} removes {share(diagnosis.closed.value)} of the explainable gap."
+    return f"{_clauses(causes)}; adding {adding} removes {share(diagnosis.closed.value)} of the explainable gap"
 
 
 def _ambiguous(diagnosis: Diagnosis) -> str:
@@ -168,16 +172,14 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
     certain = [cause for cause in diagnosis.causes if cause.effect not in doubted]
     open_ones = [cause.effect for cause in diagnosis.causes if cause.effect in doubted]
     rivals = _unique([*open_ones, *(alternative.effect for alternative in diagnosis.alternatives)])
-    if len(rivals) < 2:
-        rivals, certain = _unique([cause.effect for cause in diagnosis.causes] + rivals), []
+    if not rivals:
+        least = min((cause.probability for cause in diagnosis.causes), default=math.nan)
+        return f"{_adding(diagnosis)}, but this is not certain ({share(least)}){_advised(diagnosis.advice)}."
     which = f"{names_of(rivals)} cannot be told apart on these runs"
-    if len(rivals) < 2:
-        which = f"{names_of(rivals) or 'the cause'} is not certain on these runs"
     if certain:
         which = f"{_clauses(certain)}; beside this, {which}"
     closed = share(diagnosis.closed.value)
-    how_far = "with the likeliest of them" if len(rivals) > 1 else "with it"
-    far = f", and {how_far} {closed} of the explainable gap is closed" if closed != "–" else ""
+    far = f", and with the likeliest of them {closed} of the explainable gap is closed" if closed != "–" else ""
     return f"{which}{far}{_advised(diagnosis.advice)}."
 
 

@@ -123,13 +123,14 @@ def record(plant: Plant, motions: Sequence[Motion], instruments: Instruments, rn
         gain = 1.0 + instruments.gain_scatter * gain
         force = stepped(p, rod[0], rod[1], acting, step, gain, series, slow)
         force = (
-            _read(p, force + p.moving_mass_mass * rod[2], shown, current, clock, phase, step)
+            _read(p, force + p.moving_mass_mass * rod[2], shown, current, clock, step)
             + instruments.offset_scatter * offset
         )
         position = shown if p.sensor_stiction_slack == 0.0 else stuck(shown, p.sensor_stiction_slack)
         position = transduced(p.lvdt_nonlinearity_cubic, p.lvdt_nonlinearity_gain, position)
         reading = (1.0 + p.current_sensor_error_gain) * current + p.current_sensor_error_offset
-        found.append(_written(instruments, streams, step, position, reading, rod[2], force))
+        hum = p.mains_hum_amplitude, phase
+        found.append(_written(instruments, streams, step, position, reading, rod[2], force, hum))
         clock += len(force) * step + REST
         if p.thermal_fade_fade > 0.0:
             slow[HEAT] *= np.exp(-REST / p.thermal_fade_cooling_time)
@@ -173,23 +174,25 @@ def followed(command: Array, step: float) -> tuple[Array, Array, Array]:
     return found[0] + command[0], found[1], found[2]
 
 
-def _read(p: Values, force: Array, position: Array, current: Array, clock: float, phase: float, step: float) -> Array:
+def _read(p: Values, force: Array, position: Array, current: Array, clock: float, step: float) -> Array:
     """Force channel as it leaves its amplifier, from the force on the cell: cell, wires, converter in this order."""
     time = np.arange(len(force)) * step
     force = ringing(p.frame_resonance_share, p.frame_resonance_frequency, p.frame_resonance_damping, force, step)
     if p.cell_overload_overload > 0.0:
         force = overloaded(p.cell_overload_overload, force)
     force = lagged(p.force_sensor_lag_lag, force + p.load_cell_drift_drift * (clock + time), step)
-    force = force + p.mains_hum_amplitude * np.sin(2 * np.pi * (MAINS * time + phase))
     force = force + p.channel_crosstalk_from_position * position + p.channel_crosstalk_from_current * current
     return np.interp(time - p.channel_delay_delay, time, force) if p.channel_delay_delay > 0.0 else force
 
 
 def _written(
     instruments: Instruments, streams: Sequence[np.random.Generator], step: float,
-    position: Array, current: Array, acceleration: Array, force: Array,
+    position: Array, current: Array, acceleration: Array, force: Array, hum: tuple[float, float],
 ) -> Recorded:  # fmt: skip
-    """Sampled at one jittered time for all channels, with each channel's noise."""
+    """Sampled at one jittered time for all channels, with each channel's noise, and the mains' hum on the force.
+
+    The ``hum`` (N, turns) is picked up by what converts, so that its size is what recordings hold of it at every rate.
+    """
     samples = int(((len(force) - 1) * step) * instruments.rate * (1 + 1e-9)) + 1
     time = np.arange(samples) / instruments.rate
     jitter = instruments.jitter * streams[0].standard_normal(samples)
@@ -197,7 +200,9 @@ def _written(
     def read(signal: Array, deviation: float, stream: np.random.Generator) -> Array:
         return sampled(instruments, time, jitter, step, signal) + deviation * stream.standard_normal(samples)
 
+    amplitude, phase = hum
+    mains = amplitude * np.sin(2 * np.pi * (MAINS * (time + jitter) + phase))
     return Recorded(
         time, read(position, instruments.position, streams[1]), read(current, instruments.current, streams[2]),
-        read(acceleration, instruments.acceleration, streams[3]), read(force, instruments.force, streams[4]),
+        read(acceleration, instruments.acceleration, streams[3]), read(force, instruments.force, streams[4]) + mains,
     )  # fmt: skip
