@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 EVALUATIONS = 40
 """Of a model, at most, until its refit is good enough."""
 
+SETTLED = 1e-6
+"""Relative decrease of the cost below which a refit is done."""
+
 FREEZING = 1e-6
 """Information about a parameter, relative to what all parts together have, below which the rest say nothing about it."""
 
@@ -160,6 +163,7 @@ def refit(
     start: Array,
     parts: Sequence[tuple[int, slice]],
     noise: Sequence[Array] = (),
+    settled: float = SETTLED,
 ) -> Refit:
     """Fit a model to all runs, then without each part in turn.
 
@@ -174,8 +178,10 @@ def refit(
         See `mrd_identification.gap.ground.Ground.parts`.
     noise : sequence of ndarray (draws, n), optional
         White errors of each run if there were no gap.
+    settled : float
+        Relative decrease of the cost below which the fit is done.
     """
-    unit, _ = descend(problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, 1e-6, renewal=3)
+    unit, _ = descend(problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, settled, renewal=3)
     theta = problem.theta(unit)
     residuals, jacobian = problem.residuals(theta), problem.jacobian(unit)
     grams = np.stack([jacobian[part].T @ jacobian[part] for _, part in parts])

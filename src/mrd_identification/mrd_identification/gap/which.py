@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_identification.gap.ground import Ground, with_effect
-from mrd_identification.gap.refit import GapProblem, Refit, refit, scaled_inverse
+from mrd_identification.gap.refit import SETTLED, GapProblem, Refit, refit, scaled_inverse
 from mrd_identification.problem import in_threads
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 
@@ -41,6 +41,9 @@ BEAM = 2
 
 SHORTLIST = 8
 """Effects that are tried beside another one: those that the score puts first."""
+
+ROUGHLY = 1e-4
+"""Relative decrease of the cost at which a fit beside another effect is done: what is chosen is refitted anyway."""
 
 BEST_ALONE = 3
 """Effects that are tried beside another one too, whatever their score: those that are the best alone."""
@@ -323,7 +326,7 @@ def around(
                 for name, value in zip(model.names, neutral, strict=True)
             ])
             start = min(start, other, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
-        fitted = refit(ground.problem(model, start), start, ground.parts, noise)
+        fitted = refit(ground.problem(model, start), start, ground.parts, noise, ROUGHLY if present else SETTLED)
         progress(next(done) / len(ranked))
         before = foundation.refit
         gain = float(before.cost.sum() - fitted.cost.sum())
