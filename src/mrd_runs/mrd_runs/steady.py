@@ -36,17 +36,17 @@ def current_noise(current: Array) -> float:
     """
     if len(current) < len(_FOURTH):
         return 0.0
-    noise = _normal(np.convolve(current, _FOURTH, "valid")) / float(np.linalg.norm(_FOURTH))
+    noise = normal_deviation(np.convolve(current, _FOURTH, "valid")) / float(np.linalg.norm(_FOURTH))
     change = np.abs(np.diff(current))
     # At least a quarter of the changes are taken to be noise.
     quiet = float(np.quantile(change, 0.25))
     for _ in range(10 if quiet > 0.0 else 0):
-        quiet = _normal(change[change <= 4.0 * quiet])
+        quiet = normal_deviation(change[change <= 4.0 * quiet])
     return min(noise, quiet / np.sqrt(2.0)) if quiet > 0.0 else noise
 
 
-def _normal(values: Array) -> float:
-    """Standard deviation of a normal variable with outliers; 0.6745 is the median of a standard one's absolute value."""
+def normal_deviation(values: Array) -> float:
+    """Standard deviation of a normal variable (n,) with outliers; 0.6745 is the median of a standard one's magnitude."""
     return float(np.median(np.abs(values)) / 0.6745)
 
 

@@ -20,7 +20,7 @@ from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.problem import Recording, forces_in_turn, in_threads
 from mrd_runs import Run
 from mrd_runs.motion import between_samples, finer, motion, motion_errors
-from mrd_runs.steady import current_noise, steady, steady_current
+from mrd_runs.steady import current_noise, normal_deviation, steady, steady_current
 from mrd_sim.models import DamperModel
 from mrd_sim.path import Path, make_path
 
@@ -307,12 +307,7 @@ def _of_periods(recording: Recording, residual: Array, carried: Array, period: f
 def _typical(difference: Array, errors: Array) -> float:
     """Variance of a difference, that of its errors of motion and current taken off, where these are small."""
     calm = errors <= np.median(errors)
-    return max(_robust_variance(difference[calm]) - float(np.mean(errors[calm])), 0.0)
-
-
-def _robust_variance(series: Array) -> float:
-    """Variance of a normal variable with outliers; 0.6745 is the median of a standard one's absolute value."""
-    return float(np.median(np.abs(series)) / 0.6745) ** 2
+    return max(normal_deviation(difference[calm]) ** 2 - float(np.mean(errors[calm])), 0.0)
 
 
 def _like_states(recording: Recording, residual: Array) -> float:
@@ -342,7 +337,7 @@ def _like_states(recording: Recording, residual: Array) -> float:
     if len(rows) < 20:
         return float(np.mean(residual**2))
     near = rows[distance[rows, first[rows]] <= np.median(distance[rows, first[rows]])]
-    return _robust_variance(residual[some[near]] - residual[like[near, first[near]]]) / 2
+    return normal_deviation(residual[some[near]] - residual[like[near, first[near]]]) ** 2 / 2
 
 
 def _stretches(series: Array) -> Array:
