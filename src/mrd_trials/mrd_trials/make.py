@@ -322,7 +322,7 @@ def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str
             # Two effects of which one is hardly there are no pair.
             for effect in itertools.chain([wanted], spare):
                 strength, reached = strength_for(target, partial(measured, place, effect), STRONGEST)
-                if reached > DETECTABLE or not order.spare:
+                if reached > DETECTABLE:
                     break
             effects |= drawn(place, effect, strength)
         signal = signal_of(effects)

@@ -257,7 +257,7 @@ def search(
             ground, before, frontier[0].refit
         ):
             # The pair does not hold what was the best alone: its own first effect leads to it.
-            chosen = leads[1:]
+            chosen = [lead for lead in leads if lead.effects == frontier[0].effects[:1]]
     progress(1.0)
     return chosen, trials
 
@@ -325,8 +325,10 @@ def around(
                 known[name] if name.startswith(f"{effect}.") else value
                 for name, value in zip(model.names, neutral, strict=True)
             ])
-            start = min(start, other, key=lambda theta: float(np.sum(problem.residuals(theta) ** 2)))
-        fitted = refit(ground.problem(model, start), start, ground.parts, noise, ROUGHLY if present else SETTLED)
+            promised, found = (float(np.sum(problem.residuals(theta) ** 2)) for theta in (start, other))
+            if found < promised:
+                start, problem = other, ground.problem(model, other)
+        fitted = refit(problem, start, ground.parts, noise, ROUGHLY if present else SETTLED)
         progress(next(done) / len(ranked))
         before = foundation.refit
         gain = float(before.cost.sum() - fitted.cost.sum())
