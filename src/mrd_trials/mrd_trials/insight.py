@@ -1,14 +1,19 @@
-"""What one who knows the answer finds: how far the gap can close, where it lies, what the next experiment was worth."""
+"""What one who knows the answer finds: how far the gap can close, where it lies, what the next experiment was worth.
+
+And what simpler methods say, which the diagnosis is compared with.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_identification import diagnose
 from mrd_identification.gap.contest import FIRST_SCATTER
+from mrd_identification.gap.diagnose import model_alone
 from mrd_identification.gap.diagnosis import Diagnosis
 from mrd_identification.gap.ground import Ground
 from mrd_identification.gap.library import library
@@ -26,6 +31,9 @@ from mrd_trials.make import Exhibit, Order, Recipe, Session, as_run, plan_trial,
 from mrd_trials.pool import every
 from mrd_trials.records import Answer, Bin, Insight, Submission, completed
 from mrd_trials.run import read_given
+from mrd_trials.survey import survey
+
+Array = NDArray[np.float64]
 
 MIMICRY = 0.9
 """Share of what the cause closes from which another effect is as good an answer on these runs."""
@@ -82,13 +90,17 @@ def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer
     exhibit, answer, said
         What everybody sees of it, what it is, what the diagnosis says.
     """
-    found = Insight(answer.plant, alike={cause: _alike(cause, answer, said) for cause in answer.causes})
+    found = Insight(answer.plant, alike={cause: (cause,) for cause in answer.causes})
     runs = read_given(folder, exhibit)
+    if answer.kind in ("single", "null") and said.verdict != "data_fault":
+        peers = survey(runs, answer.model)
+        alike = {cause: _alike(cause, peers.closed) for cause in answer.causes}
+        found = replace(found, rankings=peers.rankings, alike=alike)
     if answer.causes and answer.kind != "absent":
         knowing = diagnose(runs, answer.model, effects=answer.causes)
         if knowing.causes or knowing.nearest:
             found = replace(found, closed=knowing.closed.value, where=_true_map(knowing))
-    if said.causes and said.alone:
+    if said.causes:
         fresh = sorted((folder / "fresh" / answer.plant).glob("*.csv"))
         found = replace(found, fresh=_closed_on(runs, read_runs([str(file) for file in fresh]), answer.model, said))
     if said.verdict == "ambiguous" and said.advice:
@@ -103,11 +115,11 @@ def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer
     return found
 
 
-def _alike(cause: str, answer: Answer, said: Submission) -> tuple[str, ...]:
-    """Effects that alone close nearly as much as a cause does alone; of a pair, no single effect can be expected to."""
-    if answer.kind != "single" or not said.gains.get(cause, 0.0) > 0.0:
+def _alike(cause: str, closed: Mapping[str, float]) -> tuple[str, ...]:
+    """Effects that close nearly as much as a cause does."""
+    if not closed.get(cause, 0.0) > 0.0:
         return (cause,)
-    return tuple(name for name, gain in said.gains.items() if name == cause or gain >= MIMICRY * said.gains[cause])
+    return tuple(name for name, share in closed.items() if name == cause or share >= MIMICRY * closed[cause])
 
 
 def _true_map(knowing: Diagnosis) -> tuple[Bin, ...]:
@@ -125,20 +137,19 @@ def _true_map(knowing: Diagnosis) -> tuple[Bin, ...]:
 
 def _closed_on(runs: Sequence[Run], fresh: Sequence[Run], name: str, said: Submission) -> float:
     """Share of the gap on fresh runs that the submitted parameters close, those runs' own offset and gain taken out."""
-    model = find_model(name)
-    corrected = find_model(name, effects=said.effects)
+    model, corrected = find_model(name), find_model(name, effects=said.effects)
     recordings = in_threads(prepare, [*runs, *fresh])
+    alone = model_alone(model, None, recordings[: len(runs)], np.random.default_rng(0))[1].theta
     theta = corrected.vector(said.parameters)
     noises = run_noise(recordings, corrected, theta, np.random.default_rng(0))
     ground = Ground(recordings, noises, FIRST_SCATTER, {})
 
-    def squares(of: DamperModel, values: Mapping[str, float]) -> float:
-        at = of.vector(values)
+    def squares(of: DamperModel, at: Array) -> float:
         problem = ground.problem(of, at)
         errors = [own_error(problem, at, run)[1] for run in range(len(runs), len(recordings))]
         return float(sum(error @ error for error in errors))
 
-    before, after = squares(model, said.alone), squares(corrected, said.parameters)
+    before, after = squares(model, alone), squares(corrected, theta)
     floor = float(sum(noise.sigma @ noise.sigma for noise in noises[len(runs) :]))
     return (before - after) / (before - floor) if before > floor else np.nan
 

@@ -127,13 +127,6 @@ class Submission:
     parameters : mapping
         Of the model with ``effects``, by name.
     effects : tuple of str
-    alone : mapping
-        Parameters of the model alone, refitted.
-    rankings : mapping
-        Effects in the order in which simpler methods put them, by the method's name, best first; ``bic`` and ``in_sample``
-        hold "" where they prefer no effect.
-    gains : mapping
-        Share of the explainable gap that each effect alone closes, refitted, on parts held out in turn.
     elapsed : float
         s.
     """
@@ -153,15 +146,12 @@ class Submission:
     advice: str = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
-    alone: Mapping[str, float] = field(default_factory=dict)
-    rankings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    gains: Mapping[str, float] = field(default_factory=dict)
     elapsed: float = float("nan")
 
 
 @dataclass(frozen=True)
 class Insight:
-    """What one who knows the answer finds of a plant and of what was said of it.
+    """What one who knows the answer finds of a plant and of what was said of it, and what simpler methods say.
 
     Attributes
     ----------
@@ -174,6 +164,9 @@ class Insight:
         Share of the gap that the submitted parameters close on runs that no one was given; nan where nothing was named.
     alike : mapping
         By cause: effects that, refitted in its place, close at least nine tenths of what it closes, it among them.
+    rankings : mapping
+        Effects in the order in which simpler methods put them, by the method's name, best first; ``bic`` and ``in_sample``
+        hold "" where they prefer no effect. Empty where they were not asked.
     advised, random : bool or None
         Whether a second diagnosis names the causes, and nothing else, once the advised experiment, or a random safe one, was
         recorded besides; None where no experiment was advised.
@@ -184,6 +177,7 @@ class Insight:
     where: tuple[Bin, ...] = ()
     fresh: float = float("nan")
     alike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    rankings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     advised: bool | None = None
     random: bool | None = None
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,11 +14,9 @@ from mrd_identification import diagnose
 from mrd_identification.cluster import run_on_cluster
 from mrd_identification.gap.diagnosis import Candidate, Cause, Diagnosis, Interval
 from mrd_runs import Run, read_runs
-from mrd_sim.effects import EFFECTS
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
 from mrd_trials.records import Bin, Named, Submission, completed
-from mrd_trials.survey import survey
 
 JUDGES = ("mrd_runs", "mrd_sim", "mrd_identification")
 """Packages whose code decides what a diagnosis says."""
@@ -37,23 +35,19 @@ class Diagnoser:
         SHA-256 of the sources of `JUDGES`, and of the effects among them.
     seed : int
         Of every diagnosis.
-    peers : bool
-        Whether simpler methods were asked too.
     """
 
     version: str
     code: str
     catalogue: str
     seed: int
-    peers: bool
 
 
-def frozen(seed: int = 0, peers: bool = True) -> Diagnoser:
+def frozen(seed: int = 0) -> Diagnoser:
     """The diagnoser that is installed here."""
     roots = {name: Path(_origin(name)).parent for name in JUDGES}
-    return Diagnoser(
-        version("mrd_identification"), _hash(list(roots.values())), _hash([roots["mrd_sim"] / "effects"]), seed, peers
-    )
+    code, catalogue = _hash(list(roots.values())), _hash([roots["mrd_sim"] / "effects"])
+    return Diagnoser(version("mrd_identification"), code, catalogue, seed)
 
 
 def run(
@@ -116,11 +110,7 @@ def judge(exhibit: Exhibit, runs: Sequence[Run], diagnoser: Diagnoser, effects: 
     except Exception as error:  # whatever it is, it counts as a failure of the diagnosis
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return Submission(exhibit.plant, "failed", failure=text, elapsed=time.monotonic() - began)
-    kept = submission(exhibit.plant, found)
-    if not diagnoser.peers or found.verdict == "data_fault":
-        return kept
-    peers = survey(runs, exhibit.model, effects or list(EFFECTS), diagnoser.seed)
-    return replace(kept, alone=peers.alone, rankings=peers.rankings, gains=peers.closed)
+    return submission(exhibit.plant, found)
 
 
 def submission(plant: str, found: Diagnosis) -> Submission:

@@ -483,12 +483,12 @@ def _baselines(rich: Cases) -> tuple[Baseline, ...]:
 
     def simpler(name: str) -> Baseline:
         def order(case: Case) -> Sequence[str]:
-            return case.submission.rankings.get(name, ())
+            return case.insight.rankings.get(name, ())
 
         # "" in the first place: this method prefers no effect.
-        return row(name, order, _rate([case.failed or any(order(case)[:1]) for case in nulls]))
+        return row(name, order, _rate([not order(case) or bool(order(case)[0]) for case in nulls]))
 
-    names = dict.fromkeys(name for case in rich for name in case.submission.rankings)
+    names = dict.fromkeys(name for case in rich for name in case.insight.rankings)
     return (
         row("diagnosis, named", lambda case: case.named, _rate([_alarmed(case) for case in nulls])),
         row("diagnosis, ranked", lambda case: case.ranking, Rate(0, 0)),

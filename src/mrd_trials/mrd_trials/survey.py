@@ -24,20 +24,17 @@ class Survey:
 
     Attributes
     ----------
-    alone : mapping
-        Parameters of the model alone.
     rankings : mapping
         Effects from the best on, by method; "" stands where the method prefers no effect to those after it.
     closed : mapping
         Share of the explainable gap, on parts held out in turn, that each effect closes.
     """
 
-    alone: Mapping[str, float]
     rankings: Mapping[str, tuple[str, ...]]
     closed: Mapping[str, float]
 
 
-def survey(runs: Sequence[Run], model: str, effects: Sequence[str], seed: int = 0) -> Survey:
+def survey(runs: Sequence[Run], model: str, seed: int = 0) -> Survey:
     """Refit the model with every effect alone, and rank the effects by five simpler methods.
 
     ``correlation``: the largest correlation of the residual with what the effect at its typical size changes, nothing being
@@ -50,10 +47,9 @@ def survey(runs: Sequence[Run], model: str, effects: Sequence[str], seed: int = 
     runs : sequence of Run
         In the order in which they were recorded.
     model : str
-    effects : sequence of str
-        Ids of the candidates.
     seed : int
     """
+    effects = list(EFFECTS)
     rng = np.random.default_rng(seed)
     ground, alone, _, _ = model_alone(find_model(model), None, in_threads(prepare, runs), rng)
     foundation = Foundation.of(ground, alone)
@@ -70,7 +66,6 @@ def survey(runs: Sequence[Run], model: str, effects: Sequence[str], seed: int = 
     floor = np.concatenate([noise.sigma for noise in ground.noises]) ** 2
     gap = float(alone.plain.sum() - floor.sum())
     return Survey(
-        dict(zip(alone.problem.model.names, map(float, alone.theta), strict=True)),
         {
             "correlation": _ranked({name: -value for name, value in alike.items()}),
             "score": _ranked({name: -value for name, value in promised.items()}),

@@ -46,7 +46,7 @@ def withhold(
             chosen.setdefault(answer.causes[0], []).append(exhibit)
     wanted = {exhibit.plant: exhibit for exhibits in chosen.values() for exhibit in exhibits[:most]}
     output.mkdir(parents=True, exist_ok=True)
-    diagnoser = frozen(peers=False)
+    diagnoser = frozen()
 
     def work(plants: Sequence[str]) -> Iterator[Submission]:
         todo = [(folder, wanted[plant], answers[plant].causes[0], diagnoser) for plant in plants]

@@ -11,7 +11,7 @@ from mrd_trials.records import to_json
 from mrd_trials.run import FROZEN, VERDICTS, frozen, run
 
 RECIPE = Recipe(4, {"paper@25": 2}, {"null": 0.5, "single": 0.5, "pair": 0.0, "absent": 0.0})
-DIAGNOSER = frozen(peers=False)
+DIAGNOSER = frozen()
 
 
 @pytest.fixture(scope="module")

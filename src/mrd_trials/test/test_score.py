@@ -219,12 +219,14 @@ def test_baselines_stand_beside_the_diagnosis():
     found = judged(
         plants,
         [
-            said(
-                "a", "explained", ("backlash", 0.9), rankings={"bic": ("coil_lag", "x", "backlash"), "score": ("backlash",)}
-            ),
-            said("b", "no_gap", rankings={"bic": ("", "coil_lag"), "score": ()}),
-            said("n", "no_gap", rankings={"bic": ("",), "score": ("x",)}),
-            said("m", "no_gap", rankings={"bic": ("x",)}),
+            said("a", "explained", ("backlash", 0.9)),
+            *(said(plant, "no_gap") for plant in "bnm"),
+        ],
+        [
+            Insight("a", rankings={"bic": ("coil_lag", "x", "backlash"), "score": ("backlash",)}),
+            Insight("b", rankings={"bic": ("", "coil_lag"), "score": ()}),
+            Insight("n", rankings={"bic": ("",), "score": ("x",)}),
+            Insight("m", rankings={"bic": ("x",), "score": ("",)}),
         ],
     )
     rows = {row.name: (row.top, row.three, row.alarms) for row in found.baselines}
@@ -401,12 +403,12 @@ def trial(seed=3, right=0.9, plants=120):
                 Submission(
                     name, verdict, "", found, (*found, named((str(random.choice(effects)), 0.1))), closed=(0.93, 0.9, 0.97),
                     where=tuple(bins("velocity", *shares)), elapsed=float(random.gamma(9.0)),
-                    rankings={method: tuple(map(str, random.permutation(effects))) for method in ("bic", "random")},
                 )
             )  # fmt: skip
         blurred = tuple(bins("velocity", *(shares + random.dirichlet(np.ones(6)))))
         tried = (bool(random.random() < 0.7), bool(random.random() < 0.3)) if place % 9 == 0 else (None, None)
-        insights.append(Insight(name, float(random.uniform(0.9, 1.0)), blurred, 0.9, {}, *tried))
+        rankings = {method: tuple(map(str, random.permutation(effects))) for method in ("bic", "random")}
+        insights.append(Insight(name, float(random.uniform(0.9, 1.0)), blurred, 0.9, {}, rankings, *tried))
     return answers, submissions, insights
 
 

@@ -24,7 +24,7 @@ def test_a_small_trial_is_judged_no_worse_than_it_was(tmp_path):
     folder, path, verdicts = tmp_path / "trial", tmp_path / "answers.jsonl", tmp_path / "verdicts"
     workers = os.cpu_count() or 1
     make(RECIPE, folder, path, workers)
-    said = run(folder, verdicts, frozen(peers=False), workers=workers)
+    said = run(folder, verdicts, frozen(), workers=workers)
     answers = unseal(path, {exhibit.plant: exhibit.commitment for exhibit in read_trial(folder).exhibits})
     assert [each.failure for each in said.values() if each.failure] == []
     named = {plant: {cause.effects[0] for cause in each.causes} for plant, each in said.items()}
@@ -40,5 +40,5 @@ def test_a_small_trial_is_judged_no_worse_than_it_was(tmp_path):
     assert write_score_report(scored, verdicts).stat().st_size > 10_000
     # Verdicts that stand are kept.
     before = (verdicts / VERDICTS).read_text(encoding="utf-8")
-    run(folder, verdicts, frozen(peers=False))
+    run(folder, verdicts, frozen())
     assert (verdicts / VERDICTS).read_text(encoding="utf-8") == before

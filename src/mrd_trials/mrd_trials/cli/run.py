@@ -22,13 +22,12 @@ def work() -> None:
     add_trial(parser)
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where the verdicts go")
     parser.add_argument("--seed", type=int, default=0, help="of every diagnosis (default %(default)s)")
-    parser.add_argument("--no-peers", action="store_true", help="do not ask simpler methods too")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="work on the dask cluster of this scheduler")
     add_workers(parser)
     arguments = parser.parse_args()
     with progress("diagnosing") as show:
         found = run(
-            arguments.trial, arguments.output, frozen(arguments.seed, not arguments.no_peers),
+            arguments.trial, arguments.output, frozen(arguments.seed),
             workers=workers_of(arguments), scheduler=arguments.scheduler, progress=show,
         )
     counts = Counter(each.verdict for each in found.values())

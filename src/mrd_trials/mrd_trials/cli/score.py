@@ -30,7 +30,7 @@ def work() -> None:
     arguments = parser.parse_args()
     answers = unsealed(arguments)
     submissions = read_records(Submission, arguments.verdicts / VERDICTS)
-    with progress("asking one who knows") as show:
+    with progress("asking one who knows, and simpler methods") as show:
         found = insights(arguments.trial, answers, submissions, arguments.verdicts, workers_of(arguments), show)
     scored = score(answers, submissions, found)
     print(tables(scored))
