@@ -333,7 +333,10 @@ def test_experiments_are_counted_in_pairs():
     outcomes = [(True, True), (True, False), (True, False), (False, False), (False, True), (None, None)]
     plants = [answer(f"p{k}", "single", "backlash") for k in range(len(outcomes))]
     insights = [Insight(f"p{k}", advised=first, random=second) for k, (first, second) in enumerate(outcomes)]
-    found = judged(plants, [], insights).parts["rich"].experiment
+    plants[0] = replace(plants[0], excitation="sine")
+    whole = judged(plants, [], insights)
+    found = next(goal.measured for goal in whole.goals if isinstance(goal.measured, Experiment))
+    assert whole.parts["rich"].experiment.advised == Rate(2, 4)
     assert (found.advised, found.random) == (Rate(3, 5), Rate(2, 5))
     assert (found.only_advised, found.only_random) == (2, 1)
     assert found.ratio == pytest.approx(1.5)
