@@ -137,18 +137,24 @@ def carry_over(run: Run, other: Run) -> None:
         remember(other, _MOTIONS[run])
 
 
-def finer(series: Array, parts: int) -> Array:
-    """A series (n,), the clock itself among them, with every interval divided into so many parts: (m,), straight between."""
-    return np.interp(np.arange((len(series) - 1) * parts + 1) / parts, np.arange(len(series)), series)
+def divided(samples: int, parts: int | NDArray[np.intp]) -> NDArray[np.intp]:
+    """Where samples (n,) are once every interval is divided into so many parts, all alike or each (n - 1,) as it says."""
+    return np.concatenate([[0], np.cumsum(np.broadcast_to(parts, samples - 1))])
 
 
-def between_samples(run: Run, parts: int) -> tuple[Array, Array, Array]:
-    """Smoothed position, velocity and acceleration (m,) of a run on a clock finer by ``parts``.
+def finer(series: Array, parts: int | NDArray[np.intp]) -> Array:
+    """A series (n,), the clock itself among them, with every interval `divided`: (m,), straight between."""
+    places = divided(len(series), parts)
+    return np.interp(np.arange(places[-1] + 1), places, series)
+
+
+def between_samples(run: Run, parts: int | NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Smoothed position, velocity and acceleration (m,) of a run with its intervals `divided`.
 
     The polynomials of fifth degree that match all three at the samples are what the smoother expects there (order 3).
     """
     moved = motion(run)
-    if parts == 1:
+    if np.all(parts == 1):
         return moved.position, moved.velocity, moved.acceleration
     states = np.stack([moved.position, moved.velocity, moved.acceleration], axis=1)
     position = BPoly.from_derivatives(run.time, states)

@@ -1,16 +1,23 @@
 """The path along which a damper model is integrated: samples plus the vertices where the rod reverses."""
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs import Run
 from mrd_runs.mains import mains_phase
-from mrd_runs.motion import motion
+from mrd_runs.motion import between_samples, divided, finer, motion
 from mrd_runs.steady import steady
 
 Array = NDArray[np.float64]
+
+FINE = 0.03
+"""Share of its largest value by which a force may change from vertex to vertex, where that can be helped."""
+
+MOST_PIECES = 8
+"""Into which a sampling interval is divided for that."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,8 @@ class Path:
         Which vertices are samples.
     mains : ndarray (2,)
         rad, the mains' phase at the start, see `mrd_runs.mains.mains_phase`.
+    run : Run or None
+        The recorded run that it belongs to.
     """
 
     dt: Array
@@ -41,13 +50,34 @@ class Path:
     current: Array
     samples: NDArray[np.intp]
     mains: Array = field(default_factory=lambda: np.zeros(2))
+    run: Run | None = None
+
+    @cached_property
+    def fine(self) -> "Path":
+        """The same with more vertices where the recorded force changes fast, for what is integrated to first order only."""
+        if self.run is None:
+            return self
+        parts = pieces(self.run)
+        path = make_path(finer(self.run.time, parts), *between_samples(self.run, parts), finer(steady(self.run), parts))
+        return replace(path, samples=path.samples[divided(len(self.run), parts)], mains=self.mains)
 
 
 def path_of(run: Run) -> Path:
     """Path of a recorded run: its smoothed motion, its measured current without the sensor's noise, the mains' phase."""
     moved = motion(run)
     path = make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady(run))
-    return replace(path, mains=mains_phase(run))
+    return replace(path, mains=mains_phase(run), run=run)
+
+
+def pieces(run: Run) -> NDArray[np.intp]:
+    """Into how many pieces each sampling interval (n - 1,) is to be divided for what is integrated to first order only.
+
+    What is in series with a damper gives way when the force changes, within few samples after each reversal: over whole
+    intervals, play came out 5 to 13 % too small from recordings at 500 Hz.
+    """
+    largest = 0.5 * float(np.ptp(np.quantile(run.force, [0.01, 0.99])))
+    jumps = np.abs(np.diff(run.force))
+    return np.clip(np.ceil(jumps / max(FINE * largest, np.finfo(float).tiny)), 1, MOST_PIECES).astype(np.intp)
 
 
 def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:

@@ -9,10 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_runs import Run
 from mrd_sim.dual import STEP
 from mrd_sim.effects import EFFECTS, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.path import Path, make_path
+from mrd_sim.path import Path, make_path, path_of
 
 EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 SERIES = pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.stretch], ids=lambda effect: effect.id)
@@ -469,6 +470,21 @@ def test_backlash_is_absent_where_a_preload_keeps_the_force_from_changing_sign()
     assert np.max(expected) < -50
     force = model.force(model.vector(preload | {"backlash.play": 4e-4, "backlash.drag": 1.0}), path)
     assert np.allclose(force[100:], expected[100:], atol=0.01 * np.ptp(expected))
+
+
+@pytest.mark.parametrize("effect", ["backlash", "joint_play", "series_compliance"])
+def test_what_is_in_series_is_resolved_between_the_samples_of_a_recording(effect):
+    time, x, v, a, current = two_tones(6, 8000, 16000.0, 0.1, 0.7, 1.0, 0.0, 0.4, 0.4)
+    model, theta = switched_on("bouc_wen", effect)
+    expected = model.force(theta, make_path(time, x, v, a, current))
+    at = slice(None, None, 32)
+    path = path_of(Run("recorded", time[at], x[at], v[at], current[at], expected[at], a[at]))
+
+    def error(along):
+        return np.sqrt(np.mean((model.force(theta, along) - expected[at])[100:] ** 2))
+
+    assert error(path) < 0.4 * error(replace(path, run=None))  # that is: with vertices at samples and reversals only
+    assert len(path.fine.dt) < 2 * len(path.dt)
 
 
 # Motion, current and force

@@ -19,10 +19,10 @@ from mrd_base import InputError
 from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.problem import Recording, forces_in_turn, in_threads
 from mrd_runs import Run
-from mrd_runs.motion import between_samples, finer, motion, motion_errors
+from mrd_runs.motion import between_samples, divided, finer, motion, motion_errors
 from mrd_runs.steady import current_noise, normal_deviation, steady, steady_current
 from mrd_sim.models import DamperModel
-from mrd_sim.path import Path, make_path
+from mrd_sim.path import Path, make_path, pieces
 
 Array = NDArray[np.float64]
 
@@ -91,19 +91,22 @@ def run_noise(
 def _carried(recording: Recording, model: DamperModel, theta: Array, rng: np.random.Generator, draws: int) -> Array:
     """Variance in N² of the model's force due to errors of motion and current, at the counted samples."""
     run = recording.run
-    parts = _parts(run)
+    coarse = _parts(run)
+    # The same vertices as without errors, or what differs by them would count as one.
+    parts = np.maximum(coarse, pieces(run)) if model.series else np.full(len(run) - 1, coarse)
     time, moved = finer(run.time, parts), between_samples(run, parts)
+    drawn_at, places = finer(run.time, coarse), divided(len(run), parts)
     used = recording.path.current[recording.path.samples]
     level = steady(run)
     switches = _switches(level, current_noise(run.current))
     of_current = _current_errors(run, level, not np.array_equal(used, run.current), rng, draws)
     expected = model.force(theta, recording.path)
     squares, larger = np.zeros(len(run)), finer(_rounding(run), parts)
-    for position, velocity, acceleration, error in zip(*motion_errors(run, rng, draws, parts), of_current, strict=True):
-        wrong = (moved[0] + larger * position, moved[1] + larger * velocity, moved[2] + larger * acceleration)
+    for *drawn, error in zip(*motion_errors(run, rng, draws, coarse), of_current, strict=True):
+        wrong = tuple(true + larger * np.interp(time, drawn_at, of) for true, of in zip(moved, drawn, strict=True))
         current, at = _between(used + error, switches, parts, rng)
         path = _switched_path(time, wrong, current, at, rng)
-        path = replace(path, samples=path.samples[::parts], mains=recording.path.mains)
+        path = replace(path, samples=path.samples[places], mains=recording.path.mains)
         squares += (model.force(theta, path) - expected) ** 2
     return squares[recording.counted] / draws
 
@@ -117,14 +120,14 @@ def _parts(run: Run) -> int:
 
 
 def _between(
-    current: Array, switches: NDArray[np.intp], parts: int, rng: np.random.Generator
+    current: Array, switches: NDArray[np.intp], parts: NDArray[np.intp], rng: np.random.Generator
 ) -> tuple[Array, NDArray[np.intp]]:
-    """A current between its samples, on a clock finer by ``parts``, and after which instants it switches there."""
-    found = finer(current, parts)
-    at = switches * parts + rng.integers(parts, size=len(switches))
-    for start, place in zip(switches * parts, at, strict=True):
+    """A current between its samples, its intervals `divided`, and after which instants it switches there."""
+    found, places = finer(current, parts), divided(len(current), parts)
+    at = places[switches] + rng.integers(parts[switches])
+    for start, place, end in zip(places[switches], at, places[switches + 1], strict=True):
         found[start : place + 1] = found[start]
-        found[place + 1 : start + parts] = found[start + parts]
+        found[place + 1 : end] = found[end]
     return found, at
 
 
