@@ -144,6 +144,15 @@ def test_thermal_fade_follows_the_energy_and_cools():
     assert coil[-1] == pytest.approx(np.exp(-5e-5 * 5.0 * 100.0 * (1 - np.exp(-3.0))), rel=1e-3)
 
 
+def test_a_force_that_drives_the_rod_cools_nothing():
+    """Below ambient, the force would grow with what it gives, without bound."""
+    time = np.arange(2000) / 500
+    v = np.full(len(time), 0.1)
+    force = np.full(len(time), -1e5)
+    found = apply("thermal_fade", {"fade": 2e-4, "cooling_time": 100.0}, time, 0.1 * time, v, 0 * v, 0 * v, force)
+    assert np.array_equal(found, force)
+
+
 def test_heat_and_travel_go_on_in_the_next_path():
     for name in ("thermal_fade", "settling"):
         model = find_model("bouc_wen", effects=[name])

@@ -32,13 +32,12 @@ named = st.builds(Named, st.tuples(names), numbers, ends, st.dictionaries(names,
 bins = st.builds(Bin, names, numbers, numbers, numbers)
 submissions = st.builds(
     Submission, names, names, names, st.tuples(named), st.tuples(named, named), st.tuples(names), st.tuples(names), numbers,
-    numbers, numbers, ends, st.tuples(bins), names, st.dictionaries(names, numbers), st.tuples(names),
-    st.dictionaries(names, numbers), st.dictionaries(names, st.tuples(names, names)), st.dictionaries(names, numbers),
-    numbers,
+    numbers, numbers, ends, st.tuples(bins), names, st.dictionaries(names, numbers), st.tuples(names), numbers,
 )  # fmt: skip
 insights = st.builds(
-    Insight, names, numbers, st.tuples(bins), numbers, st.dictionaries(names, st.tuples(names)), st.booleans(), st.none()
-)
+    Insight, names, numbers, st.tuples(bins), numbers, st.dictionaries(names, st.tuples(names)),
+    st.dictionaries(names, st.tuples(names, names)), st.booleans(), st.none(),
+)  # fmt: skip
 
 
 @given(st.one_of(submissions, insights, st.just(ANSWER)))

@@ -93,7 +93,7 @@ def _carried(recording: Recording, model: DamperModel, theta: Array, rng: np.ran
     run = recording.run
     coarse = _parts(run)
     # The same vertices as without errors, or what differs by them would count as one.
-    parts = np.maximum(coarse, pieces(run)) if model.series else np.full(len(run) - 1, coarse)
+    parts = np.maximum(coarse, pieces(run)) if model.follows_force else np.full(len(run) - 1, coarse)
     time, moved = finer(run.time, parts), between_samples(run, parts)
     drawn_at, places = finer(run.time, coarse), divided(len(run), parts)
     used = recording.path.current[recording.path.samples]

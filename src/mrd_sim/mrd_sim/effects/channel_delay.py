@@ -53,5 +53,6 @@ EFFECT = Effect(
     confused_with=("force_sensor_lag", "series_compliance", "moving_mass", "coil_lag", "rate_dependent_hysteresis"),
     separated_by="one event on all channels; chirp: slope of phase over frequency; steps of current beside fast motion",
     kernel=_apply,
+    follows_force=True,
     states=_FORCES + _ROOM,
 )

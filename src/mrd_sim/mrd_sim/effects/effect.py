@@ -49,6 +49,8 @@ class Effect:
         ``stretch(p, before, dt, force, x)``, compiled likewise: elongation in m, after ``dt`` under ``force`` with the rod
         at ``x``, of something in series with the damper that was elongated by ``before``; never falls with the force. In
         the place of ``kernel``.
+    follows_force : bool
+        Whether it depends on how the force runs from sample to sample; what is in series always does.
     signature : str
         How it shows.
     confused_with : tuple of str
@@ -78,5 +80,6 @@ class Effect:
     begin: Callable[[Path], Array] | None = None
     carries: bool = False
     stretch: Callable[[Any, Any, Any, Any, Any], Any] | None = None
+    follows_force: bool = False
     phrase: str = ""
     structural: bool = False

@@ -32,5 +32,6 @@ EFFECT = Effect(
     confused_with=("channel_delay", "coil_lag", "series_compliance", "moving_mass", "rate_dependent_hysteresis"),
     separated_by="chirp against a stiff spring; steps of current beside fast motion",
     kernel=_apply,
+    follows_force=True,
     states=2,
 )

@@ -18,6 +18,8 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
     for k in range(len(x)):
         force[k] *= exp(-p[0] * heat)
         heat += dt[k] * (force[k] * v[k] + _RESISTANCE * u[k] * u[k] - heat / p[1])
+        if heat.real < 0.0:  # what springs give back does not cool
+            heat *= 0.0
     state[0] = heat
 
 
@@ -26,7 +28,7 @@ EFFECT = Effect(
     title="Thermal fade",
     phrase="the force fades with heat by {fade:%}",
     stage="fluid",
-    equation="F exp(-b E), E' = F x' + 5 Ohm u² - E / t_c, E = C (T - T_a)",
+    equation="F exp(-b E), E' = F x' + 5 Ohm u² - E / t_c, E = C (T - T_a) >= 0",
     source="Sahin, Cesmeci & Wereley; C 300-600 J/K, loss 0.5-1.5 W/K, 0.1-2.5 % of the force per K",
     parameters=(
         Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force lost per joule of heat, b"),

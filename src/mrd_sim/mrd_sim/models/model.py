@@ -267,7 +267,7 @@ class DamperModel:
         """State of a damper at rest and unloaded, its effective current equal to the first measured one."""
         effects = [effect.begin(path) if effect.begin else np.zeros(effect.states) for effect in self.effects]
         own = [[path.current[0], path.current[0]], np.zeros(self.states)]
-        return np.concatenate([*own, *effects, np.zeros(len(self.series) + 1)])
+        return np.concatenate([*own, *effects, np.zeros(len(self._series) + 1)])
 
     def next_state(self, state: Array, path: Path) -> Array:
         """State at the start of a path recorded after another: as `initial_state`, but for what outlasts a run.
@@ -304,7 +304,7 @@ class DamperModel:
         """Force in N on the rod and the measured one, after the effects of sensing; arguments as of `force`."""
         if state is None:
             state = self.initial_state(path)
-        if self.series:
+        if self.follows_force:
             path = path.fine
         state = np.asarray(state, theta.dtype)
         start = state.real.tobytes()
@@ -316,8 +316,8 @@ class DamperModel:
         current = lagged_current(theta[len(self._own_parameters) - 1], state, path.dt, current)
         rows = self._coefficients(theta, current)
         inner = state[2 : 2 + self.states]
-        if self.series:
-            stretched = state[-len(self.series) - 1 :]
+        if self._series:
+            stretched = state[-len(self._series) - 1 :]
             self._run_in_series(theta, path, start, (stretched, rows.T, inner, path.dt, x, v, a, force))
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
@@ -334,8 +334,8 @@ class DamperModel:
         Derivatives begin with the force itself, and a fit asks for them parameter by parameter: what was found last along a
         path is kept for them, with the parameters and the state at the ``start`` that it belongs to.
         """
-        p = np.stack([np.resize(theta[part], 4) for part in self._effect_parameters(self.series)])
-        stretches = tuple(effect.stretch for effect in self.series)
+        p = np.stack([np.resize(theta[part], 4) for part in self._effect_parameters(self._series)])
+        stretches = tuple(effect.stretch for effect in self._series)
         derivatives = np.iscomplexobj(theta)
         key = theta.real.tobytes(), start
         known = self._found.get(id(path))
@@ -357,7 +357,12 @@ class DamperModel:
         return {}
 
     @cached_property
-    def series(self) -> tuple[Effect, ...]:
+    def follows_force(self) -> bool:
+        """Whether effects need vertices between samples, where the force changes fast."""
+        return any(effect.stretch is not None or effect.follows_force for effect in self.effects)
+
+    @cached_property
+    def _series(self) -> tuple[Effect, ...]:
         """Effects that give way in series with the damper."""
         return tuple(effect for effect in self.effects if effect.stretch is not None)
 
