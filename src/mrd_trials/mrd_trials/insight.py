@@ -26,6 +26,7 @@ from mrd_sim.models import DamperModel, find_model
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import read_settings
+from mrd_trials.case import DETECTABLE
 from mrd_trials.excitation import commanded
 from mrd_trials.make import Exhibit, Order, Recipe, Session, as_run, plan_trial, read_trial
 from mrd_trials.pool import every
@@ -92,7 +93,8 @@ def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer
     """
     found = Insight(answer.plant, alike={cause: (cause,) for cause in answer.causes})
     runs = read_given(folder, exhibit)
-    if answer.kind in ("single", "null") and said.verdict != "data_fault":
+    detectable = answer.kind == "single" and answer.signal_to_floor > DETECTABLE
+    if (detectable or (answer.kind == "null" and answer.excitation == "rich")) and said.verdict != "data_fault":
         peers = survey(runs, answer.model)
         alike = {cause: _alike(cause, peers.closed) for cause in answer.causes}
         found = replace(found, rankings=peers.rankings, alike=alike)

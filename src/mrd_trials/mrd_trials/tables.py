@@ -92,9 +92,10 @@ def overview(score: Score) -> Table:
     rows = tuple((name, *(text(of(part)) for part in score.parts.values())) for name, of in figures)
     note = (
         f"Detectable: signal to floor above {DETECTABLE:g}. Named: the first cause of a verdict `explained` or "
-        "`ambiguous`; ranking: that, else the first candidate. Group: effects that close nine tenths of the same, refitted. "
-        f"Left open: causes and what is like them, candidates above {LIKELY:.0%}, and what is untestable; of detectable "
-        f"single effects. ≤: one-sided bound at 95 %. Spreads are median (quartiles). {_seconds(score.seconds)}"
+        "`ambiguous`; ranking: that, else the first candidate. Group, of detectable effects: those that close nine tenths "
+        f"of the same, refitted. Left open: causes and what is like them, candidates above {LIKELY:.0%}, and what is "
+        "untestable; of detectable single effects. ≤: one-sided bound at 95 %. Spreads are median (quartiles). "
+        f"{_seconds(score.seconds)}"
     )
     return Table("Figures by excitation", ("", *score.parts), rows, note)
 
