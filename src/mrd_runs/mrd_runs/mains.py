@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 MAINS = (50.0, 60.0)
 """Hz."""
 
+ROUNDS = 10
+"""Of fits to a hum, each with weights from the one before."""
+
 LOUD = 0.04
 """s around a switch of the current in which the force says nothing of a hum."""
 
@@ -40,7 +43,12 @@ def _phase(run: Run, calm: NDArray[np.bool_], frequency: float) -> float:
     if calm.sum() < 5 * period:
         return 0.0
     angle = 2 * np.pi * frequency * run.time[calm]
-    cosine, sine = np.linalg.lstsq(np.stack([np.cos(angle), np.sin(angle)], axis=1), rest[calm], rcond=None)[0]
+    wave, rest, weight = np.stack([np.cos(angle), np.sin(angle)], axis=1), rest[calm], np.ones(int(calm.sum()))
+    # Reversals leave peaks, which count the less the farther out they are (Cauchy's loss).
+    for _ in range(ROUNDS):
+        cosine, sine = np.linalg.solve(wave.T @ (weight[:, None] * wave), wave.T @ (weight * rest))
+        out = np.abs(rest - wave @ np.array([cosine, sine]))
+        weight = 1.0 / (1.0 + (out / max(2.0 * float(np.median(out)), np.finfo(float).tiny)) ** 2)
     return float(np.arctan2(-sine, cosine))
 
 

@@ -1,5 +1,7 @@
 """The mains' phase is found under motion and current, or not at all."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,3 +36,13 @@ def test_a_current_that_never_rests_shows_none():
     run = recording(2.0, 1.0)
     busy = Run("run", run.time, run.position, run.velocity, np.arange(len(run.time)) % 10 * 0.05, run.force)
     assert np.array_equal(mains_phase(busy), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("beat", [3.3, 5.3, 6.1])
+def test_reversals_hide_no_hum(beat):
+    """Of a damper whose force turns by 1.2 kN within some 5 ms, hum of 5 N shows its phase."""
+    run = recording(5.0, 1.0)
+    damper = 600.0 * np.tanh(np.cos(2 * np.pi * beat * run.time) / 0.1)
+    noise = 1.5 * np.random.default_rng(0).standard_normal(len(run))
+    found = mains_phase(replace(run, force=run.force + damper + noise))[0]
+    assert found == pytest.approx(mains_phase(run)[0], abs=0.1)
