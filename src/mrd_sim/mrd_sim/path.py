@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mrd_runs import Run
 from mrd_runs.mains import mains_phase
-from mrd_runs.motion import between_samples, divided, finer, motion
+from mrd_runs.motion import between_samples, divided, finer
 from mrd_runs.steady import steady
 
 Array = NDArray[np.float64]
@@ -55,18 +55,18 @@ class Path:
     @cached_property
     def fine(self) -> "Path":
         """The same with more vertices where the recorded force changes fast, for effects that follow the force."""
-        if self.run is None:
-            return self
-        parts = pieces(self.run)
-        path = make_path(finer(self.run.time, parts), *between_samples(self.run, parts), finer(steady(self.run), parts))
-        return replace(path, samples=path.samples[divided(len(self.run), parts)], mains=self.mains)
+        return self if self.run is None else replace(_along(self.run, pieces(self.run)), mains=self.mains)
 
 
 def path_of(run: Run) -> Path:
     """Path of a recorded run: its smoothed motion, its measured current without the sensor's noise, the mains' phase."""
-    moved = motion(run)
-    path = make_path(run.time, moved.position, moved.velocity, moved.acceleration, steady(run))
-    return replace(path, mains=mains_phase(run), run=run)
+    return replace(_along(run, 1), mains=mains_phase(run), run=run)
+
+
+def _along(run: Run, parts: int | NDArray[np.intp]) -> Path:
+    """Path of a recorded run with its sampling intervals `divided`."""
+    path = make_path(finer(run.time, parts), *between_samples(run, parts), finer(steady(run), parts))
+    return replace(path, samples=path.samples[divided(len(run), parts)])
 
 
 def pieces(run: Run) -> NDArray[np.intp]:

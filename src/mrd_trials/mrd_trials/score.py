@@ -486,7 +486,7 @@ def _baselines(rich: Cases) -> tuple[Baseline, ...]:
             return case.insight.rankings.get(name, ())
 
         # "" in the first place: this method prefers no effect.
-        return row(name, order, _rate([not order(case) or bool(order(case)[0]) for case in nulls]))
+        return row(name, order, _rate([case.failed or any(order(case)[:1]) for case in nulls]))
 
     names = dict.fromkeys(name for case in rich for name in case.insight.rankings)
     return (

@@ -226,7 +226,7 @@ def test_baselines_stand_beside_the_diagnosis():
             Insight("a", rankings={"bic": ("coil_lag", "x", "backlash"), "score": ("backlash",)}),
             Insight("b", rankings={"bic": ("", "coil_lag"), "score": ()}),
             Insight("n", rankings={"bic": ("",), "score": ("x",)}),
-            Insight("m", rankings={"bic": ("x",), "score": ("",)}),
+            Insight("m", rankings={"bic": ("x",)}),
         ],
     )
     rows = {row.name: (row.top, row.three, row.alarms) for row in found.baselines}
