@@ -677,6 +677,16 @@ def test_mains_hum_begins_where_the_recording_does(frequency):
     assert np.allclose(model.force(theta, path) - neutral.force(neutral.defaults, path), expected, atol=1e-6)
 
 
+def test_mains_hum_has_the_recorded_phase_behind_a_delay_and_a_lag_too():
+    # It comes in where the channel is converted: a fitted phase that was delayed again put the delay 6 % wrong.
+    path = replace(make_path(*rich()), mains=np.array([0.7, -1.2]))
+    model = find_model("bouc_wen", effects=("mains_hum", "channel_delay", "force_sensor_lag"))
+    late = {"channel_delay.delay": 0.006, "force_sensor_lag.lag": 0.004}
+    found = [model.force(model.vector(late | {"mains_hum.amplitude": size}), path) for size in (0.0, 2.0)]
+    time = np.cumsum(path.dt)[path.samples]
+    assert np.allclose(found[1] - found[0], 2.0 * np.cos(2 * np.pi * 50.0 * time + 0.7), atol=1e-6)
+
+
 def test_channel_crosstalk_copies_position_and_current():
     x, u = np.linspace(-0.02, 0.02, 10), np.linspace(0, 1, 10)
     found = act("channel_crosstalk", {"from_position": 500.0, "from_current": 10.0}, dt=steps(10, 10.0), x=x, u=u)["force"]

@@ -63,9 +63,9 @@ EFFECTS: dict[str, Effect] = {
         load_cell_gain,
         load_cell_drift,
         force_sensor_lag,
-        mains_hum,
         channel_crosstalk,
         channel_delay,
+        mains_hum,  # last: its phase is that of the recorded force
     )
 }
 

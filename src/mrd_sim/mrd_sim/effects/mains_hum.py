@@ -33,7 +33,7 @@ EFFECT = Effect(
     title="Mains hum",
     phrase="a hum of {amplitude:size} at {frequency} lies on the force",
     stage="sensing",
-    equation="F + a cos(2 pi f t + phi), t from the start of the recording, phi as the recording shows it",
+    equation="F + a cos(2 pi f t + phi), t from the start of the recording, phi as recorded, behind all delays",
     source="10-100 µV on 20 µV/N: 0.1-2 N; 50 or 60 Hz and their doubles, folded by slow sampling (50 Hz at 25 Hz: a bias)",
     parameters=(
         Parameter("amplitude", "N", 0.0, 0.0, 10.0, "amplitude a"),
