@@ -25,14 +25,15 @@ def follow(lagged: Any, before: Any, now: Any, steps: Any, left: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def turned(state: Any, step: float, here: Any, over: Any) -> Any:
+def turned(state: Any, step: float, here: Any, over: Any, level: Any = 1.0) -> Any:
     """A direction of motion (-1 to 1) that lags in travel, not in time, after a step in s to ``here``; its lag is ``over``.
 
-    ``state`` holds this direction and the place that was come from, and is brought up to date.
+    ``state`` holds this direction and the place that was come from, and is brought up to date. With a ``level`` other than 1
+    it tends to that in the direction of motion, at the same initial slope: dw / d|x| = (sgn x' - w / level) / over.
     """
     travel = here - state[1]
     if step > 0.0 and travel.real != 0.0:
-        side = 1.0 if travel.real > 0.0 else -1.0
-        state[0] = side + (state[0] - side) * exp(-absolute(travel) / over)
+        end = level if travel.real > 0.0 else -level
+        state[0] = end + (state[0] - end) * exp(-absolute(travel) / (over * level))
     state[1] = here
     return state[0]

@@ -176,7 +176,8 @@ def test_settling_goes_by_travel():
 def test_seal_friction_is_a_box_with_a_hump_at_low_speed():
     motion = sine()
     v = motion[2]
-    found = added("seal_friction", {"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 5e-3}, motion)
+    values = {"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 5e-3, "presliding": 5e-6}
+    found = added("seal_friction", values, motion)
     assert found[v > 0.05] == pytest.approx(40.0)
     assert found[v < -0.05] == pytest.approx(-40.0)
     assert 1.3 * 40.0 < found.max() <= 1.5 * 40.0
@@ -191,6 +192,19 @@ def test_a_seal_gives_before_it_slides():
     travelled = np.linspace(0, 1e-3, 101)
     assert found[:101] == pytest.approx(40.0 * (1 - np.exp(-travelled / 1e-4)))
     assert found[101:] == pytest.approx(40.0 * (2 * np.exp(-travelled / 1e-4) - 1), abs=1e-2)
+
+
+@pytest.mark.parametrize("speed", [1e-4, 4e-3, 0.05])
+def test_a_seal_sticks_by_the_bristles_that_have_bent_not_by_the_speed_alone(speed):
+    x = np.r_[np.linspace(0, 1e-3, 101), np.linspace(1e-3, 0.0, 101)[1:]]
+    time, still = np.arange(201) * 1e-5 / speed, np.zeros(201)
+    values = {"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 4e-3, "presliding": 1e-4}
+    velocity = np.repeat([speed, -speed], [101, 100])
+    found = added("seal_friction", values, (time, x, velocity, still, still))
+    level = 1 + 0.5 * np.exp(-((speed / 4e-3) ** 2))
+    given = np.exp(-np.linspace(0, 1e-3, 101) / (1e-4 * level))
+    assert found[:101] == pytest.approx(40.0 * level * (1 - given))
+    assert found[101:] == pytest.approx(40.0 * level * ((2 - given[-1]) * given[1:] - 1))
 
 
 def test_side_load_friction_is_a_bow_tie():

@@ -12,7 +12,8 @@ from mrd_sim.parameter import Parameter
 def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     for k in range(len(x)):
         slow = v[k] / p[2]
-        force[k] += p[0] * turned(state, dt[k], x[k], p[3]) * (1.0 + p[1] * exp(-slow * slow))
+        level = 1.0 + p[1] * exp(-slow * slow)
+        force[k] += p[0] * turned(state, dt[k], x[k], p[3], level)
 
 
 EFFECT = Effect(
@@ -20,8 +21,8 @@ EFFECT = Effect(
     title="Seal friction",
     phrase="the seal rubs with {coulomb}",
     stage="structure",
-    equation="F + F_c w (1 + s exp(-(x' / v_s)²)), dw / d|x| = (sgn x' - w) / x_p",
-    source="Stribeck (1902), as Armstrong-Hélouvry, Dupont & Canudas de Wit (1994); presliding as Dahl (1968); 20-60 N",
+    equation="F + F_c w, dw / d|x| = (sgn x' - w / g) / x_p, g = 1 + s exp(-(x' / v_s)²)",
+    source="bristles as Canudas de Wit, Olsson, Åström & Lischinsky (1995), after Dahl (1968) and Stribeck (1902); 20-60 N",
     parameters=(
         Parameter("coulomb", "N", 0.0, 0.0, 120.0, "friction at speed, F_c"),
         Parameter("stiction", "", 0.3, 0.0, 1.5, "relative excess at rest, s = F_s / F_c - 1"),
