@@ -9,7 +9,11 @@ import pytest
 from mrd_base import InputError
 from mrd_identification import diagnose
 from mrd_identification.fit_file import StoredFit
+from mrd_identification.gap.diagnose import model_alone
+from mrd_identification.gap.which import Foundation, anew, around, beside
+from mrd_identification.problem import prepare
 from mrd_sim.damper import Damper
+from mrd_sim.models import find_model
 from mrd_sim.simulate import Instruments, measure_plans
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.plan import plan
@@ -211,6 +215,16 @@ def test_a_second_cause_is_sought_where_the_form_of_the_first_could_leave_as_muc
     sizes = found.causes[1].parameters["moving_mass.mass"].value
     assert sizes.value == pytest.approx(5.0, rel=0.1)
     assert found.causes[1].closed.value < 0.06
+
+
+def test_a_play_far_smaller_than_typical_promises_to_close_what_it_does_beside_a_lag():
+    runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
+    ground, alone, _, _ = model_alone(find_model("bouc_wen"), None, [prepare(run) for run in runs], np.random.default_rng(0))
+    (lagging,) = around(ground, Foundation.of(ground, alone), ["force_sensor_lag"], 1)
+    ground = ground.after(lagging.refit.problem.model, lagging.refit.theta)
+    foundation = Foundation.of(ground, anew(ground, lagging.refit))
+    promised, *others = (promise.gain for promise in beside(ground, foundation, ["backlash", *FEW, "flow_asymmetry"]))
+    assert promised > 10 * max(others)
 
 
 def test_runs_that_were_set_aside_may_go_beyond_the_fitted():

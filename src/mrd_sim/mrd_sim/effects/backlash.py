@@ -30,6 +30,7 @@ EFFECT = Effect(
         Parameter("drag", "N", 10.0, 1.0, 60.0, "dry friction that holds the rod within the play, F_d", log=True),
     ),
     typical={"play": 2e-4, "drag": 10.0},
+    starts=lambda _force: [2e-4, 6e-5, 2e-5],
     signature="the force stays near zero while the drive crosses the play, each time that the force changes sign",
     confused_with=("joint_play", "series_compliance", "cavitation", "seal_friction", "channel_delay"),
     separated_by="position on the rod against position of the motor; a preload that keeps the force from changing sign",

@@ -32,7 +32,7 @@ class Effect:
         A value of each parameter with which the effect is clearly there; where a fit begins.
     starts : callable, optional
         ``starts(force)``: values of the first parameter where a fit to such forces in N (n,) may begin, for an effect that
-        sets in at a threshold.
+        sets in at a threshold, or that changes the force otherwise than in proportion to it (a play).
     kernel : callable, optional
         ``kernel(p, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
         (`mrd_sim.dual`): parameters ``p`` (parameters,), ``state`` carried from call to call, then the signals on the

@@ -33,6 +33,7 @@ EFFECT = Effect(
         Parameter("film", "", 0.5, 0.02, 1.0, "by how much it is crossed slower where a film is squeezed out, m"),
     ),
     typical={"play": 3e-4, "resistance": 2.5e4, "film": 0.5},
+    starts=lambda _force: [3e-4, 1e-4, 3e-5],
     signature="a step or dead spot where the force changes its sign, its travel independent of current",
     confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
     separated_by="small strokes at several currents; a preload that keeps the force from changing sign",
