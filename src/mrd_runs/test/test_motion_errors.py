@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import BPoly
 from scipy.signal import lfilter
 
 from mrd_runs import Run, make_run
@@ -118,3 +119,13 @@ def test_between_samples_nothing_changes_at_the_samples() -> None:
         np.testing.assert_allclose(fine[::4], values, rtol=1e-6, atol=1e-9)
     coarse, fine = (motion_errors(run, np.random.default_rng(3), 400, parts)[1] for parts in (1, 4))
     assert rms(fine[:, ::4]) == pytest.approx(rms(coarse), rel=0.05)
+
+
+def test_between_samples_position_is_the_polynomial_of_its_derivatives_at_both_ends() -> None:
+    run = measured(accelerometer=True, n=300, jitter=5e-4)
+    parts = np.random.default_rng(4).integers(1, 9, 299)
+    at = motion(run)
+    expected = BPoly.from_derivatives(run.time, np.stack([at.position, at.velocity, at.acceleration], axis=1))
+    for order, fine in enumerate(between_samples(run, parts)):
+        right = expected(finer(run.time, parts), order)
+        np.testing.assert_allclose(fine, right, atol=1e-9 * np.abs(right).max())
