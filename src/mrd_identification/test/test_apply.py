@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from mrd_base import InputError
 from mrd_identification.cli import apply as apply_tool
 from mrd_identification.cli import diagnose as diagnose_tool
+from mrd_identification.cli import identify as identify_tool
 from mrd_identification.cli import trend as trend_tool
+from mrd_identification.cli.apply import arguments_of_identify
 from mrd_identification.gap.apply import Correction, correction, write_plant
 from mrd_runs import Run, read_run
 from mrd_sim.cli import simulate as simulate_tool
@@ -128,18 +130,42 @@ def test_what_is_not_proven_needs_to_be_wanted():
         corrected("bouc_wen", [], "data_fault", anyway=True)
 
 
-def test_effects_of_ones_own_go_with_their_folder(tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
+@pytest.fixture
+def own_effects(tmp_path):
+    """Folder with an effect of one's own, which is forgotten afterwards."""
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "spring.py").write_text(OWN)
     before = dict(EFFECTS)
-    try:
-        made = Correction("bingham", {}, {}, {"own_spring": {"rate": 500.0}}, "-", str(tmp_path))
-        load_effects(tmp_path)
-        output = write_plant(made, SHIPPED, tmp_path / "plant.yaml")
-        del EFFECTS["own_spring"]
-        assert read_damper(output).build().theta[-1] == 500.0
-    finally:
-        EFFECTS.clear()
-        EFFECTS.update(before)
+    yield tmp_path / "own"
+    EFFECTS.clear()
+    EFFECTS.update(before)
+
+
+def test_effects_of_ones_own_go_with_their_folder(tmp_path, own_effects):
+    laws = find_model("bingham").laws
+    made = Correction("bingham", laws, {}, {"own_spring": {"rate": 500.0}}, "-", str(own_effects))
+    load_effects(own_effects)
+    output = write_plant(made, SHIPPED, tmp_path / "plant.yaml")
+    del EFFECTS["own_spring"]
+    assert read_damper(output).build().theta[-1] == 500.0
+    assert arguments_of_identify(made) == f"--model bingham --effects-folder {own_effects} --effect own_spring"
+
+
+def test_effects_of_ones_own_are_identified(tmp_path, own_effects, monkeypatch):
+    time = np.arange(1000) / 250
+    x, v, a = (9e-3 * w * np.sin(4 * time + phase) for w, phase in ((1, 0), (4, np.pi / 2), (16, np.pi)))
+    damper = find_model("bingham")
+    force = damper.force(damper.vector({"coil_lag": 0.0}), make_path(time, x, v, a, np.full(1000, 0.2))) + 800.0 * x
+    write_csv(Run("a", time, x, v, np.full(1000, 0.2), force), str(tmp_path / "a.csv"))
+    arguments = [str(tmp_path / "a.csv"), "--model", "bingham", "--generations", "3", "--no-profile"]
+    folder = ["--effects-folder", str(own_effects), "--effect", "own_spring", "--output", str(tmp_path / "fit")]
+    monkeypatch.setattr("sys.argv", ["identify", *arguments, *folder, "--scheduler", "tcp://nowhere:1"])
+    with pytest.raises(InputError, match="do not know the effects of --effects-folder"):
+        identify_tool.work()
+    monkeypatch.setattr("sys.argv", ["identify", *arguments, *folder])
+    identify_tool.work()
+    found = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    assert found["parameters"]["own_spring.rate"]["value"] == pytest.approx(800.0, rel=0.02)
 
 
 def test_unusable_files_are_refused_in_one_line(tmp_path):

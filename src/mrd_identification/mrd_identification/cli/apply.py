@@ -5,7 +5,7 @@ import argparse
 from mrd_base import run_tool
 from mrd_identification.gap.apply import Correction, correction, write_plant
 from mrd_identification.gap.gap_file import read_gap_report
-from mrd_sim.effects import load_effects
+from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.models import find_model
 
 
@@ -24,10 +24,8 @@ def work() -> None:
     parser.add_argument("--plant", required=True, metavar="PLANT.yaml", help="the bench as it was; only its damper changes")
     parser.add_argument("--output", required=True, metavar="PLANT.yaml", help="must not exist")
     parser.add_argument("--anyway", action="store_true", help="also where the effect is not proven")
-    parser.add_argument("--effects-folder", default="", metavar="FOLDER", help="with effects of your own, one a file")
+    add_effects_folder(parser)
     arguments = parser.parse_args()
-    if arguments.effects_folder:
-        load_effects(arguments.effects_folder)
     report = read_gap_report(arguments.report)
     corrected = correction(
         report["verdict"],
@@ -49,4 +47,5 @@ def arguments_of_identify(corrected: Correction) -> str:
     """Which model with which laws and effects, as identify takes it."""
     laws = ",".join(f"{name}={law}" for name, law in corrected.laws.items())
     law = f" --law {laws}" if corrected.laws != find_model(corrected.model).laws else ""
-    return f"--model {corrected.model}{law}" + "".join(f" --effect {effect}" for effect in corrected.effects)
+    folder = f" --effects-folder {corrected.effects_folder}" if corrected.effects_folder else ""
+    return f"--model {corrected.model}{law}{folder}" + "".join(f" --effect {effect}" for effect in corrected.effects)

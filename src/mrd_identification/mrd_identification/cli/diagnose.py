@@ -15,8 +15,9 @@ from mrd_identification.gap.diagnose import diagnose
 from mrd_identification.gap.diagnosis import Candidate, Diagnosis
 from mrd_identification.gap.report import write_gap_report
 from mrd_identification.gap.words import share
+from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
-from mrd_sim.effects import find_effects, load_effects
+from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
 
 MOST_ROWS = 8
@@ -44,14 +45,12 @@ def work() -> None:
     parser.add_argument(
         "--effects", default="", metavar="ID,...", help="candidates (ros2 run mrd_sim effects lists them; default: all)"
     )
-    parser.add_argument("--effects-folder", metavar="FOLDER", help="with effects of your own, one a file")
+    add_effects_folder(parser)
     parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
     parser.add_argument("--output", required=True, metavar="DIR", help="where gap_report.json and gap_report.html go")
     arguments = parser.parse_args()
     if arguments.seed < 0:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
-    if arguments.effects_folder:
-        load_effects(arguments.effects_folder)
     effects = tuple(filter(None, arguments.effects.split(",")))
     laws = parse_laws(arguments.law, "--law")
     find_model(arguments.model, laws)

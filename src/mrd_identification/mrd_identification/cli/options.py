@@ -5,6 +5,7 @@ import argparse
 from mrd_base import InputError
 from mrd_identification.identify import Method
 from mrd_runs import Run, read_runs
+from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 
 _DEFAULT = Method()
@@ -26,6 +27,7 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         "--effect", action="append", default=[], metavar="EFFECT",
         help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated",
     )
+    add_effects_folder(parser)
     parser.add_argument("--offsets", action="store_true", help="let each fitted run have a force offset of its own")
     parser.add_argument(
         "--weights", choices=("samples", "runs", "force"), default=_DEFAULT.weights,
@@ -61,10 +63,12 @@ def method(arguments: argparse.Namespace) -> Method:
     Raises
     ------
     InputError
-        For a seed below 0 or an argument that is not of its form.
+        For a seed below 0, an argument that is not of its form, or effects that a cluster does not know.
     """
     if arguments.seed < 0:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
+    if arguments.scheduler and arguments.effects_folder:
+        raise InputError("--scheduler: its workers do not know the effects of --effects-folder; leave one of the two out")
     fixed = {}
     for text in arguments.fix:
         name, _, value = text.partition("=")

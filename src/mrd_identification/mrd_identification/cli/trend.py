@@ -12,8 +12,9 @@ from mrd_identification.gap.gap_file import read_gap_report
 from mrd_identification.gap.trend import calendar_of, trend
 from mrd_identification.gap.trend_file import write_trend
 from mrd_runs import read_runs
+from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
-from mrd_sim.effects import find_effects, load_effects
+from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS
 
 
@@ -42,7 +43,7 @@ def work() -> None:
     parser.add_argument(
         "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
     )
-    parser.add_argument("--effects-folder", metavar="FOLDER", help="with effects of your own, one a file")
+    add_effects_folder(parser)
     parser.add_argument(
         "--dates", default="", metavar="DATE,...", help="one for each run, such as 2024-05-31; default: the recordings' own"
     )
@@ -52,8 +53,6 @@ def work() -> None:
     arguments = parser.parse_args()
     if arguments.seed < 0:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
-    if arguments.effects_folder:
-        load_effects(arguments.effects_folder)
     start = _start(arguments)
     runs = read_runs(arguments.runs)
     calendar = calendar_of(runs, [date for date in arguments.dates.split(",") if date])

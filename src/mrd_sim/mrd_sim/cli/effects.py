@@ -7,7 +7,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from mrd_base import run_tool
-from mrd_sim.effects import EFFECTS, Effect, find_effects, load_effects
+from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.effects import EFFECTS, Effect, find_effects
 from mrd_sim.effects_page import catalogue, interval, page, section
 from mrd_sim.models_page import clauses
 
@@ -23,11 +24,9 @@ def work() -> None:
         prog="effects", description="List the effects that may act around a damper model, or one with its parameters."
     )
     parser.add_argument("effect", nargs="?", help=f"one of {', '.join(EFFECTS)}")
-    parser.add_argument("--effects-folder", metavar="FOLDER", help="with effects of your own, one a file")
+    add_effects_folder(parser)
     parser.add_argument("--markdown", action="store_true", help="print the docs' page, or the effect's section of it")
     arguments = parser.parse_args()
-    if arguments.effects_folder:
-        load_effects(arguments.effects_folder)
     chosen = find_effects([arguments.effect])[0] if arguments.effect else None
     if arguments.markdown:
         print(section(chosen) if chosen else page(), end="")

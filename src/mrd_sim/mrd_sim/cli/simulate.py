@@ -6,9 +6,9 @@ from pathlib import Path
 
 from mrd_base import InputError, run_tool
 from mrd_runs import read_run
+from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
-from mrd_sim.effects import load_effects
 from mrd_sim.models import MODELS
 from mrd_sim.plant import read_damper
 from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
@@ -41,15 +41,13 @@ def work() -> None:
         help="what else acts (ros2 run mrd_sim effects), in SI; may be repeated",
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
-    parser.add_argument("--effects-folder", metavar="FOLDER", help="with effects of your own, one a file")
+    add_effects_folder(parser)
     parser.add_argument(
         "--bench", metavar="FILE", default=os.environ.get("MRD_BENCH"), help="whose limits count; default: $MRD_BENCH"
     )
     parser.add_argument("--output", required=True, metavar="FILE.csv", help="must not exist")
     arguments = parser.parse_args()
 
-    if arguments.effects_folder:
-        load_effects(arguments.effects_folder)
     effects = parse_effects(arguments.effects, "--effects")
     for text in arguments.effect:
         effect, name, value = parse_effect(text)
