@@ -235,7 +235,7 @@ def test_joint_play_is_crossed_against_its_resistance():
     alone = base.force(base.vector(own), make_path(*motion))
     # Dashpots in series: 1 / (1 / 1000 + 1 / 9000), the joint opens by 1 mm/s.
     assert force[time > 0.01] == pytest.approx(9.0, rel=5e-3)
-    film = model.force(model.vector(own | play | {"joint_play.film": 1.0, "joint_play.play": 2e-4}), make_path(*motion))
+    film = model.force(model.vector(own | play | {"joint_play.film": 0.98, "joint_play.play": 2e-4}), make_path(*motion))
     assert (np.diff(film[time > 0.01]) > -1e-6).all()
     assert film[-1] == pytest.approx(alone[-1], rel=1e-3)
 

@@ -7,15 +7,12 @@ from numba import njit
 from mrd_sim.dual import clip
 from mrd_sim.effects.effect import Effect
 from mrd_sim.parameter import Parameter
-
-CROSSING = 500.0
-"""N s/m beyond the drag: crossing the play takes no time to speak of."""
+from mrd_sim.play import MOST_FILM, crossed
 
 
 @njit(cache=True, nogil=True)
 def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
-    driving = force - clip(force, -p[1], p[1])
-    return clip(before + dt * driving / CROSSING, -0.5 * p[0], 0.5 * p[0])
+    return crossed(before, dt, force - clip(force, -p[1], p[1]), p[0], p[2], p[3])
 
 
 EFFECT = Effect(
@@ -23,13 +20,16 @@ EFFECT = Effect(
     title="Backlash of the drive",
     phrase="the drive has {play} of backlash",
     stage="drive",
-    equation="F = damper(x - e), within |e| <= g / 2: e' = 0 where |F| <= F_d, else (F - F_d sgn F) / 500 N s/m",
+    equation="F = damper(x - e), within |e| <= g / 2: e' = 0 where |F| <= F_d, else (F - F_d sgn F) / c_g "
+    "(1 - m e sgn F / (g / 2))",
     source="two-stage planetary gears 8-15 arcmin, module-2 rack 50-150 µm: 0.1-0.3 mm at the rod",
     parameters=(
         Parameter("play", "m", 0.0, 0.0, 6e-4, "free travel between the two flanks, g"),
         Parameter("drag", "N", 10.0, 1.0, 60.0, "dry friction that holds the rod within the play, F_d", log=True),
+        Parameter("resistance", "N s/m", 300.0, 30.0, 3000.0, "of crossing it from the middle, c_g", log=True),
+        Parameter("film", "", 0.5, 0.02, MOST_FILM, "by how much it is crossed slower where a film is squeezed out, m"),
     ),
-    typical={"play": 2e-4, "drag": 10.0},
+    typical={"play": 2e-4, "drag": 10.0, "resistance": 300.0, "film": 0.5},
     starts=lambda _force: [2e-4, 6e-5, 2e-5],
     signature="the force stays near zero while the drive crosses the play, each time that the force changes sign",
     confused_with=("joint_play", "series_compliance", "cavitation", "seal_friction", "channel_delay"),

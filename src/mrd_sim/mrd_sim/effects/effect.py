@@ -83,3 +83,7 @@ class Effect:
     follows_force: bool = False
     phrase: str = ""
     structural: bool = False
+
+    def __post_init__(self) -> None:
+        if self.stretch is not None:
+            object.__setattr__(self, "follows_force", True)

@@ -4,20 +4,14 @@ from typing import Any
 
 from numba import njit
 
-from mrd_sim.dual import absolute, clip, exp
 from mrd_sim.effects.effect import Effect
 from mrd_sim.parameter import Parameter
-
-_LEAST = 1e-18  # m, so that no play is no exception
+from mrd_sim.play import MOST_FILM, crossed
 
 
 @njit(cache=True, nogil=True)
 def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
-    half = 0.5 * p[0] + _LEAST
-    flank = half if force.real > 0.0 else -half
-    # Share of its first speed at which the joint is crossed.
-    speed = (1.0 - p[2] * before / flank) * exp(-p[2] * dt * absolute(force) / (p[1] * half))
-    return clip(flank * (1.0 - speed) / p[2], -half, half)
+    return crossed(before, dt, force, p[0], p[1], p[2])
 
 
 EFFECT = Effect(
@@ -30,7 +24,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("play", "m", 0.0, 0.0, 2e-3, "free travel end to end, g"),
         Parameter("resistance", "N s/m", 2.5e4, 5e3, 3e5, "of crossing it from the middle, c_g", log=True),
-        Parameter("film", "", 0.5, 0.02, 1.0, "by how much it is crossed slower where a film is squeezed out, m"),
+        Parameter("film", "", 0.5, 0.02, MOST_FILM, "by how much it is crossed slower where a film is squeezed out, m"),
     ),
     typical={"play": 3e-4, "resistance": 2.5e4, "film": 0.5},
     starts=lambda _force: [3e-4, 1e-4, 3e-5],

@@ -359,7 +359,7 @@ class DamperModel:
     @cached_property
     def follows_force(self) -> bool:
         """Whether effects need vertices between samples, where the force changes fast."""
-        return any(effect.stretch is not None or effect.follows_force for effect in self.effects)
+        return any(effect.follows_force for effect in self.effects)
 
     @cached_property
     def _series(self) -> tuple[Effect, ...]:
