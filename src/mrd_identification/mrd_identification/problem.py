@@ -238,7 +238,7 @@ class Problem:
 
     def residuals(self, theta: Array) -> Array:
         """What least squares counts: errors, without offsets of single runs where these are free, times root weights."""
-        return self._counted(self.errors(theta))
+        return self.counted(self.errors(theta))
 
     def cost(self, theta: Array) -> float:
         """Half the sum of the loss in N², as `scipy.optimize.least_squares` counts it."""
@@ -269,7 +269,7 @@ class Problem:
         def column(index: int) -> Array:
             moved = theta.astype(complex)
             moved[self.free[index]] += 1j * STEP * scale[index]
-            return self._counted(self.forces(moved).imag / STEP)
+            return self.counted(self.forces(moved).imag / STEP)
 
         columns = in_threads(column, range(len(self.free)) if indices is None else indices)
         return np.stack(columns, axis=1) if columns else np.empty((len(self.force), 0))
@@ -321,10 +321,10 @@ class Problem:
             rest[block] = rest_of_run[recording.counted]
             if fixed.size:
                 rest[block] += of_run[recording.counted][:, ~is_free] @ theta[fixed]
-        rest = self._counted(rest - self.force)
+        rest = self.counted(rest - self.force)
         if self.offsets or not self._alike:
             for column in columns.T:
-                column[:] = self._counted(column)
+                column[:] = self.counted(column)
         gram, right = columns.T @ columns, -(columns.T @ rest)
         if not (np.isfinite(gram).all() and np.isfinite(right).all()):
             return theta, (np.inf, np.inf)
@@ -338,7 +338,8 @@ class Problem:
         """Whether every sample weighs one."""
         return all(recording.weight == 1.0 for recording in self.recordings)
 
-    def _counted(self, errors: Array) -> Array:
+    def counted(self, errors: Array) -> Array:
+        """What of errors (samples,) in N least squares counts."""
         if self.offsets:
             mean = errors.mean()
             errors = errors.copy()

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import kstest
 
 from mrd_identification.gap.contest import FIRST_SCATTER, contest, learned_scatter
 from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.gap.ground import Ground, with_effect
-from mrd_identification.gap.judge import closed, probabilities, resampled
+from mrd_identification.gap.judge import closed, probabilities, resampled, values
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.refit import Scatter, refit, whitening, without_each
 from mrd_identification.gap.which import Foundation, around, score, variants
@@ -21,6 +22,7 @@ from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import find_model
 from mrd_sim.path import path_of
+from mrd_sim.play import MOST_FILM
 
 FORCE_NOISE = 1.5
 BASE = find_model("bouc_wen")
@@ -173,6 +175,24 @@ def test_closed_is_the_share_of_what_noise_does_not_explain(share, noise):
     assert found.value == pytest.approx(share)
     assert found.lower <= found.value + 1e-9
     assert found.upper >= found.value - 1e-9
+
+
+@pytest.mark.parametrize("means", [False, True])
+def test_the_interval_of_a_play_holds_it_whether_samples_are_means_or_of_an_instant(means):
+    play, fine = 7e-5, 32
+    model = find_model("bouc_wen", effects=["backlash"])
+    values_of = {"backlash.play": play, "backlash.resistance": 150.0, "backlash.film": MOST_FILM, "coil_lag": 0.0}
+    theta = model.vector({"yield_force": 60.0, "yield_force_per_A": 800.0} | values_of)
+    runs = []
+    for seed in range(4):
+        of = run(seed, model=model, theta=theta, rate=500.0 * fine)
+        force = uniform_filter1d(of.force, fine) if means else of.force
+        columns = (of.time, of.position, of.velocity, of.current, force)
+        runs.append(Run(of.name, *(column[::fine] for column in columns)))
+    ground = ground_of(runs)
+    found = values(refit(ground.problem(model, theta), theta, ground.parts))["backlash.play"].value
+    assert found.lower < play < found.upper
+    assert found.upper - found.lower < 0.2 * play
 
 
 def test_every_effect_has_forms_from_which_a_fit_can_begin():

@@ -43,7 +43,8 @@ def values(refit: Refit) -> dict[str, Value]:
     """Parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
 
     The covariance is the larger of what the scatter of the parts says (sandwich; Liang & Zeger, 1986) and of what the
-    correlated noise does.
+    correlated noise does. A recording does not say whether a sample of the force is its mean over the sampling period or of
+    an instant, and a play is crossed in less: intervals of what follows the force hold both.
     """
     problem, unit = refit.problem, refit.problem.unit(refit.theta)
     inverse = scaled_inverse(refit.grams.sum(axis=0), 1e-12)
@@ -52,12 +53,17 @@ def values(refit: Refit) -> dict[str, Value]:
     if spare > 4:
         root = inverse @ refit.slopes.T * np.sqrt(len(refit.slopes) / spare)
         deviation = np.maximum(deviation, stdtrit(spare, 0.975) * np.linalg.norm(root, axis=1))
+    following = {effect.id for effect in problem.model.effects if effect.follows_force}
+    if_means = -inverse @ refit.means
     found = {}
     for place, index in enumerate(problem.free):
         parameter = problem.model.parameters[index]
-        if "." not in parameter.name:
+        effect, _, own = parameter.name.partition(".")
+        if not own:
             continue
-        ends = np.clip([unit[place] - deviation[place], unit[place] + deviation[place]], 0.0, 1.0)
+        shift = if_means[place] if effect in following else 0.0
+        reach = np.array([min(shift, 0.0) - deviation[place], max(shift, 0.0) + deviation[place]])
+        ends = np.clip(unit[place] + reach, 0.0, 1.0)
         moved = np.tile(unit, (2, 1))
         moved[:, place] = ends
         lower, upper = problem.theta(moved)[:, index]

@@ -107,7 +107,8 @@ class GapProblem(Problem):
     def _alike(self) -> bool:
         return False
 
-    def _counted(self, errors: Array) -> Array:
+    def counted(self, errors: Array) -> Array:
+        """White errors (samples,)."""
         return np.concatenate([white(errors[block]) for white, block in zip(self.whitenings, self.blocks, strict=True)])
 
 
@@ -132,6 +133,8 @@ class Refit:
         Normal matrices of the parts at the optimum.
     slopes : ndarray (parts, free)
         Derivative of half the cost of each part.
+    means : ndarray (free,)
+        Derivatives times the white change of the force if its samples were means over the sampling period.
     nulls : ndarray (parts, draws, free)
         Derivatives times white errors that are nothing but noise, see `refit`.
     """
@@ -144,6 +147,7 @@ class Refit:
     noises: Array
     grams: Array
     slopes: Array
+    means: Array
     nulls: Array
 
     @property
@@ -183,15 +187,25 @@ def refit(
     """
     unit, _ = descend(problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, settled, renewal=3)
     theta = problem.theta(unit)
-    residuals, jacobian = problem.residuals(theta), problem.jacobian(unit)
+    force, jacobian = problem.forces(theta), problem.jacobian(unit)
+    residuals = problem.counted(force - problem.force)
     grams = np.stack([jacobian[part].T @ jacobian[part] for _, part in parts])
     slopes = np.stack([jacobian[part].T @ residuals[part] for _, part in parts])
     cost = np.array([residuals[part] @ residuals[part] for _, part in parts])
     joined = np.concatenate(noise, axis=1) if len(noise) else np.empty((0, len(residuals)))
     nulls = [joined[:, part] @ jacobian[part] for _, part in parts]
+    means = jacobian.T @ problem.counted(blurred(force, problem.blocks) - force)
     thetas = without_each(problem, unit, grams, slopes)
     unseen, plain, noises = unseen_cost(problem, thetas, parts)
-    return Refit(problem, theta, cost, unseen, plain, noises, grams, slopes, np.array(nulls))
+    return Refit(problem, theta, cost, unseen, plain, noises, grams, slopes, means, np.array(nulls))
+
+
+def blurred(series: Array, blocks: Sequence[slice]) -> Array:
+    """Means (n,) over the sampling period around each sample of runs, between samples as on straight lines."""
+    found = series.copy()
+    for block in blocks:
+        found[block][1:-1] += np.diff(series[block], 2) / 8.0
+    return found
 
 
 def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> Array:

@@ -173,7 +173,7 @@ class DatedProblem(Problem):
         # A run knows its own date only, so one pass has the derivatives of all dates.
         slope = self.forces(moved).imag / STEP
         place = np.repeat(self.place, [len(r.force) for r in self.recordings])
-        dated = [self._counted(np.where(place == date, slope, 0.0)) for date in range(dates)]
+        dated = [self.counted(np.where(place == date, slope, 0.0)) for date in range(dates)]
         found = np.column_stack([common, *dated])
         return found if indices is None else found[:, indices]
 
