@@ -59,7 +59,7 @@ def recorded(effects=None, model="bouc_wen", seed=0, rate=250, instruments=None,
         )
         for name in only
     ]
-    own = {name: value for name, value in DAMPER.items() if model == "bouc_wen" or name not in ("yield_travel", "stiffness")}
+    own = {name: value for name, value in DAMPER.items() if name in find_model(model).names}
     damper = Damper(model, own | values, effects=effects)
     return measure_plans(plans, damper, np.random.default_rng(seed), instruments=instruments)
 
@@ -190,6 +190,27 @@ def test_constant_currents_say_nothing_of_magnetics():
         found = diagnose(runs, "bouc_wen", effects=("magnetic_hysteresis", "coil_lag", "moving_mass", "channel_delay"))
         assert found.verdict == "no_gap", found.sentence
         assert {"magnetic_hysteresis", "coil_lag"} <= {candidate.effects[0] for candidate in found.untestable}
+
+
+def sines(model="bouc_wen", effects=None, **values):
+    """One sine at three currents."""
+    coil = "coil: {waveform: constant, level_mA: %g}"
+    sine = "rod: {waveform: sine, amplitude_mm: 12, frequency_hz: 1}"
+    only = {f"sine_{level}": f"{sine}\n{coil % level}" for level in (50, 150, 300)}
+    return [cut(run, 1.5, run.duration - 1.5) for run in recorded(effects, model, seed=1, only=only, **values)]
+
+
+@pytest.mark.parametrize("model", ["modified_dahl", "modified_lugre", "hyperbolic_tangent"])
+def test_at_one_speed_another_form_of_the_damper_is_not_taken_for_an_effect(model):
+    found = diagnose(sines(model), "bouc_wen", effects=("joint_play", "seal_friction", "shear_thinning"))
+    assert (found.verdict, found.causes) == ("unknown_effect", ())
+    assert found.forms[0].closed.value > max(0.95, found.nearest.closed.value)
+    assert f"another form of the damper model ({found.forms[0].effects[0]})" in found.sentence
+
+
+def test_at_one_speed_an_effect_that_is_no_form_of_the_damper_is_named():
+    found = diagnose(sines(effects={"joint_play": {"play": 3e-4}}), "bouc_wen", effects=("joint_play", "seal_friction"))
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["joint_play"])
 
 
 def test_a_true_simulator_among_scattered_runs_is_no_gap_in_the_parameters():

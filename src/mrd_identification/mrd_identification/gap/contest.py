@@ -1,8 +1,9 @@
 """The refits between which is judged, on the noise floor and the run scatter of the best of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import Refit, Scatter, refit
 from mrd_identification.gap.which import Foundation, Trial, anew, around, worth
 from mrd_identification.problem import in_threads
+from mrd_sim.effects import EFFECTS
 
 MOST_RIVALS = 4
 """Effects that are compared in the place of each cause."""
@@ -37,6 +39,8 @@ class Contest:
         Those of the chain, in its order.
     rivals : dict
         For each effect of the chain, refits in which another one, or none (""), takes its place.
+    form : str
+        Name of the rival in which another form of the damper model takes the place of all effects, where these were tried.
     """
 
     ground: Ground
@@ -44,11 +48,24 @@ class Contest:
     chain: tuple[Refit, ...]
     effects: tuple[str, ...]
     rivals: dict[str, dict[str, Refit]]
+    form: str = ""
 
     @property
     def best(self) -> Refit:
         """The model with all effects that were found."""
         return self.chain[-1] if self.chain else self.alone
+
+    def against(self, forms: Mapping[str, Refit]) -> Self:
+        """With the best of other forms of the damper model as a rival of every effect but those that it lacks itself."""
+        if not forms:
+            return self
+        best = min(forms, key=lambda form: forms[form].total)
+        name = f"another form of the damper model ({best})"
+        rivals = {
+            effect: others if EFFECTS[effect].structural else others | {name: forms[best]}
+            for effect, others in self.rivals.items()
+        }
+        return replace(self, rivals=rivals, form=name)
 
 
 def contest(

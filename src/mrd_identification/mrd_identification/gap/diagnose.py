@@ -20,6 +20,7 @@ from mrd_identification.gap.next_experiment import advise
 from mrd_identification.gap.noise import distortion, repeating_period, run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
 from mrd_identification.gap.preflight import preflight
+from mrd_identification.gap.preflight.excitation import one_speed
 from mrd_identification.gap.refit import Refit, own_error, refit
 from mrd_identification.gap.where import where
 from mrd_identification.gap.which import (
@@ -175,6 +176,12 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     singles = [trial for trial in trials if len(trial.effects) == 1]
     nulls = null_gains(alone, [trial.refit for trial in singles], rng) if singles else np.zeros(1)
     found = contest(ground, alone, chosen, trials, rng)
+    tried: dict[str, Refit] = {}
+    if found.effects and one_speed([recording.run for recording in asked.recordings]):
+        # At one speed, what another form of the model would do, an effect may do as well.
+        progress("trying other forms of the model", 0.77)
+        tried = forms(found.ground, found.alone, found.best.level - 1.0, rng)
+        found = found.against(tried)
     # What is left beyond what may be left is something else.
     known = min(1.0, may_be_left(found.alone) / max(found.best.level - 1.0, 1e-9))
     chances = {
@@ -228,7 +235,8 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
         nearest = next((candidate for candidate in listed if candidate.effects == found.effects), None)
         if nearest is None and listed and listed[0].closed.value > 0.0:
             nearest = listed[0]
-        return replace(diagnosis, causes=sure, nearest=nearest, forms=_forms(found, rng))
+        tried = tried or forms(found.ground, found.alone, may_be_left(found.alone), rng)
+        return replace(diagnosis, causes=sure, nearest=nearest, forms=_forms(found, tried, rng))
     progress("looking for the next experiment", 0.95)
     return replace(diagnosis, causes=causes, alternatives=_alternatives(chances), advice=_advice(found, chances))
 
@@ -340,6 +348,8 @@ def _verdict(
     allowed = may_be_left(alone)
     if not closed >= MOST_PART or (left > allowed and surely_left > 0.7 * allowed):
         return "unknown_effect"
+    if any(of.get(found.form, 0.0) > of[effect] for effect, of in chances.items()):
+        return "unknown_effect"
     return "explained" if all(chances[effect][effect] >= CERTAIN for effect in found.effects) else "ambiguous"
 
 
@@ -383,10 +393,9 @@ def _advice(found: Contest, chances: Mapping[str, Mapping[str, float]]) -> Advic
     return advise({name: found.rivals[effect][name] for name in names}, found.ground)
 
 
-def _forms(found: Contest, rng: np.random.Generator) -> tuple[Candidate, ...]:
+def _forms(found: Contest, tried: Mapping[str, Refit], rng: np.random.Generator) -> tuple[Candidate, ...]:
     """Other forms of the damper model, best first."""
     variance = _variance(found.ground)
-    tried = forms(found.ground, found.alone, may_be_left(found.alone), rng)
     ranked = sorted(tried.items(), key=lambda item: item[1].total)
     return tuple(
         Candidate(

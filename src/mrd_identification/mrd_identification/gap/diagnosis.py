@@ -162,7 +162,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect that these runs cannot tell from a cause."""
+    """An effect, or another form of the damper model, that these runs cannot tell from a cause."""
 
     effect: str
     instead_of: str

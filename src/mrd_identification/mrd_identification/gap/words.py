@@ -15,7 +15,7 @@ NOTABLE = 1.2
 """A refit that lowers the error by less than this factor is not worth a word."""
 
 NOTABLE_FORM = 0.05
-"""Share of the gap by which another form of the model must close more than the nearest effect to be told."""
+"""Share of what the nearest effect leaves of the gap that another form of the model must close beyond it to be told."""
 
 PRECISE = 1e-3
 """An interval narrower than this, relative to its value, is not written out."""
@@ -199,7 +199,7 @@ def _unknown_effect(diagnosis: Diagnosis) -> str:
         closing = f"with which {some} of the gap would close" if sure else f"which would close {some} of the gap"
         text += f"; it resembles {like}, {closing}"
     reached = nearest.closed.value if nearest is not None else 0.0
-    if diagnosis.forms and diagnosis.forms[0].closed.value > reached + NOTABLE_FORM:
+    if diagnosis.forms and diagnosis.forms[0].closed.value > reached + NOTABLE_FORM * (1.0 - reached):
         form = diagnosis.forms[0]
         text += f"; another form of the damper model ({form.effects[0]}) closes {share(form.closed.value)}"
     return f"{text}."

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from mrd_identification.gap.diagnosis import Finding
 from mrd_identification.gap.preflight.view import MOVED, SHORT_STROKE, View, milli
+from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -66,8 +67,8 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
             channel="position",
         )
     peaks, frequencies = _peaks_and_frequencies(views)
-    if len(peaks) and np.quantile(peaks, 0.95) < ONE_SPEED * np.quantile(peaks, 0.05):
-        several = np.quantile(frequencies, 0.95) > ONE_SPEED * np.quantile(frequencies, 0.05)
+    if _alike(peaks):
+        several = not _alike(frequencies)
         yield Finding(
             "coverage", "limitation",
             f"all strokes peak at one speed ({milli(float(np.median(peaks)))} mm/s): what grows with "
@@ -83,6 +84,15 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
         f"{milli(highest)} mm, speed up to {milli(max(view.speed for view in views))} mm/s, current {current.min():.3g} "
         f"to {current.max():.3g} A, {reversals} reversals{at}",
     )
+
+
+def one_speed(runs: Sequence[Run]) -> bool:
+    """Whether all full strokes peak at about the same speed."""
+    return _alike(_peaks_and_frequencies([View(run) for run in runs])[0])
+
+
+def _alike(values: Array) -> bool:
+    return bool(len(values) and np.quantile(values, 0.95) < ONE_SPEED * np.quantile(values, 0.05))
 
 
 def _peaks_and_frequencies(views: Sequence[View]) -> tuple[Array, Array]:
