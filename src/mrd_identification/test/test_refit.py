@@ -10,6 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import kstest
 
 from mrd_identification.gap.contest import FIRST_SCATTER, contest, learned_scatter
+from mrd_identification.gap.diagnose import _verdict as verdict
 from mrd_identification.gap.diagnosis import RunNoise
 from mrd_identification.gap.ground import Ground, with_effect
 from mrd_identification.gap.judge import closed, probabilities, resampled, values
@@ -229,3 +230,21 @@ def test_an_effect_that_another_one_makes_superfluous_is_dropped(true):
     assert [len(step.problem.model.effects) for step in found.chain] == list(range(1, len(true) + 1))
     assert found.best.level < 1.2
     assert found.rivals.keys() == set(true)
+
+
+def test_only_a_form_that_was_asked_makes_a_doubtful_effect_unknown():
+    model = find_model("bouc_wen", effects=["channel_delay"])
+    theta = model.vector({"yield_force": 60.0, "yield_force_per_A": 800.0, "coil_lag": 0.0, "channel_delay.delay": 0.01})
+    ground = ground_of([run(seed, model=model, theta=theta) for seed in range(5)])
+    alone = refit(ground.problem(BASE, THETA), THETA, ground.parts)
+    (trial,) = around(ground, Foundation.of(ground, alone), ["channel_delay"], 1)
+    found = contest(ground, alone, [trial], [trial], np.random.default_rng(0))
+
+    def said(of, chances):
+        return verdict(of, alone.level, {"channel_delay": chances}, [0.01], np.random.default_rng(0))
+
+    assert said(found, {"channel_delay": 0.9, "": 0.1}) == "explained"
+    assert said(found, {"channel_delay": 0.4, "": 0.6}) == "ambiguous"
+    asked = found.against({"sigmoid": found.alone})
+    assert said(asked, {"channel_delay": 0.4, asked.form: 0.3, "": 0.3}) == "ambiguous"
+    assert said(asked, {"channel_delay": 0.4, asked.form: 0.6}) == "unknown_effect"

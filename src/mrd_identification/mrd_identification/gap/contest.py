@@ -11,6 +11,7 @@ from mrd_identification.gap.ground import Ground, without_effect
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import Refit, Scatter, refit
 from mrd_identification.gap.which import Foundation, Trial, anew, around, worth
+from mrd_identification.gap.words import name_of_form
 from mrd_identification.problem import in_threads
 from mrd_sim.effects import EFFECTS
 
@@ -60,7 +61,7 @@ class Contest:
         if not forms:
             return self
         best = min(forms, key=lambda form: forms[form].total)
-        name = f"another form of the damper model ({best})"
+        name = name_of_form(best)
         rivals = {
             effect: others if EFFECTS[effect].structural else others | {name: forms[best]}
             for effect, others in self.rivals.items()

@@ -348,7 +348,7 @@ def _verdict(
     allowed = may_be_left(alone)
     if not closed >= MOST_PART or (left > allowed and surely_left > 0.7 * allowed):
         return "unknown_effect"
-    if any(of.get(found.form, 0.0) > of[effect] for effect, of in chances.items()):
+    if found.form and any(of.get(found.form, 0.0) > of[effect] for effect, of in chances.items()):
         return "unknown_effect"
     return "explained" if all(chances[effect][effect] >= CERTAIN for effect in found.effects) else "ambiguous"
 

@@ -92,6 +92,11 @@ def name_of(effect: str) -> str:
     return title if title[1:2].isupper() else title[:1].lower() + title[1:]
 
 
+def name_of_form(form: str) -> str:
+    """Another form of the damper model as it stands within a sentence."""
+    return f"another form of the damper model ({form})"
+
+
 def names_of(effects: Sequence[str]) -> str:
     """Titles of effects that act together."""
     return _listed([name_of(effect) for effect in effects])
@@ -201,7 +206,7 @@ def _unknown_effect(diagnosis: Diagnosis) -> str:
     reached = nearest.closed.value if nearest is not None else 0.0
     if diagnosis.forms and diagnosis.forms[0].closed.value > reached + NOTABLE_FORM * (1.0 - reached):
         form = diagnosis.forms[0]
-        text += f"; another form of the damper model ({form.effects[0]}) closes {share(form.closed.value)}"
+        text += f"; {name_of_form(form.effects[0])} closes {share(form.closed.value)}"
     return f"{text}."
 
 
