@@ -14,7 +14,7 @@ from mrd_identification.cluster import run_on_cluster
 from mrd_identification.metrics import Metrics, metrics
 from mrd_identification.nsga2 import Front, search
 from mrd_identification.polish import polish, polish_front, with_loss_scale
-from mrd_identification.problem import Loss, Problem, Recording, Weights, pose, prepare, run_weights
+from mrd_identification.problem import Loss, Problem, Recording, Weights, modelled_in_turn, pose, prepare, run_weights
 from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, Parameter, find_model
@@ -319,9 +319,10 @@ def judge(
     theta = best.theta
     if method.polish and problem.loss != "linear":
         theta, _ = polish(problem, theta)  # on the common scale of the loss
-    fitted = tuple(_result(problem.model, theta, recording) for recording in recordings)
+    fitted = _results(problem.model, theta, recordings)
     if held_out:
-        held, by = tuple(_result(problem.model, theta, prepare(run)) for run in held_out), "runs"
+        everything = [*recordings, *map(prepare, held_out)]
+        held, by = _results(problem.model, theta, everything)[len(recordings) :], "runs"
     elif len(runs) > 1 and method.polish:
         held, poorer = _leave_one_out(recordings, model, method, [s.front for s in solutions], notes, step)
         by = "leave-one-run-out"
@@ -420,9 +421,13 @@ def _nrmse(problem: Problem, theta: Array) -> float:
     return float(np.sqrt(np.mean(problem.errors(theta) ** 2)) / np.std(problem.force))
 
 
-def _result(model: DamperModel, theta: Array, recording: Recording) -> RunResult:
-    modelled = model.force(theta, recording.path)
-    return RunResult(recording.run, modelled, recording.counted, metrics(recording.force, modelled[recording.counted]))
+def _results(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> tuple[RunResult, ...]:
+    """Of runs that were recorded one after the other."""
+    modelled = modelled_in_turn(model, theta, recordings)
+    return tuple(
+        RunResult(recording.run, force, recording.counted, metrics(recording.force, force[recording.counted]))
+        for recording, force in zip(recordings, modelled, strict=True)
+    )
 
 
 def _leave_one_out(
@@ -431,6 +436,7 @@ def _leave_one_out(
 ) -> tuple[tuple[RunResult, ...], list[str]]:
     """Each run judged by a fit to the others: what these alone can tell, from the candidate that suits them best.
 
+    The others are fitted as if it had never been: with what outlasts runs, such as heat, its error is on the large side.
     Also says which runs were so judged by a model that knows less than the one fitted to all of them, see ``notes``.
     """
     thetas = np.concatenate([front.thetas for front in fronts])
@@ -441,7 +447,7 @@ def _leave_one_out(
         order = np.argsort(norms[:, 0], kind="stable")
         front = Front(starts[order], norms[order], 0)
         theta, _ = polish(with_loss_scale(rest, front), front.thetas[0])
-        results.append(_result(rest.model, theta, recording))
+        results.append(_results(rest.model, theta, recordings)[index])
         if len(said) > len(notes):
             poorer.append(recording.run.name)
         step()

@@ -81,16 +81,21 @@ def prepare(run: Run, weight: float = 1.0) -> Recording:
     return Recording(run, path_of(run), slice(start, len(run)), weight)
 
 
-def forces_in_turn(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
+def modelled_in_turn(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
     """Modelled force in N of runs recorded one after the other: what outlasts a run, such as heat, goes on to the next."""
-    if not any(effect.carries for effect in model.effects):
-        return [recording.modelled(model, theta) for recording in recordings]
-    found, state = [], None
+    found: list[Array] = []
+    state: Array | None = None
     for recording in recordings:
         begin = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
         state = begin.astype(theta.dtype)
-        found.append(model.force(theta, recording.path, state)[recording.counted])
+        found.append(model.force(theta, recording.path, state))
     return found
+
+
+def forces_in_turn(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
+    """The same at the counted samples."""
+    forces = modelled_in_turn(model, theta, recordings)
+    return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
 
 
 def run_weights(runs: Sequence[Run], weights: Weights | Sequence[float]) -> list[float]:

@@ -128,6 +128,11 @@ def test_what_is_not_proven_needs_to_be_wanted():
         assert "NOT proven" in made.remark
     with pytest.raises(InputError, match="recordings are faulty"):
         corrected("bouc_wen", [], "data_fault", anyway=True)
+    with pytest.raises(InputError, match="the verdict is unknown_effect and no effect comes near; apply the refitted"):
+        corrected("bouc_wen", [], "unknown_effect")
+    _, _, made = corrected("bouc_wen", [], "unknown_effect", anyway=True)
+    assert made.effects == {}
+    assert made.remark == "bouc_wen with its parameters refitted: what is missing is NOT known"
 
 
 @pytest.fixture
@@ -179,6 +184,9 @@ def test_unusable_files_are_refused_in_one_line(tmp_path):
         write_plant(made, SHIPPED, tmp_path / "out.yaml")
     with pytest.raises(InputError, match="cannot be written"):
         write_plant(made, SHIPPED, tmp_path / "nowhere" / "out.yaml")
+    (tmp_path / "elsewhere.yaml").write_text("/bench/plant: {ros__parameters: {seed: 1}}")
+    with pytest.raises(InputError, match=r"elsewhere\.yaml: found /bench/plant, none of them the plant"):
+        write_plant(made, tmp_path / "elsewhere.yaml", tmp_path / "new.yaml")
     (tmp_path / "other.yaml").write_text("damper: {model: bingham}")
     with pytest.raises(InputError, match="expected a parameter file"):
         write_plant(made, tmp_path / "other.yaml", tmp_path / "new.yaml")

@@ -44,7 +44,7 @@ def test_what_the_model_takes_up_is_said(known):
 def test_what_the_rod_never_reaches_does_not_show(known):
     (found,) = coverage(*known, ["end_stop"])  # beyond 8 mm from mid-stroke
     assert found.smallest == np.inf
-    assert found.remark == "even the largest plausible size would not show"
+    assert found.remark == "it does not act in these runs"
     assert not found.shares.any()
 
 

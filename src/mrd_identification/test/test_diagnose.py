@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from textwrap import dedent
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from mrd_base import InputError
 from mrd_identification import diagnose
 from mrd_identification.fit_file import StoredFit
+from mrd_identification.gap.contest import Contest
 from mrd_identification.gap.diagnose import model_alone
 from mrd_identification.gap.which import Foundation, anew, around, beside
 from mrd_identification.problem import prepare
@@ -208,6 +210,16 @@ def test_at_one_speed_another_form_of_the_damper_is_not_taken_for_an_effect(mode
     assert f"another form of the damper model ({found.forms[0].effects[0]})" in found.sentence
 
 
+def test_a_form_that_predicts_worse_than_the_other_effects_alone_is_no_rival():
+    def of(total):
+        return SimpleNamespace(total=total)
+
+    rivals = {"gas_spring": {"gas_spring": of(1.0), "": of(9.0)}, "coil_lag": {"coil_lag": of(1.0), "": of(2.0)}}
+    found = Contest(None, of(99.0), (of(9.0), of(1.0)), tuple(rivals), rivals).against({"dahl": of(5.0), "lugre": of(7.0)})
+    assert found.rivals["gas_spring"][found.form].total == 5.0
+    assert found.rivals["coil_lag"] == rivals["coil_lag"]
+
+
 def test_at_one_speed_an_effect_that_is_no_form_of_the_damper_is_named():
     found = diagnose(sines(effects={"joint_play": {"play": 3e-4}}), "bouc_wen", effects=("joint_play", "seal_friction"))
     assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["joint_play"])
@@ -262,6 +274,38 @@ def test_heat_goes_on_from_run_to_run():
     found = diagnose(runs, "bouc_wen", effects=("thermal_fade", "gas_spring"))
     fade = next(candidate for candidate in found.candidates if candidate.effects == ("thermal_fade",))
     assert fade.parameters["thermal_fade.fade"].value.value == pytest.approx(2e-4, rel=0.2)
+
+
+def test_what_has_settled_is_stirred_once_also_in_runs_that_were_set_aside():
+    effect = {"settling": {"excess": 0.3, "travel": 0.3}}
+    runs = recorded(effect, seed=6, only=["triangle", "multisine", "sine", "slow", "multisine"])
+    found = diagnose(runs[:4], "bouc_wen", held_out=runs[4:], effects=("settling", "gas_spring"))
+    assert [cause.effect for cause in found.causes] == ["settling"]
+    assert found.after.value < 1.2 * found.floor.value
+
+
+@pytest.mark.parametrize("frequency", [50.0, 60.0])
+def test_a_hum_is_found_whichever_the_mains_are(frequency):
+    runs = recorded({"mains_hum": {"amplitude": 4.0, "frequency": frequency}}, rate=500)
+    found = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["mains_hum"])
+    assert found.parameters["mains_hum.frequency"] == frequency
+    assert found.parameters["mains_hum.amplitude"] == pytest.approx(4.0, rel=0.1)
+    assert f"at {frequency:.0f} Hz" in found.sentence
+
+
+def test_no_cap_is_said_to_show_that_the_force_never_reaches():
+    found = diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
+    cavitation = next(candidate for candidate in found.candidates if candidate.effects == ("cavitation",))
+    size, _, unit = cavitation.smallest.partition(" ")
+    assert unit == "per kN"
+    model = find_model("bouc_wen", effects=("cavitation",))
+    change = [
+        model.force(model.vector(found.parameters | {"cavitation.inverse_cap": 1e-3 * float(size)}), path)
+        - model.force(model.vector(found.parameters), path)
+        for path in (trace.recording.path for trace in found.traces)
+    ]
+    assert np.abs(np.concatenate(change)).max() > 5.0
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from mrd_identification.gap.diagnosis import (
     Value,
 )
 from mrd_identification.gap.gap_file import read_gap_report, to_json
-from mrd_identification.gap.report import write_gap_report
+from mrd_identification.gap.report import content, write_gap_report
 from mrd_identification.gap.where import where
 from mrd_identification.gap.words import clause, describe, human, share
 from mrd_identification.polish import polish
@@ -209,6 +209,20 @@ def test_the_file_says_what_the_contract_says():
     assert content["corrected"]["parameters"]["channel_delay.delay"] == pytest.approx(0.012, rel=0.02)
     assert {"axis", "lower", "upper", "unit", "share", "lift", "ci95"} <= content["where"][0].keys()
     assert content["runs"]["fit"][0]["before"] > 5 * content["runs"]["fit"][0]["after"]
+
+
+def test_runs_beside_held_out_ones_are_called_what_they_are():
+    found = diagnosed("explained")
+    first, *others = found.traces
+    told = content(replace(found, held_out_by="runs", traces=(*others, replace(first, held_out=True))))
+    assert [run["judged"] for run in told["runs"]] == ["left out", "left out", "held out"]
+
+
+def test_only_an_experiment_is_said_to_separate(tmp_path):
+    found = diagnosed("ambiguous")
+    assert "It separates " in markup_of(write_gap_report(found, tmp_path))
+    advice = Advice("No run would tell them apart.", between=("channel_delay", ""))
+    assert "It separates " not in markup_of(write_gap_report(replace(found, advice=advice), tmp_path))
 
 
 def test_the_worst_of_a_fault_comes_first_and_no_physics(tmp_path):

@@ -1,6 +1,7 @@
 """Identification gives back what made the data, says how sure it is, and judges on runs it has not seen."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from mrd_base import InputError
 from mrd_identification import identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.fit_file import make_folder
 from mrd_identification.nsga2 import knee
-from mrd_identification.problem import pose, prepare
+from mrd_identification.problem import modelled_in_turn, pose, prepare
 from mrd_identification.report import write_report
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
@@ -216,6 +217,16 @@ def test_an_effect_is_identified_with_the_model(tmp_path):
     assert np.array_equal(damper.theta, fit.theta)
     with pytest.raises(InputError, match=r"unknown effect nosuch \(known: "):
         identify(runs, "bingham", effects=["nosuch"])
+
+
+def test_what_a_fit_says_of_a_run_begins_as_the_run_before_has_ended():
+    damper = find_model("bingham", None, ["thermal_fade"])
+    truth = damper.vector({"thermal_fade.fade": 2e-4, "viscous": 1500.0})
+    still = [simulated("bingham", {}, seed=seed) for seed in (1, 2, 3)]
+    forces = modelled_in_turn(damper, truth, [prepare(run) for run in still])
+    runs = [replace(run, force=force) for run, force in zip(still, forces, strict=True)]
+    fit = identify(runs[:2], "bingham", effects=["thermal_fade"], held_out=runs[2:], seeds=1, profile=False)
+    assert all(result.metrics.nrmse < 1e-3 for result in (*fit.fitted, *fit.held_out))
 
 
 def test_a_robust_loss_withstands_outliers():

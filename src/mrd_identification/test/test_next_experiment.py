@@ -1,6 +1,7 @@
 """The advised experiment tells rivals apart, better than any other; where none does, a sensor is advised."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -196,6 +197,16 @@ def test_what_outlasts_a_run_goes_on_in_the_next_one():
     expected = forces_in_turn(rival.problem.model, theta, [*ground.recordings, again])[-1]
     np.testing.assert_allclose(rival.force(theta, again.path)[again.counted], expected, rtol=1e-12)
     assert np.abs(expected - again.modelled(rival.problem.model, theta)).max() > 0.1
+
+
+def test_only_the_same_damper_with_more_effects_contains_another():
+    def of(model, *effects):
+        return _Rival(SimpleNamespace(model=find_model(model, effects=effects)), np.zeros(0), np.zeros((0, 0)))
+
+    delayed = of("bouc_wen", "channel_delay")
+    assert of("bouc_wen").within(delayed)
+    assert not delayed.within(of("bouc_wen"))
+    assert not of("modified_dahl").within(delayed)
 
 
 def test_error_rates_fall_from_a_half():

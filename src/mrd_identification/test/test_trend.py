@@ -204,6 +204,8 @@ def test_unusable_input_is_refused_in_one_line():
         with pytest.raises(InputError, match=words) as refused:
             trend(runs, "bingham", follow, parameters=MODEL)
         assert "\n" not in str(refused.value)
+    with pytest.raises(InputError, match="limit is nan, expected a finite number"):
+        trend(runs, "bingham", "yield_force", parameters=MODEL, limit=float("nan"))
     with pytest.raises(InputError, match="2 dates, expected at least 3"):
         trend(runs[:2], "bingham", "yield_force", parameters=MODEL)
     still = [Run(r.name, r.time, r.position, r.velocity, 0 * r.current, r.force) for r in runs]

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 # Functions as arguments let one compiled driver, kept in the cache, serve every model; numba says so of them each time.
 warnings.filterwarnings("ignore", "First-class function type feature is experimental")
 
-MOST = 3
+MOST = 4
 """Things in series."""
 
 _ACCURACY = 1e-6  # N, of Newton's last step, whose own error is of the order of its square

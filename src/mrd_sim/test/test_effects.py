@@ -324,6 +324,14 @@ def test_each_effect_carries_its_own_state():
     assert np.array_equal(changed, expected)
 
 
+def test_as_many_may_be_in_series_as_the_catalogue_has_and_no_more():
+    series = [effect for effect in EFFECTS.values() if effect.stretch is not None]
+    model, theta = switched_on("bouc_wen", *(effect.id for effect in series))
+    assert np.isfinite(model.force(theta, make_path(*rich(rate=500.0, seconds=1.0)))).all()
+    with pytest.raises(InputError, match=r"joint_play, own: all in series with the damper, expected at most 4"):
+        find_model("bouc_wen").with_effects([*series, replace(series[0], id="own")])
+
+
 def test_effects_act_in_the_order_of_the_catalogue_however_they_are_named():
     path = make_path(*rich(rate=500.0, seconds=1.0))
     for one, other in combinations(EFFECTS.values(), 2):

@@ -80,7 +80,7 @@ def insights(
 
 
 def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer: Answer, said: Submission) -> Insight:
-    """Of one plant.
+    """Of one plant; nothing where the diagnosis failed, which would fail again.
 
     Parameters
     ----------
@@ -92,6 +92,8 @@ def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer
         What everybody sees of it, what it is, what the diagnosis says.
     """
     found = Insight(answer.plant, alike={cause: (cause,) for cause in answer.causes})
+    if said.verdict == "failed":
+        return found
     runs = read_given(folder, exhibit)
     detectable = answer.kind == "single" and answer.signal_to_floor > DETECTABLE
     if (detectable or (answer.kind == "null" and answer.excitation == "rich")) and said.verdict != "data_fault":

@@ -149,7 +149,7 @@ def make(
     Raises
     ------
     InputError
-        For a recipe that cannot be made, answers inside the folder, or a folder with another trial in it.
+        For a recipe that cannot be made, answers inside the folder, or a folder or answers of another trial.
     """
     if answers.resolve().is_relative_to(folder.resolve()):
         raise InputError(f"--answers {answers}: lies in {folder}, where whoever is judged could read it; put it elsewhere")
@@ -157,7 +157,11 @@ def make(
     _check(recipe, folder)
     made = read_records(Answer, answers)
     exhibits = {exhibit.plant: exhibit for exhibit in read_trial(folder).exhibits} if (folder / TRIAL).exists() else {}
-    todo = [order for order in orders if order.plant not in made or order.plant not in exhibits]
+    known = {exhibit.commitment for exhibit in exhibits.values()}
+    strange = [plant for plant, answer in made.items() if commitment(answer) not in known]
+    if len(strange) > 1:  # one may be of a plant that was being written when the work was interrupted
+        raise InputError(f"--answers {answers}: holds answers of another trial ({strange[0]}, ...); name another file")
+    todo = [order for order in orders if order.plant not in made or order.plant in strange]
     answers.parent.mkdir(parents=True, exist_ok=True)
     by_name = {order.plant: order for order in orders}
     for answer, runs in every(make_plant, [(order, recipe.recorded) for order in todo], workers):

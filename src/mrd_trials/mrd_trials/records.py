@@ -129,6 +129,8 @@ class Submission:
     effects : tuple of str
     elapsed : float
         s.
+    commitment : str
+        To the answer for the plant that was judged: plants of all trials have the same names.
     """
 
     plant: str
@@ -147,6 +149,7 @@ class Submission:
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
     elapsed: float = float("nan")
+    commitment: str = ""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -16,9 +16,9 @@ from mrd_identification.gap.diagnosis import Candidate, Cause, Diagnosis, Interv
 from mrd_runs import Run, read_runs
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
-from mrd_trials.records import Bin, Named, Submission, completed
+from mrd_trials.records import Bin, Named, Submission, completed, read_records
 
-JUDGES = ("mrd_runs", "mrd_sim", "mrd_identification")
+JUDGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_identification")
 """Packages whose code decides what a diagnosis says."""
 
 VERDICTS, FROZEN = "verdicts.jsonl", "diagnoser.json"
@@ -79,12 +79,12 @@ def run(
     Raises
     ------
     InputError
-        Where there is no trial, or ``output`` holds verdicts of another diagnoser.
+        Where there is no trial, or ``output`` holds verdicts of another diagnoser or of another trial.
     """
     diagnoser = diagnoser or frozen()
     exhibits = {exhibit.plant: exhibit for exhibit in read_trial(folder).exhibits}
-    output.mkdir(parents=True, exist_ok=True)
-    _freeze(diagnoser, output)
+    freeze(diagnoser, output)
+    read_verdicts(output / VERDICTS, exhibits.values())
 
     def work(plants: Sequence[str]) -> Iterator[Submission]:
         if not scheduler:
@@ -109,14 +109,15 @@ def judge(exhibit: Exhibit, runs: Sequence[Run], diagnoser: Diagnoser, effects: 
         found = diagnose(runs, exhibit.model, effects=effects, seed=diagnoser.seed)
     except Exception as error:  # whatever it is, it counts as a failure of the diagnosis
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return Submission(exhibit.plant, "failed", failure=text, elapsed=time.monotonic() - began)
-    return submission(exhibit.plant, found)
+        elapsed = time.monotonic() - began
+        return Submission(exhibit.plant, "failed", failure=text, elapsed=elapsed, commitment=exhibit.commitment)
+    return submission(exhibit, found)
 
 
-def submission(plant: str, found: Diagnosis) -> Submission:
+def submission(exhibit: Exhibit, found: Diagnosis) -> Submission:
     """What is kept of a diagnosis."""
     return Submission(
-        plant=plant,
+        plant=exhibit.plant,
         verdict=found.verdict,
         causes=tuple(_of_cause(cause, found) for cause in found.causes),
         candidates=tuple(_of_candidate(candidate) for candidate in found.candidates),
@@ -131,6 +132,7 @@ def submission(plant: str, found: Diagnosis) -> Submission:
         parameters=dict(found.parameters),
         effects=found.effects,
         elapsed=found.elapsed,
+        commitment=exhibit.commitment,
     )
 
 
@@ -157,7 +159,32 @@ def read_given(folder: Path, exhibit: Exhibit) -> list[Run]:
     return read_runs([str(folder / file) for file in exhibit.runs])
 
 
-def _freeze(diagnoser: Diagnoser, output: Path) -> None:
+def read_verdicts(path: Path, exhibits: Iterable[Exhibit]) -> dict[str, Submission]:
+    """Verdicts of a file by plant, each checked to be on the plant that a trial has under this name.
+
+    Raises
+    ------
+    InputError
+        For a verdict on another one.
+    """
+    found = read_records(Submission, path)
+    for exhibit in exhibits:
+        if exhibit.plant in found and found[exhibit.plant].commitment != exhibit.commitment:
+            raise InputError(
+                f"{path}: the verdict on {exhibit.plant} is on a plant of another trial; name this trial's folder"
+            )
+    return found
+
+
+def freeze(diagnoser: Diagnoser, output: Path) -> None:
+    """Tie a folder to what judges; made where it does not exist.
+
+    Raises
+    ------
+    InputError
+        Where it holds verdicts of another diagnoser.
+    """
+    output.mkdir(parents=True, exist_ok=True)
     path = output / FROZEN
     kept = json.dumps(vars(diagnoser), indent=1) + "\n"
     if path.exists() and path.read_text(encoding="utf-8") != kept:

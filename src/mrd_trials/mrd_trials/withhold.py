@@ -8,7 +8,7 @@ from mrd_trials.case import DETECTABLE
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
 from mrd_trials.records import Answer, Submission, completed
-from mrd_trials.run import Diagnoser, frozen, judge, read_given
+from mrd_trials.run import Diagnoser, freeze, frozen, judge, read_given, read_verdicts
 
 WITHHELD = "withheld.jsonl"
 
@@ -38,6 +38,11 @@ def withhold(
         Processes.
     progress : callable
         Called with the number of plants that are done, and of all.
+
+    Raises
+    ------
+    InputError
+        Where ``output`` holds verdicts of another diagnoser or of another trial.
     """
     chosen: dict[str, list[Exhibit]] = {}
     for exhibit in read_trial(folder).exhibits:
@@ -45,8 +50,9 @@ def withhold(
         if answer.kind == "single" and answer.signal_to_floor > DETECTABLE and exhibit.excitation == "rich":
             chosen.setdefault(answer.causes[0], []).append(exhibit)
     wanted = {exhibit.plant: exhibit for exhibits in chosen.values() for exhibit in exhibits[:most]}
-    output.mkdir(parents=True, exist_ok=True)
     diagnoser = frozen()
+    freeze(diagnoser, output)
+    read_verdicts(output / WITHHELD, wanted.values())
 
     def work(plants: Sequence[str]) -> Iterator[Submission]:
         todo = [(folder, wanted[plant], answers[plant].causes[0], diagnoser) for plant in plants]

@@ -8,6 +8,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import read_runs
+from mrd_trials.cli.make import work
 from mrd_trials.excitation import FRESH, motions, parse_tier, read_recorded
 from mrd_trials.make import Order, Recipe, Session, make, make_plant, plan_trial, read_trial
 from mrd_trials.records import Answer, read_records
@@ -106,6 +107,17 @@ def test_a_trial_is_made_goes_on_and_is_sealed(tmp_path):
     assert replace(same, salt="") == replace(answers[lost.plant], salt="")
     with pytest.raises(InputError, match="another recipe"):
         make(replace(SMALL, seed=4), folder, path)
+    kept = path.read_text()
+    with pytest.raises(InputError, match="holds answers of another trial"):
+        make(replace(SMALL, seed=4), tmp_path / "other", path)
+    assert path.read_text() == kept
+
+
+@pytest.mark.parametrize("count", ["nan", "inf", "2.7", "-1", ""])
+def test_a_count_that_is_none_is_refused(count, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["make", str(tmp_path), "--seed", "1", "--plants", f"rich@500={count}"])
+    with pytest.raises(InputError, match=f"--plants: found 'rich@500={count}', expected NAME= and a whole number from 0"):
+        work()
 
 
 def test_a_plant_can_be_put_on_the_bench_again_for_one_more_run():

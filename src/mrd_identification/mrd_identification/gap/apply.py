@@ -68,7 +68,7 @@ def correction(
     verdict, model, laws, parameters, effects
         As in `mrd_identification.gap.diagnosis.Diagnosis`; parameters of effects are named EFFECT.PARAMETER.
     anyway : bool
-        Take the nearest effect although it is not proven.
+        Take also what is not proven: the first of several causes, the effect that comes nearest, the parameters alone.
     where : str
         Prefix of error messages.
     effects_folder : str
@@ -82,11 +82,18 @@ def correction(
     if verdict == "data_fault":
         raise InputError(f"{where}: the recordings are faulty, so there is nothing to apply; mend them and diagnose again")
     named = ", ".join(effects) or "no effect"
-    if verdict in ("ambiguous", "unknown_effect"):
+    if verdict == "unknown_effect" and not effects:
         if not anyway:
             raise InputError(
-                f"{where}: the verdict is {verdict}, so {named} is not proven; record the experiment that it advises, or "
-                "apply it with --anyway"
+                f"{where}: the verdict is {verdict} and no effect comes near; apply the refitted parameters "
+                "alone with --anyway"
+            )
+        remark = f"{model} with its parameters refitted: what is missing is NOT known"
+    elif verdict in ("ambiguous", "unknown_effect"):
+        advised = "record what it advises" if verdict == "ambiguous" else "try the forms of the model that it lists"
+        if not anyway:
+            raise InputError(
+                f"{where}: the verdict is {verdict}, so {named} is not proven; {advised}, or apply it with --anyway"
             )
         remark = f"{model} with {named}: {'first of several causes' if verdict == 'ambiguous' else 'nearest'}, NOT proven"
     elif verdict == "no_gap":
@@ -122,7 +129,7 @@ def write_plant(corrected: Correction, plant: str | Path, output: str | Path) ->
     """
     read_damper(plant)
     expected = corrected.build()
-    edited = with_damper(Path(plant).read_text(encoding="utf-8"), corrected)
+    edited = with_damper(Path(plant).read_text(encoding="utf-8"), corrected, str(plant))
     output = Path(output)
     try:
         with output.open("x", encoding="utf-8") as stream:
@@ -141,11 +148,13 @@ def write_plant(corrected: Correction, plant: str | Path, output: str | Path) ->
     return output
 
 
-def with_damper(text: str, corrected: Correction) -> str:
-    """Text of a plant.yaml with model, parameters, laws and effects of its damper replaced."""
+def with_damper(text: str, corrected: Correction, where: str) -> str:
+    """Text of a plant.yaml, from ``where``, with model, parameters, laws and effects of its damper replaced."""
     root: Any = yaml.compose(text, yaml.SafeLoader)
     sections = {key.value: value for key, value in root.value}
-    node = next(sections[name] for name in _NODES if name in sections)
+    node = next((sections[name] for name in _NODES if name in sections), None)
+    if node is None:
+        raise InputError(f"{where}: found {', '.join(sections)}, none of them the plant's: expected {' or '.join(_NODES)}")
     parameters = next(value for key, value in node.value if key.value == "ros__parameters")
     damper = next((value for key, value in parameters.value if key.value == "damper"), None)
     if damper is None:

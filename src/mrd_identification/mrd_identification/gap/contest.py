@@ -57,13 +57,18 @@ class Contest:
         return self.chain[-1] if self.chain else self.alone
 
     def against(self, forms: Mapping[str, Refit]) -> Self:
-        """With the best of other forms of the damper model as a rival of every effect but those that it lacks itself."""
+        """With the best of other forms of the damper model as a rival of every effect but those that it lacks itself.
+
+        A form takes the place of all effects at once: one that predicts worse than the others of them alone rivals none.
+        """
         if not forms:
             return self
         best = min(forms, key=lambda form: forms[form].total)
         name = name_of_form(best)
         rivals = {
-            effect: others if EFFECTS[effect].structural else others | {name: forms[best]}
+            effect: others
+            if EFFECTS[effect].structural or forms[best].total > others[""].total
+            else others | {name: forms[best]}
             for effect, others in self.rivals.items()
         }
         return replace(self, rivals=rivals, form=name)

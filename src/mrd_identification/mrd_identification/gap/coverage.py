@@ -53,6 +53,8 @@ class Coverage:
         """Why these recordings cannot test the effect; empty where they can."""
         if np.isfinite(self.smallest):
             return ""
+        if not self.shares.any():
+            return "it does not act in these runs"
         if self.left_over < LEFT_OVER:
             return "the model's own parameters take it up"
         return "even the largest plausible size would not show"

@@ -11,6 +11,7 @@ from mrd_base import InputError
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.gap.ceiling import explainable
 from mrd_identification.gap.contest import FIRST_SCATTER, Contest, contest
+from mrd_identification.gap.coverage import coverage
 from mrd_identification.gap.diagnosis import Advice, Alternative, Candidate, Cause, Diagnosis, Interval, Verdict
 from mrd_identification.gap.forms import forms
 from mrd_identification.gap.ground import Ground, first_fit
@@ -26,10 +27,8 @@ from mrd_identification.gap.where import where
 from mrd_identification.gap.which import (
     LEAST_GAIN,
     LEAST_SHARE_BESIDE,
-    LEFT_OVER,
     Foundation,
     Trial,
-    beside,
     may_be_left,
     search,
 )
@@ -232,9 +231,9 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     if verdict == "unknown_effect":
         progress("trying other forms of the model", 0.93)
         sure = tuple(cause for cause in causes if EFFECTS[cause.effect].structural)
-        nearest = next((candidate for candidate in listed if candidate.effects == found.effects), None)
-        if nearest is None and listed and listed[0].closed.value > 0.0:
-            nearest = listed[0]
+        nearest = next((candidate for candidate in diagnosis.candidates if candidate.effects == found.effects), None)
+        if nearest is None and diagnosis.candidates and diagnosis.candidates[0].closed.value > 0.0:
+            nearest = diagnosis.candidates[0]
         tried = tried or forms(found.ground, found.alone, may_be_left(found.alone), rng)
         return replace(diagnosis, causes=sure, nearest=nearest, forms=_forms(found, tried, rng))
     progress("looking for the next experiment", 0.95)
@@ -425,22 +424,17 @@ def _candidates(
     listed = []
     lead = chances[found.effects[0]] if len(found.effects) == 1 else {}
     rivals = found.rivals[found.effects[0]] if len(found.effects) == 1 else {}
-    promises = beside(ground, Foundation.of(ground, found.best), [trial.effects[0] for trial in ranked])
+    others = [trial.effects[0] for trial in ranked if trial.effects[0] not in found.effects]
+    told = {of.effect: of for of in coverage(ground, Foundation.of(ground, found.best), others, energy)}
     refits = [rivals.get(trial.effects[0], trial.refit) for trial in ranked]
-    for trial, promise, shown, sizes in zip(ranked, promises, refits, in_threads(values, refits), strict=True):
+    for trial, shown, sizes in zip(ranked, refits, in_threads(values, refits), strict=True):
         name = trial.effects[0]
-        size = EFFECTS[name].parameters[0]
         remark, smallest = "", ""
-        if name not in found.effects:
-            if promise.strength == 0.0:
-                remark = f"{_UNTESTABLE}: it does not act in these runs"
-            elif promise.left_over < LEFT_OVER and trial.gain < needed:
-                remark = f"{_UNTESTABLE}: the model's own parameters imitate it"
-            else:
-                least = abs(EFFECTS[name].typical.get(size.name, 0.0)) * np.sqrt(energy / promise.strength)
-                smallest = human(float(least), size.unit)
-                if least > max(abs(size.lower), abs(size.upper)):
-                    remark = f"{_UNTESTABLE}: even the largest plausible size would not show"
+        if name in told:
+            if np.isfinite(told[name].smallest):
+                smallest = human(told[name].smallest, EFFECTS[name].parameters[0].unit)
+            elif trial.gain < needed:
+                remark = f"{_UNTESTABLE}: {told[name].remark}"
         alike = trial is not ranked[0] and lead_gain > needed and trial.unseen_gain >= MIMICRY * lead_gain
         listed.append(
             Candidate(

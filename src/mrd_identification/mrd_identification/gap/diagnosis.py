@@ -255,9 +255,9 @@ class Diagnosis:
     untestable : tuple of Candidate
         Effects of which these runs can say nothing.
     parameters : mapping
-        Of the model with the causes (or the nearest candidate), by name, SI: a corrected simulator.
+        Of the model with ``effects``, by name, SI: a corrected simulator.
     effects : tuple of str
-        Effects in ``parameters``.
+        The causes; of an unknown effect, those that come nearest, where some lower the unseen error enough to matter.
     notes : tuple of str
         What limits the answer.
     runs, held_out : tuple of Run

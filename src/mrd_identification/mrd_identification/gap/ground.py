@@ -65,6 +65,10 @@ class Ground:
             See `mrd_identification.problem.pose`.
         """
         posed, _ = pose(model, self.recordings, fixed=self.fixed, freed=freed)
+        base = posed.base.copy()
+        # What is never searched stays as it is: the mains' frequency.
+        kept = [i for i, p in enumerate(model.parameters) if not (p.free or p.name in freed or p.name in self.fixed)]
+        base[kept] = theta[kept].real
         root = np.sqrt(self.together)
         scatter = Scatter(self.scatter.gain / root, self.scatter.offset / root)
         sigmas = tuple(noise.sigma for noise in self.noises)
@@ -72,7 +76,7 @@ class Ground:
             whitening(np.sqrt(sigma**2 + self.missing**2), force, scatter)
             for sigma, force in zip(sigmas, forces_in_turn(model, theta, self.recordings), strict=True)
         )
-        return GapProblem(posed.model, posed.recordings, posed.free, posed.base, whitenings=whitenings, sigmas=sigmas)
+        return GapProblem(posed.model, posed.recordings, posed.free, base, whitenings=whitenings, sigmas=sigmas)
 
     def after(self, model: DamperModel, theta: Array) -> "Ground":
         """The ground on which a model with these parameters is the best so far."""

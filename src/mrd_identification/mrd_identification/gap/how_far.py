@@ -201,18 +201,18 @@ def _trace(
 
 
 def _held_out(found: Contest, unseen: Sequence[Recording], rng: np.random.Generator) -> list[Trace]:
-    """Runs that were set aside, with the parameters of all others."""
+    """Runs that were set aside, with the parameters of all others; they count as recorded after these."""
     if not unseen:
         return []
-    alone, best = found.alone, found.best
+    alone, best, recordings = found.alone, found.best, found.ground.recordings
     noises = run_noise(unseen, best.problem.model, best.theta, rng)
-    ground = replace(found.ground, recordings=unseen, noises=noises)
+    ground = replace(found.ground, recordings=[*recordings, *unseen], noises=[*found.ground.noises, *noises])
     both = [(ground.problem(fitted.problem.model, fitted.theta), fitted.theta) for fitted in (alone, best)]
-    beyond = [_beyond(recording, found.ground.recordings) for recording in unseen]
     traces = []
-    for run, noise in enumerate(noises):
+    for run, (recording, noise) in enumerate(zip(unseen, noises, strict=True), len(recordings)):
         before, after = (-own_error(problem, theta, run)[1] for problem, theta in both)
-        traces.append(replace(_trace(*both[1], run, noise, before, after, beyond[run], False), held_out=True))
+        beyond = _beyond(recording, recordings)
+        traces.append(replace(_trace(*both[1], run, noise, before, after, beyond, False), held_out=True))
     return traces
 
 

@@ -42,6 +42,8 @@ def dispersion(white: Array) -> float:
 def values(refit: Refit) -> dict[str, Value]:
     """Parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
 
+    What is never searched is among them where it is not as usual.
+
     The covariance is the larger of what the scatter of the parts says (sandwich; Liang & Zeger, 1986) and of what the
     correlated noise does. A recording does not say whether a sample of the force is its mean over the sampling period or of
     an instant, and a play is crossed in less: intervals of what follows the force hold both.
@@ -75,6 +77,9 @@ def values(refit: Refit) -> dict[str, Value]:
             remark = "not determined by these runs"
         interval = Interval(float(refit.theta[index]), float(lower), float(upper))
         found[parameter.name] = Value(interval, parameter.unit, remark)
+    for parameter, value in zip(problem.model.parameters, refit.theta, strict=True):
+        if "." in parameter.name and not parameter.free and value != parameter.default:
+            found[parameter.name] = Value(Interval(float(value)), parameter.unit)
     return found
 
 

@@ -20,7 +20,7 @@ from mrd_identification.gap.ground import Ground
 from mrd_identification.gap.judge import dispersion
 from mrd_identification.gap.library import RATE, library
 from mrd_identification.gap.refit import GapProblem, Refit, Scatter, whitening
-from mrd_identification.gap.words import name_of, names_of
+from mrd_identification.gap.words import name_of
 from mrd_identification.polish import descend
 from mrd_identification.problem import Recording, in_threads
 from mrd_runs import Run
@@ -79,7 +79,7 @@ def advise(
     Parameters
     ----------
     rivals : mapping
-        Refits on the ground by the ids of their effects, joined by "+".
+        Refits on the ground by what they explain the gap by: an effect's id, another form, "" for the model alone.
     ground : Ground
     rng : numpy Generator, optional
         Of the errors that are drawn; the same each time without one.
@@ -163,7 +163,7 @@ def _rate(ground: Ground) -> float:
 
 
 def _listed(names: Sequence[str]) -> str:
-    said = [names_of([part for part in name.split("+") if part]) or "the model without any effect" for name in names]
+    said = [name_of(name) for name in names]
     return ", ".join(said[:-1]) + f" and {said[-1]}"
 
 
@@ -234,7 +234,7 @@ class Foreseen:
             (one, other): min(
                 self.distance(*imagined[true], self.rivals[rival])
                 for true, rival in ((one, other), (other, one))
-                if not self.rivals[true].effects < self.rivals[rival].effects
+                if not self.rivals[true].within(self.rivals[rival])
             )
             for one, other in itertools.combinations(self.rivals, 2)
         }
@@ -314,6 +314,10 @@ class _Rival:
     def effects(self) -> frozenset[str]:
         """Ids."""
         return frozenset(effect.id for effect in self.problem.model.effects)
+
+    def within(self, other: "_Rival") -> bool:
+        """Whether the other contains it: the same damper model with more effects."""
+        return self.problem.model.id == other.problem.model.id and self.effects < other.effects
 
     def force(self, theta: Array, path: Path) -> Array:
         """Force (n,) in N of a run after those so far."""

@@ -183,8 +183,6 @@ def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
 def _judged(diagnosis: Diagnosis, trace: Trace) -> str:
     if trace.held_out:
         return "held out"
-    if diagnosis.held_out_by == "runs":
-        return "fitted"
     return "by its parts" if trace.in_parts else "left out"
 
 

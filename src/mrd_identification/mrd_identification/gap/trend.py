@@ -219,9 +219,11 @@ def trend(
     Raises
     ------
     InputError
-        For unknown names, fewer than three dates, or a parameter of which the runs say nothing.
+        For unknown names, fewer than three dates, a limit that is no number, or a parameter of which the runs say nothing.
     """
     began = time.monotonic()
+    if limit is not None and not np.isfinite(limit):
+        raise InputError(f"limit is {limit:g}, expected a finite number")
     own = find_model(model, laws)
     around = _around(own, follow, effects)
     followed = around.names.index(follow)

@@ -97,14 +97,11 @@ class Score:
         Where its fit should begin.
     left_over : float
         Share of its change of the force that the model's own parameters cannot imitate.
-    strength : float
-        Squared white change of the force that is left of the effect at its typical size.
     """
 
     gain: float
     start: Array
     left_over: float
-    strength: float
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,7 @@ class Trial:
 
 
 def variants(effect: Effect, force: Array) -> list[dict[str, float]]:
-    """Values of an effect's parameters from which fits to a force (n,) may begin: typical, and with each shape moved."""
+    """Values of an effect's parameters from which fits to a force (n,) may begin: typical, each shape moved, its forms."""
     typical = {p.name: effect.typical.get(p.name, p.default) for p in effect.parameters}
     size, *shapes = effect.parameters
     sizes = effect.starts(force) if effect.starts else [typical[size.name]]
@@ -140,7 +137,7 @@ def variants(effect: Effect, force: Array) -> list[dict[str, float]]:
             ratio = shape.upper / shape.lower if shape.log else 0.0
             value = shape.lower * ratio**place if shape.log else shape.lower + place * (shape.upper - shape.lower)
             found.append(typical | {shape.name: value})
-    return found
+    return [*found, *({**typical, **form} for form in effect.forms)]
 
 
 def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
@@ -184,9 +181,12 @@ def score(problem: GapProblem, foundation: Foundation, effect: Effect) -> Score:
             moved = problem.unit(start)
             old_free = [names.index(old.names[i]) for i in foundation.refit.problem.free]
             moved[[problem.free.index(i) for i in old_free]] += factor * absorbed
-            reference = best.strength if best else strength
-            best = Score(gain, problem.theta(np.clip(moved, 0.0, 1.0)), float(np.sqrt(strength / energy)), reference)
-    return best or Score(0.0, plain, 0.0, 0.0)
+            begun = problem.theta(np.clip(moved, 0.0, 1.0))
+            for place, parameter in zip(own, effect.parameters, strict=True):
+                if not parameter.free:
+                    begun[place] = variant[parameter.name]
+            best = Score(gain, begun, float(np.sqrt(strength / energy)))
+    return best or Score(0.0, plain, 0.0)
 
 
 def search(
@@ -227,11 +227,13 @@ def search(
     before, within = base, False
     # What a model lacks by construction comes first: others may imitate it, alone.
     frontier = sorted(first, key=lambda trial: (not lacking(trial, ground, base), trial.refit.total))
-    while frontier and len(chosen) < MOST_CAUSES:
+    while frontier:
         best = frontier[0]
         if not worth(ground, before, best.refit, within):
             break
         chosen.append(best)
+        if len(chosen) == MOST_CAUSES:
+            break
         ground = ground.after(best.refit.problem.model, best.refit.theta)
         before = anew(ground, best.refit)
         # Judged where samples weigh as they do once the effect is in: before, the gap itself has flattened their weights.
@@ -272,7 +274,7 @@ def beside(ground: Ground, foundation: Foundation, effects: Sequence[str]) -> li
 
     def of(effect: str) -> Score:
         if effect in foundation.effects:
-            return Score(0.0, foundation.refit.theta, 1.0, 0.0)
+            return Score(0.0, foundation.refit.theta, 1.0)
         model, neutral = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect)
         return score(ground.problem(model, neutral), foundation, find_effects([effect])[0])
 

@@ -85,9 +85,9 @@ class _Said:
 
 
 def name_of(effect: str) -> str:
-    """An effect's title as it stands within a sentence; its id where the catalogue has none."""
+    """An effect's title as it stands within a sentence, its id where the catalogue has none, "" as no effect at all."""
     if effect not in EFFECTS:
-        return effect
+        return effect or "the model without any effect"
     title = EFFECTS[effect].title
     return title if title[1:2].isupper() else title[:1].lower() + title[1:]
 

@@ -5,7 +5,7 @@ from numba import njit
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter
 
-_ROOM = 1024  # vertices: those of the longest delay at 20 kHz
+_ROOM = 1024  # vertices: those of the longest delay at 20 kHz, at 2.5 kHz with as many between samples as can be
 _TIMES = 3
 _FORCES = _TIMES + _ROOM
 

@@ -33,6 +33,8 @@ class Effect:
     starts : callable, optional
         ``starts(force)``: values of the first parameter where a fit to such forces in N (n,) may begin, for an effect that
         sets in at a threshold, or that changes the force otherwise than in proportion to it (a play).
+    forms : sequence of mapping
+        Other values of parameters that are never searched, in which it may occur as well.
     kernel : callable, optional
         ``kernel(p, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
         (`mrd_sim.dual`): parameters ``p`` (parameters,), ``state`` carried from call to call, then the signals on the
@@ -75,6 +77,7 @@ class Effect:
     confused_with: tuple[str, ...]
     separated_by: str
     starts: Callable[[Array], Sequence[float]] | None = None
+    forms: Sequence[Mapping[str, float]] = ()
     kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
     states: int = 0
     begin: Callable[[Path], Array] | None = None

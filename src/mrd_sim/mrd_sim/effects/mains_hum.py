@@ -37,9 +37,10 @@ EFFECT = Effect(
     source="10-100 µV on 20 µV/N: 0.1-2 N; 50 or 60 Hz and their doubles, folded by slow sampling (50 Hz at 25 Hz: a bias)",
     parameters=(
         Parameter("amplitude", "N", 0.0, 0.0, 10.0, "amplitude a"),
-        Parameter("frequency", "Hz", 50.0, 45.0, 125.0, "frequency f", free=False),
+        Parameter("frequency", "Hz", MAINS[0], 45.0, 125.0, "frequency f", free=False),
     ),
     typical={"amplitude": 2.0},
+    forms=({"frequency": MAINS[1]},),
     signature="a line at the mains' frequency that does not heed motion and current",
     confused_with=("servo_ripple", "load_cell_drift"),
     separated_by="a recording at rest, motor on and off; two sampling rates",

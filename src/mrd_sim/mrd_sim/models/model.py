@@ -13,7 +13,7 @@ from mrd_sim.current import LAWS, coefficients, lagged_current, rise
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series import derivatives_in_series, in_series
+from mrd_sim.series import MOST, derivatives_in_series, in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
@@ -170,7 +170,15 @@ class DamperModel:
         The stages follow each other as cause becomes reading (`mrd_sim.effects.STAGES`): drive effects change the motion
         that the damper sees, magnetic ones its current; what is in series with it shares its motion; effects of fluid and
         structure change its force, or add to it; sensing makes of that force the measured one.
+
+        Raises
+        ------
+        InputError
+            For more things in series with the damper than can be solved for.
         """
+        series = [effect.id for effect in effects if effect.stretch is not None]
+        if len(series) > MOST:
+            raise InputError(f"effects {', '.join(series)}: all in series with the damper, expected at most {MOST} of these")
         return replace(self, effects=tuple(effects))
 
     @cached_property

@@ -1,11 +1,15 @@
 """Make the plants of a blind trial."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from mrd_base import InputError, run_tool
 from mrd_trials.cli.options import add_answers, add_workers, answers_of, progress, workers_of
 from mrd_trials.make import SHARES, Recipe, make, read_trial
+
+N = TypeVar("N", int, float)
 
 STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24}
 """Plants by tier."""
@@ -40,8 +44,8 @@ def work() -> None:
     arguments = parser.parse_args()
     if arguments.seed < 0:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
-    plants = {tier: int(count) for tier, count in _pairs(arguments.plants, "--plants").items()} or STANDARD
-    shares = _pairs(arguments.shares, "--shares") or SHARES
+    plants = _pairs(arguments.plants, "--plants", _count) or STANDARD
+    shares = _pairs(arguments.shares, "--shares", float) or SHARES
     recipe = Recipe(arguments.seed, dict(plants), dict(shares), arguments.recorded)
     answers = arguments.answers or answers_of(arguments.trial)
     with progress("making") as show:
@@ -51,12 +55,19 @@ def work() -> None:
     print(f"{len(read_trial(arguments.trial).exhibits)} plants in {arguments.trial}; answers, sealed, in {answers}")
 
 
-def _pairs(text: str, option: str) -> dict[str, float]:
+def _count(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError
+    return int(text)
+
+
+def _pairs(text: str, option: str, number: Callable[[str], N]) -> dict[str, N]:
     found = {}
     for part in filter(None, text.split(",")):
-        name, _, number = part.partition("=")
+        name, _, value = part.partition("=")
         try:
-            found[name] = float(number)
+            found[name] = number(value)
         except ValueError:
-            raise InputError(f"{option}: found {part!r}, expected NAME=NUMBER") from None
+            expected = "a whole number from 0" if number is _count else "a number"
+            raise InputError(f"{option}: found {part!r}, expected NAME= and {expected}") from None
     return found

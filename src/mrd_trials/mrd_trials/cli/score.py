@@ -3,11 +3,11 @@
 import argparse
 from pathlib import Path
 
-from mrd_base import run_tool
+from mrd_base import InputError, run_tool
 from mrd_trials.cli.options import add_answers, add_trial, add_workers, progress, unsealed, workers_of
 from mrd_trials.insight import insights
-from mrd_trials.records import Submission, read_records
-from mrd_trials.run import VERDICTS
+from mrd_trials.make import read_trial
+from mrd_trials.run import VERDICTS, read_verdicts
 from mrd_trials.score import score
 from mrd_trials.score_report import write_score_report
 from mrd_trials.tables import tables
@@ -28,8 +28,10 @@ def work() -> None:
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
+    submissions = read_verdicts(arguments.verdicts / VERDICTS, read_trial(arguments.trial).exhibits)
+    if not submissions:
+        raise InputError(f"{arguments.verdicts}: holds no verdicts, so the answers stay sealed; name what run wrote to")
     answers = unsealed(arguments)
-    submissions = read_records(Submission, arguments.verdicts / VERDICTS)
     with progress("asking one who knows, and simpler methods") as show:
         found = insights(arguments.trial, answers, submissions, arguments.verdicts, workers_of(arguments), show)
     scored = score(answers, submissions, found)
