@@ -16,7 +16,7 @@ from mrd_identification.gap.diagnosis import Advice, Alternative, Candidate, Cau
 from mrd_identification.gap.forms import forms
 from mrd_identification.gap.ground import Ground, first_fit
 from mrd_identification.gap.how_far import closed_between, how_far
-from mrd_identification.gap.judge import probabilities, resampled, values
+from mrd_identification.gap.judge import CERTAIN, probabilities, resampled, values
 from mrd_identification.gap.next_experiment import advise
 from mrd_identification.gap.noise import distortion, repeating_period, run_noise
 from mrd_identification.gap.null import null_errors, null_gains, p_value
@@ -50,9 +50,6 @@ measured current makes even noise smaller."""
 
 MOST_PART = 0.75
 """Share of the explainable gap that causes must close to be named."""
-
-CERTAIN = 0.8
-"""Probability from which an effect is named without an alternative."""
 
 WORTH_NAMING = 0.05
 """Probability from which a rival is told."""
@@ -389,7 +386,8 @@ def _advice(found: Contest, chances: Mapping[str, Mapping[str, float]]) -> Advic
     names = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])[:MOST_ADVISED]
     if len(names) < 2:
         names.append("")
-    return advise({name: found.rivals[effect][name] for name in names}, found.ground)
+    rivals = found.rivals[effect]
+    return advise({name: rivals[name] for name in names}, found.ground, without=rivals[""])
 
 
 def _forms(found: Contest, tried: Mapping[str, Refit], rng: np.random.Generator) -> tuple[Candidate, ...]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import softmax, stdtrit
+from scipy.special import expit, softmax, stdtrit
 
 from mrd_identification.gap.diagnosis import Interval, Value
 from mrd_identification.gap.refit import Refit, scaled_inverse
@@ -17,6 +17,23 @@ RESAMPLES = 400
 
 FORM = 0.02
 """Share of a gap that the right effect may leave, more than another one, because its form is a little off."""
+
+
+CERTAIN = 0.8
+"""Probability from which an effect is named without an alternative."""
+
+
+def certainty(ahead: float, gap: float) -> float:
+    """Probability of what leaves less squared white error than another explanation, by `FORM` of the gap alone.
+
+    Parameters
+    ----------
+    ahead : float
+        By how much less.
+    gap : float
+        What both explain.
+    """
+    return float(expit(ahead / (FORM * max(gap, np.finfo(float).tiny))))
 
 
 def probabilities(rivals: Sequence[Refit], rng: np.random.Generator) -> Array:

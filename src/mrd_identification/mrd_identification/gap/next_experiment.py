@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from mrd_identification.gap.diagnosis import Advice
 from mrd_identification.gap.ground import Ground
-from mrd_identification.gap.judge import dispersion
+from mrd_identification.gap.judge import CERTAIN, certainty, dispersion
 from mrd_identification.gap.library import RATE, library
 from mrd_identification.gap.refit import GapProblem, Refit, Scatter, whitening
 from mrd_identification.gap.words import name_of
@@ -71,6 +71,7 @@ def advise(
     ground: Ground,
     rng: np.random.Generator | None = None,
     *,
+    without: Refit | None = None,
     bench: GeneratorSettings = BENCH,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Advice | None:
@@ -83,6 +84,9 @@ def advise(
     ground : Ground
     rng : numpy Generator, optional
         Of the errors that are drawn; the same each time without one.
+    without : Refit, optional
+        Without what the rivals explain the gap by. An experiment then must tell them apart by more than what a form that is
+        a little off leaves of the gap, as `mrd_identification.gap.judge.probabilities` has it.
     bench : GeneratorSettings, optional
         Whose limits no experiment exceeds; default: the shipped bench.
     progress : callable
@@ -91,16 +95,16 @@ def advise(
     Returns
     -------
     Advice or None
-        None for fewer than two rivals. An experiment is advised where it leaves at least one pair with fewer wrong choices
-        than `ALLOWED_ERROR`: the one that does so for most pairs, and among those the one that separates them best.
+        None for fewer than two rivals. An experiment is advised where it tells at least one pair apart, with fewer wrong
+        choices than `ALLOWED_ERROR`: the one that does so for most pairs, and among those the one that separates them best.
     """
     if len(rivals) < 2:
         return None
     rng = rng or np.random.default_rng(0)
     plans, done = library(bench), itertools.count(1)
-    foreseen = Foreseen.of(rivals, ground, rng)
+    foreseen = Foreseen.of(rivals, ground, rng, without)
 
-    def separations(each: tuple[Plan, np.random.Generator]) -> dict[Pair, float] | None:
+    def separations(each: tuple[Plan, np.random.Generator]) -> dict[Pair, Separation] | None:
         found = foreseen.separations(each[0], bench.limits.force, each[1])
         progress(next(done) / len(plans))
         return found
@@ -115,16 +119,17 @@ def advise(
             between=pair,
         )
     planned, distances = max(judged, key=lambda each: _merit(*each))
-    errors = {pair: error_rate(squared) for pair, squared in distances.items()}
-    told = {pair: error for pair, error in errors.items() if error < ALLOWED_ERROR}
+    errors = {pair: found.error_rate for pair, found in distances.items()}
+    told = {pair: errors[pair] for pair, found in distances.items() if found.tells}
     left = max((pair for pair in errors if pair not in told), key=errors.__getitem__, default=None)
     remedy = left and sensor(*(foreseen.rivals[name].effects for name in left))
     if left and not told:
-        return Advice(
-            f"No run of the library would tell {_listed(left)} apart ({_percent(errors[left])} wrong choices to expect "
-            f"even after the best one); {remedy}.",
-            between=left,
+        why = (
+            f"{_percent(errors[left])} wrong choices to expect even after the best one"
+            if errors[left] >= ALLOWED_ERROR
+            else "they differ by less than either may err in its form"
         )
+        return Advice(f"No run of the library would tell {_listed(left)} apart ({why}); {remedy}.", between=left)
     between = tuple(name for name in rivals if any(name in pair for pair in told))
     worst = max(told.values())
     experiment = replace(planned.experiment, rate=_rate(ground))
@@ -134,9 +139,30 @@ def advise(
     return Advice(f"{text} ({_percent(worst)} wrong choices to expect).", format_experiment(experiment), between, worst)
 
 
-def error_rate(squared: float) -> float:
-    """Share of wrong choices between two explanations whose white predictions are this far apart, squared."""
-    return float(ndtr(-0.5 * np.sqrt(squared)))
+@dataclass(frozen=True)
+class Separation:
+    """How well a run tells two explanations apart, whichever is true.
+
+    Attributes
+    ----------
+    squared : float
+        Distance of their white predictions, squared.
+    certainty : float
+        Probability of the true one afterwards, as far as either may err in its form.
+    """
+
+    squared: float
+    certainty: float = 1.0
+
+    @property
+    def error_rate(self) -> float:
+        """Share of wrong choices to expect from noise."""
+        return float(ndtr(-0.5 * np.sqrt(self.squared)))
+
+    @property
+    def tells(self) -> bool:
+        """Whether the run would be worth its time."""
+        return self.error_rate < ALLOWED_ERROR and self.certainty >= CERTAIN
 
 
 def sensor(one: Collection[str], other: Collection[str]) -> str:
@@ -150,10 +176,10 @@ def sensor(one: Collection[str], other: Collection[str]) -> str:
     return f"{SENSORS_OF_STAGE[first.stage]} (for {name_of(first.id)}: {first.separated_by})"
 
 
-def _merit(planned: Plan, distances: Mapping[Pair, float]) -> tuple[int, float]:
+def _merit(planned: Plan, distances: Mapping[Pair, Separation]) -> tuple[int, float]:
     """Pairs that a run tells apart; the smallest distance of these, or the largest of all, for every second of it."""
-    told = [squared for squared in distances.values() if error_rate(squared) < ALLOWED_ERROR]
-    return len(told), (min(told) if told else max(distances.values())) / planned.duration
+    told = [found.squared for found in distances.values() if found.tells]
+    return len(told), (min(told) if told else max(found.squared for found in distances.values())) / planned.duration
 
 
 def _rate(ground: Ground) -> float:
@@ -187,15 +213,23 @@ class Foreseen:
     misreadings : tuple of ndarray (4, n)
         Drawn errors of smoothed motions: s, m, m/s, m/s². They are those of the runs so far, so that they hang together as
         these do.
+    totals : mapping
+        Squared white error that each rival leaves of the runs so far, unseen.
+    without : tuple of _Rival and float, optional
+        What leaves the gap, and as much of it.
     """
 
     rivals: Mapping[str, "_Rival"]
     ground: Ground
     noise: float
     misreadings: tuple[Array, ...]
+    totals: Mapping[str, float]
+    without: tuple["_Rival", float] | None = None
 
     @classmethod
-    def of(cls, rivals: Mapping[str, Refit], ground: Ground, rng: np.random.Generator) -> Self:
+    def of(
+        cls, rivals: Mapping[str, Refit], ground: Ground, rng: np.random.Generator, without: Refit | None = None
+    ) -> Self:
         """With errors as they were in the runs so far."""
         runs = [ground.recordings[place].run for place in rng.integers(0, len(ground.recordings), DRAWS)]
         drawn = [np.stack([run.time - run.time[0], *(series[0] for series in motion_errors(run, rng, 1))]) for run in runs]
@@ -203,10 +237,12 @@ class Foreseen:
         return cls(
             {name: _Rival.of(refit, ground.fixed) for name, refit in rivals.items()},
             ground, float(np.hypot(np.sqrt(of_force), ground.missing)), tuple(drawn),
+            {name: refit.total for name, refit in rivals.items()},
+            (_Rival.of(without, ground.fixed), without.total) if without else None,
         )
 
-    def separations(self, planned: Plan, largest_force: float, rng: np.random.Generator) -> dict[Pair, float] | None:
-        """Squared distance, in standard deviations, to which a run brings each pair; None where a force is too large.
+    def separations(self, planned: Plan, largest_force: float, rng: np.random.Generator) -> dict[Pair, Separation] | None:
+        """How far, in standard deviations, a run brings each pair apart; None where a force is too large.
 
         Either of a pair may be true, so the smaller distance counts. One that contains the other can always imitate it: then
         only the truth of the larger one can show.
@@ -230,14 +266,23 @@ class Foreseen:
             white = (errors + rng.normal(0.0, self.noise, errors.shape)) / sigma
             together = max(self.ground.together, float(np.mean([dispersion(error) for error in white])))
             imagined[name] = Recording(run, path, slice(0, len(run))), sigma, together
-        return {
-            (one, other): min(
-                self.distance(*imagined[true], self.rivals[rival])
-                for true, rival in ((one, other), (other, one))
-                if not self.rivals[true].within(self.rivals[rival])
-            )
-            for one, other in itertools.combinations(self.rivals, 2)
-        }
+        gaps = {name: self._gap(*imagined[name]) for name in imagined} if self.without else {}
+        found = {}
+        for one, other in itertools.combinations(self.rivals, 2):
+            both = []
+            for true, instead in ((one, other), (other, one)):
+                if not self.rivals[true].within(self.rivals[instead]):
+                    squared = self.distance(*imagined[true], self.rivals[instead])
+                    ahead = self.totals[instead] - self.totals[true] + imagined[true][2] * squared
+                    both.append(Separation(squared, certainty(ahead, gaps[true]) if gaps else 1.0))
+            found[one, other] = Separation(min(of.squared for of in both), min(of.certainty for of in both))
+        return found
+
+    def _gap(self, imagined: Recording, sigma: Array, together: float) -> float:
+        """Squared white error that would be left of all runs, this one included, without what is true."""
+        assert self.without is not None
+        without, total = self.without
+        return total - min(self.totals.values()) + together * self.distance(imagined, sigma, together, without)
 
     def _misread(self, planned: Plan, drawn: Array, shift: float) -> Path:
         """The run's path as it may be measured; no one knows when between two samples the current switched, so ``shift``."""
