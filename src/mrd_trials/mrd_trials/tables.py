@@ -104,7 +104,8 @@ def baselines(score: Score) -> Table:
     """The diagnosis beside simpler ways."""
     rows = tuple((b.name, text(b.top), text(b.group), text(b.three), alarms(b.alarms)) for b in score.baselines)
     header = ("method", "top-1", "group top-1", "top-3", "null alarms")
-    return Table("Against simpler methods", header, rows, "Detectable single effects and nulls, rich excitation.")
+    note = "Detectable single effects and nulls of which simpler methods were asked, rich excitation."
+    return Table("Against simpler methods", header, rows, note)
 
 
 def which(score: Score) -> Table:

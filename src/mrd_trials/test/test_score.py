@@ -216,11 +216,12 @@ def test_needless_unknowns_are_those_that_the_catalogue_could_have_solved():
 
 def test_baselines_stand_beside_the_diagnosis():
     plants = [answer("a", "single", "backlash"), answer("b", "single", "coil_lag"), answer("n", "null"), answer("m", "null")]
+    plants += [answer("unasked", "single", "gas_spring")]
     found = judged(
         plants,
         [
             said("a", "explained", ("backlash", 0.9)),
-            *(said(plant, "no_gap") for plant in "bnm"),
+            *(said(plant, "no_gap") for plant in ("b", "n", "m", "unasked")),
         ],
         [
             Insight("a", rankings={"bic": ("coil_lag", "x", "backlash"), "score": ("backlash",)}),
