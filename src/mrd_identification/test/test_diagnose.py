@@ -10,8 +10,10 @@ import pytest
 from mrd_base import InputError
 from mrd_identification import diagnose
 from mrd_identification.fit_file import StoredFit
+from mrd_identification.gap import diagnose as diagnosing
 from mrd_identification.gap.contest import Contest
 from mrd_identification.gap.diagnose import model_alone
+from mrd_identification.gap.diagnosis import Interval
 from mrd_identification.gap.which import Foundation, anew, around, beside
 from mrd_identification.problem import prepare
 from mrd_sim.damper import Damper
@@ -208,6 +210,21 @@ def test_at_one_speed_another_form_of_the_damper_is_not_taken_for_an_effect(mode
     assert (found.verdict, found.causes) == ("unknown_effect", ())
     assert found.forms[0].closed.value > max(0.95, found.nearest.closed.value)
     assert f"another form of the damper model ({found.forms[0].effects[0]})" in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("closes", "left", "verdict"),
+    [(0.7, 0.1, "explained"), (0.45, 0.1, "unknown_effect"), (0.7, 0.25, "unknown_effect"), (0.8, 0.25, "explained")],
+)
+def test_where_hardly_more_than_noise_is_left_half_of_the_gap_is_enough(closes, left, verdict, monkeypatch):
+    monkeypatch.setattr(diagnosing, "closed_between", lambda *_: Interval(closes, closes, closes))
+    left_of = SimpleNamespace(level=1.0 + left, noises=np.full(8, 100.0 * (1.0 + left)))
+    found = SimpleNamespace(
+        best=left_of, alone=SimpleNamespace(level=2.0), effects=("moving_mass",), form="",
+        ground=SimpleNamespace(parts=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
+    )  # fmt: skip
+    chances = {"moving_mass": {"moving_mass": 1.0}}
+    assert diagnosing._verdict(found, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
 
 
 def test_a_form_that_predicts_worse_than_the_other_effects_alone_is_no_rival():

@@ -51,6 +51,9 @@ measured current makes even noise smaller."""
 MOST_PART = 0.75
 """Share of the explainable gap that causes must close to be named."""
 
+MORE_THAN_HALF, LITTLE = 0.5, 0.2
+"""The same where less than ``LITTLE`` is left beyond noise, over its variance: its estimate may be off by that."""
+
 WORTH_NAMING = 0.05
 """Probability from which a rival is told."""
 
@@ -342,7 +345,7 @@ def _verdict(
     left = best.level - 1.0
     surely_left = float(np.quantile((draws @ best.noises) / (draws @ samples), 0.1)) - 1.0
     allowed = may_be_left(alone)
-    if not closed >= MOST_PART or (left > allowed and surely_left > 0.7 * allowed):
+    if not closed >= (MOST_PART if left > LITTLE else MORE_THAN_HALF) or (left > allowed and surely_left > 0.7 * allowed):
         return "unknown_effect"
     if found.form and any(of.get(found.form, 0.0) > of[effect] for effect, of in chances.items()):
         return "unknown_effect"
