@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 from mrd_identification import diagnose, write_gap_report
+from mrd_identification.fit_file import make_folder
 from mrd_identification.gap.diagnosis import Diagnosis
 from mrd_identification.gap.words import share
 from mrd_runs import read_runs
@@ -46,8 +47,7 @@ def main() -> None:
                 found = diagnose(read_runs(some), base)
                 print(f"| {damper} | `{base}` | {part} | {' | '.join(row(found))} |", flush=True)
                 if some is files:
-                    (arguments.reports / f"{folder}_{base}").mkdir(parents=True, exist_ok=True)
-                    write_gap_report(found, arguments.reports / f"{folder}_{base}")
+                    write_gap_report(found, make_folder(f"{arguments.reports}/{folder}_{base}"))
 
 
 if __name__ == "__main__":

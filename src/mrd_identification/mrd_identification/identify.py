@@ -447,7 +447,7 @@ def _leave_one_out(
         order = np.argsort(norms[:, 0], kind="stable")
         front = Front(starts[order], norms[order], 0)
         theta, _ = polish(with_loss_scale(rest, front), front.thetas[0])
-        results.append(_results(rest.model, theta, recordings)[index])
+        results.append(_results(rest.model, theta, recordings[: index + 1])[-1])
         if len(said) > len(notes):
             poorer.append(recording.run.name)
         step()

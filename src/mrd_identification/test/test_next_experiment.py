@@ -213,7 +213,7 @@ def test_what_outlasts_a_run_goes_on_in_the_next_one():
 
 def test_only_the_same_damper_with_more_effects_contains_another():
     def of(model, *effects):
-        return _Rival(SimpleNamespace(model=find_model(model, effects=effects)), np.zeros(0), np.zeros((0, 0)))
+        return _Rival(SimpleNamespace(model=find_model(model, effects=effects)), np.zeros(0), np.zeros((0, 0)), 0.0)
 
     delayed = of("bouc_wen", "channel_delay")
     assert of("bouc_wen").within(delayed)

@@ -213,18 +213,15 @@ class Foreseen:
     misreadings : tuple of ndarray (4, n)
         Drawn errors of smoothed motions: s, m, m/s, m/s². They are those of the runs so far, so that they hang together as
         these do.
-    totals : mapping
-        Squared white error that each rival leaves of the runs so far, unseen.
-    without : tuple of _Rival and float, optional
-        What leaves the gap, and as much of it.
+    without : _Rival, optional
+        What leaves the gap.
     """
 
     rivals: Mapping[str, "_Rival"]
     ground: Ground
     noise: float
     misreadings: tuple[Array, ...]
-    totals: Mapping[str, float]
-    without: tuple["_Rival", float] | None = None
+    without: "_Rival | None" = None
 
     @classmethod
     def of(
@@ -237,8 +234,7 @@ class Foreseen:
         return cls(
             {name: _Rival.of(refit, ground.fixed) for name, refit in rivals.items()},
             ground, float(np.hypot(np.sqrt(of_force), ground.missing)), tuple(drawn),
-            {name: refit.total for name, refit in rivals.items()},
-            (_Rival.of(without, ground.fixed), without.total) if without else None,
+            _Rival.of(without, ground.fixed) if without else None,
         )
 
     def separations(self, planned: Plan, largest_force: float, rng: np.random.Generator) -> dict[Pair, Separation] | None:
@@ -266,23 +262,22 @@ class Foreseen:
             white = (errors + rng.normal(0.0, self.noise, errors.shape)) / sigma
             together = max(self.ground.together, float(np.mean([dispersion(error) for error in white])))
             imagined[name] = Recording(run, path, slice(0, len(run))), sigma, together
-        gaps = {name: self._gap(*imagined[name]) for name in imagined} if self.without else {}
+        gaps = {name: self._gap(self.without, *of) for name, of in imagined.items()} if self.without else {}
         found = {}
         for one, other in itertools.combinations(self.rivals, 2):
             both = []
             for true, instead in ((one, other), (other, one)):
                 if not self.rivals[true].within(self.rivals[instead]):
                     squared = self.distance(*imagined[true], self.rivals[instead])
-                    ahead = self.totals[instead] - self.totals[true] + imagined[true][2] * squared
+                    ahead = self.rivals[instead].total - self.rivals[true].total + imagined[true][2] * squared
                     both.append(Separation(squared, certainty(ahead, gaps[true]) if gaps else 1.0))
             found[one, other] = Separation(min(of.squared for of in both), min(of.certainty for of in both))
         return found
 
-    def _gap(self, imagined: Recording, sigma: Array, together: float) -> float:
+    def _gap(self, without: "_Rival", imagined: Recording, sigma: Array, together: float) -> float:
         """Squared white error that would be left of all runs, this one included, without what is true."""
-        assert self.without is not None
-        without, total = self.without
-        return total - min(self.totals.values()) + together * self.distance(imagined, sigma, together, without)
+        so_far = without.total - min(rival.total for rival in self.rivals.values())
+        return so_far + together * self.distance(imagined, sigma, together, without)
 
     def _misread(self, planned: Plan, drawn: Array, shift: float) -> Path:
         """The run's path as it may be measured; no one knows when between two samples the current switched, so ``shift``."""
@@ -327,6 +322,8 @@ class _Rival:
         The optimum.
     root : ndarray (free, free)
         Root of the normal matrix there.
+    total : float
+        Squared white error that it leaves of these runs, unseen.
     states : dict
         What of the runs so far outlasts them, such as heat, by the bytes of the parameters.
     """
@@ -334,6 +331,7 @@ class _Rival:
     problem: GapProblem
     unit: Array
     root: Array
+    total: float
     states: dict[bytes, Array] = field(default_factory=dict)
 
     @classmethod
@@ -353,7 +351,7 @@ class _Rival:
             jacobian = problem.jacobian(unit)
             gram = jacobian.T @ jacobian
         values, vectors = np.linalg.eigh(gram)
-        return cls(problem, unit, np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T)
+        return cls(problem, unit, np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, refit.total)
 
     @property
     def effects(self) -> frozenset[str]:

@@ -168,7 +168,7 @@ def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
     spread = float(np.std(trace.recording.force)) or np.nan
     return {
         "name": trace.recording.run.name,
-        "judged": _judged(diagnosis, trace),
+        "judged": _judged(trace),
         "numbers": [
             f"{100 * np.sqrt(np.mean(part**2)) / spread:.2f}" for part in (trace.before, trace.after, trace.noise.sigma)
         ],
@@ -180,7 +180,7 @@ def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
     }
 
 
-def _judged(diagnosis: Diagnosis, trace: Trace) -> str:
+def _judged(trace: Trace) -> str:
     if trace.held_out:
         return "held out"
     return "by its parts" if trace.in_parts else "left out"

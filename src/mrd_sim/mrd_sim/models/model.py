@@ -176,10 +176,11 @@ class DamperModel:
         InputError
             For more things in series with the damper than can be solved for.
         """
-        series = [effect.id for effect in effects if effect.stretch is not None]
-        if len(series) > MOST:
-            raise InputError(f"effects {', '.join(series)}: all in series with the damper, expected at most {MOST} of these")
-        return replace(self, effects=tuple(effects))
+        found = replace(self, effects=tuple(effects))
+        if len(found._series) > MOST:
+            series = ", ".join(effect.id for effect in found._series)
+            raise InputError(f"effects {series}: all in series with the damper, expected at most {MOST} of these")
+        return found
 
     @cached_property
     def laws(self) -> dict[str, str]:
