@@ -1,15 +1,22 @@
-"""Write what the standard set covers into docs/characterise.md: `python docs/tables/coverage.py`, half a minute."""
+"""Write what the standard set covers into docs/characterise.md: `python docs/tables/coverage.py`, half a minute.
 
+`--tried 1.5` diagnoses, too, one simulated set with each effect at 1.5 times its smallest size, and prints what is named.
+"""
+
+import argparse
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from mrd_identification import diagnose
 from mrd_identification.gap.coverage import Coverage, coverage, foreseen
 from mrd_identification.gap.words import human
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
 from mrd_sim.plant import DamperConfig
+from mrd_sim.simulate import measure_plans
 from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import read_settings
@@ -27,6 +34,9 @@ LEAST = 0.01
 
 def main() -> None:
     """Compute, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tried", type=float, metavar="FACTOR")
+    factor = parser.parse_args().tried
     settings = read_settings(ROOT / "config" / "bench.yaml")
     files = sorted((ROOT / "config" / "experiments" / "characterise").glob("*.yaml"))
     plans = [plan(read_experiment(file), settings.limits, settings.force_envelope) for file in files]
@@ -37,14 +47,30 @@ def main() -> None:
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     _, after = rest.split(END)
     PAGE.write_text(before + BEGIN + text([file.stem[:2] for file in files], rows) + END + after, encoding="utf-8")
+    for row in rows if factor else ():
+        if not row.remark:
+            model = "bingham" if row.effect in structural else "bouc_wen"
+            print(tried(plans, model, row.effect, factor * row.smallest), flush=True)
+
+
+def damper_of(model: str, effects: Mapping[str, Mapping[str, float]] | None = None) -> Damper:
+    """A model with the parameters of the simulated bench's damper."""
+    values = parse_values(DamperConfig().parameters, "damper.parameters") | {"coil_lag": 0.0}
+    names = find_model(model).names
+    return Damper(model, {name: value for name, value in values.items() if name in names}, effects=effects)
 
 
 def covered(plans: list[Plan], model: str, effects: list[str]) -> dict[str, Coverage]:
-    """Coverage by effect, around a model with the parameters of the simulated bench's damper."""
-    values = parse_values(DamperConfig().parameters, "damper.parameters") | {"coil_lag": 0.0}
-    names = find_model(model).names
-    damper = Damper(model, {name: value for name, value in values.items() if name in names})
-    return {found.effect: found for found in coverage(*foreseen(plans, damper, np.random.default_rng(0)), effects)}
+    """Coverage by effect, around a model."""
+    computed = coverage(*foreseen(plans, damper_of(model), np.random.default_rng(0)), effects)
+    return {found.effect: found for found in computed}
+
+
+def tried(plans: list[Plan], model: str, effect: str, size: float) -> str:
+    """What a diagnosis says of one set with an effect of this size, in one line."""
+    values = {**EFFECTS[effect].typical, EFFECTS[effect].parameters[0].name: size}
+    found = diagnose(measure_plans(plans, damper_of(model, {effect: values}), np.random.default_rng(1)), model)
+    return f"{effect} of {shown(effect, size)}: {found.verdict} {', '.join(str(cause.effect) for cause in found.causes)}"
 
 
 def text(runs: list[str], rows: list[Coverage]) -> str:
