@@ -192,33 +192,15 @@ def test_unusable_files_are_refused_in_one_line(tmp_path):
         write_plant(made, tmp_path / "other.yaml", tmp_path / "new.yaml")
 
 
-def test_the_tool_from_report_to_simulation(tmp_path, monkeypatch, capsys):
+def test_the_tool_from_report_to_simulation(recorded, tmp_path, monkeypatch, capsys):
     """diagnose, apply, simulate: what was recorded comes out again."""
-    model = find_model("bingham", effects=["force_sensor_lag"])
-    random = np.random.default_rng(1)
-    time = np.arange(1500) / 250
-    paths = []
-    for name in ("a", "b", "c"):
-        position, velocity, acceleration = np.zeros((3, len(time)))
-        for frequency, amplitude in ((0.5, 9e-3), (1.5, 4e-3), (3.5, 1.2e-3)):
-            w, phase = 2 * np.pi * frequency, random.uniform(0, 2 * np.pi)
-            position += amplitude * np.sin(w * time + phase)
-            velocity += amplitude * w * np.cos(w * time + phase)
-            acceleration -= amplitude * w**2 * np.sin(w * time + phase)
-        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3], len(time) // 50), 50)
-        theta = model.vector({"force_sensor_lag.lag": 0.02, "coil_lag": 0.0})
-        force = model.force(theta, make_path(time, position, velocity, acceleration, current))
-        force += random.standard_normal(len(time))
-        paths.append(str(tmp_path / f"{name}.csv"))
-        write_csv(Run(name, time, position, velocity, current, force), paths[-1])
-
     def called(tool, *arguments):
         monkeypatch.setattr("sys.argv", [tool.__name__, *map(str, arguments)])
         tool.main()
         return capsys.readouterr().out
 
     said = called(
-        diagnose_tool, *paths, "--model", "bingham", "--effects", "force_sensor_lag,gas_spring", "--output", tmp_path
+        diagnose_tool, *recorded, "--model", "bingham", "--effects", "force_sensor_lag,gas_spring", "--output", tmp_path
     )
     report = tmp_path / "gap_report.json"
     sentence = json.loads(report.read_text())["sentence"]
@@ -228,9 +210,9 @@ def test_the_tool_from_report_to_simulation(tmp_path, monkeypatch, capsys):
     said = called(apply_tool, report, "--plant", SHIPPED, "--output", tmp_path / "plant.yaml")
     assert "bingham with force_sensor_lag, as diagnosed" in said
     assert "identify RUN... --model bingham --effect force_sensor_lag --output" in said
-    called(simulate_tool, paths[0], "--plant", tmp_path / "plant.yaml", "--output", tmp_path / "again.csv")
-    measured, again = read_run(paths[0]).force, read_run(tmp_path / "again.csv").force
+    called(simulate_tool, recorded[0], "--plant", tmp_path / "plant.yaml", "--output", tmp_path / "again.csv")
+    measured, again = read_run(recorded[0]).force, read_run(tmp_path / "again.csv").force
     assert np.sqrt(np.mean((measured - again)[100:] ** 2)) < 2.0
-    said = called(trend_tool, *paths, "--report", report, "--output", tmp_path)
+    said = called(trend_tool, *recorded, "--report", report, "--output", tmp_path)
     # 20 ms; what made these runs had no vertices between their samples, 4 ms apart.
     assert said.startswith("force_sensor_lag.lag shows no trend from run 1 to run 3: 20.1 ms")
