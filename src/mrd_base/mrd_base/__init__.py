@@ -1,7 +1,7 @@
 """What every part of the bench shares: input errors, configuration, the bench clock, the base of a node."""
 
 from mrd_base.clock import BenchClock
-from mrd_base.config import from_mapping, quantity, read_node_parameters, read_yaml, to_mapping
+from mrd_base.config import from_mapping, node_patterns, quantity, read_node_parameters, read_yaml, to_mapping
 from mrd_base.errors import InputError
 from mrd_base.tool import run_tool
 
@@ -9,6 +9,7 @@ __all__ = [
     "BenchClock",
     "InputError",
     "from_mapping",
+    "node_patterns",
     "quantity",
     "read_node_parameters",
     "read_yaml",

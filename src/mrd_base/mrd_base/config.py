@@ -136,10 +136,16 @@ def parse_yaml(text: str, where: str) -> dict[str, Any]:
     return content
 
 
+def node_patterns(node: str) -> tuple[str, ...]:
+    """Keys under which a ROS parameter file speaks to a node; what a later one says goes before."""
+    return "/**", f"/**/{node}", f"/{node}", node
+
+
 def read_node_parameters(path: str | Path, node: str) -> dict[str, Any]:
     """Read what a ROS parameter file says to one node, as nested mapping.
 
-    Entries under ``/**`` count for every node, those under ``/**/NODE`` (or ``NODE``, ``/NODE``) go before them.
+    Entries under ``/**`` count for every node, those under ``/**/NODE`` (or ``NODE``, ``/NODE``) go before them
+    (`node_patterns`).
 
     Raises
     ------
@@ -151,7 +157,7 @@ def read_node_parameters(path: str | Path, node: str) -> dict[str, Any]:
     if not any(isinstance(entry, dict) and "ros__parameters" in entry for entry in content.values()):
         found = ", ".join(map(str, list(content)[:3])) + (", ..." if len(content) > 3 else "")
         raise InputError(f"{path}: found {found}, expected a parameter file (`/**: ros__parameters:` with names and values)")
-    for pattern in ("/**", f"/**/{node}", f"/{node}", node):
+    for pattern in node_patterns(node):
         if pattern not in content:
             continue
         entry = content[pattern]

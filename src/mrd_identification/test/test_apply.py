@@ -101,6 +101,7 @@ def test_everything_else_of_the_file_stays(tmp_path):
         "plant:\n    ros__parameters:\n        damper:\n            laws: tanh\n            parameters: '{viscous: 3.0}'",
         "/**:\n ros__parameters:\n  damper:\n   effects: |-\n    settling: {excess: 0.1}\n\n   # next\n   stroke_mm: 40.0\n",
         "/**:\n  ros__parameters: {seed: 3}\n/**/plant:\n  ros__parameters:\n    damper:\n      model: bingham",
+        "plant:\n ros__parameters:\n  damper:\n   model: dahl\n/**/plant:\n ros__parameters:\n  damper:\n   model: dahl",
     ],
 )
 def test_other_ways_to_write_a_plant(tmp_path, text):

@@ -7,13 +7,13 @@ from typing import Any
 
 import yaml
 
-from mrd_base import InputError
+from mrd_base import InputError, node_patterns
 from mrd_identification.gap.diagnosis import Verdict
 from mrd_sim.damper import Damper
 from mrd_sim.models import MODELS
 from mrd_sim.plant import read_damper
 
-_NODES = ("/**/plant", "/plant", "plant", "/**")
+_NODES = node_patterns("plant")[::-1]
 _HEAD = "# The damper below is "
 
 
