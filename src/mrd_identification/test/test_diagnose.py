@@ -154,6 +154,19 @@ def test_a_model_without_hysteresis_is_told_so():
     assert "pre_yield_hysteresis" in {cause.effect for cause in found.causes}
 
 
+def test_beside_something_unknown_what_the_model_lacks_has_the_size_that_it_has_alone():
+    runs = recorded({"channel_delay": {"delay": 0.012}, "gas_spring": {"stiffness": 4000.0}})
+    found = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "gas_spring"))
+    assert found.verdict == "unknown_effect"
+    assert found.nearest.effects == ("pre_yield_hysteresis", "gas_spring")
+    (cause,) = found.causes
+    (alone,) = diagnose(runs, "bingham", effects=("pre_yield_hysteresis",)).causes
+    size = "pre_yield_hysteresis.yield_travel"
+    assert cause.parameters[size].value.value == pytest.approx(alone.parameters[size].value.value, rel=0.1)
+    assert found.parameters[size] == pytest.approx(found.nearest.parameters[size].value.value)
+    assert cause.parameters[size].value.value > 1.3 * found.parameters[size]
+
+
 def test_one_run_is_judged_by_its_parts(delayed):
     found = diagnose(delayed[:1], "bouc_wen", effects=FEW)
     assert found.held_out_by == "blocks"

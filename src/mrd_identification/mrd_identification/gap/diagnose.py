@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,7 +194,9 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     if verdict == "no_gap":
         found, chances = replace(found, chain=(), effects=(), rivals={}), {}
     listed = _candidates(found, singles, nulls, chances, rng)
-    causes = _causes(found, p_values, chances, rng)
+    # With something unknown beside it, only what the model lacks by construction is a cause.
+    believed = list(takewhile(lambda name: EFFECTS[name].structural or verdict != "unknown_effect", found.effects))
+    causes = _causes(found, believed, p_values, chances, rng)
     best = found.best
 
     progress("judging how far the gap closes", 0.85)
@@ -230,12 +233,11 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     )
     if verdict == "unknown_effect":
         progress("trying other forms of the model", 0.93)
-        sure = tuple(cause for cause in causes if EFFECTS[cause.effect].structural)
         nearest = next((candidate for candidate in diagnosis.candidates if candidate.effects == found.effects), None)
         if nearest is None and diagnosis.candidates and diagnosis.candidates[0].closed.value > 0.0:
             nearest = diagnosis.candidates[0]
         tried = tried or forms(found.ground, found.alone, may_be_left(found.alone), rng)
-        return replace(diagnosis, causes=sure, nearest=nearest, forms=_forms(found, tried, rng))
+        return replace(diagnosis, causes=causes, nearest=nearest, forms=_forms(found, tried, rng))
     progress("looking for the next experiment", 0.95)
     return replace(diagnosis, causes=causes, alternatives=_alternatives(chances), advice=_advice(found, chances))
 
@@ -353,11 +355,18 @@ def _verdict(
 
 
 def _causes(
-    found: Contest, p_values: Sequence[float], chances: Mapping[str, Mapping[str, float]], rng: np.random.Generator
+    found: Contest,
+    effects: Sequence[str],
+    p_values: Sequence[float],
+    chances: Mapping[str, Mapping[str, float]],
+    rng: np.random.Generator,
 ) -> tuple[Cause, ...]:
-    """The effects that were found, each with what it adds to those found before it; first what is likely to close most."""
-    parameters = values(found.best)
+    """The first effects that were found, each with what it adds to those before it; first what is likely to close most.
+
+    Their sizes are those without the effects that were found after them.
+    """
     steps = [found.alone, *found.chain]
+    parameters = values(steps[len(effects)])
     causes = [
         Cause(
             effect,
@@ -366,7 +375,7 @@ def _causes(
             closed_between(steps[index], steps[index + 1], found, rng),
             {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
         )
-        for index, effect in enumerate(found.effects)
+        for index, effect in enumerate(effects)
     ]
     return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed.value))))
 
