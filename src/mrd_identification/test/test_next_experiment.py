@@ -6,6 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from mrd_identification.gap.contest import Contest
+from mrd_identification.gap.diagnose import _advice as next_advice
 from mrd_identification.gap.diagnosis import Advice
 from mrd_identification.gap.ground import Ground
 from mrd_identification.gap.library import library
@@ -162,6 +164,18 @@ def test_a_run_must_tell_more_than_a_form_that_is_a_little_off():
     assert advice.experiment == ""
     assert "differ by less than either may err in its form" in advice.text
     assert "show all channels one event" in advice.text
+
+
+def test_what_is_out_of_the_question_needs_no_experiment():
+    """Nearly any run tells a spring from a mass, which answers nothing where a lag or a delay is the question."""
+    plans = sines((8e-3, 1.0), (4e-3, 2.0), (8e-3, 2.0), (4e-3, 3.0))
+    truth = damper("force_sensor_lag", lag=1.2e-3)
+    ground, rivals = fitted(plans, truth, ["force_sensor_lag", "channel_delay", "gas_spring", "moving_mass", ""])
+    found = Contest(ground, rivals[""], (rivals["force_sensor_lag"],), ("force_sensor_lag",), {"force_sensor_lag": rivals})
+    chances = {"force_sensor_lag": 0.6, "channel_delay": 0.39, "gas_spring": 0.005, "moving_mass": 0.005, "": 0.0}
+    advice = next_advice(found, {"force_sensor_lag": chances})
+    assert advice.experiment == ""
+    assert advice.between == ("force_sensor_lag", "channel_delay")
 
 
 def test_what_no_run_tells_apart_needs_a_sensor():

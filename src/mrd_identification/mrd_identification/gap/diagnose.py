@@ -395,7 +395,9 @@ def _advice(found: Contest, chances: Mapping[str, Mapping[str, float]]) -> Advic
     if not open_ones:
         return None
     effect = min(open_ones, key=lambda name: chances[name][name])
-    names = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])[:MOST_ADVISED]
+    ranked = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])[:MOST_ADVISED]
+    # A run that tells apart what is out of the question anyway leaves the question open.
+    names = [name for name in ranked if name in ranked[:2] or chances[effect][name] >= WORTH_NAMING]
     if len(names) < 2:
         names.append("")
     rivals = found.rivals[effect]
