@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrd_identification import diagnose
 from mrd_identification.gap.coverage import coverage, foreseen, largest_size, sized
 from mrd_identification.gap.ground import with_effect
 from mrd_identification.gap.refit import refit
-from mrd_identification.gap.which import LEAST_GAIN
+from mrd_identification.gap.which import NO_GAP
 from mrd_identification.problem import prepare
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -87,5 +88,14 @@ def test_a_recorded_effect_shows_as_was_foreseen(known, effect):
     for name, value in values.items():
         theta[model.names.index(f"{effect}.{name}")] = value
     both = refit(recorded.problem(model, theta), theta, recorded.parts)
-    gain = float(alone.cost.sum() - both.cost.sum()) / (LEAST_GAIN * recorded.samples)
+    gain = float(alone.cost.sum() - both.cost.sum()) / ((NO_GAP - 1.0) * recorded.samples)
     assert 2.5 < gain < 6.5
+
+
+@pytest.mark.parametrize("effect", ["seal_friction", "moving_mass", "coil_lag"])
+def test_from_the_smallest_size_on_a_diagnosis_names_an_effect(known, effect):
+    (found,) = coverage(*known, [effect])
+    for factor, named in (1.2, [effect]), (0.3, []):
+        values = sized(EFFECTS[effect], factor * found.smallest)
+        runs = measure_plans(PLANS, Damper("bouc_wen", OWN, effects={effect: values}), np.random.default_rng(5))
+        assert [cause.effect for cause in diagnose(runs, "bouc_wen").causes] == named, factor

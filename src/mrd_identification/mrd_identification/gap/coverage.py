@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from mrd_identification.gap.ground import Ground, with_effect
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import Scatter, refit
-from mrd_identification.gap.which import LEAST_GAIN, LEFT_OVER, Foundation
+from mrd_identification.gap.which import LEFT_OVER, NO_GAP, Foundation
 from mrd_identification.problem import in_threads, prepare
 from mrd_sim.damper import Damper
 from mrd_sim.effects import Effect, find_effects
@@ -99,7 +99,7 @@ def coverage(
     """Smallest sizes of effects that recordings would show beside a model, and what each run contributes.
 
     An effect shows when what it changes of the white residual, less what the model's own parameters can imitate, has so much
-    energy as decides whether it is added to the model (`mrd_identification.gap.which`). Its shape is the typical one.
+    energy that a diagnosis names it, be the estimate of the noise off as it may. Its shape is the typical one.
 
     Parameters
     ----------
@@ -109,9 +109,10 @@ def coverage(
     effects : sequence of str
         Ids, of effects that the model does not have.
     needed : float, optional
-        Squared white residual that it takes; by default the share `LEAST_GAIN` of what noise contributes.
+        Squared white residual that it takes; by default, what a model leaves that `mrd_identification.gap.which.NO_GAP` no
+        longer takes for noise. See `mrd_identification.gap.which.showing`.
     """
-    energy = LEAST_GAIN * ground.samples if needed is None else needed
+    energy = (NO_GAP - 1.0) * ground.samples if needed is None else needed
     return in_threads(lambda effect: _coverage(ground, foundation, effect, energy), find_effects(effects))
 
 

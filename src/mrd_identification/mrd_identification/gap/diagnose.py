@@ -27,11 +27,12 @@ from mrd_identification.gap.refit import Refit, own_error, refit
 from mrd_identification.gap.where import where
 from mrd_identification.gap.which import (
     LEAST_GAIN,
-    LEAST_SHARE_BESIDE,
+    NO_GAP,
     Foundation,
     Trial,
     may_be_left,
     search,
+    showing,
 )
 from mrd_identification.gap.words import describe, human
 from mrd_identification.problem import Recording, current_levels, in_threads, pose, prepare
@@ -42,12 +43,9 @@ from mrd_sim.models import DamperModel, find_model
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
-NO_GAP = 1.5
-"""Mean squared error over the variance of noise up to which noise may be all there is: its estimate errs by so much."""
-
 BARELY = 1.1
-"""The same, with the noise as the model alone leaves it, up to which nothing more is asked: an effect that smooths the
-measured current makes even noise smaller."""
+"""Mean squared error over the variance of noise, as the model alone leaves it, up to which nothing more is asked: an effect
+that smooths the measured current makes even noise smaller."""
 
 MOST_PART = 0.75
 """Share of the explainable gap that causes must close to be named."""
@@ -430,13 +428,12 @@ def _candidates(
     ground, variance = found.ground, _variance(found.ground)
     ranked = sorted(singles, key=lambda trial: trial.refit.total)
     needed = max(LEAST_GAIN * ground.samples, float(np.quantile(nulls, 0.95)))
-    # What an effect must take of the best model's error to be added to it, see `mrd_identification.gap.which.worth`.
-    energy = max(LEAST_GAIN * ground.noise_share, LEAST_SHARE_BESIDE * (found.best.total - ground.noise_share))
     lead_gain = ranked[0].unseen_gain if ranked else 0.0
     listed = []
     lead = chances[found.effects[0]] if len(found.effects) == 1 else {}
     rivals = found.rivals[found.effects[0]] if len(found.effects) == 1 else {}
     others = [trial.effects[0] for trial in ranked if trial.effects[0] not in found.effects]
+    energy = showing(ground, found.alone, found.best)
     told = {of.effect: of for of in coverage(ground, Foundation.of(ground, found.best), others, energy)}
     refits = [rivals.get(trial.effects[0], trial.refit) for trial in ranked]
     for trial, shown, sizes in zip(ranked, refits, in_threads(values, refits), strict=True):

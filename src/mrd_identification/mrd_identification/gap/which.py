@@ -14,6 +14,9 @@ from mrd_sim.effects import EFFECTS, Effect, find_effects
 
 Array = NDArray[np.float64]
 
+NO_GAP = 1.5
+"""Mean squared error over the variance of noise up to which noise may be all there is: its estimate errs by so much."""
+
 LEAST_GAIN = 0.1
 """Share of the noise's energy by which an effect must lower the unseen error to matter."""
 
@@ -289,6 +292,29 @@ def lacking(trial: Trial, ground: Ground, base: Refit) -> bool:
 def may_be_left(alone: Refit) -> float:
     """Mean squared error beyond noise, over the variance of noise, that an explained gap may leave."""
     return UNEXPLAINED + IMPRECISE * (alone.level - 1.0)
+
+
+def showing(ground: Ground, alone: Refit, best: Refit) -> float:
+    """Squared white residual from which one more effect beside the best would be added to it by `search`, and be told.
+
+    Parameters
+    ----------
+    ground : Ground
+    alone, best : Refit
+        The model without effects, and with all that were found.
+    """
+    left = max(best.total / ground.noise_share - 1.0, 0.0)
+
+    def taking(share: float) -> float:
+        """So much that it is this share of all that is left then."""
+        return share / (1.0 - share) * left
+
+    if best.problem.model.effects:
+        open_gap = max(LEAST_GAIN, may_be_left(alone) - left, taking(LEAST_SHARE_BESIDE))
+        least = min(open_gap, max(SURE_GAIN, taking(SURE_SHARE_BESIDE)))
+    else:
+        least = max(NO_GAP - 1.0, taking(LEAST_SHARE))
+    return least * ground.noise_share
 
 
 def worth(ground: Ground, before: Refit, after: Refit, surely: bool = False) -> bool:

@@ -1,4 +1,4 @@
-"""Write what the standard set covers into docs/characterise.md: `python docs/tables/coverage.py`, half a minute.
+"""Write what the standard set covers into docs/characterise.md: `python docs/tables/characterise.py`, half a minute.
 
 `--tried 1.5` diagnoses, too, one simulated set with each effect at 1.5 times its smallest size, and prints what is named.
 """
@@ -82,7 +82,7 @@ def text(runs: list[str], rows: list[Coverage]) -> str:
     return f"""\
 For each effect the smallest size (its first parameter, see [effects](effects.md)) that a diagnosis of all ten runs would
 show when everything else is refitted, its typical size, and which runs say so: their shares of the evidence in per cent,
-nothing below {100 * BLANK:.0f}. Computed by `python docs/tables/coverage.py`, for the damper of the simulated bench as
+nothing below {100 * BLANK:.0f}. Computed by `python docs/tables/characterise.py`, for the damper of the simulated bench as
 `bouc_wen` (for an effect that this model has of its own, as `bingham`), with noise and run scatter as in
 `mrd_sim.simulate.Instruments`. Each effect is alone there and has its typical shape; to tell it from a look-alike takes
 more.
