@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 Array = NDArray[np.float64]
 
@@ -33,8 +34,8 @@ def correlation_length(residuals: Array) -> int:
 
 def _decay(series: Array) -> int:
     """First lag at which the autocorrelation is as good as none."""
-    spectrum = np.abs(np.fft.rfft(series, 2 * len(series))) ** 2
-    autocorrelation = np.fft.irfft(spectrum)[: len(series)]
+    padded = next_fast_len(2 * len(series), real=True)
+    autocorrelation = irfft(np.abs(rfft(series, padded)) ** 2, padded)[: len(series)]
     below = np.flatnonzero(autocorrelation <= max(0.1, 3.0 / np.sqrt(len(series))) * autocorrelation[0])
     return max(1, int(below[0])) if below.size else len(series)
 

@@ -363,6 +363,16 @@ def test_repeats_of_another_shape(good):
     assert "shape" in finding.text
 
 
+def test_a_repeat_whose_motion_wanders_is_of_the_same_shape(good):
+    """A servo follows a multisine a few milliseconds early here and late there."""
+    still = simulated("multisine")
+    wandering = still.time + 5e-3 * np.sin(2 * np.pi * 0.3 * still.time)
+    names = ("position", "velocity", "acceleration", "current", "force")
+    series = {name: np.interp(wandering, still.time, getattr(still, name)) for name in names}
+    again = replace(measured(replace(still, **series), 9), name="again")
+    assert not [finding for finding in preflight([*good, again]) if finding.kind == "repeat"]
+
+
 def test_runs_that_claim_an_experiment(good):
     runs = [replace(run, info={"experiment": "name: sine"}) if run.name in ("sine", "chirp") else run for run in good]
     assert the(preflight(runs), "repeat", "chirp", "position").severity == "limitation"

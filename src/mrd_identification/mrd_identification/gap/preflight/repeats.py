@@ -17,6 +17,9 @@ REPEAT = (0.05, 0.2)
 """Relative differences of force between repeats: larger than scatter from run to run (1 to 2 %); no repeat."""
 SHAPE = 0.1
 """Rest of a repeat's force, its gain and offset taken out, over the standard deviation."""
+MOVED = 3.0
+"""The same, over the relative difference of the velocities: most of a force turns within a short way after a reversal, so
+that a motion which differs by a few per cent changes it by more."""
 
 
 def duplicates(views: Sequence[View]) -> Iterator[Finding]:
@@ -96,6 +99,8 @@ def _compared(one: View, other: View, shift: int, claimed: bool) -> Iterator[Fin
     inner = slice(2, -2)
     second = np.interp(index + late, index, second)[inner]
     first = first[inner]
+    v, v_again = overlap(one.run.velocity, other.run.velocity, shift)
+    moved = float(np.std((np.interp(index + late, index, v_again) - v)[inner]) / np.std(v))
     spread = float(np.std(first))
     gain, offset = np.polyfit(first - first.mean(), second, 1)
     offset -= first.mean()
@@ -106,10 +111,11 @@ def _compared(one: View, other: View, shift: int, claimed: bool) -> Iterator[Fin
         differs.append(f"its force is {gain:.3g} times as large")
     if abs(offset) > max(REPEAT[0] * spread, 5 * noise):
         differs.append(f"it is {offset:.3g} N off")
-    if rest > max(SHAPE * spread, 6 * noise):
+    reshaped = rest > max(SHAPE, MOVED * moved) * spread
+    if reshaped and rest > 6 * noise:
         differs.append(f"its shape differs by {rest:.3g} N rms")
     if differs:
-        much = abs(gain - 1) > REPEAT[1] or abs(offset) > REPEAT[1] * spread or rest > SHAPE * spread
+        much = abs(gain - 1) > REPEAT[1] or abs(offset) > REPEAT[1] * spread or reshaped
         yield other.finding(
             "repeat", "limitation" if much else "remark", "force",
             f"moves like {one.run.name} at the same current, but {' and '.join(differs)}, beside a noise of {noise:.2g} N; "
