@@ -105,7 +105,9 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
     assert np.array_equal(live["acceleration"][within], run.acceleration)
 
     # What the paper asks for was done: 10 mm of stroke, 150 mA.
-    assert np.ptp(run.position) == pytest.approx(0.01, rel=0.05)
+    assert 2 * np.sqrt(2) * np.std(run.position) == pytest.approx(0.01, rel=0.03)
+    # The rod goes on at its last speed while a command is late: 0.3 mm in 6 ms, once in so many reversals.
+    assert np.abs(run.position).max() < 0.0055
     assert np.percentile(run.current, 95) == pytest.approx(0.15, abs=0.02)
 
     # Replayed to the identifier, the same samples give a model.
