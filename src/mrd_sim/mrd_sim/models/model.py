@@ -322,7 +322,12 @@ class DamperModel:
         if self.effects:  # they change the signals in place
             x, v, a, current = (series.astype(theta.dtype) for series in (x, v, a, current))
         self._act(("drive", "magnetics"), theta, path.dt, (x, v, a, current, force), state)
-        current = lagged_current(theta[len(self._own_parameters) - 1], state, path.dt, current)
+        lag = theta[len(self._own_parameters) - 1]
+        if lag == 0.0 and len(current):
+            current = current.astype(theta.dtype, copy=False)
+            state[:2] = current[-1]
+        else:
+            current = lagged_current(lag, state, path.dt, current)
         rows = self._coefficients(theta, current)
         inner = state[2 : 2 + self.states]
         if self._series:
