@@ -20,7 +20,7 @@ test: build lint  ## check style and types, then run all tests but the slow ones
 	@. ./env.sh; python -m pytest
 
 lint: build  ## check style (ruff) and types (mypy)
-	@. ./env.sh; ruff check; mypy $(addprefix -p ,$(TYPED))
+	@. ./env.sh; ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))
 
 bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done

@@ -23,8 +23,10 @@ console = Console(width=None if os.isatty(1) else 120, highlight=False)
 @njit(cache=True)
 def position(t: float) -> float:
     """Position of the rod in m: reversals of many sizes, up to 0.13 m/s."""
-    return AMPLITUDES[0] * np.sin(FREQUENCIES[0] * t) + AMPLITUDES[1] * np.sin(FREQUENCIES[1] * t + 1.0) + (
-        AMPLITUDES[2] * np.sin(FREQUENCIES[2] * t + 2.0)
+    return (
+        AMPLITUDES[0] * np.sin(FREQUENCIES[0] * t)
+        + AMPLITUDES[1] * np.sin(FREQUENCIES[1] * t + 1.0)
+        + (AMPLITUDES[2] * np.sin(FREQUENCIES[2] * t + 2.0))
     )
 
 

@@ -31,9 +31,16 @@ SECONDS = 10
 POPULATION, GENERATIONS, SEED = 40, 25, 0
 RTOL, LONGEST_STEP = 1e-6, 5e-3
 TRUTH = {
-    "yield_force": 50.0, "yield_force_per_A": 1100.0, "yield_travel": 2.5e-4, "shape": 0.7, "viscous": 600.0,
-    "viscous_per_A": 3500.0, "stiffness": 900.0, "offset": 12.0, "coil_lag": 0.008,
-}  # fmt: skip
+    "yield_force": 50.0,
+    "yield_force_per_A": 1100.0,
+    "yield_travel": 2.5e-4,
+    "shape": 0.7,
+    "viscous": 600.0,
+    "viscous_per_A": 3500.0,
+    "stiffness": 900.0,
+    "offset": 12.0,
+    "coil_lag": 0.008,
+}
 NOISE = 0.02  # of the force's standard deviation
 
 

@@ -96,9 +96,7 @@ def compare(fit: Path, plant: Path) -> list[tuple[str, str, float, float]]:
     truth = model.vector(parse_yaml(damper["parameters"], f"{plant}: parameters"))
     found = stored.content["observables"]
     true_values = model.observables(model.at_current(truth, found["current_A"]))
-    return [
-        (name, unit, found["values"][name]["value"], true_value) for name, (true_value, unit) in true_values.items()
-    ]
+    return [(name, unit, found["values"][name]["value"], true_value) for name, (true_value, unit) in true_values.items()]
 
 
 def demo() -> None:
@@ -113,8 +111,10 @@ def demo() -> None:
         raise InputError(f"{bag}: holds {len(run)} samples, of which the identifier heard {heard['samples']}")
     rows = compare(Path(result.fit), PLANT)
     print(f"\nrecorded and replayed {len(run)} samples, {run.duration:.1f} s: {bag}")
-    print(f"identified {MODEL} in {fit['elapsed_s']:.0f} s: NRMSE {100 * result.nrmse:.2f} %, e2 {result.e2:.3g} N, "
-          f"einf {result.einf:.3g} N, k = {heard['samples']}")  # fmt: skip
+    print(
+        f"identified {MODEL} in {fit['elapsed_s']:.0f} s: NRMSE {100 * result.nrmse:.2f} %, e2 {result.e2:.3g} N, "
+        f"einf {result.einf:.3g} N, k = {heard['samples']}"
+    )
     print(f"{'at ' + format(fit['observables']['current_A'], '.3f') + ' A':24}{'identified':>12}{'simulated':>12}")
     far = []
     for name, unit, value, truth in rows:

@@ -117,10 +117,25 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
     action = ActionClient(bench.client.node, Identify, "identify")
     assert bench.client.spin(action.server_is_ready, 30)
     replay = subprocess.run(
-        ["ros2", "run", "mrd_runs", "replay", "--ros-args", "-r", "__ns:=/bench", "-p", f"bag:={tmp_path / 'bag'}",
-         "-p", "speed:=0.0", "-p", "wait_for_subscriber:=true"],
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        [
+            "ros2",
+            "run",
+            "mrd_runs",
+            "replay",
+            "--ros-args",
+            "-r",
+            "__ns:=/bench",
+            "-p",
+            f"bag:={tmp_path / 'bag'}",
+            "-p",
+            "speed:=0.0",
+            "-p",
+            "wait_for_subscriber:=true",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert replay.returncode == 0, replay.stderr
     # What was sent as fast as it went is still being read.
     bench.client.spin(lambda: False, 3)
@@ -172,9 +187,7 @@ def press_emergency_stop(bench: WholeBench) -> None:
 @pytest.mark.parametrize(
     "accident", [pull_line, freeze_daq, freeze_converter, kill_generator, kill_servo, press_emergency_stop]
 )
-def test_the_rod_stops_within_200_ms(
-    accident: Callable[[WholeBench], None], bench: WholeBench, tmp_path: Path
-) -> None:
+def test_the_rod_stops_within_200_ms(accident: Callable[[WholeBench], None], bench: WholeBench, tmp_path: Path) -> None:
     truth = bench.hear("plant/true_state", JointState, RECORDED)
     client = ActionClient(bench.client.node, RunExperiment, "run_experiment")
     assert bench.client.spin(client.server_is_ready, 10)
@@ -237,10 +250,22 @@ def record_set(folder: Path, lengths: tuple[float, ...]) -> subprocess.Popen[str
         text = LONG.replace("name: long", f"name: {number}_run").replace("duration_s: 30.0", f"duration_s: {length}")
         (folder / f"experiments/{number}.yaml").write_text(text)
     return subprocess.Popen(
-        ["ros2", "run", "mrd_bench_driver", "bench", folder / "experiments", "--bench", BENCH, "--simulated",
-         "--output", folder / "set"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            "ros2",
+            "run",
+            "mrd_bench_driver",
+            "bench",
+            folder / "experiments",
+            "--bench",
+            BENCH,
+            "--simulated",
+            "--output",
+            folder / "set",
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 @pytest.mark.timeout(120)

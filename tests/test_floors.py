@@ -191,7 +191,9 @@ def test_runs_are_read_identified_and_compared_in_a_notebook_without_ros(tmp_pat
     }
     notebook = subprocess.run(
         [sys.executable, "-c", NOTEBOOK, tmp_path / "a.csv", tmp_path / "b.csv"],
-        env=environment, capture_output=True, text=True,
+        env=environment,
+        capture_output=True,
+        text=True,
     )
     assert notebook.returncode == 0, notebook.stderr
     yield_force, best = notebook.stdout.split()

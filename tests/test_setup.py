@@ -217,8 +217,11 @@ def test_the_environment_can_be_entered_from_anywhere_and_twice(shell, tmp_path)
 def test_what_is_given_is_kept(name):
     entered = subprocess.run(
         ["bash", "-c", f". {ROOT}/env.sh; printenv {name}"],
-        env={**os.environ, name: "/given"}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        env={**os.environ, name: "/given"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert entered.stdout == "/given\n"
 
 
@@ -253,15 +256,17 @@ def test_the_stand_in_for_ros2_hands_over_arguments_signals_and_status(tmp_path)
     environment = {**os.environ, "AMENT_PREFIX_PATH": str(prefix)}
     run = subprocess.run(
         [ROOT / "setup" / "bin" / "ros2", "run", "demo", "talk", "--ros-args", "-p", "a:=b c"],
-        env=environment, capture_output=True, text=True,
-    )  # fmt: skip
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     assert (run.returncode, run.stdout) == (7, "--ros-args -p a:=b c\n")
 
 
 def test_nodes_can_be_reached_from_this_machine_only():
     """Every socket that a node listens on is bound to the loopback interface, or to the multicast group joined there."""
     code = "import rclpy; rclpy.init(); node = rclpy.create_node('here'); print('up', flush=True); input()"
-    enter = f". {ROOT}/env.sh && exec python -c \"{code}\""
+    enter = f'. {ROOT}/env.sh && exec python -c "{code}"'
     node = subprocess.Popen(["bash", "-c", enter], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert node.stdout.readline() == "up\n"

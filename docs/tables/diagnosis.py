@@ -28,11 +28,21 @@ from mrd_trajectory.settings import read_settings
 ROOT = Path(__file__).resolve().parents[2]
 BASE = {
     "bouc_wen": {
-        "yield_force": 60.0, "yield_force_per_A": 800.0, "yield_travel": 1.5e-4, "viscous": 800.0, "viscous_per_A": 1500.0,
-        "stiffness": 1000.0, "offset": -40.0, "coil_lag": 0.0,
+        "yield_force": 60.0,
+        "yield_force_per_A": 800.0,
+        "yield_travel": 1.5e-4,
+        "viscous": 800.0,
+        "viscous_per_A": 1500.0,
+        "stiffness": 1000.0,
+        "offset": -40.0,
+        "coil_lag": 0.0,
     },
     "bingham": {
-        "yield_force": 60.0, "yield_force_per_A": 800.0, "viscous": 800.0, "viscous_per_A": 1500.0, "offset": -40.0,
+        "yield_force": 60.0,
+        "yield_force_per_A": 800.0,
+        "viscous": 800.0,
+        "viscous_per_A": 1500.0,
+        "offset": -40.0,
         "coil_lag": 0.0,
     },
 }
@@ -83,8 +93,11 @@ def told(diagnosis: Diagnosis) -> dict[str, Any]:
         "alternatives": [alternative.effect for alternative in diagnosis.alternatives],
         "untestable": [candidate.effects[0] for candidate in diagnosis.untestable],
         "nearest": list(diagnosis.nearest.effects) if diagnosis.nearest else [],
-        "before": diagnosis.before.value, "after": diagnosis.after.value, "floor": diagnosis.floor.value,
-        "closed": diagnosis.closed.value, "ends": [diagnosis.closed.lower, diagnosis.closed.upper],
+        "before": diagnosis.before.value,
+        "after": diagnosis.after.value,
+        "floor": diagnosis.floor.value,
+        "closed": diagnosis.closed.value,
+        "ends": [diagnosis.closed.lower, diagnosis.closed.upper],
         "parameters": {
             name: [value.value.value, value.value.lower, value.value.upper]
             for cause in diagnosis.causes

@@ -14,8 +14,14 @@ from mrd_runs import read_runs
 
 DAMPERS = {"utfsm": "UTFSM, press", "utfpr": "UTFPR, shaking table"}
 HEADER = (
-    "damper", "base", "runs", "verdict, named", "most of the excess", "unseen error, before → after (noise), %",
-    "nearest: closes", "best other form: closes",
+    "damper",
+    "base",
+    "runs",
+    "verdict, named",
+    "most of the excess",
+    "unseen error, before → after (noise), %",
+    "nearest: closes",
+    "best other form: closes",
 )
 
 

@@ -19,9 +19,6 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     entry_points={
-        "console_scripts": [
-            "generator = mrd_trajectory.nodes.generator:main",
-            "preview = mrd_trajectory.cli.preview:main",
-        ]
+        "console_scripts": ["generator = mrd_trajectory.nodes.generator:main", "preview = mrd_trajectory.cli.preview:main"]
     },
 )

@@ -13,6 +13,7 @@ def _uptime() -> float:
 def _epoch() -> float:
     return time.time() - _uptime()
 
+
 # Bounds of ``time_scale``: beyond them, timeouts are too long to wait for or shorter than a process takes to answer.
 SLOWEST, FASTEST = 0.01, 100.0
 

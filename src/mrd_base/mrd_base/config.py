@@ -54,12 +54,7 @@ _SI: dict[str, tuple[str, float]] = {
 
 
 def quantity(
-    default: Any = dataclasses.MISSING,
-    unit: str = "",
-    doc: str = "",
-    *,
-    lower: float = -math.inf,
-    upper: float = math.inf,
+    default: Any = dataclasses.MISSING, unit: str = "", doc: str = "", *, lower: float = -math.inf, upper: float = math.inf
 ) -> Any:
     """Declare a dataclass field: its default in SI, the unit of its YAML key, its meaning, its bounds in SI.
 
@@ -99,9 +94,7 @@ class _Loader(yaml.SafeLoader):
 
 
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$"), list("-+.0123456789")
 )
 
 
@@ -183,9 +176,7 @@ def unknown_key(key: object, known: Collection[str]) -> str:
     return f"{key}{hint} (known: {', '.join(known)})"
 
 
-def from_mapping(
-    cls: type[T], mapping: Any, where: str, *, units: Mapping[str, str] | None = None
-) -> T:
+def from_mapping(cls: type[T], mapping: Any, where: str, *, units: Mapping[str, str] | None = None) -> T:
     """Build a frozen dataclass from a YAML mapping.
 
     Parameters
@@ -258,9 +249,7 @@ def _show(value: Any) -> str:
     return f"{type(value).__name__} {value!r}" if value is not None else "nothing"
 
 
-def _convert(
-    hint: Any, value: Any, where: str, field: dataclasses.Field[Any], units: Mapping[str, str] | None
-) -> Any:
+def _convert(hint: Any, value: Any, where: str, field: dataclasses.Field[Any], units: Mapping[str, str] | None) -> Any:
     origin = typing.get_origin(hint)
     if origin in (types.UnionType, typing.Union):  # Optional[...]
         if value is None:

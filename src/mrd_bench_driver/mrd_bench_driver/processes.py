@@ -48,12 +48,7 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def bench_parts(
-    bench: Path,
-    plant: Path | None,
-    port: Path,
-    *,
-    time_scale: float | None = None,
-    seed: int = 0,
+    bench: Path, plant: Path | None, port: Path, *, time_scale: float | None = None, seed: int = 0
 ) -> list[Part]:
     """The parts of a bench.
 

@@ -181,12 +181,7 @@ def compare(sizing: Sizing) -> list[Row]:
             "< 7 N",
             "digits lost: < 667 N peak to peak; the text's 5 cm/s and 667 N mix both operating points",
         ),
-        Row(
-            f"safety factor at ±{s.amplitude:.0f} N",
-            f"{force / s.amplitude:.2f}",
-            "",
-            "what the paper does not compute",
-        ),
+        Row(f"safety factor at ±{s.amplitude:.0f} N", f"{force / s.amplitude:.2f}", "", "what the paper does not compute"),
         Row(
             f"rack force on {s.supply_current:g} A",
             f"{supplied:.0f} N",

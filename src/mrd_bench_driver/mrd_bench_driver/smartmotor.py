@@ -124,9 +124,7 @@ class Report:
             raise ReplyError(f"{self.query.decode()} was answered by {_shown(reply)}, expected {self.form.decode()}")
         value = int(match[1])
         if not self.lower <= value <= self.upper:
-            raise ReplyError(
-                f"{self.query.decode()} was answered by {value}, expected {self.lower} to {self.upper}"
-            )
+            raise ReplyError(f"{self.query.decode()} was answered by {value}, expected {self.lower} to {self.upper}")
         return value
 
 
@@ -193,10 +191,7 @@ def decode_status(word_0: int, word_1: int) -> Status:
     faults = [text for bit, text in _FAULTS_0.items() if word_0 >> bit & 1]
     faults += [text for bit, text in _FAULTS_1.items() if word_1 >> bit & 1]
     return Status(
-        off=bool(word_0 >> 1 & 1),
-        moving=bool(word_0 >> 2 & 1),
-        soft_limits=bool(word_1 >> 10 & 1),
-        faults=tuple(faults),
+        off=bool(word_0 >> 1 & 1), moving=bool(word_0 >> 2 & 1), soft_limits=bool(word_1 >> 10 & 1), faults=tuple(faults)
     )
 
 

@@ -1,6 +1,5 @@
 """Volts to SI units and back, tare, clipping."""
 
-
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError, from_mapping, read_node_parameters, to_mapping
-from mrd_bench_driver.channels import (
-    TARE_SAMPLES,
-    Channel,
-    Channels,
-    Coil,
-    coil_voltage,
-    count_clipped,
-    tared,
-    to_si,
-)
+from mrd_bench_driver.channels import TARE_SAMPLES, Channel, Channels, Coil, coil_voltage, count_clipped, tared, to_si
 from mrd_trajectory.limits import Limits
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"

@@ -160,6 +160,4 @@ def test_a_refusal_says_what_to_do_first() -> None:
 
 def test_modes_have_the_numbers_of_the_message() -> None:
     messages = pytest.importorskip("mrd_interfaces.msg")
-    assert {mode.name: int(mode) for mode in Mode} == {
-        mode.name: getattr(messages.BenchState, mode.name) for mode in Mode
-    }
+    assert {mode.name: int(mode) for mode in Mode} == {mode.name: getattr(messages.BenchState, mode.name) for mode in Mode}

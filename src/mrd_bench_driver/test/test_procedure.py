@@ -19,9 +19,19 @@ from mrd_bench_driver.procedure import (
 
 ORDER = Order("name: x", "/tmp/bag", 7)
 COURSE = (
-    "require", "load", "sample_at 25.0", "enter homing", "centre", "tare", "enter identification", "enable",
-    "start_recording", "start", "watch", "settle",
-)  # fmt: skip
+    "require",
+    "load",
+    "sample_at 25.0",
+    "enter homing",
+    "centre",
+    "tare",
+    "enter identification",
+    "enable",
+    "start_recording",
+    "start",
+    "watch",
+    "settle",
+)
 END = ("halt", "stop_recording")
 
 

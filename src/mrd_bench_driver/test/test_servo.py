@@ -354,10 +354,7 @@ def test_following_error_is_a_fault(homed):
 
 @pytest.mark.parametrize(
     "spoil",
-    [
-        lambda replies: None,
-        lambda replies: [str(random.Random(len(replies[0])).randrange(-40000, 40000)), *replies[1:]],
-    ],
+    [lambda replies: None, lambda replies: [str(random.Random(len(replies[0])).randrange(-40000, 40000)), *replies[1:]]],
     ids=["missing", "wrong"],
 )
 def test_bad_replies_stop_the_rod(homed, spoil):

@@ -203,9 +203,14 @@ def start(graph: Any) -> Callable[..., Fakes]:
 
 
 COURSE = [
-    "load_experiment", "daq/set_parameters", "servo/home", "daq/tare", "servo/enable True", "start_recording",
+    "load_experiment",
+    "daq/set_parameters",
+    "servo/home",
+    "daq/tare",
+    "servo/enable True",
+    "start_recording",
     "start_experiment",
-]  # fmt: skip
+]
 AWAY = ["servo/stop", "servo/enable False", "stop_recording"]
 
 

@@ -34,9 +34,7 @@ CONFOUNDED = 0.98
 OTHER_RUNS = "add runs that differ in speed, stroke and current"
 
 
-def cautions(
-    problem: Problem, theta: Array, uncertain: Uncertainty, seeds: Sequence[Array], held_out_by: str
-) -> list[str]:
+def cautions(problem: Problem, theta: Array, uncertain: Uncertainty, seeds: Sequence[Array], held_out_by: str) -> list[str]:
     """Sentences about intervals, bounds, confounded parameters, seeds and judges, each with what to do about it.
 
     Parameters

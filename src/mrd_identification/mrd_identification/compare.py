@@ -145,9 +145,7 @@ def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
     units = blocks if by_runs else stretches(blocks, within)
     # How often each unit is drawn in each resample; the same draws for all models make their differences sharp.
     draws = np.random.default_rng(0).multinomial(len(units), np.full(len(units), 1 / len(units)), RESAMPLES).astype(float)
-    count, total, square = (
-        np.array([of(force[unit]) for unit in units]) for of in (len, np.sum, lambda part: part @ part)
-    )
+    count, total, square = (np.array([of(force[unit]) for unit in units]) for of in (len, np.sum, lambda part: part @ part))
     squared = np.array([[error[unit] @ error[unit] for unit in units] for error in errors])
 
     def nrmse(weights: Array) -> Array:
@@ -165,8 +163,14 @@ def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
         behind = np.quantile(drawn[index] - drawn[best], (0.025, 0.975))
         entries.append(
             Entry(
-                names[index], fits[index], float(found[index]), float(lower), float(upper),
-                float(found[index] - found[best]), float(behind[0]), float(behind[1]),
+                names[index],
+                fits[index],
+                float(found[index]),
+                float(lower),
+                float(upper),
+                float(found[index] - found[best]),
+                float(behind[0]),
+                float(behind[1]),
             )
         )
     return Comparison(tuple(entries), fits[0].held_out_by, "runs" if by_runs else "stretches", len(units))

@@ -77,16 +77,26 @@ def ladder(comparison: Comparison) -> go.Figure:
     held = [entry.nrmse for entry in entries]
     figure = go.Figure(
         go.Scatter(
-            x=[entry.fit.pooled_fitted.nrmse for entry in entries], y=names, mode="markers", name="fitted runs",
+            x=[entry.fit.pooled_fitted.nrmse for entry in entries],
+            y=names,
+            mode="markers",
+            name="fitted runs",
             marker={"symbol": "circle-open", "color": figures.MEASURED, "size": 10, "line": {"width": 2}},
         )
     )
     figure.add_trace(
         go.Scatter(
-            x=held, y=names, mode="markers", name="held-out runs, 95 % interval",
+            x=held,
+            y=names,
+            mode="markers",
+            name="held-out runs, 95 % interval",
             marker={"color": [figures.ACCENT if entry.on_par else figures.MODELLED for entry in entries], "size": 10},
             error_x={
-                "type": "data", "symmetric": False, "color": figures.MEASURED, "thickness": 2, "width": 5,
+                "type": "data",
+                "symmetric": False,
+                "color": figures.MEASURED,
+                "thickness": 2,
+                "width": 5,
                 "array": [entry.upper - entry.nrmse for entry in entries],
                 "arrayminus": [entry.nrmse - entry.lower for entry in entries],
             },
@@ -127,9 +137,13 @@ def markdown(comparison: Comparison) -> str:
     for entry in comparison.entries:
         behind = "on par" if entry.on_par else f"{entry.behind_lower:.4f} … {entry.behind_upper:.4f}"
         cells = (
-            f"`{entry.name}`", entry.free, f"{entry.nrmse:.4f}", f"{entry.lower:.4f} … {entry.upper:.4f}",
+            f"`{entry.name}`",
+            entry.free,
+            f"{entry.nrmse:.4f}",
+            f"{entry.lower:.4f} … {entry.upper:.4f}",
             "the best" if entry is comparison.entries[0] else behind,
-            f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
+            f"{entry.fit.pooled_fitted.nrmse:.4f}",
+            f"{entry.fit.elapsed:.0f}",
         )
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines) + "\n"

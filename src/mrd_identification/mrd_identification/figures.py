@@ -41,9 +41,7 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     for index, result in enumerate(chosen):
         shown = _window(result)
         moved = motion(result.run)
-        for axis, (series, title) in enumerate(
-            ((moved.velocity, "velocity, mm/s"), (moved.position, "position, mm"))
-        ):
+        for axis, (series, title) in enumerate(((moved.velocity, "velocity, mm/s"), (moved.position, "position, mm"))):
             row, column = (1, axis + 1) if single else (axis + 1, index + 1)
             for force, name, line in (
                 (result.run.force, "measured", {"color": MEASURED, "width": 3.5}),
@@ -72,9 +70,7 @@ def force_over_time(result: RunResult) -> go.Figure:
     """Force, its error and the coil current over time, for the liveliest seconds of a run."""
     shown = _window(result)
     time = _rounded(result.run.time[shown], 4)
-    figure = make_subplots(
-        rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05
-    )
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05)
     force, modelled = result.run.force[shown], result.modelled[shown]
     for row, series, name, colour, width in (
         (1, force, "measured", MEASURED, 3.5),
@@ -98,21 +94,27 @@ def pareto_front(fit: Fit) -> go.Figure:
     norms = fit.front.norms
     figure = go.Figure(
         go.Scatter(
-            x=norms[:, 0], y=norms[:, 1], mode="lines+markers", name="Pareto front",
-            line={"color": MEASURED, "width": 1}, marker={"size": 7},
+            x=norms[:, 0],
+            y=norms[:, 1],
+            mode="lines+markers",
+            name="Pareto front",
+            line={"color": MEASURED, "width": 1},
+            marker={"size": 7},
         )
     )
     knee = norms[fit.front.knee]
     figure.add_trace(
         go.Scatter(
-            x=[knee[0]], y=[knee[1]], mode="markers", name="knee",
-            marker={"size": 13, "symbol": "diamond", "color": ACCENT},
+            x=[knee[0]], y=[knee[1]], mode="markers", name="knee", marker={"size": 13, "symbol": "diamond", "color": ACCENT}
         )
     )
     if fit.method.polish:
         figure.add_trace(
             go.Scatter(
-                x=[fit.pooled_fitted.e2], y=[fit.pooled_fitted.einf], mode="markers", name="after least squares",
+                x=[fit.pooled_fitted.e2],
+                y=[fit.pooled_fitted.einf],
+                mode="markers",
+                name="after least squares",
                 marker={"size": 14, "symbol": "star", "color": MODELLED},
             )
         )
@@ -134,8 +136,13 @@ def parameters(fit: Fit) -> go.Figure:
             mode="markers",
             marker={"color": MODELLED, "size": 9},
             error_x={
-                "type": "data", "symmetric": False, "array": relative[:, 1] - 1, "arrayminus": 1 - relative[:, 0],
-                "color": MEASURED, "thickness": 2, "width": 6,
+                "type": "data",
+                "symmetric": False,
+                "array": relative[:, 1] - 1,
+                "arrayminus": 1 - relative[:, 0],
+                "color": MEASURED,
+                "thickness": 2,
+                "width": 6,
             },
             hovertext=[f"{e.value:.5g} {e.parameter.unit} [{e.lower:.5g}, {e.upper:.5g}]" for e in shown],
             hoverinfo="text",
@@ -153,7 +160,13 @@ def correlation(fit: Fit) -> go.Figure:
     names = [estimate.parameter.name for estimate in fit.estimates if not estimate.fixed]
     figure = go.Figure(
         go.Heatmap(
-            z=np.round(fit.correlation, 3), x=names, y=names, zmin=-1, zmax=1, colorscale="RdBu", hoverongaps=False,
+            z=np.round(fit.correlation, 3),
+            x=names,
+            y=names,
+            zmin=-1,
+            zmax=1,
+            colorscale="RdBu",
+            hoverongaps=False,
             colorbar={"title": "correlation", "thickness": 12},
         )
     )
@@ -191,6 +204,4 @@ def _rounded(series: Array, digits: int = 3) -> Array:
 
 def html(figure: go.Figure) -> str:
     """A figure as part of a page that carries Plotly itself."""
-    return str(
-        figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
-    )
+    return str(figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True}))

@@ -94,11 +94,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "current_A": fit.current,
             "values": {name: {"value": value, "unit": unit} for name, (value, unit) in fit.observables.items()},
         },
-        "objectives": {
-            "e2_N": fit.pooled_fitted.e2,
-            "einf_N": fit.pooled_fitted.einf,
-            "samples": fit.pooled_fitted.samples,
-        },
+        "objectives": {"e2_N": fit.pooled_fitted.e2, "einf_N": fit.pooled_fitted.einf, "samples": fit.pooled_fitted.samples},
         "pareto_front": [
             {
                 "e2_N": float(norms[0]),

@@ -431,7 +431,11 @@ def _results(model: DamperModel, theta: Array, recordings: Sequence[Recording]) 
 
 
 def _leave_one_out(
-    recordings: Sequence[Recording], model: str, method: Method, fronts: Sequence[Front], notes: Sequence[str],
+    recordings: Sequence[Recording],
+    model: str,
+    method: Method,
+    fronts: Sequence[Front],
+    notes: Sequence[str],
     step: Callable[[], None],
 ) -> tuple[tuple[RunResult, ...], list[str]]:
     """Each run judged by a fit to the others: what these alone can tell, from the candidate that suits them best.

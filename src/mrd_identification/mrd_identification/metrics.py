@@ -52,12 +52,4 @@ def metrics(measured: Array, modelled: Array) -> Metrics:
     # A force that never varies has no scale to compare with.
     nrmse = rmse / spread if spread > 0 else float("inf")
     vaf = 100 * (1 - float(np.var(error)) / spread**2) if spread > 0 else float("-inf")
-    return Metrics(
-        samples=len(error),
-        rmse=rmse,
-        nrmse=nrmse,
-        fit_percent=100 * (1 - nrmse),
-        vaf=vaf,
-        e2=e2,
-        einf=einf,
-    )
+    return Metrics(samples=len(error), rmse=rmse, nrmse=nrmse, fit_percent=100 * (1 - nrmse), vaf=vaf, e2=e2, einf=einf)

@@ -37,11 +37,7 @@ class Front:
 
 
 def search(
-    problem: Problem,
-    population: int,
-    generations: int,
-    seed: int,
-    progress: Callable[[int, float], None] | None = None,
+    problem: Problem, population: int, generations: int, seed: int, progress: Callable[[int, float], None] | None = None
 ) -> Front:
     """Search by NSGA-II (Deb et al., 2002) the parameters that variable projection does not give.
 

@@ -40,12 +40,7 @@ def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[
 
 
 def descend(
-    problem: Problem,
-    unit: Array,
-    moving: NDArray[np.intp],
-    max_evaluations: int,
-    tolerance: float = 1e-10,
-    renewal: int = 1,
+    problem: Problem, unit: Array, moving: NDArray[np.intp], max_evaluations: int, tolerance: float = 1e-10, renewal: int = 1
 ) -> tuple[Array, float]:
     """Point of the unit box where the objective is least over the coordinates ``moving``, near ``unit``, and its cost.
 

@@ -9,11 +9,7 @@ from plotly.offline import get_plotlyjs
 from mrd_identification import figures
 from mrd_identification.identify import Fit
 
-_HOW = {
-    "runs": "held-out runs",
-    "leave-one-run-out": "each run held out in turn",
-    "none": "the fitted run itself",
-}
+_HOW = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "the fitted run itself"}
 
 
 def sentence(fit: Fit) -> str:

@@ -25,7 +25,7 @@ from mrd_sim.simulate import write_csv
 
 SHIPPED = Path(__file__).parents[3] / "config" / "plant.yaml"
 
-OWN = '''
+OWN = """
 from numba import njit
 from mrd_sim.effects import Effect
 from mrd_sim.parameter import Parameter
@@ -40,7 +40,7 @@ EFFECT = Effect(
     parameters=(Parameter("rate", "N/m", 0.0, 0.0, 1e4, "rate"),), typical={"rate": 1e3},
     signature="-", confused_with=("gas_spring",), separated_by="-", kernel=kernel,
 )
-'''
+"""
 
 
 def diagnosed(model="bouc_wen", laws=None, effects=(), seed=0, **more):
@@ -56,8 +56,11 @@ def corrected(model, effects, verdict="explained", laws=None, **more):
     return found, theta, correction(verdict, model, found.laws, values, effects, **more)
 
 
-@given(model=st.sampled_from(list(MODELS)), effects=st.lists(st.sampled_from(list(EFFECTS)), max_size=3, unique=True),
-       law=st.sampled_from(["", "quadratic", "tanh"]))
+@given(
+    model=st.sampled_from(list(MODELS)),
+    effects=st.lists(st.sampled_from(list(EFFECTS)), max_size=3, unique=True),
+    law=st.sampled_from(["", "quadratic", "tanh"]),
+)
 @settings(max_examples=25, deadline=None)
 def test_the_written_simulator_is_the_diagnosed_one(tmp_path_factory, model, effects, law):
     found, theta, made = corrected(model, effects, laws=law)
@@ -195,6 +198,7 @@ def test_unusable_files_are_refused_in_one_line(tmp_path):
 
 def test_the_tool_from_report_to_simulation(recorded, tmp_path, monkeypatch, capsys):
     """diagnose, apply, simulate: what was recorded comes out again."""
+
     def called(tool, *arguments):
         monkeypatch.setattr("sys.argv", [tool.__name__, *map(str, arguments)])
         tool.main()

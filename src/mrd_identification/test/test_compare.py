@@ -59,8 +59,13 @@ def test_what_the_judges_cannot_tell_apart_is_on_par_and_the_simplest_is_named(f
 
 def test_an_entry_is_what_identify_gives(found):
     alone = identify(
-        [simulated("a", 1), simulated("b", 2)], "bingham", held_out=[simulated("c", 3)],
-        population=16, generations=8, seeds=1, profile=False,
+        [simulated("a", 1), simulated("b", 2)],
+        "bingham",
+        held_out=[simulated("c", 3)],
+        population=16,
+        generations=8,
+        seeds=1,
+        profile=False,
     )
     entry = next(entry for entry in found.entries if entry.name == "bingham")
     assert np.array_equal(entry.fit.theta, alone.theta)

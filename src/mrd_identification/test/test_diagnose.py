@@ -38,9 +38,17 @@ EXPERIMENTS = {
         coil: {waveform: constant, level_mA: 150}""",
 }
 DAMPER = {
-    "yield_force": 60.0, "yield_force_per_A": 800.0, "yield_travel": 1.5e-4, "viscous": 800.0, "viscous_per_A": 1500.0,
-    "stiffness": 1000.0, "offset": -40.0, "coil_lag": 0.0,
+    "yield_force": 60.0,
+    "yield_force_per_A": 800.0,
+    "yield_travel": 1.5e-4,
+    "viscous": 800.0,
+    "viscous_per_A": 1500.0,
+    "stiffness": 1000.0,
+    "offset": -40.0,
+    "coil_lag": 0.0,
 }
+
+
 def cut(run, first, last):
     """Part of a run, in s."""
     part = (run.time >= first) & (run.time <= last)
@@ -233,9 +241,12 @@ def test_where_hardly_more_than_noise_is_left_half_of_the_gap_is_enough(closes, 
     monkeypatch.setattr(diagnosing, "closed_between", lambda *_: Interval(closes, closes, closes))
     left_of = SimpleNamespace(level=1.0 + left, noises=np.full(8, 100.0 * (1.0 + left)))
     found = SimpleNamespace(
-        best=left_of, alone=SimpleNamespace(level=2.0), effects=("moving_mass",), form="",
+        best=left_of,
+        alone=SimpleNamespace(level=2.0),
+        effects=("moving_mass",),
+        form="",
         ground=SimpleNamespace(parts=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
-    )  # fmt: skip
+    )
     chances = {"moving_mass": {"moving_mass": 1.0}}
     assert diagnosing._verdict(found, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
 

@@ -39,7 +39,12 @@ def run():
 def fit(run):
     """A fit with other than the model's own current laws."""
     return identify(
-        [run], "bingham", laws={"yield_force": "tanh", "viscous": "quadratic"}, population=20, generations=3, seeds=1,
+        [run],
+        "bingham",
+        laws={"yield_force": "tanh", "viscous": "quadratic"},
+        population=20,
+        generations=3,
+        seeds=1,
         profile=False,
     )
 
@@ -68,8 +73,11 @@ def test_the_callable_goes_block_by_block(path, run):
 @needs_compiler
 def test_c_file(fit, path, run, tmp_path):
     export_damper(path, tmp_path / "damper.c", prefix="front")
-    subprocess.run(["cc", "-std=c99", "-Wall", "-Werror", "-fPIC", "-shared", "damper.c", "-o", "damper.so", "-lm"],
-                   cwd=tmp_path, check=True)
+    subprocess.run(
+        ["cc", "-std=c99", "-Wall", "-Werror", "-fPIC", "-shared", "damper.c", "-o", "damper.so", "-lm"],
+        cwd=tmp_path,
+        check=True,
+    )
     library = ctypes.CDLL(tmp_path / "damper.so")
     library.front_step.restype = ctypes.c_double
     library.front_step.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 5]

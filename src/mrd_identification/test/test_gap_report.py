@@ -112,13 +112,23 @@ def diagnosed(verdict, effect="channel_delay"):
     floor, first, last = (nrmse(recordings, part) for part in ([n.sigma for n in noises], before, after))
     closed = 1 - (last**2 - floor**2) / (first**2 - floor**2)
     candidates = [
-        Candidate((name,), last, about(max(closed - 0.11 * k, 0.02 * (5 - k)), 0.08), min(0.005 + 0.05 * k, 1.0), p,
-                  values(name, parameters) if name in chosen else {}, ("coil_lag",) if k == 0 else ())
-        for k, (name, p) in enumerate(zip(
-            (*(chosen or ("flow_asymmetry",)), *(n for n in EFFECTS if n not in chosen and n != "flow_asymmetry")),
-            (0.9, 0.06, 0.03, *(0.001,) * 30), strict=False,
-        ))
-    ]  # fmt: skip
+        Candidate(
+            (name,),
+            last,
+            about(max(closed - 0.11 * k, 0.02 * (5 - k)), 0.08),
+            min(0.005 + 0.05 * k, 1.0),
+            p,
+            values(name, parameters) if name in chosen else {},
+            ("coil_lag",) if k == 0 else (),
+        )
+        for k, (name, p) in enumerate(
+            zip(
+                (*(chosen or ("flow_asymmetry",)), *(n for n in EFFECTS if n not in chosen and n != "flow_asymmetry")),
+                (0.9, 0.06, 0.03, *(0.001,) * 30),
+                strict=False,
+            )
+        )
+    ]
     untestable = tuple(
         replace(candidate, remark=why, smallest=smallest, nrmse=float("nan"), closed=NAN, probability=float("nan"))
         for candidate, why, smallest in (
@@ -163,13 +173,17 @@ def diagnosed(verdict, effect="channel_delay"):
         untestable=untestable,
         advice=Advice(
             "Steps of the coil current while the rod moves at a constant speed: a lag of the current then shows alone.",
-            EXPERIMENT, (effect, "coil_lag"), 0.02,
-        ) if ambiguous else None,
+            EXPERIMENT,
+            (effect, "coil_lag"),
+            0.02,
+        )
+        if ambiguous
+        else None,
         parameters=parameters,
         effects=chosen,
         traces=traces,
         notes=("Three runs only: intervals rest on little.",),
-    )  # fmt: skip
+    )
     return replace(diagnosis, sentence=describe(diagnosis))
 
 
@@ -258,13 +272,15 @@ def test_sentences():
     doubtful = replace(ambiguous, alternatives=(), advice=None)
     assert re.fullmatch(
         r"The force channel is late by 12\.0 ± 0\.6 ms; adding this removes \d+ % of the explainable gap, "
-        r"but this is not certain \(\d+ %\)\.", describe(doubtful),
-    )  # fmt: skip
+        r"but this is not certain \(\d+ %\)\.",
+        describe(doubtful),
+    )
     unknown = diagnosed("unknown_effect").sentence
     assert re.fullmatch(
         r"Something that is not in the catalogue: \d+ % of the excess error lies at .*; "
-        r"it resembles lag of the force sensor, which would close \d+ % of the gap\.", unknown,
-    )  # fmt: skip
+        r"it resembles lag of the force sensor, which would close \d+ % of the gap\.",
+        unknown,
+    )
 
 
 def test_certain_causes_and_doubtful_ones_are_told_apart():
@@ -317,7 +333,7 @@ def test_an_effect_without_phrase_is_said_by_its_title(monkeypatch):
         (Interval(0.0, -20.0, 20.0), "N", "", "0 ± 20 N"),
         (float("nan"), "s", "", "–"),
     ],
-)  # fmt: skip
+)
 def test_numbers_are_written_as_a_person_writes_them(value, unit, style, words):
     assert human(value, unit, style) == words
 
@@ -392,10 +408,19 @@ def test_the_run_that_tells_most_is_shown_where_it_tells_most():
 def test_the_page_draws_in_a_browser_without_errors(verdict, tmp_path):
     page = write_gap_report(diagnosed(verdict), tmp_path)
     options = (
-        "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
-        "--disable-component-update", "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1100,2500",
-        "--enable-logging=stderr", "--virtual-time-budget=9000", "--dump-dom",
-    )  # fmt: skip
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--disable-sync",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--window-size=1100,2500",
+        "--enable-logging=stderr",
+        "--virtual-time-budget=9000",
+        "--dump-dom",
+    )
     done = subprocess.run([CHROMIUM, *options, page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
     assert "CONSOLE" not in done.stderr
     plots = done.stdout.count('class="plotly-graph-div')

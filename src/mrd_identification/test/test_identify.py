@@ -41,8 +41,15 @@ def simulated(model, values, *, seconds=6.0, seed=0, noise=0.0, current=None, na
 
 
 TRUTH = {
-    "yield_force": 70.0, "yield_force_per_A": 950.0, "yield_travel": 2e-4, "shape": 0.75, "viscous": 1100.0,
-    "viscous_per_A": 2200.0, "stiffness": 1800.0, "offset": -45.0, "coil_lag": 0.006,
+    "yield_force": 70.0,
+    "yield_force_per_A": 950.0,
+    "yield_travel": 2e-4,
+    "shape": 0.75,
+    "viscous": 1100.0,
+    "viscous_per_A": 2200.0,
+    "stiffness": 1800.0,
+    "offset": -45.0,
+    "coil_lag": 0.006,
 }
 
 
@@ -50,8 +57,7 @@ TRUTH = {
 def bouc_wen_fit():
     runs = [simulated("bouc_wen", TRUTH, seed=seed, noise=0.5) for seed in (1, 2)]
     return identify(
-        runs, "bouc_wen", held_out=[simulated("bouc_wen", TRUTH, seed=3, noise=0.5)],
-        population=40, generations=25, seed=4,
+        runs, "bouc_wen", held_out=[simulated("bouc_wen", TRUTH, seed=3, noise=0.5)], population=40, generations=25, seed=4
     )
 
 

@@ -11,15 +11,7 @@ from mrd_identification.gap.diagnose import _advice as next_advice
 from mrd_identification.gap.diagnosis import Advice
 from mrd_identification.gap.ground import Ground
 from mrd_identification.gap.library import library
-from mrd_identification.gap.next_experiment import (
-    ALLOWED_ERROR,
-    BENCH,
-    Foreseen,
-    Separation,
-    _Rival,
-    advise,
-    sensor,
-)
+from mrd_identification.gap.next_experiment import ALLOWED_ERROR, BENCH, Foreseen, Separation, _Rival, advise, sensor
 from mrd_identification.gap.noise import run_noise
 from mrd_identification.gap.refit import Refit, Scatter, refit
 from mrd_identification.problem import forces_in_turn, prepare
@@ -34,8 +26,14 @@ from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.sine import Sine
 
 BASE = {
-    "yield_force": 80.0, "yield_force_per_A": 900.0, "yield_travel": 1.25e-4, "viscous": 900.0, "viscous_per_A": 2500.0,
-    "stiffness": 1500.0, "offset": -45.0, "coil_lag": 0.0,
+    "yield_force": 80.0,
+    "yield_force_per_A": 900.0,
+    "yield_travel": 1.25e-4,
+    "viscous": 900.0,
+    "viscous_per_A": 2500.0,
+    "stiffness": 1500.0,
+    "offset": -45.0,
+    "coil_lag": 0.0,
 }
 
 

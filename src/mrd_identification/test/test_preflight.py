@@ -235,9 +235,7 @@ def test_a_clipped_force(good, name, steps):
 @pytest.mark.parametrize("scale", [1.0, 0.0])
 def test_a_clipped_position(good, scale):
     run = measured(simulated("sine"), scale=scale)
-    finding = the(
-        preflight(among(good, "sine", position=np.maximum(run.position, -6e-3))), "clipping", "sine", "position"
-    )
+    finding = the(preflight(among(good, "sine", position=np.maximum(run.position, -6e-3))), "clipping", "sine", "position")
     assert finding.severity == "fault"
     assert "lowest" in finding.text
 

@@ -128,8 +128,15 @@ def test_least_squares_agree_with_scipy_also_on_bounds(loss):
     problem = replace(pose(model, [prepare(run)])[0], loss=loss, loss_scale=30.0)
     theta, cost = polish(problem, model.defaults)
     reference = least_squares(
-        lambda unit: problem.residuals(problem.theta(unit)), problem.unit(model.defaults).clip(1e-4, 1 - 1e-4),
-        jac=problem.jacobian, bounds=(0.0, 1.0), x_scale="jac", loss=loss, f_scale=30.0, xtol=1e-12, ftol=1e-12,
+        lambda unit: problem.residuals(problem.theta(unit)),
+        problem.unit(model.defaults).clip(1e-4, 1 - 1e-4),
+        jac=problem.jacobian,
+        bounds=(0.0, 1.0),
+        x_scale="jac",
+        loss=loss,
+        f_scale=30.0,
+        xtol=1e-12,
+        ftol=1e-12,
     )
     assert theta[model.names.index("viscous")] == 0.0
     assert cost <= reference.cost * (1 + 1e-9)

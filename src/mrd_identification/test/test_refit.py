@@ -40,9 +40,7 @@ def run(seed, gain=0.0, offset=0.0, model=BASE, theta=THETA, rate=250.0, seconds
     current = np.concatenate([current, np.full(len(t) - len(current), current[-1])])
     found = Run(f"run{seed}", t, x, np.gradient(x, t), current, np.zeros_like(t))
     force = model.force(theta, path_of(found))
-    return Run(
-        found.name, t, x, found.velocity, current, (1 + gain) * force + offset + rng.normal(0, FORCE_NOISE, len(t))
-    )
+    return Run(found.name, t, x, found.velocity, current, (1 + gain) * force + offset + rng.normal(0, FORCE_NOISE, len(t)))
 
 
 def ground_of(runs, scatter=FIRST_SCATTER):
@@ -67,10 +65,7 @@ def alone(ground):
     return refit(problem, polish(problem, THETA)[0], ground.parts, noise)
 
 
-@given(
-    gain=st.floats(1e-4, 0.1), offset=st.floats(1e-3, 30.0), seed=st.integers(0, 2**32 - 1),
-    sigma=st.floats(0.1, 10.0),
-)  # fmt: skip
+@given(gain=st.floats(1e-4, 0.1), offset=st.floats(1e-3, 30.0), seed=st.integers(0, 2**32 - 1), sigma=st.floats(0.1, 10.0))
 def test_whitening_is_the_inverse_root_of_the_covariance(gain, offset, seed, sigma):
     rng = np.random.default_rng(seed)
     sigmas, force = sigma * rng.uniform(0.5, 2.0, 20), rng.normal(0, 200, 20)

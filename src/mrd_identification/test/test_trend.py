@@ -113,8 +113,13 @@ def test_derivatives_of_dates_are_exact():
     problem, _ = pose(find_model("bingham"), [prepare(run) for run in runs], offsets=True)
     count = len(problem.base)
     dated = DatedProblem(
-        problem.model, problem.recordings, (*problem.free[1:], count, count + 1, count + 2),
-        np.concatenate([problem.base, [100.0, 105.0, 120.0]]), True, followed=0, place=(0, 1, 1, 2),
+        problem.model,
+        problem.recordings,
+        (*problem.free[1:], count, count + 1, count + 2),
+        np.concatenate([problem.base, [100.0, 105.0, 120.0]]),
+        True,
+        followed=0,
+        place=(0, 1, 1, 2),
     )
     unit = dated.unit(dated.base)
     exact = dated.jacobian(unit)
@@ -246,10 +251,24 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
     assert called("--model", "bingham", "--effect", "ghost")[1].startswith("error: unknown effect ghost")
     assert called("--model", "bingham", "--parameter", "viscous", "--dates", "2024-01-01")[0] == 2
     done = subprocess.run(
-        ["ros2", "run", "mrd_identification", "trend", *paths, "--model", "bingham", "--parameter", "yield_force",
-         "--limit", "150", "--output", str(tmp_path / "out")],
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [
+            "ros2",
+            "run",
+            "mrd_identification",
+            "trend",
+            *paths,
+            "--model",
+            "bingham",
+            "--parameter",
+            "yield_force",
+            "--limit",
+            "150",
+            "--output",
+            str(tmp_path / "out"),
+        ],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("yield_force grows by ")
     assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["reached"]["label"] == "run 6"

@@ -60,9 +60,13 @@ def read_csv(path: str | Path) -> tuple[dict[str, Array], list[str], list[int]]:
     body = "\n".join(lines[number] for number in rows)
     indices = [header.index(name) for name in known]
     try:
-        table = np.loadtxt(
-            io.StringIO(body), delimiter=",", usecols=indices, ndmin=2, comments=None, quotechar='"', dtype=np.float64
-        ) if rows else np.empty((0, len(known)))
+        table = (
+            np.loadtxt(
+                io.StringIO(body), delimiter=",", usecols=indices, ndmin=2, comments=None, quotechar='"', dtype=np.float64
+            )
+            if rows
+            else np.empty((0, len(known)))
+        )
     except ValueError as error:
         raise _bad_cell(lines, rows, header, known, path) or InputError(
             f"{path}: cannot be read ({' '.join(str(error).split())})"

@@ -195,11 +195,7 @@ def assemble(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[str, An
         jitter = max(jitter, float(np.std(since[first:last] - numbers / rate)))
         within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         time.append(since[first] + (np.repeat(numbers, count) + within) / rate)
-    timing = {
-        "lost": int(missing[missing > 0].sum()),
-        "jitter_s": jitter,
-        "first_stamp_s": float(blocks.stamp[0] * 1e-9),
-    }
+    timing = {"lost": int(missing[missing > 0].sum()), "jitter_s": jitter, "first_stamp_s": float(blocks.stamp[0] * 1e-9)}
     return {"time_s": np.concatenate(time), **columns}, timing
 
 

@@ -40,9 +40,7 @@ def test_better_than_savitzky_golay_at_every_usual_window(rate: int, n: int, win
     measured = x + np.random.default_rng(2).normal(0, 5e-6, n)
     ours = rms(smooth_motion(t, measured).velocity - v)
     theirs = [
-        rms(savgol_filter(measured, window, order, deriv=1, delta=1 / rate) - v)
-        for window in windows
-        for order in (2, 3, 4)
+        rms(savgol_filter(measured, window, order, deriv=1, delta=1 / rate) - v) for window in windows for order in (2, 3, 4)
     ]
     assert ours < min(theirs)
 

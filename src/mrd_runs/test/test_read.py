@@ -124,7 +124,7 @@ def test_unknown_kind_of_file(tmp_path: Path) -> None:
         read_run(tmp_path / "run.pdf")
 
 
-CELLS = "time_s,position_m,current_A,force_N0123456789.e-\n\""
+CELLS = 'time_s,position_m,current_A,force_N0123456789.e-\n"'
 
 
 @settings(max_examples=200, deadline=None)

@@ -21,8 +21,29 @@ from mrd_sim import current, dual
 from mrd_sim.models import DamperModel
 
 _SAME_IN_C = (
-    "exp", "expm1", "log", "log1p", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
-    "asinh", "acosh", "atanh", "erf", "pow", "fabs", "hypot", "copysign",
+    "exp",
+    "expm1",
+    "log",
+    "log1p",
+    "sqrt",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "atan2",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "erf",
+    "pow",
+    "fabs",
+    "hypot",
+    "copysign",
 )
 _LIBRARY = {
     getattr(module, name): name
@@ -32,17 +53,52 @@ _LIBRARY = {
 } | {builtins.abs: "fabs", builtins.min: "fmin", builtins.max: "fmax"}
 
 _BINARY: dict[type[ast.operator], tuple[str, int]] = {
-    ast.Add: ("+", 6), ast.Sub: ("-", 6), ast.Mult: ("*", 7), ast.Div: ("/", 7), ast.FloorDiv: ("/", 7),
+    ast.Add: ("+", 6),
+    ast.Sub: ("-", 6),
+    ast.Mult: ("*", 7),
+    ast.Div: ("/", 7),
+    ast.FloorDiv: ("/", 7),
 }
 _COMPARISONS: dict[type[ast.cmpop], tuple[str, int]] = {
-    ast.Eq: ("==", 4), ast.NotEq: ("!=", 4), ast.Lt: ("<", 5), ast.LtE: ("<=", 5), ast.Gt: (">", 5), ast.GtE: (">=", 5),
+    ast.Eq: ("==", 4),
+    ast.NotEq: ("!=", 4),
+    ast.Lt: ("<", 5),
+    ast.LtE: ("<=", 5),
+    ast.Gt: (">", 5),
+    ast.GtE: (">=", 5),
 }
 
 # Keywords of C that are none of Python's, and a parameter that functions on arrays are given.
 _TAKEN = {
-    "auto", "case", "char", "const", "default", "do", "double", "enum", "extern", "float", "goto", "inline", "int", "long",
-    "register", "restrict", "return", "short", "signed", "sizeof", "static", "struct", "switch", "typedef", "union",
-    "unsigned", "void", "volatile", "vertices",
+    "auto",
+    "case",
+    "char",
+    "const",
+    "default",
+    "do",
+    "double",
+    "enum",
+    "extern",
+    "float",
+    "goto",
+    "inline",
+    "int",
+    "long",
+    "register",
+    "restrict",
+    "return",
+    "short",
+    "signed",
+    "sizeof",
+    "static",
+    "struct",
+    "switch",
+    "typedef",
+    "union",
+    "unsigned",
+    "void",
+    "volatile",
+    "vertices",
 }
 
 
@@ -263,7 +319,12 @@ class _Function:
     def _kind(self, arg: ast.arg) -> str:
         annotation = ast.unparse(arg.annotation) if arg.annotation else ""
         kinds = {
-            "float": "double", "Any": "double", "complex": "double", "int": "int", "bool": "int", "Array": "double *",
+            "float": "double",
+            "Any": "double",
+            "complex": "double",
+            "int": "int",
+            "bool": "int",
+            "Array": "double *",
             "NDArray[np.intp]": "int *",
         }
         if annotation not in kinds:

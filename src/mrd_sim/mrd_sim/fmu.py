@@ -27,7 +27,9 @@ INPUTS = {
 """Unit and meaning of the FMU's inputs; `fmi2.c` has the same order."""
 
 _PLATFORMS = {
-    ("Linux", "x86_64"): "linux64", ("Windows", "AMD64"): "win64", ("Darwin", "x86_64"): "darwin64",
+    ("Linux", "x86_64"): "linux64",
+    ("Windows", "AMD64"): "win64",
+    ("Darwin", "x86_64"): "darwin64",
     ("Darwin", "arm64"): "darwin64",
 }
 _SUFFIXES = {"Windows": ".dll", "Darwin": ".dylib"}
@@ -75,12 +77,21 @@ def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
 def model_description(model: DamperModel, values: Mapping[str, float], guid: str) -> bytes:
     """modelDescription.xml."""
     root = ElementTree.Element(
-        "fmiModelDescription", fmiVersion="2.0", modelName=model.id, guid=guid, generationTool="mrd_sim",
-        description=f"{model.title}: {model.equation}", variableNamingConvention="flat",
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=model.id,
+        guid=guid,
+        generationTool="mrd_sim",
+        description=f"{model.title}: {model.equation}",
+        variableNamingConvention="flat",
     )
     slave = ElementTree.SubElement(
-        root, "CoSimulation", modelIdentifier=model.id, canHandleVariableCommunicationStepSize="true",
-        canNotUseMemoryManagementFunctions="true", canGetAndSetFMUstate="true",
+        root,
+        "CoSimulation",
+        modelIdentifier=model.id,
+        canHandleVariableCommunicationStepSize="true",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="true",
     )
     ElementTree.SubElement(ElementTree.SubElement(slave, "SourceFiles"), "File", name="fmi2.c")
     units = ElementTree.SubElement(root, "UnitDefinitions")
@@ -94,15 +105,26 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
 
     def add(name: str, causality: str, variability: str, meaning: str, **real: str) -> None:
         variable = ElementTree.SubElement(
-            variables, "ScalarVariable", name=name, valueReference=str(len(variables)), causality=causality,
-            variability=variability, description=meaning,
+            variables,
+            "ScalarVariable",
+            name=name,
+            valueReference=str(len(variables)),
+            causality=causality,
+            variability=variability,
+            description=meaning,
         )
         ElementTree.SubElement(variable, "Real", {key: value for key, value in real.items() if value})
 
     for parameter, value in zip(model.parameters, model.vector(values), strict=True):
         add(
-            parameter.name, "parameter", "tunable", parameter.meaning, unit=parameter.unit, start=repr(float(value)),
-            min=repr(float(parameter.lower)), max=repr(float(parameter.upper)),
+            parameter.name,
+            "parameter",
+            "tunable",
+            parameter.meaning,
+            unit=parameter.unit,
+            start=repr(float(value)),
+            min=repr(float(parameter.lower)),
+            max=repr(float(parameter.upper)),
         )
     for name, (unit, meaning) in INPUTS.items():
         add(name, "input", "continuous", meaning, unit=unit, start="0")

@@ -69,8 +69,18 @@ def _elongation(stretches: Any, p: Any, before: Any, step: float, force: Any, x:
 
 @njit(_signatures(types.float64), cache=True, nogil=True)
 def in_series(
-    kernel: Any, stretches: Any, p: Array, stretched: Array, q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array,
-    force: Array, solved: Array,
+    kernel: Any,
+    stretches: Any,
+    p: Array,
+    stretched: Array,
+    q: Array,
+    state: Array,
+    dt: Array,
+    x: Array,
+    v: Array,
+    a: Array,
+    force: Array,
+    solved: Array,
 ) -> None:
     """Force of a damper with things in series.
 
@@ -162,8 +172,18 @@ def in_series(
 
 @njit(_signatures(types.complex128), cache=True, nogil=True)
 def derivatives_in_series(
-    kernel: Any, stretches: Any, p: Array, stretched: Array, q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array,
-    force: Array, solved: Array,
+    kernel: Any,
+    stretches: Any,
+    p: Array,
+    stretched: Array,
+    q: Array,
+    state: Array,
+    dt: Array,
+    x: Array,
+    v: Array,
+    a: Array,
+    force: Array,
+    solved: Array,
 ) -> None:
     """Derivative of that force to whatever the arguments carry one of, by the implicit function theorem.
 

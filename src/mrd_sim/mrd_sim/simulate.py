@@ -60,7 +60,13 @@ def simulate_run(run: Run, damper: Damper) -> Run:
     moved = motion(run)
     force = damper.model.force(damper.theta, path_of(run))
     return Run(
-        f"{run.name}_{damper.model.id}", run.time, moved.position, moved.velocity, run.current, force, moved.acceleration,
+        f"{run.name}_{damper.model.id}",
+        run.time,
+        moved.position,
+        moved.velocity,
+        run.current,
+        force,
+        moved.acceleration,
         info={"source": f"{damper.description} along {run.name}"},
     )
 
@@ -77,15 +83,18 @@ def simulate_plan(plan: Plan, damper: Damper) -> Run:
     path = make_path(time, at.position, at.velocity, at.acceleration, at.current)
     force = damper.model.force(damper.theta, path)
     return Run(
-        f"{plan.experiment.name}_{damper.model.id}", time[samples], at.position[samples], at.velocity[samples],
-        at.current[samples], force[samples], at.acceleration[samples],
+        f"{plan.experiment.name}_{damper.model.id}",
+        time[samples],
+        at.position[samples],
+        at.velocity[samples],
+        at.current[samples],
+        force[samples],
+        at.acceleration[samples],
         info={"source": f"{damper.description} along the setpoints of {plan.experiment.name}"},
     )
 
 
-def measure_plan(
-    plan: Plan, damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None
-) -> Run:
+def measure_plan(plan: Plan, damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None) -> Run:
     """A plan as a bench would have recorded it with a fresh damper; see `measure_plans`."""
     return measure_plans([plan], damper, rng, instruments=instruments)[0]
 

@@ -28,8 +28,15 @@ PUBLIC = {
     "drive": ("backlash", "servo_ripple", "lvdt_nonlinearity"),
     "magnetics": ("coil_lag", "magnetic_hysteresis", "current_saturation", "current_sensor_error"),
     "fluid": (
-        "gas_spring", "series_compliance", "cavitation", "flow_asymmetry", "shear_thinning", "rate_dependent_hysteresis",
-        "pre_yield_hysteresis", "thermal_fade", "settling",
+        "gas_spring",
+        "series_compliance",
+        "cavitation",
+        "flow_asymmetry",
+        "shear_thinning",
+        "rate_dependent_hysteresis",
+        "pre_yield_hysteresis",
+        "thermal_fade",
+        "settling",
     ),
     "structure": ("seal_friction", "side_load_friction", "end_stop", "joint_play", "moving_mass"),
     "sensing": ("force_sensor_lag", "channel_delay", "load_cell_drift", "load_cell_gain", "mains_hum", "channel_crosstalk"),
@@ -602,10 +609,7 @@ def test_force_sensor_lag_of_a_ramp():
 
 @settings(max_examples=25, deadline=None)
 @given(
-    delay=st.floats(0, 0.05),
-    rate=st.sampled_from([25.0, 500.0, 8000.0]),
-    seed=st.integers(0, 99),
-    size=st.integers(1, 3000),
+    delay=st.floats(0, 0.05), rate=st.sampled_from([25.0, 500.0, 8000.0]), seed=st.integers(0, 99), size=st.integers(1, 3000)
 )
 def test_channel_delay_is_a_shift_in_time(delay, rate, seed, size):
     """On unevenly spaced vertices, some of them at once, through a ring that is filled several times, block by block."""

@@ -14,7 +14,7 @@ from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.effects_page import _EXAMPLE, COMMAND, page
 from mrd_sim.models import find_model
 
-SERIES = '''
+SERIES = """
 from numba import njit
 from mrd_sim.effects import Effect
 from mrd_sim.parameter import Parameter
@@ -28,7 +28,7 @@ EFFECT = Effect(
     parameters=(Parameter("softness", "m/N", 0.0, 0.0, 1e-5, "softness"),), typical={"softness": 1e-6},
     signature="-", confused_with=("series_compliance",), separated_by="-", stretch=stretch,
 )
-'''
+"""
 
 
 @pytest.fixture(autouse=True)

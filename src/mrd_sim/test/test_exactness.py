@@ -41,9 +41,15 @@ def bouc_wen_constants(c):
     a = z0 / travel
     total = a / z0 ** c["exponent"]
     return {
-        "alpha": c["yield_force"] / z0, "A": a, "gamma": c["shape"] * total, "beta": (1 - c["shape"]) * total,
-        "n": c["exponent"], "c0": c["viscous"], "k0": c["stiffness"], "f0": c["offset"],
-    }  # fmt: skip
+        "alpha": c["yield_force"] / z0,
+        "A": a,
+        "gamma": c["shape"] * total,
+        "beta": (1 - c["shape"]) * total,
+        "n": c["exponent"],
+        "c0": c["viscous"],
+        "k0": c["stiffness"],
+        "f0": c["offset"],
+    }
 
 
 def z_rate(k, z, speed):
@@ -284,9 +290,17 @@ def test_order_of_convergence_on_a_smooth_stretch(model):
 
 
 SPENCER_1997 = {
-    "alpha": 14000 + 69500 * 1.5, "c0": 2100 + 350 * 1.5, "c1": 28300 + 295 * 1.5, "k0": 4690.0, "k1": 500.0,
-    "beta": 3.63e6, "gamma": 3.63e6, "A": 301.0, "n": 2.0, "f0": -500.0 * 0.143,
-}  # fmt: skip
+    "alpha": 14000 + 69500 * 1.5,
+    "c0": 2100 + 350 * 1.5,
+    "c1": 28300 + 295 * 1.5,
+    "k0": 4690.0,
+    "k1": 500.0,
+    "beta": 3.63e6,
+    "gamma": 3.63e6,
+    "A": 301.0,
+    "n": 2.0,
+    "f0": -500.0 * 0.143,
+}
 """The prototype of Spencer et al. (1997) at 1.5 V."""
 
 
@@ -296,20 +310,35 @@ def spencer_1997():
     z0 = (301.0 / 7.26e6) ** 0.5
     return model, model.vector(
         {
-            "yield_force": 14000 * z0, "yield_force_per_A": 69500 * z0, "yield_travel": z0 / 301, "yield_travel_per_A": 0.0,
-            "shape": 0.5, "exponent": 2.0, "viscous": 2100.0, "viscous_per_A": 350.0, "series_viscous": 28300.0,
-            "series_viscous_per_A": 295.0, "stiffness": 4690.0, "accumulator_stiffness": 500.0, "offset": -71.5,
+            "yield_force": 14000 * z0,
+            "yield_force_per_A": 69500 * z0,
+            "yield_travel": z0 / 301,
+            "yield_travel_per_A": 0.0,
+            "shape": 0.5,
+            "exponent": 2.0,
+            "viscous": 2100.0,
+            "viscous_per_A": 350.0,
+            "series_viscous": 28300.0,
+            "series_viscous_per_A": 295.0,
+            "stiffness": 4690.0,
+            "accumulator_stiffness": 500.0,
+            "offset": -71.5,
             "coil_lag": 0.0,
         }
-    )  # fmt: skip
+    )
 
 
 def spencer_reference(rod, time):
     book = TEXTBOOK["modified_bouc_wen"]
     solution = solve_ivp(
-        lambda t, y: spencer_rate(SPENCER_1997, *rod(t), y), (0.0, time[-1]), [0.0, 0.0], method="DOP853", t_eval=time,
-        rtol=1e-10, atol=1e-10 * np.array(book.scale(SPENCER_1997)),
-    )  # fmt: skip
+        lambda t, y: spencer_rate(SPENCER_1997, *rod(t), y),
+        (0.0, time[-1]),
+        [0.0, 0.0],
+        method="DOP853",
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-10 * np.array(book.scale(SPENCER_1997)),
+    )
     return spencer_force(SPENCER_1997, *rod(time), solution.y)
 
 

@@ -187,7 +187,9 @@ def test_archive_holds_its_sources_and_is_the_same_again(folders):
     assert content == fmu_archive(model, {})
     names = [PurePosixPath(name) for name in zipfile.ZipFile(io.BytesIO(content)).namelist()]
     assert {str(name) for name in names if name.parts[0] != "binaries"} == {
-        "modelDescription.xml", "sources/damper.c", "sources/fmi2.c",
+        "modelDescription.xml",
+        "sources/damper.c",
+        "sources/fmi2.c",
     }
     assert [name.stem for name in names if name.parts[0] == "binaries"] == ["bouc_wen"]
     library = Slave(folders["bouc_wen"], "bouc_wen").library

@@ -272,15 +272,14 @@ def test_damper_block_by_block():
 WRITTEN_OUT = {
     "linear_viscous": lambda q, x, v, a: q["c"] * v + q["f0"],
     "bingham": lambda q, x, v, a: q["f_c"] * np.tanh(v / q["v_e"]) + q["c0"] * v + q["f0"],
-    "biviscous": lambda q, x, v, a: np.where(
-        np.abs(v) < q["v_y"], (q["C_po"] + q["F_y"] / q["v_y"]) * v, q["C_po"] * v + q["F_y"] * np.sign(v)
-    ) + q["f0"],
+    "biviscous": lambda q, x, v, a: (
+        np.where(np.abs(v) < q["v_y"], (q["C_po"] + q["F_y"] / q["v_y"]) * v, q["C_po"] * v + q["F_y"] * np.sign(v))
+        + q["f0"]
+    ),
     "hyperbolic_tangent": lambda q, x, v, a: (
         q["alpha"] * np.tanh(q["beta"] * v + q["delta"] * np.sign(x)) + q["c"] * v + q["k"] * x + q["f0"]
     ),
-    "algebraic": lambda q, x, v, a: (
-        q["f_I"] * np.tanh(q["a1"] * v + q["a2"] * x) + q["b1"] * v + q["b2"] * x + q["f0"]
-    ),
+    "algebraic": lambda q, x, v, a: q["f_I"] * np.tanh(q["a1"] * v + q["a2"] * x) + q["b1"] * v + q["b2"] * x + q["f0"],
 }
 
 
@@ -405,7 +404,10 @@ def test_reversal_vertex_makes_the_hysteresis_independent_of_where_samples_fall(
         dense_force = model.force(
             theta,
             make_path(
-                dense, 0.01 * np.sin(w * dense), 0.01 * w * np.cos(w * dense), -0.01 * w**2 * np.sin(w * dense),
+                dense,
+                0.01 * np.sin(w * dense),
+                0.01 * w * np.cos(w * dense),
+                -0.01 * w**2 * np.sin(w * dense),
                 np.full(len(dense), 0.5),
             ),
         )
@@ -445,8 +447,14 @@ def test_modified_bouc_wen_converges_at_second_order():
 
 @settings(deadline=None)
 @given(
-    w=st.floats(-1, 1), travel=st.floats(-80, 80), middle=st.floats(-1e-3, 1e-3), dt=st.floats(1e-4, 0.04),
-    f_y=st.floats(0, 1500), sigma=st.floats(0.5, 1.5), n=st.sampled_from([1.0, 1.4, 2.0]), k0=st.floats(0, 1e4),
+    w=st.floats(-1, 1),
+    travel=st.floats(-80, 80),
+    middle=st.floats(-1e-3, 1e-3),
+    dt=st.floats(1e-4, 0.04),
+    f_y=st.floats(0, 1500),
+    sigma=st.floats(0.5, 1.5),
+    n=st.sampled_from([1.0, 1.4, 2.0]),
+    k0=st.floats(0, 1e4),
     c1=st.floats(1e3, 7e5),
 )
 @example(w=1.0, travel=7.416728749572749, middle=0.0, dt=0.04, f_y=150.0, sigma=0.6, n=1.4, k0=1e3, c1=1.696e5)

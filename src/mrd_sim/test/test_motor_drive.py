@@ -66,9 +66,7 @@ def test_commanded_position_is_the_trapezoid_at_every_sample():
     t2 = (target - speed * (t1 + t3) / 2) / speed
     end = t1 + t2 + t3
     expected = np.where(
-        t < t1,
-        up * t**2 / 2,
-        np.where(t < t1 + t2, speed * (t - t1 / 2), target - down * np.maximum(end - t, 0) ** 2 / 2),
+        t < t1, up * t**2 / 2, np.where(t < t1 + t2, speed * (t - t1 / 2), target - down * np.maximum(end - t, 0) ** 2 / 2)
     )
     np.testing.assert_allclose(commanded, expected, rtol=0, atol=1e-6)
     assert commanded[-1] == target

@@ -122,9 +122,10 @@ def test_a_damper_in_blocks_is_the_damper_in_one():
     plant.command_coil(2.0, 0.0)
     plant.motor.feed(b"PT=9000 G ", plant.time)
     blocks = run(plant, 2.0)
-    whole = PlantConfig().damper.build().advance(
-        1 / 8000,
-        *(joined(blocks, name) for name in ("position", "velocity", "acceleration", "current")),
+    whole = (
+        PlantConfig()
+        .damper.build()
+        .advance(1 / 8000, *(joined(blocks, name) for name in ("position", "velocity", "acceleration", "current")))
     )
     # Hysteretic state differs at first; after yield it does not.
     np.testing.assert_allclose(joined(blocks, "force")[8000:], whole[8000:], atol=1e-6)

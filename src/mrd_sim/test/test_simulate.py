@@ -28,8 +28,14 @@ coil: {waveform: constant, level_mA: 200.0}
 
 
 QUIET = Instruments(
-    position_noise=0.0, force_noise=0.0, current_noise=0.0, acceleration_noise=0.0, acceleration_gain=0.0,
-    acceleration_offset=0.0, run_gain=0.0, run_offset=0.0,
+    position_noise=0.0,
+    force_noise=0.0,
+    current_noise=0.0,
+    acceleration_noise=0.0,
+    acceleration_gain=0.0,
+    acceleration_offset=0.0,
+    run_gain=0.0,
+    run_offset=0.0,
 )
 
 
@@ -141,7 +147,8 @@ def test_a_measured_run_depends_on_the_seed_and_on_no_later_run():
 def test_effects_are_chosen_by_text():
     assert parse_effects(" ", "damper.effects") == {}
     assert parse_effects("{joint_play: {play: 3.0e-4}, settling: {}}", "--effects") == {
-        "joint_play": {"play": 3e-4}, "settling": {},
+        "joint_play": {"play": 3e-4},
+        "settling": {},
     }
     with pytest.raises(InputError, match=r"--effects: joint_play is 0\.1, expected its parameters"):
         parse_effects("joint_play: 0.1", "--effects")

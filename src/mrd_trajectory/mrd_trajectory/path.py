@@ -49,14 +49,7 @@ def hermite(times: Array, level: Array, rate: Array, curvature: Array) -> PPoly:
     da = (curvature[1:] - a) * h**2 / 2
     return PPoly(
         np.array(
-            [
-                (6 * dx - 3 * dv + da) / h**5,
-                (-15 * dx + 7 * dv - 2 * da) / h**4,
-                (10 * dx - 4 * dv + da) / h**3,
-                a / 2,
-                v,
-                x,
-            ]
+            [(6 * dx - 3 * dv + da) / h**5, (-15 * dx + 7 * dv - 2 * da) / h**4, (10 * dx - 4 * dv + da) / h**3, a / 2, v, x]
         ),
         times,
     )

@@ -15,18 +15,7 @@ from mrd_base.config import key_of
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
-from mrd_trajectory.path import (
-    REST,
-    State,
-    cut,
-    extremes,
-    from_jerk,
-    hermite,
-    joined,
-    largest,
-    resting,
-    state_at,
-)
+from mrd_trajectory.path import REST, State, cut, extremes, from_jerk, hermite, joined, largest, resting, state_at
 from mrd_trajectory.transition import TOLERANCE, corner, transition
 from mrd_trajectory.waveforms import UNITS, Corners, Holds, Samples, Shape, Smooth, Waveform
 from mrd_trajectory.waveforms.waveform import fields_in
@@ -285,9 +274,7 @@ def _rounded(shape: Corners, experiment: Experiment, limits: Limits) -> PPoly:
 
 def _transition(experiment: Experiment, start: State, end: State, limits: Limits, where: str) -> PPoly:
     """Way to or from the waveform: at half the pace that the limits allow, since no one is in a hurry, if that can be."""
-    gentle = dataclasses.replace(
-        limits, speed=limits.speed / 2, acceleration=limits.acceleration / 4, jerk=limits.jerk / 8
-    )
+    gentle = dataclasses.replace(limits, speed=limits.speed / 2, acceleration=limits.acceleration / 4, jerk=limits.jerk / 8)
     try:
         return transition(experiment.transition, start, end, gentle)
     except InputError:
@@ -375,9 +362,7 @@ def _at_force(limits: Limits, envelope: ForceEnvelope, current: float) -> Limits
     return dataclasses.replace(limits, speed=min(speed, limits.speed)) if speed > 0 else limits
 
 
-def _expected_force(
-    experiment: Experiment, body: PPoly, coil: PPoly, limits: Limits, envelope: ForceEnvelope
-) -> float:
+def _expected_force(experiment: Experiment, body: PPoly, coil: PPoly, limits: Limits, envelope: ForceEnvelope) -> float:
     """Largest force to expect in a pass, in N; refused when it exceeds the limit."""
     count = int(np.clip(1000 * experiment.duration, 1000, 200_000))
     times = np.unique(np.concatenate([np.linspace(0, experiment.duration, count), body.x, coil.x]))

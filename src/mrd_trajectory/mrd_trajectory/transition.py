@@ -145,11 +145,7 @@ def _cubic(duration: float, start: State, end: State) -> PPoly:
     # What a unit jerk in each piece adds to acceleration, velocity and position at the end.
     effect = np.array([-np.diff(remaining**n) / (1, 2, 6)[n - 1] for n in (1, 2, 3)])
     x, v, a = start
-    wanted = [
-        end.acceleration - a,
-        end.velocity - v - a * duration,
-        end.position - x - v * duration - a * duration**2 / 2,
-    ]
+    wanted = [end.acceleration - a, end.velocity - v - a * duration, end.position - x - v * duration - a * duration**2 / 2]
     # Rows of one scale: without it, short durations make the system look singular.
     scale = duration ** np.array([1.0, 2.0, 3.0])
     return from_jerk(start, list(pieces), list(np.linalg.solve(effect / scale[:, None], wanted / scale)))
@@ -180,9 +176,7 @@ def _linear(start: State, end: State, limits: Limits) -> PPoly:
     def cruising(speed: float, duration: float = 0.0) -> PPoly:
         times, jerks = _speed_change(first[1], speed, limits)
         more_times, more_jerks = _speed_change(speed, last[1], limits)
-        return from_jerk(
-            State(first[0], first[1]), [*times, duration, *more_times], [*jerks, 0.0, *more_jerks]
-        )
+        return from_jerk(State(first[0], first[1]), [*times, duration, *more_times], [*jerks, 0.0, *more_jerks])
 
     def travel(speed: float) -> float:
         path = cruising(speed)

@@ -318,9 +318,7 @@ def test_motions_without_time_are_refused(rod, message):
 
 def test_too_many_periods_are_refused_before_they_fill_the_memory():
     with pytest.raises(InputError, match="coil: 50 Hz for 1000 s are too many periods to plan; reduce duration_s and"):
-        planned(
-            coil={"waveform": "sine", "amplitude_mA": 10.0, "frequency_hz": 50.0, "offset_mA": 10.0}, duration_s=1000.0
-        )
+        planned(coil={"waveform": "sine", "amplitude_mA": 10.0, "frequency_hz": 50.0, "offset_mA": 10.0}, duration_s=1000.0)
 
 
 def test_a_negative_current_is_refused():

@@ -40,11 +40,7 @@ def test_rest_to_rest_is_minimal(kind, start, end):
     np.testing.assert_allclose(state_at(path, 0.0), [start, 0, 0], atol=1e-9)
     np.testing.assert_allclose(end_of(path), [end, 0, 0], atol=1e-7)
     assert_continuous(path)
-    used = [
-        largest(path, 1) / LIMITS.speed,
-        largest(path, 2) / LIMITS.acceleration,
-        largest(path, 3) / LIMITS.jerk,
-    ]
+    used = [largest(path, 1) / LIMITS.speed, largest(path, 2) / LIMITS.acceleration, largest(path, 3) / LIMITS.jerk]
     assert max(used) == pytest.approx(1, rel=1e-5)
 
 

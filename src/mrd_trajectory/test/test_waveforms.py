@@ -176,9 +176,7 @@ def test_corners_and_holds_are_where_they_are_said_to_be():
 
 @settings(deadline=None)
 @given(
-    slopes=st.lists(st.floats(1e-4, 0.2), min_size=1, max_size=8),
-    amplitude=st.floats(1e-3, 0.026),
-    hold=st.floats(0.1, 5),
+    slopes=st.lists(st.floats(1e-4, 0.2), min_size=1, max_size=8), amplitude=st.floats(1e-3, 0.026), hold=st.floats(0.1, 5)
 )
 def test_ladder_is_whole_triangles_of_each_slope_within_the_amplitude(slopes, amplitude, hold):
     shape = Ladder(tuple(slopes), amplitude, hold, 0.002).shape(2 * hold * len(slopes))

@@ -150,9 +150,7 @@ def _sine(_rng: np.random.Generator) -> Iterator[Entry]:
     yield "fresh_sine_200mA", 10.0, Sine(0.010, 1.2), Constant(0.2)
 
 
-SETS: Mapping[str, Callable[[np.random.Generator], Iterator[Entry]]] = {
-    "rich": _rich, "paper": _paper, "sine": _sine,
-}  # fmt: skip
+SETS: Mapping[str, Callable[[np.random.Generator], Iterator[Entry]]] = {"rich": _rich, "paper": _paper, "sine": _sine}
 
 
 def _levels(highest: float, seed: int) -> Aprbs:

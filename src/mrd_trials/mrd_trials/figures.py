@@ -21,12 +21,15 @@ def which(ranks: Sequence[Ranks]) -> go.Figure:
     figure = go.Figure(
         [
             go.Scatter(
-                x=[one.ranked.value for one in shown], y=names, mode="markers", name="first of the ranking",
+                x=[one.ranked.value for one in shown],
+                y=names,
+                mode="markers",
+                name="first of the ranking",
                 marker={"symbol": "line-ns", "size": 13, "line": {"width": 2.5, "color": MEASURED}},
             ),
             _points([one.named_group for one in shown], names, "one of the group named", ACCENT),
         ]
-    )  # fmt: skip
+    )
     return _shares(figure, len(shown))
 
 
@@ -61,11 +64,17 @@ def reliability(named: Calibration, first: Calibration) -> go.Figure:
         rates = [one.right for one in of.curve]
         figure.add_trace(
             go.Scatter(
-                x=[one.mean for one in of.curve], y=[rate.value for rate in rates], mode="lines+markers", name=name,
-                line={"color": colour, "width": 1}, marker={"size": 8, "color": colour}, error_y=_ends(rates, colour),
-                text=[f"{rate.hits} of {rate.of}" for rate in rates], hovertemplate="%{x:.2f}: %{y:.2f}, %{text}",
+                x=[one.mean for one in of.curve],
+                y=[rate.value for rate in rates],
+                mode="lines+markers",
+                name=name,
+                line={"color": colour, "width": 1},
+                marker={"size": 8, "color": colour},
+                error_y=_ends(rates, colour),
+                text=[f"{rate.hits} of {rate.of}" for rate in rates],
+                hovertemplate="%{x:.2f}: %{y:.2f}, %{text}",
             )
-        )  # fmt: skip
+        )
     figure.update_xaxes(title_text="probability given", range=[-0.02, 1.02])
     figure.update_yaxes(title_text="share that was so", range=[-0.02, 1.05])
     figure.update_layout(**LAYOUT, height=420)
@@ -78,13 +87,18 @@ def spreads(named: dict[str, Spread]) -> go.Figure:
     figure = go.Figure(
         [
             go.Box(
-                x=np.clip(spread.values, -0.1, 1.5), name=f"{name}<br><i>({len(spread.values)})</i>", boxpoints="all",
-                jitter=0.5, pointpos=0, marker={"color": ACCENT, "size": 4, "opacity": 0.5}, fillcolor="rgba(0,0,0,0)",
+                x=np.clip(spread.values, -0.1, 1.5),
+                name=f"{name}<br><i>({len(spread.values)})</i>",
+                boxpoints="all",
+                jitter=0.5,
+                pointpos=0,
+                marker={"color": ACCENT, "size": 4, "opacity": 0.5},
+                fillcolor="rgba(0,0,0,0)",
                 line={"color": "#52606d", "width": 1.4},
             )
             for name, spread in reversed(named.items())
         ]
-    )  # fmt: skip
+    )
     figure.update_xaxes(range=[-0.12, 1.52])
     figure.update_yaxes(automargin=True)
     figure.update_layout(**LAYOUT, height=90 + 90 * len(named), showlegend=False)
@@ -102,11 +116,21 @@ def confusion(counts: Counts) -> go.Figure:
         cells = np.where(mask & (table > 0), table, np.nan)
         figure.add_trace(
             go.Heatmap(
-                z=cells, x=counts.columns, y=counts.rows, colorscale=scale, zmin=0, zmax=max(float(table.max()), 1.0),
-                showscale=False, xgap=1, ygap=1, hoverongaps=False, hovertemplate="%{y} named %{x}: %{z}<extra></extra>",
-                text=np.where(np.isnan(cells), "", table.astype(int).astype(str)), texttemplate="%{text}",
+                z=cells,
+                x=counts.columns,
+                y=counts.rows,
+                colorscale=scale,
+                zmin=0,
+                zmax=max(float(table.max()), 1.0),
+                showscale=False,
+                xgap=1,
+                ygap=1,
+                hoverongaps=False,
+                hovertemplate="%{y} named %{x}: %{z}<extra></extra>",
+                text=np.where(np.isnan(cells), "", table.astype(int).astype(str)),
+                texttemplate="%{text}",
             )
-        )  # fmt: skip
+        )
     figure.update_xaxes(tickangle=-60, side="top", automargin=True, tickmode="array", tickvals=counts.columns)
     figure.update_yaxes(autorange="reversed", automargin=True, tickmode="array", tickvals=counts.rows)
     figure.update_layout(**LAYOUT, height=190 + 21 * len(counts.rows))
@@ -116,20 +140,29 @@ def confusion(counts: Counts) -> go.Figure:
 
 def _points(rates: Sequence[Rate], names: Sequence[str], name: str, colour: str) -> go.Scatter:
     return go.Scatter(
-        x=[rate.value if rate.of else None for rate in rates], y=list(names), mode="markers", name=name,
-        marker={"size": 9, "color": colour}, error_x=_ends(rates, colour),
-        text=[f"{rate.hits} of {rate.of}" for rate in rates], hovertemplate="%{x:.0%}, %{text}",
-    )  # fmt: skip
+        x=[rate.value if rate.of else None for rate in rates],
+        y=list(names),
+        mode="markers",
+        name=name,
+        marker={"size": 9, "color": colour},
+        error_x=_ends(rates, colour),
+        text=[f"{rate.hits} of {rate.of}" for rate in rates],
+        hovertemplate="%{x:.0%}, %{text}",
+    )
 
 
 def _ends(rates: Sequence[Rate], colour: str) -> dict[str, object]:
     """Error bars over the 95 % intervals."""
     known = [rate if rate.of else None for rate in rates]
     return {
-        "type": "data", "symmetric": False, "color": colour, "thickness": 1.4, "width": 4,
+        "type": "data",
+        "symmetric": False,
+        "color": colour,
+        "thickness": 1.4,
+        "width": 4,
         "array": [rate.upper - rate.value if rate else None for rate in known],
         "arrayminus": [rate.value - rate.lower if rate else None for rate in known],
-    }  # fmt: skip
+    }
 
 
 def _shares(figure: go.Figure, rows: int) -> go.Figure:

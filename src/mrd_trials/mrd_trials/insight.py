@@ -71,9 +71,7 @@ def insights(
 
     def work(plants: Sequence[str]) -> Iterator[Insight]:
         return every(
-            insight,
-            [(folder, trial.recipe, orders[p], judged[p], answers[p], submissions[p]) for p in plants],
-            workers,
+            insight, [(folder, trial.recipe, orders[p], judged[p], answers[p], submissions[p]) for p in plants], workers
         )
 
     return completed(Insight, output / INSIGHTS, list(judged), work, progress)
@@ -112,9 +110,7 @@ def insight(folder: Path, recipe: Recipe, order: Order, exhibit: Exhibit, answer
         safe = library(read_settings(None))
         lot = safe[int(np.random.default_rng([*order.seed, 7]).integers(len(safe)))]
         found = replace(
-            found,
-            advised=_resolved(session, answer, runs, _plan(said.advice)),
-            random=_resolved(session, answer, runs, lot),
+            found, advised=_resolved(session, answer, runs, _plan(said.advice)), random=_resolved(session, answer, runs, lot)
         )
     return found
 

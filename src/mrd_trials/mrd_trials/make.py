@@ -333,8 +333,21 @@ def make_plant(order: Order, recorded: str = "") -> tuple[Answer, list[tuple[str
     causes = tuple(name for name in effects if EFFECTS[name].in_catalogue)
     sizes = {key: value for name in causes for key, value in EFFECTS[name].sizes(effects[name]).items()}
     answer = Answer(
-        order.plant, order.kind, MODEL, order.base, order.base != FORM, dict(session.plant.parameters), effects, causes,
-        sizes, signal, _stratum(signal), order.tier.excitation, session.instruments.rate, order.seed[1], salt(),
+        order.plant,
+        order.kind,
+        MODEL,
+        order.base,
+        order.base != FORM,
+        dict(session.plant.parameters),
+        effects,
+        causes,
+        sizes,
+        signal,
+        _stratum(signal),
+        order.tier.excitation,
+        session.instruments.rate,
+        order.seed[1],
+        salt(),
     )
     return answer, list(zip(session.names, session.record(effects), strict=True))
 

@@ -257,11 +257,7 @@ class Score:
     failures: Mapping[str, str]
 
 
-def score(
-    answers: Mapping[str, Answer],
-    submissions: Mapping[str, Submission],
-    insights: Mapping[str, Insight],
-) -> Score:
+def score(answers: Mapping[str, Answer], submissions: Mapping[str, Submission], insights: Mapping[str, Insight]) -> Score:
     """Score what was said of plants against what they are.
 
     Parameters
@@ -284,9 +280,7 @@ def score(
             raise InputError(f"plant {plant}: {len(answer.causes)} causes do not fit its kind, {answer.kind}")
     cases = [
         Case(
-            answer,
-            submissions.get(plant, Submission(plant, "failed", "no submission")),
-            insights.get(plant, Insight(plant)),
+            answer, submissions.get(plant, Submission(plant, "failed", "no submission")), insights.get(plant, Insight(plant))
         )
         for plant, answer in answers.items()
     ]

@@ -34,12 +34,10 @@ def content(score: Score) -> dict[str, Any]:
         + (f"; on {len(score.failures)} the diagnosis failed." if score.failures else "."),
         "goals": [_BADGES[verdict(goal)] for goal in score.goals],
         "tables": {table.title: table for table in tabulate(score)},
-        "which": [
-            (name, html(figures.which([ranks for ranks in score.which if ranks.by == name]))) for name in by
-        ],
+        "which": [(name, html(figures.which([ranks for ranks in score.which if ranks.by == name]))) for name in by],
         "baselines": html(figures.baselines(score.baselines)),
         "reliability": html(figures.reliability(rich.calibration, rich.calibration_first)),
         "spreads": html(figures.spreads(shown)) if shown else "",
         "coverage": html(figures.coverage(dict(rich.coverage_of))) if rich.coverage_of else "",
         "confusion": html(figures.confusion(score.confusion)) if score.confusion.rows else "",
-    }  # fmt: skip
+    }

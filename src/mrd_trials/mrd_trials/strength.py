@@ -71,9 +71,7 @@ class Yardstick:
         return float(np.mean(left**2) / self.floor**2)
 
 
-def strength_for(
-    target: float, measured: Callable[[float], float], most: float, trials: int = 8
-) -> tuple[float, float]:
+def strength_for(target: float, measured: Callable[[float], float], most: float, trials: int = 8) -> tuple[float, float]:
     """Strength, at most ``most``, at which the signal to floor comes within a quarter of a target; and that signal.
 
     A signal grows about with the square of its cause: a secant on logarithmic scales. Beyond a threshold, like that of a

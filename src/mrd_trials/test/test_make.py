@@ -23,7 +23,10 @@ def test_every_kind_has_its_share_and_every_effect_its_turn():
     orders, left_out = plan_trial(Recipe(1, {"rich@500": 200, "sine@500": 20}))
     assert left_out == []
     assert Counter(order.kind for order in orders if order.tier.excitation == "rich") == {
-        "null": 50, "single": 80, "pair": 30, "absent": 40,
+        "null": 50,
+        "single": 80,
+        "pair": 30,
+        "absent": 40,
     }
     assert len({order.plant for order in orders}) == 220
     known = {name for name, effect in EFFECTS.items() if effect.in_catalogue}

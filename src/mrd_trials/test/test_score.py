@@ -24,17 +24,28 @@ NOWHERE = (NAN, NAN, NAN)
 def answer(plant, kind, *causes, **changed):
     """A rich plant of the fitted form whose effects are well above the floor."""
     plain = Answer(
-        plant, kind, "bouc_wen", "bouc_wen", False, {}, {cause: {} for cause in causes}, causes, {},
-        0.0 if kind == "null" else 20.0, "" if kind == "null" else ">10", "rich", 500.0, 0, "00",
-    )  # fmt: skip
+        plant,
+        kind,
+        "bouc_wen",
+        "bouc_wen",
+        False,
+        {},
+        {cause: {} for cause in causes},
+        causes,
+        {},
+        0.0 if kind == "null" else 20.0,
+        "" if kind == "null" else ">10",
+        "rich",
+        500.0,
+        0,
+        "00",
+    )
     return replace(plain, **changed)
 
 
 def said(plant, verdict, *causes, candidates=(), **changed):
     """A submission; causes and candidates as (effect, probability, ...)."""
-    return Submission(
-        plant, verdict, causes=tuple(map(named, causes)), candidates=tuple(map(named, candidates)), **changed
-    )  # fmt: skip
+    return Submission(plant, verdict, causes=tuple(map(named, causes)), candidates=tuple(map(named, candidates)), **changed)
 
 
 def named(found):
@@ -75,7 +86,7 @@ def test_naming_and_ranking_are_told_apart():
             said("p2", "unknown_effect", candidates=[("backlash", 0.5), ("coil_lag", 0.2)]),
             said("p3", "unknown_effect", candidates=[("a", 0.5), ("b", 0.2), ("c", 0.1), ("backlash", 0.1)]),
         ],
-    ).parts["rich"]  # fmt: skip
+    ).parts["rich"]
     assert rich.detectable.named == Rate(1, 5)
     assert rich.detectable.ranked == Rate(2, 5)
     assert rich.detectable.ranked_three == Rate(3, 5)
@@ -157,10 +168,13 @@ def test_pairs():
         if count
     }
     assert cells == {
-        ("backlash, of a pair", "backlash"): 2, ("backlash, of a pair", "joint_play"): 1,
-        ("backlash, of a pair", "unknown_effect"): 1, ("coil_lag, of a pair", "coil_lag"): 2,
-        ("coil_lag, of a pair", "not named"): 1, ("coil_lag, of a pair", "unknown_effect"): 1,
-    }  # fmt: skip
+        ("backlash, of a pair", "backlash"): 2,
+        ("backlash, of a pair", "joint_play"): 1,
+        ("backlash, of a pair", "unknown_effect"): 1,
+        ("coil_lag, of a pair", "coil_lag"): 2,
+        ("coil_lag, of a pair", "not named"): 1,
+        ("coil_lag, of a pair", "unknown_effect"): 1,
+    }
 
 
 def test_one_name_does_not_stand_for_both_of_a_pair():
@@ -219,10 +233,7 @@ def test_baselines_stand_beside_the_diagnosis():
     plants += [answer("unasked", "single", "gas_spring")]
     found = judged(
         plants,
-        [
-            said("a", "explained", ("backlash", 0.9)),
-            *(said(plant, "no_gap") for plant in ("b", "n", "m", "unasked")),
-        ],
+        [said("a", "explained", ("backlash", 0.9)), *(said(plant, "no_gap") for plant in ("b", "n", "m", "unasked"))],
         [
             Insight("a", rankings={"bic": ("coil_lag", "x", "backlash"), "score": ("backlash",)}),
             Insight("b", rankings={"bic": ("", "coil_lag"), "score": ()}),
@@ -265,7 +276,7 @@ def test_claims_are_causes_and_else_the_first_candidate():
             said("b", "unknown_effect", candidates=[("backlash", 0.7), ("coil_lag", 0.3)]),
             said("n", "no_gap", candidates=[("coil_lag", NAN)]),
         ],
-    ).parts["rich"]  # fmt: skip
+    ).parts["rich"]
     assert rich.calibration.count == 2
     assert rich.calibration.brier == pytest.approx((0.1**2 + 0.8**2) / 2)
     assert rich.calibration_first.count == 3
@@ -286,7 +297,7 @@ def test_intervals_count_where_the_cause_is_right_and_has_one():
             said(name, "explained", ("backlash", 0.9, own), ("joint_play", 0.9, {"joint_play.width": (1.0, 0.0, 2.0)}))
             for name, own in zip("abc", sizes, strict=True)
         ],
-    ).parts["rich"]  # fmt: skip
+    ).parts["rich"]
     assert found.coverage == Rate(1, 2)
     assert found.coverage_of == {"backlash": Rate(1, 2)}
 
@@ -345,17 +356,21 @@ def test_experiments_are_counted_in_pairs():
 
 def test_sets_left_open():
     plants = [answer(f"p{k}", "single", "backlash", excitation="sine") for k in range(7)]
-    sets = judged(
-        plants,
-        [
-            said("p0", "ambiguous", ("joint_play", 0.6, {}, ("backlash",))),
-            said("p1", "ambiguous", ("joint_play", 0.6), candidates=[("joint_play", 0.6), ("backlash", 0.06)]),
-            said("p2", "ambiguous", ("joint_play", 0.6), candidates=[("joint_play", 0.6), ("backlash", 0.04)]),
-            said("p3", "no_gap", untestable=("backlash", "coil_lag")),
-            said("p4", "unknown_effect"),
-            said("p6", "explained", ("joint_play", 1.0), candidates=[("backlash", 0.0, {}, ("joint_play",))]),
-        ],
-    ).parts["sine"].sets  # fmt: skip
+    sets = (
+        judged(
+            plants,
+            [
+                said("p0", "ambiguous", ("joint_play", 0.6, {}, ("backlash",))),
+                said("p1", "ambiguous", ("joint_play", 0.6), candidates=[("joint_play", 0.6), ("backlash", 0.06)]),
+                said("p2", "ambiguous", ("joint_play", 0.6), candidates=[("joint_play", 0.6), ("backlash", 0.04)]),
+                said("p3", "no_gap", untestable=("backlash", "coil_lag")),
+                said("p4", "unknown_effect"),
+                said("p6", "explained", ("joint_play", 1.0), candidates=[("backlash", 0.0, {}, ("joint_play",))]),
+            ],
+        )
+        .parts["sine"]
+        .sets
+    )
     assert sets.holds == Rate(5, 7)
     assert sets.holds_it == Rate(4, 7)
     assert sets.named_wrong == Rate(3, 7)  # p0 says itself that it may be the backlash
@@ -388,13 +403,18 @@ def trial(seed=3, right=0.9, plants=120):
         signal = 0.0 if kind == "null" else float(np.exp(random.uniform(0, 4)))
         answers.append(
             answer(
-                name, kind, *causes, perturbed=kind == "null" and bool(place % 2), signal_to_floor=signal,
-                excitation="sine" if place % 6 == 5 else "rich", rate=25.0 if place % 3 == 0 else 500.0,
+                name,
+                kind,
+                *causes,
+                perturbed=kind == "null" and bool(place % 2),
+                signal_to_floor=signal,
+                excitation="sine" if place % 6 == 5 else "rich",
+                rate=25.0 if place % 3 == 0 else 500.0,
                 stratum="" if kind == "null" else "1-3" if signal < 3 else "3-10" if signal < 10 else ">10",
                 effects={cause: {} for cause in causes or (() if kind == "null" else ("strange",))},
                 sizes={f"{cause}.size": 1.0 for cause in causes},
             )
-        )  # fmt: skip
+        )
         told = causes if random.random() < right else tuple(map(str, random.choice(effects, 1)))
         verdict = "explained" if told else {"null": "no_gap", "absent": "unknown_effect"}[kind]
         shares = random.dirichlet(np.ones(6))
@@ -405,10 +425,16 @@ def trial(seed=3, right=0.9, plants=120):
         if place != 7:
             submissions.append(
                 Submission(
-                    name, verdict, "", found, (*found, named((str(random.choice(effects)), 0.1))), closed=(0.93, 0.9, 0.97),
-                    where=tuple(bins("velocity", *shares)), elapsed=float(random.gamma(9.0)),
+                    name,
+                    verdict,
+                    "",
+                    found,
+                    (*found, named((str(random.choice(effects)), 0.1))),
+                    closed=(0.93, 0.9, 0.97),
+                    where=tuple(bins("velocity", *shares)),
+                    elapsed=float(random.gamma(9.0)),
                 )
-            )  # fmt: skip
+            )
         blurred = tuple(bins("velocity", *(shares + random.dirichlet(np.ones(6)))))
         tried = (bool(random.random() < 0.7), bool(random.random() < 0.3)) if place % 9 == 0 else (None, None)
         rankings = {method: tuple(map(str, random.permutation(effects))) for method in ("bic", "random")}

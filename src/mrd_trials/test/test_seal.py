@@ -7,23 +7,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
-from mrd_trials.records import (
-    Answer,
-    Bin,
-    Insight,
-    Named,
-    Submission,
-    add_record,
-    from_json,
-    read_records,
-    to_json,
-)
+from mrd_trials.records import Answer, Bin, Insight, Named, Submission, add_record, from_json, read_records, to_json
 from mrd_trials.seal import commitment, salt, unseal
 
 ANSWER = Answer(
-    "p0001", "single", "bouc_wen", "bouc_wen", False, {"viscous": 800.0}, {"coil_lag": {"lag": 0.02}}, ("coil_lag",),
-    {"coil_lag.lag": 0.02}, 5.0, "3-10", "rich", 500.0, 1, "00" * 16,
-)  # fmt: skip
+    "p0001",
+    "single",
+    "bouc_wen",
+    "bouc_wen",
+    False,
+    {"viscous": 800.0},
+    {"coil_lag": {"lag": 0.02}},
+    ("coil_lag",),
+    {"coil_lag.lag": 0.02},
+    5.0,
+    "3-10",
+    "rich",
+    500.0,
+    1,
+    "00" * 16,
+)
 
 numbers = st.floats(allow_nan=False)
 ends = st.tuples(numbers, numbers, numbers)
@@ -31,13 +34,35 @@ names = st.text(min_size=1, max_size=8)
 named = st.builds(Named, st.tuples(names), numbers, ends, st.dictionaries(names, ends), st.tuples(names))
 bins = st.builds(Bin, names, numbers, numbers, numbers)
 submissions = st.builds(
-    Submission, names, names, names, st.tuples(named), st.tuples(named, named), st.tuples(names), st.tuples(names), numbers,
-    numbers, numbers, ends, st.tuples(bins), names, st.dictionaries(names, numbers), st.tuples(names), numbers,
-)  # fmt: skip
+    Submission,
+    names,
+    names,
+    names,
+    st.tuples(named),
+    st.tuples(named, named),
+    st.tuples(names),
+    st.tuples(names),
+    numbers,
+    numbers,
+    numbers,
+    ends,
+    st.tuples(bins),
+    names,
+    st.dictionaries(names, numbers),
+    st.tuples(names),
+    numbers,
+)
 insights = st.builds(
-    Insight, names, numbers, st.tuples(bins), numbers, st.dictionaries(names, st.tuples(names)),
-    st.dictionaries(names, st.tuples(names, names)), st.booleans(), st.none(),
-)  # fmt: skip
+    Insight,
+    names,
+    numbers,
+    st.tuples(bins),
+    numbers,
+    st.dictionaries(names, st.tuples(names)),
+    st.dictionaries(names, st.tuples(names, names)),
+    st.booleans(),
+    st.none(),
+)
 
 
 @given(st.one_of(submissions, insights, st.just(ANSWER)))

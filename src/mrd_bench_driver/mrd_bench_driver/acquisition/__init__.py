@@ -8,10 +8,7 @@ from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, Volt
 from mrd_bench_driver.acquisition.ni_usb_6216 import NiUsb6216
 from mrd_bench_driver.acquisition.simulated import Simulated
 
-BACKENDS: dict[str, Callable[[Wiring, BenchClock], Backend]] = {
-    "simulated": Simulated,
-    "ni_usb_6216": NiUsb6216,
-}
+BACKENDS: dict[str, Callable[[Wiring, BenchClock], Backend]] = {"simulated": Simulated, "ni_usb_6216": NiUsb6216}
 
 
 def make_backend(name: str, wiring: Wiring, clock: BenchClock) -> Backend:

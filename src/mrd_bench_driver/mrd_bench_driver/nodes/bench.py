@@ -190,9 +190,7 @@ def _work(arguments: argparse.Namespace) -> None:
     for bag in bags:
         if bag.exists():
             raise InputError(f"{bag}: exists already; choose another --output, nothing recorded is overwritten")
-    parts = bench_parts(
-        arguments.bench, plant, logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed
-    )
+    parts = bench_parts(arguments.bench, plant, logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed)
     signals = _Signals()
     try:
         with BenchProcesses(parts, logs) as processes:

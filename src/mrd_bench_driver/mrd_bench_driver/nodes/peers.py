@@ -15,18 +15,9 @@ from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
 # Service and type by the node that offers it.
 _SERVICES: dict[str, dict[str, Any]] = {
-    "servo": {
-        "servo/enable": SetBool,
-        "servo/home": Trigger,
-        "servo/stop": Trigger,
-        "servo/reset_fault": Trigger,
-    },
+    "servo": {"servo/enable": SetBool, "servo/home": Trigger, "servo/stop": Trigger, "servo/reset_fault": Trigger},
     "daq": {"daq/tare": Trigger, "daq/reset_fault": Trigger, "daq/set_parameters": SetParameters},
-    "generator": {
-        "load_experiment": LoadExperiment,
-        "start_experiment": Trigger,
-        "abort_experiment": Trigger,
-    },
+    "generator": {"load_experiment": LoadExperiment, "start_experiment": Trigger, "abort_experiment": Trigger},
     "recorder": {"start_recording": StartRecording, "stop_recording": StopRecording},
 }
 
@@ -78,9 +69,7 @@ class Peers:
         if not client.service_is_ready():
             raise RefusedError(f"{owner} is gone: no service {service}")
 
-    def call(
-        self, service: str, request: Any, timeout: float, interrupted: Callable[[], None] = lambda: None
-    ) -> Any:
+    def call(self, service: str, request: Any, timeout: float, interrupted: Callable[[], None] = lambda: None) -> Any:
         """Response of a service, after ``timeout`` wall seconds at most.
 
         ``interrupted`` may end the wait early by raising. `RefusedError` when no answer came.

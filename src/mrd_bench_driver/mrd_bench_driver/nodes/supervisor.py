@@ -121,12 +121,7 @@ class Supervisor(BenchNode[SupervisorConfig]):
             self._orders.create_service(kind, name, _served(work), callback_group=group)
         self._actions = [
             ActionServer(
-                self._orders,
-                kind,
-                name,
-                work,
-                callback_group=group,
-                cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+                self._orders, kind, name, work, callback_group=group, cancel_callback=lambda _goal: CancelResponse.ACCEPT
             )
             for name, kind, work in (
                 ("run_experiment", RunExperiment, self._run_experiment),

@@ -29,7 +29,9 @@ def work() -> None:
     )
     add_run_arguments(parser)
     parser.add_argument(
-        "--models", default=",".join(MODELS), metavar="ID[:LAW],...",
+        "--models",
+        default=",".join(MODELS),
+        metavar="ID[:LAW],...",
         help="models, each with a current law if wanted (default: all)",
     )
     add_method_arguments(parser, one_model=False)
@@ -48,8 +50,7 @@ def work() -> None:
             bar.update(int(100 * share) - bar.n)
 
         found = compare(
-            runs, models, held_out=held_out, method=how, profile=False,
-            scheduler=arguments.scheduler, progress=progress,
+            runs, models, held_out=held_out, method=how, profile=False, scheduler=arguments.scheduler, progress=progress
         )
     page = write_comparison(found, arguments.output)
     Console().print(table(found))
@@ -66,8 +67,11 @@ def table(found: Comparison) -> Table:
     for entry in found.entries:
         behind = "on par" if entry.on_par else f"{entry.behind_lower:.3f} to {entry.behind_upper:.3f}"
         ranking.add_row(
-            entry.name, str(entry.free), f"{entry.nrmse:.4f} ({entry.lower:.3f} to {entry.upper:.3f})",
+            entry.name,
+            str(entry.free),
+            f"{entry.nrmse:.4f} ({entry.lower:.3f} to {entry.upper:.3f})",
             "the best" if entry is found.entries[0] else behind,
-            f"{entry.fit.pooled_fitted.nrmse:.4f}", f"{entry.fit.elapsed:.0f}",
+            f"{entry.fit.pooled_fitted.nrmse:.4f}",
+            f"{entry.fit.elapsed:.0f}",
         )
     return ranking

@@ -65,8 +65,14 @@ def work() -> None:
             bar.update(int(100 * fraction) - bar.n)
 
         found = diagnose(
-            runs, arguments.model, held_out=held_out, parameters=parameters, laws=laws or None, effects=effects,
-            seed=arguments.seed, progress=progress,
+            runs,
+            arguments.model,
+            held_out=held_out,
+            parameters=parameters,
+            laws=laws or None,
+            effects=effects,
+            seed=arguments.seed,
+            progress=progress,
         )
     page = write_gap_report(found, folder)
     print(found.sentence)
@@ -91,8 +97,12 @@ def table(found: Diagnosis) -> Table:
     ranking.add_column("remark")
     for candidate in found.candidates[:MOST_ROWS]:
         ranking.add_row(
-            escape(" + ".join(candidate.effects)), share(candidate.probability), share(candidate.closed),
-            f"{candidate.nrmse:.4f}", f"{candidate.p_value:.3f}", escape(_remark(candidate)),
+            escape(" + ".join(candidate.effects)),
+            share(candidate.probability),
+            share(candidate.closed),
+            f"{candidate.nrmse:.4f}",
+            f"{candidate.p_value:.3f}",
+            escape(_remark(candidate)),
         )
     return ranking
 

@@ -20,21 +20,30 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True) -> None:
     """How to identify; what only makes sense for ``one_model`` may be left out."""
     parser.add_argument(
-        "--law", default="", metavar="LAW|COEFFICIENT=LAW,...",
+        "--law",
+        default="",
+        metavar="LAW|COEFFICIENT=LAW,...",
         help=f"current law of all coefficients that depend on current, or of each: {', '.join(LAWS)}",
     )
     parser.add_argument(
-        "--effect", action="append", default=[], metavar="EFFECT",
+        "--effect",
+        action="append",
+        default=[],
+        metavar="EFFECT",
         help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated",
     )
     add_effects_folder(parser)
     parser.add_argument("--offsets", action="store_true", help="let each fitted run have a force offset of its own")
     parser.add_argument(
-        "--weights", choices=("samples", "runs", "force"), default=_DEFAULT.weights,
+        "--weights",
+        choices=("samples", "runs", "force"),
+        default=_DEFAULT.weights,
         help="what counts alike: samples, whole runs, or errors relative to a run's force (default %(default)s)",
     )
     parser.add_argument(
-        "--loss", choices=("linear", "soft_l1", "huber"), default=_DEFAULT.loss,
+        "--loss",
+        choices=("linear", "soft_l1", "huber"),
+        default=_DEFAULT.loss,
         help="of the residuals: linear, or robust against outliers (default %(default)s)",
     )
     parser.add_argument("--population", type=int, default=_DEFAULT.population, help="of NSGA-II (default %(default)s)")
@@ -50,7 +59,9 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
             "--fix", action="append", metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
         )
         parser.add_argument(
-            "--free", action="append", metavar="PARAMETER",
+            "--free",
+            action="append",
+            metavar="PARAMETER",
             help="search a parameter that usually keeps its default; may be repeated",
         )
         parser.add_argument("--no-polish", action="store_true", help="keep the knee of the front as it is")

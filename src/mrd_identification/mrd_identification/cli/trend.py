@@ -99,6 +99,9 @@ def _start(arguments: argparse.Namespace) -> dict[str, Any]:
     if laws:
         raise InputError(f"--law {arguments.law}: {source} has current laws of its own; leave it out")
     return {
-        "model": stored.model, "follow": follow, "laws": stored.laws, "effects": stored.effects,
+        "model": stored.model,
+        "follow": follow,
+        "laws": stored.laws,
+        "effects": stored.effects,
         "parameters": stored.values,
     }

@@ -94,8 +94,7 @@ def contest(
     singles = sorted((trial for trial in trials if len(trial.effects) == 1), key=lambda trial: trial.refit.total)
     others = [trial.effects[0] for trial in singles if trial.effects[0] not in without][:MOST_RIVALS]
     rivals = {
-        effect: {effect: chain[-1], "": fitted} | _in_its_place(ground, fitted, others)
-        for effect, fitted in without.items()
+        effect: {effect: chain[-1], "": fitted} | _in_its_place(ground, fitted, others) for effect, fitted in without.items()
     }
     return Contest(ground, anew(ground, alone), tuple(chain), tuple(without), rivals)
 

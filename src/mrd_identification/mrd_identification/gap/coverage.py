@@ -87,15 +87,15 @@ def foreseen(
     )
     recordings = [replace(other, counted=one.counted) for one, other in zip(noisy, still, strict=True)]
     ground = Ground(
-        recordings, run_noise(noisy, model, theta, rng), Scatter(instruments.run_gain, instruments.run_offset),
+        recordings,
+        run_noise(noisy, model, theta, rng),
+        Scatter(instruments.run_gain, instruments.run_offset),
         {"coil_lag": float(theta[model.names.index("coil_lag")])},
     )
     return ground, Foundation.of(ground, refit(ground.problem(model, theta), theta, ground.parts))
 
 
-def coverage(
-    ground: Ground, foundation: Foundation, effects: Sequence[str], needed: float | None = None
-) -> list[Coverage]:
+def coverage(ground: Ground, foundation: Foundation, effects: Sequence[str], needed: float | None = None) -> list[Coverage]:
     """Smallest sizes of effects that recordings would show beside a model, and what each run contributes.
 
     An effect shows when what it changes of the white residual, less what the model's own parameters can imitate, has so much

@@ -25,15 +25,7 @@ from mrd_identification.gap.preflight import preflight
 from mrd_identification.gap.preflight.excitation import one_speed
 from mrd_identification.gap.refit import Refit, own_error, refit
 from mrd_identification.gap.where import where
-from mrd_identification.gap.which import (
-    LEAST_GAIN,
-    NO_GAP,
-    Foundation,
-    Trial,
-    may_be_left,
-    search,
-    showing,
-)
+from mrd_identification.gap.which import LEAST_GAIN, NO_GAP, Foundation, Trial, may_be_left, search, showing
 from mrd_identification.gap.words import describe, human
 from mrd_identification.problem import Recording, current_levels, in_threads, pose, prepare
 from mrd_runs import Run
@@ -118,12 +110,32 @@ def diagnose(
     findings = preflight([*runs, *held_out], base)
     nothing = Interval(np.nan)
     diagnosis = Diagnosis(
-        model=base, verdict="data_fault", sentence="",
+        model=base,
+        verdict="data_fault",
+        sentence="",
         held_out_by="runs" if held_out else "leave-one-run-out" if len(runs) > 1 else "blocks",
-        seed=seed, elapsed=0.0, findings=findings, unfitted=None,
-        floor=nothing, before=nothing, after=nothing, closed=nothing, ceiling=np.nan,
-        extrapolated=None, where=(), causes=(), alternatives=(), nearest=None, candidates=(), untestable=(), advice=None,
-        runs=tuple(runs), held_out=tuple(held_out), parameters={}, effects=(), traces=(),
+        seed=seed,
+        elapsed=0.0,
+        findings=findings,
+        unfitted=None,
+        floor=nothing,
+        before=nothing,
+        after=nothing,
+        closed=nothing,
+        ceiling=np.nan,
+        extrapolated=None,
+        where=(),
+        causes=(),
+        alternatives=(),
+        nearest=None,
+        candidates=(),
+        untestable=(),
+        advice=None,
+        runs=tuple(runs),
+        held_out=tuple(held_out),
+        parameters={},
+        effects=(),
+        traces=(),
     )
     if not any(finding.severity == "fault" for finding in findings):
         recordings = in_threads(prepare, [*runs, *held_out])
@@ -167,7 +179,10 @@ def _explain(diagnosis: Diagnosis, asked: _Asked, rng: np.random.Generator, prog
     silent = _silent(asked)
     progress("trying effects", 0.15)
     chosen, trials = search(
-        ground, alone, [effect for effect in asked.candidates if effect not in silent], noise,
+        ground,
+        alone,
+        [effect for effect in asked.candidates if effect not in silent],
+        noise,
         lambda share: progress("trying effects", 0.15 + 0.6 * share),
     )
     progress("judging", 0.75)
@@ -407,9 +422,7 @@ def _forms(found: Contest, tried: Mapping[str, Refit], rng: np.random.Generator)
     variance = _variance(found.ground)
     ranked = sorted(tried.items(), key=lambda item: item[1].total)
     return tuple(
-        Candidate(
-            (name,), _nrmse(fitted, variance), closed_between(found.alone, fitted, found, rng), np.nan, np.nan, {}
-        )
+        Candidate((name,), _nrmse(fitted, variance), closed_between(found.alone, fitted, found, rng), np.nan, np.nan, {})
         for name, fitted in ranked
     )
 

@@ -50,11 +50,13 @@ def regions(diagnosis: Diagnosis) -> go.Figure:
     figure = go.Figure(_bars(names, [region.share for region in shown], [MODELLED] * len(shown)))
     figure.add_trace(
         go.Scatter(
-            x=[_share(region.share.value / region.lift) if region.lift > 0 else None for region in shown], y=names,
-            mode="markers", name="share of the samples there",
+            x=[_share(region.share.value / region.lift) if region.lift > 0 else None for region in shown],
+            y=names,
+            mode="markers",
+            name="share of the samples there",
             marker={"symbol": "line-ns", "size": 16, "line": {"width": 2.5, "color": "#1f2933"}},
         )
-    )  # fmt: skip
+    )
     figure.update_xaxes(title_text="share of the excess error", tickformat=".0%", range=[0, 1.02], nticks=6)
     figure.update_layout(showlegend=True)
     return _rows(figure, len(shown), top=36)
@@ -103,16 +105,24 @@ def errors(trace: Trace, second: str) -> go.Figure:
     time, band = _rounded(run.time[shown], 4), 2 * _on_run(trace, trace.noise.sigma)[shown]
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.78, 0.22], vertical_spacing=0.05)
     figure.add_trace(
-        go.Scatter(
-            x=time, y=_rounded(-band), line={"width": 0}, hoverinfo="skip", showlegend=False, legendgroup="band",
-        ), 1, 1,
-    )  # fmt: skip
+        go.Scatter(x=time, y=_rounded(-band), line={"width": 0}, hoverinfo="skip", showlegend=False, legendgroup="band"),
+        1,
+        1,
+    )
     figure.add_trace(
         go.Scatter(
-            x=time, y=_rounded(band), fill="tonexty", fillcolor="rgba(97, 110, 124, 0.22)", line={"width": 0},
-            hoverinfo="skip", name="noise, ± 2 σ", legendgroup="band",
-        ), 1, 1,
-    )  # fmt: skip
+            x=time,
+            y=_rounded(band),
+            fill="tonexty",
+            fillcolor="rgba(97, 110, 124, 0.22)",
+            line={"width": 0},
+            hoverinfo="skip",
+            name="noise, ± 2 σ",
+            legendgroup="band",
+        ),
+        1,
+        1,
+    )
     named = [("refitted", trace.before, MODELLED, 1.2)]
     if second:
         named.append((second, trace.after, ACCENT, 1.4))
@@ -141,14 +151,22 @@ def candidates(diagnosis: Diagnosis) -> go.Figure:
     figure = go.Figure(_bars(names, [candidate.closed for candidate in shown], colours))
     for name, candidate in zip(names, shown, strict=True):
         figure.add_annotation(
-            x=1.0, xref="paper", xanchor="right", y=name, showarrow=False, bgcolor="rgba(255, 255, 255, 0.75)",
-            text=f"<b>{_probability(candidate.probability)}</b>", font={"size": 12},
-        )  # fmt: skip
+            x=1.0,
+            xref="paper",
+            xanchor="right",
+            y=name,
+            showarrow=False,
+            bgcolor="rgba(255, 255, 255, 0.75)",
+            text=f"<b>{_probability(candidate.probability)}</b>",
+            font={"size": 12},
+        )
     lowest = min([0.0, *(c.closed.lower - 0.03 for c in shown if c.closed.lower < 0)])
     figure.update_xaxes(
-        title_text="share of the gap it closes", tickformat=".0%", range=[max(lowest, -0.3), 1.33],
+        title_text="share of the gap it closes",
+        tickformat=".0%",
+        range=[max(lowest, -0.3), 1.33],
         tickvals=[0, 0.25, 0.5, 0.75, 1],
-    )  # fmt: skip
+    )
     return _rows(figure, len(shown), top=28, title="probability")
 
 
@@ -202,9 +220,12 @@ def _map_figure(before: Map, after: Map, second: str, noise: float) -> go.Figure
     spectrum = before.unit != "N"
     low, high = (noise if spectrum else 0.0), max(float(np.nanquantile(before.values, 0.995)), 4 * noise, 1e-9)
     figure = make_subplots(
-        rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=0.09,
+        rows=len(shown),
+        cols=1,
+        shared_xaxes=True,
+        vertical_spacing=0.09,
         subplot_titles=["refitted", second] if second else [],
-    )  # fmt: skip
+    )
     for row, drawn in enumerate(shown, 1):
         x, x_title = _milli(drawn.x_edges, drawn.x)
         y, y_title = _milli(drawn.y_edges, drawn.y)
@@ -212,10 +233,16 @@ def _map_figure(before: Map, after: Map, second: str, noise: float) -> go.Figure
         z = np.log10(np.maximum(drawn.values, low or 1e-9)) if spectrum else drawn.values
         figure.add_trace(
             go.Heatmap(
-                x=_rounded(x), y=_rounded(y), z=_rounded(z), customdata=_rounded(drawn.values), coloraxis="coloraxis",
+                x=_rounded(x),
+                y=_rounded(y),
+                z=_rounded(z),
+                customdata=_rounded(drawn.values),
+                coloraxis="coloraxis",
                 hovertemplate=hover,
-            ), row, 1,
-        )  # fmt: skip
+            ),
+            row,
+            1,
+        )
         figure.update_yaxes(title_text=y_title, row=row, col=1)
     figure.update_xaxes(title_text=x_title, row=len(shown), col=1)
     bar: dict[str, Any] = {"thickness": 10, "title": {"text": before.unit, "side": "top"}, "xpad": 4, "outlinewidth": 0}
@@ -234,14 +261,23 @@ def _map_figure(before: Map, after: Map, second: str, noise: float) -> go.Figure
 def _bars(names: Sequence[str], values: Sequence[Interval], colours: Sequence[str]) -> go.Bar:
     """Horizontal bars with 95 % intervals."""
     return go.Bar(
-        x=[_share(value.value) for value in values], y=list(names), orientation="h", marker={"color": list(colours)},
-        showlegend=False, width=0.62, hovertemplate="%{x:.3g}<extra></extra>",
+        x=[_share(value.value) for value in values],
+        y=list(names),
+        orientation="h",
+        marker={"color": list(colours)},
+        showlegend=False,
+        width=0.62,
+        hovertemplate="%{x:.3g}<extra></extra>",
         error_x={
-            "type": "data", "symmetric": False, "color": "#52606d", "thickness": 1.4, "width": 4,
+            "type": "data",
+            "symmetric": False,
+            "color": "#52606d",
+            "thickness": 1.4,
+            "width": 4,
             "array": [_share(value.upper - value.value) for value in values],
             "arrayminus": [_share(value.value - value.lower) for value in values],
         },
-    )  # fmt: skip
+    )
 
 
 def _label(figure: go.Figure, rows: Sequence[tuple[Interval, str]], longest: float) -> None:
@@ -259,16 +295,21 @@ def _rows(figure: go.Figure, count: int, top: int = 10, title: str = "") -> go.F
     figure.update_layout(margin={"t": top, "l": 10, "r": 14, "b": 50}, legend_y=1.0, bargap=0.3)
     if title:
         figure.add_annotation(
-            x=1.0, xref="paper", xanchor="right", y=1.0, yref="paper", yanchor="bottom", text=title, showarrow=False,
+            x=1.0,
+            xref="paper",
+            xanchor="right",
+            y=1.0,
+            yref="paper",
+            yanchor="bottom",
+            text=title,
+            showarrow=False,
             font={"size": 12, "color": "#616e7c"},
-        )  # fmt: skip
+        )
     return figure
 
 
 def _line(x: Array, y: Array, name: str, colour: str, width: float) -> go.Scatter:
-    return go.Scatter(
-        x=_rounded(x), y=_rounded(y), mode="lines", name=name, line={"color": colour, "width": width}
-    )
+    return go.Scatter(x=_rounded(x), y=_rounded(y), mode="lines", name=name, line={"color": colour, "width": width})
 
 
 def _reach(value: Interval) -> float:

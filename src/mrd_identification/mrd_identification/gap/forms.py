@@ -14,8 +14,14 @@ from mrd_sim.models import MODELS, DamperModel, find_model
 Array = NDArray[np.float64]
 
 OTHERS = (
-    "hyperbolic_tangent", "algebraic", "sigmoid", "bouc_wen", "modified_bouc_wen", "shear_thinning_bouc_wen",
-    "modified_dahl", "modified_lugre",
+    "hyperbolic_tangent",
+    "algebraic",
+    "sigmoid",
+    "bouc_wen",
+    "modified_bouc_wen",
+    "shear_thinning_bouc_wen",
+    "modified_dahl",
+    "modified_lugre",
 )
 """Models with a loop of different shape."""
 

@@ -178,9 +178,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
 
 
 def _parameters(values: Mapping[str, Value]) -> dict[str, Any]:
-    return {
-        name: {**_interval(value.value), "unit": value.unit, "remark": value.remark} for name, value in values.items()
-    }
+    return {name: {**_interval(value.value), "unit": value.unit, "remark": value.remark} for name, value in values.items()}
 
 
 def _interval(interval: Interval) -> dict[str, Any]:

@@ -137,9 +137,7 @@ def growth(times: Array, values: Array, covariance: Array, seed: int = 0) -> Gro
     onward[1] = 1.0
     if change is not None and change.kind == "bend":
         onward[2] = 1.0
-    return Growth(
-        times, fitted.interval(onward), fitted.scatter, change, p_change, fitted.coefficients, fitted.covariance
-    )
+    return Growth(times, fitted.interval(onward), fitted.scatter, change, p_change, fitted.coefficients, fitted.covariance)
 
 
 @dataclass(frozen=True)

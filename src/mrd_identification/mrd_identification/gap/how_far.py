@@ -76,11 +76,15 @@ def how_far(found: Contest, unseen: Sequence[Recording], rng: np.random.Generato
     counted = tuple(held or traces)
     before, after, floor, samples, draws = _units(counted, rng)
     variance = float(np.var(np.concatenate([trace.recording.force for trace in counted])))
-    further = [trace for trace in held if trace.extrapolates] if held else [
-        replace(traces[run], before=alone.others[run], after=best.others[run])
-        for run, respect in enumerate(beyond)
-        if respect
-    ]
+    further = (
+        [trace for trace in held if trace.extrapolates]
+        if held
+        else [
+            replace(traces[run], before=alone.others[run], after=best.others[run])
+            for run, respect in enumerate(beyond)
+            if respect
+        ]
+    )
     extrapolated = None
     if further and found.effects:
         b, a, f, _, d = _units(further, rng)
@@ -195,9 +199,7 @@ def _trace(
 ) -> Trace:
     recording = problem.recordings[run]
     gain, offset = problem.whitenings[run].own @ (recording.force - problem.modelled(theta, run))
-    return Trace(
-        recording, noise, before, after, float(offset), float(gain), extrapolates=beyond, in_parts=in_parts
-    )
+    return Trace(recording, noise, before, after, float(offset), float(gain), extrapolates=beyond, in_parts=in_parts)
 
 
 def _held_out(found: Contest, unseen: Sequence[Recording], rng: np.random.Generator) -> list[Trace]:

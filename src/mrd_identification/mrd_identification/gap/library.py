@@ -60,14 +60,19 @@ def _candidates() -> Iterator[tuple[str, str, Waveform, Waveform]]:
     yield "fast_steps", "fast steps of current at constant 50 mm/s", triangle, Prbs(0.0, 0.45, 0.016, 10, 5)
     loops = (0, 0.2, 0.4, 0.5, 0.4, 0.2, 0, 0.2, 0.4, 0.2, 0.3, 0.2, 0.4, 0.5, 0.3, 0.1, 0.3, 0.1, 0, 0.5)
     yield (
-        "current_loops", "nested loops of the current at constant 30 mm/s", Triangle(24 * _MM, 0.03), Staircase(loops, 0.3)
+        "current_loops",
+        "nested loops of the current at constant 30 mm/s",
+        Triangle(24 * _MM, 0.03),
+        Staircase(loops, 0.3),
     )
     ladder = Ladder((0.15, 0.05, 0.015, 0.005), 18 * _MM, 1.0)
     yield "speed_ladder", "triangles of 5 to 150 mm/s at three currents", ladder, Staircase((0.0, 0.12, 0.24), 4.0)
     slow = Ladder((0.0003, 0.001, 0.003, 0.01), 2 * _MM, 1.5)
     for end, side in (("inner", -1), ("outer", 1)):
         yield (
-            f"slow_reversals_{end}", f"triangles of 0.3 to 10 mm/s near the {end} end", replace(slow, offset=side * 0.0238),
+            f"slow_reversals_{end}",
+            f"triangles of 0.3 to 10 mm/s near the {end} end",
+            replace(slow, offset=side * 0.0238),
             Staircase((0.0, 0.1), 6.0),
         )
     whole = Sine(25.8 * _MM, 1 / 6)
@@ -96,9 +101,15 @@ def library(bench: GeneratorSettings) -> tuple[Plan, ...]:
     experiments = [
         Experiment(name, SECONDS, RATE, rod, coil, description=description) for name, description, rod, coil in _candidates()
     ]
-    warm = Experiment("long_and_warm", SECONDS, RATE, _multisine(12, 8, 9), _at(240), repeats=3, description=(
-        "the same fast motion for half a minute at constant current: warmth and settling"
-    ))
+    warm = Experiment(
+        "long_and_warm",
+        SECONDS,
+        RATE,
+        _multisine(12, 8, 9),
+        _at(240),
+        repeats=3,
+        description=("the same fast motion for half a minute at constant current: warmth and settling"),
+    )
     fitted = (within(experiment, bench) for experiment in (*experiments, warm))
     return tuple(planned for planned in fitted if planned is not None)
 

@@ -224,16 +224,16 @@ class Foreseen:
     without: "_Rival | None" = None
 
     @classmethod
-    def of(
-        cls, rivals: Mapping[str, Refit], ground: Ground, rng: np.random.Generator, without: Refit | None = None
-    ) -> Self:
+    def of(cls, rivals: Mapping[str, Refit], ground: Ground, rng: np.random.Generator, without: Refit | None = None) -> Self:
         """With errors as they were in the runs so far."""
         runs = [ground.recordings[place].run for place in rng.integers(0, len(ground.recordings), DRAWS)]
         drawn = [np.stack([run.time - run.time[0], *(series[0] for series in motion_errors(run, rng, 1))]) for run in runs]
         of_force = float(np.mean([noise.force**2 for noise in ground.noises]))
         return cls(
             {name: _Rival.of(refit, ground.fixed) for name, refit in rivals.items()},
-            ground, float(np.hypot(np.sqrt(of_force), ground.missing)), tuple(drawn),
+            ground,
+            float(np.hypot(np.sqrt(of_force), ground.missing)),
+            tuple(drawn),
             _Rival.of(without, ground.fixed) if without else None,
         )
 
@@ -303,8 +303,13 @@ class Foreseen:
         # As in `Ground.problem`.
         scatter = Scatter(self.ground.scatter.gain / np.sqrt(together), self.ground.scatter.offset / np.sqrt(together))
         problem = _Afterwards(
-            old.model, (imagined,), old.free, old.base,
-            whitenings=(whitening(sigma, imagined.force, scatter),), sigmas=(sigma,), rival=rival,
+            old.model,
+            (imagined,),
+            old.free,
+            old.base,
+            whitenings=(whitening(sigma, imagined.force, scatter),),
+            sigmas=(sigma,),
+            rival=rival,
         )
         _, cost = descend(problem, rival.unit, np.arange(len(old.free)), EVALUATIONS, 1e-3, renewal=EVALUATIONS)
         return 2.0 * cost / together

@@ -222,8 +222,10 @@ def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> 
         moved = np.where(told, unit, neutral)
         chosen = np.flatnonzero(told)
         step = bounded_step(
-            rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]), (slope - pull)[chosen],
-            -unit[chosen], 1.0 - unit[chosen],
+            rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]),
+            (slope - pull)[chosen],
+            -unit[chosen],
+            1.0 - unit[chosen],
         )
         moved[chosen] = unit[chosen] + step
         found[index] = np.clip(moved, 0.0, 1.0)

@@ -88,9 +88,7 @@ def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
         if near and diagnosis.verdict == "unknown_effect"
         else [],
         "forms": [(f.effects[0], share(f.closed), f"{f.nrmse:.4f}") for f in diagnosis.forms],
-        "remarks": [
-            (candidate_name(candidate), candidate.remark) for candidate in diagnosis.candidates if candidate.remark
-        ],
+        "remarks": [(candidate_name(candidate), candidate.remark) for candidate in diagnosis.candidates if candidate.remark],
         "alternatives": [
             (name_of(a.effect), name_of(a.instead_of), share(a.probability), a.why) for a in diagnosis.alternatives
         ],

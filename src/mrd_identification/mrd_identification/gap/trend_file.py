@@ -42,13 +42,16 @@ def to_json(found: Trend) -> dict[str, Any]:
         "scatter": grown.scatter,
         "change_point": {
             "p_value": finite(grown.p_change),
-            "found": change and {
+            "found": change
+            and {
                 "kind": change.kind,
                 "between": [calendar.labels[change.before], calendar.labels[change.after]],
                 "size": {**_interval(change.size), "unit": parameter.unit if change.kind == "step" else per},
             },
         },
-        "limit": None if found.limit is None else {
+        "limit": None
+        if found.limit is None
+        else {
             "value": found.limit,
             "reached": found.reached and {**_interval(found.reached), "label": calendar.label(found.reached.value)},
         },
@@ -59,7 +62,7 @@ def to_json(found: Trend) -> dict[str, Any]:
         "elapsed_s": round(found.elapsed, 3),
         "notes": list(found.notes),
         "versions": versions(),
-    }  # fmt: skip
+    }
 
 
 def write_trend(found: Trend, folder: str | Path) -> Path:
@@ -91,8 +94,13 @@ def picture(found: Trend) -> go.Figure:
     middle, lower, upper = grown.line(fine)
     figure = go.Figure(
         go.Scatter(
-            x=_axis(found, np.concatenate([fine, fine[::-1]])), y=np.concatenate([upper, lower[::-1]]), fill="toself",
-            fillcolor="rgba(209,73,91,0.15)", line={"width": 0}, hoverinfo="skip", name="95 % of the trend",
+            x=_axis(found, np.concatenate([fine, fine[::-1]])),
+            y=np.concatenate([upper, lower[::-1]]),
+            fill="toself",
+            fillcolor="rgba(209,73,91,0.15)",
+            line={"width": 0},
+            hoverinfo="skip",
+            name="95 % of the trend",
         )
     )
     figure.add_trace(
@@ -101,8 +109,12 @@ def picture(found: Trend) -> go.Figure:
     half = [value.upper - value.value if value.upper == value.upper else 0.0 for value in found.values]
     figure.add_trace(
         go.Scatter(
-            x=_axis(found, calendar.times), y=[value.value for value in found.values], mode="markers", name="each date",
-            marker={"color": figures.ACCENT, "size": 9}, text=calendar.labels,
+            x=_axis(found, calendar.times),
+            y=[value.value for value in found.values],
+            mode="markers",
+            name="each date",
+            marker={"color": figures.ACCENT, "size": 9},
+            text=calendar.labels,
             error_y={"type": "data", "array": half, "color": figures.MEASURED, "thickness": 2, "width": 5},
         )
     )

@@ -204,18 +204,35 @@ def _tables(recordings: Sequence[Recording], noises: Sequence[RunNoise], residua
     starts = np.cumsum([0.0, *(run.duration for run in runs)])
     axes = [
         _run_bins(recordings, counts),
-        _binned("time", joined(lambda k: runs[k].time + starts[k]), "s", 1.0, _even_edges,
-                ("the first {} s of the recordings", "{} to {} s into the recordings", "from {} s of the recordings on")),
+        _binned(
+            "time",
+            joined(lambda k: runs[k].time + starts[k]),
+            "s",
+            1.0,
+            _even_edges,
+            ("the first {} s of the recordings", "{} to {} s into the recordings", "from {} s of the recordings on"),
+        ),
         _binned("position", joined(lambda k: moved[k].position), "m", 1e3, _even_edges, _words("positions", "mm")),
         _binned("velocity", np.abs(velocity), "m/s", 1e3, _log_edges, _words("speeds", "mm/s")),
-        _binned("acceleration", np.abs(joined(lambda k: moved[k].acceleration)), "m/s²", 1.0, _log_edges,
-                _words("accelerations", "m/s²")),
+        _binned(
+            "acceleration",
+            np.abs(joined(lambda k: moved[k].acceleration)),
+            "m/s²",
+            1.0,
+            _log_edges,
+            _words("accelerations", "m/s²"),
+        ),
         _current_bins(joined(lambda k: runs[k].current), current_levels(runs)[0]),
-        _binned("reversal", joined(lambda k: travel_since_reversal(recordings[k].path)), "m", 1e3,
-                lambda _: np.array(REVERSAL_EDGES),
-                ("within {} mm after a reversal", "{} to {} mm after a reversal", "more than {} mm after a reversal")),
+        _binned(
+            "reversal",
+            joined(lambda k: travel_since_reversal(recordings[k].path)),
+            "m",
+            1e3,
+            lambda _: np.array(REVERSAL_EDGES),
+            ("within {} mm after a reversal", "{} to {} mm after a reversal", "more than {} mm after a reversal"),
+        ),
         _sign_bins(velocity),
-    ]  # fmt: skip
+    ]
     squares = np.concatenate([r**2 for r in residuals])
     variance = np.concatenate([n.sigma**2 for n in noises])
     block, run_of_block = _blocks(recordings, counts)
@@ -421,8 +438,11 @@ def _spectrogram(recording: Recording, residual: Array) -> Map:
     power = np.add.reduceat(density, rows, axis=0) / np.diff(np.append(rows, len(frequency)))[:, None]
     half, begin = 0.5 * length / run.rate, float(run.time[recording.counted][0])
     return Map(
-        f"run {run.name}", "time, s", "frequency, Hz",
+        f"run {run.name}",
+        "time, s",
+        "frequency, Hz",
         np.append(time - half, time[-1] + half) + begin,
         np.append(frequency[rows], frequency[-1] + frequency[1]),
-        np.sqrt(power), "N/√Hz",
-    )  # fmt: skip
+        np.sqrt(power),
+        "N/√Hz",
+    )

@@ -221,8 +221,7 @@ def search(
         Everything that was fitted.
     """
     first = around(
-        ground, Foundation.of(ground, base), effects, len(effects), progress=lambda share: progress(0.6 * share),
-        noise=noise,
+        ground, Foundation.of(ground, base), effects, len(effects), progress=lambda share: progress(0.6 * share), noise=noise
     )
     trials = list(first)
     alone = {trial.effects[0]: trial.refit for trial in sorted(first, key=lambda trial: trial.refit.total)}
@@ -251,15 +250,22 @@ def search(
             trial
             for lead, fitted in zip(leads, again, strict=True)
             for trial in around(
-                ground, Foundation.of(ground, fitted), [e for e in effects if e not in lead.effects], SHORTLIST, alone,
+                ground,
+                Foundation.of(ground, fitted),
+                [e for e in effects if e not in lead.effects],
+                SHORTLIST,
+                alone,
                 present=lead.effects,
             )
         ]
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
         trials += found
         frontier = sorted(found, key=lambda trial: trial.refit.total)
-        if len(chosen) == 1 and frontier and frontier[0].effects[:1] != best.effects and worth(
-            ground, before, frontier[0].refit
+        if (
+            len(chosen) == 1
+            and frontier
+            and frontier[0].effects[:1] != best.effects
+            and worth(ground, before, frontier[0].refit)
         ):
             # The pair does not hold what was the best alone: its own first effect leads to it.
             chosen = [lead for lead in leads if lead.effects == frontier[0].effects[:1]]
@@ -349,10 +355,12 @@ def around(
         if alone and effect in alone:
             # Beside others, an effect begins as it was found alone, where that leaves less.
             known = dict(zip(alone[effect].problem.model.names, alone[effect].theta, strict=True))
-            other = np.array([
-                known[name] if name.startswith(f"{effect}.") else value
-                for name, value in zip(model.names, neutral, strict=True)
-            ])
+            other = np.array(
+                [
+                    known[name] if name.startswith(f"{effect}.") else value
+                    for name, value in zip(model.names, neutral, strict=True)
+                ]
+            )
             promised, found = (float(np.sum(problem.residuals(theta) ** 2)) for theta in (start, other))
             if found < promised:
                 start, problem = other, ground.problem(model, other)

@@ -123,8 +123,13 @@ class Identifier(BenchNode[IdentifierSettings]):
         parameters = read_fit(request.parameters) if request.parameters else None
         runs, held_out = self._runs(request)
         found = diagnose(
-            runs, request.model, held_out=held_out, parameters=parameters, effects=tuple(request.effects),
-            seed=request.seed, progress=progress,
+            runs,
+            request.model,
+            held_out=held_out,
+            parameters=parameters,
+            effects=tuple(request.effects),
+            seed=request.seed,
+            progress=progress,
         )
         result.report = str(write_gap_report(found, folder).resolve())
         result.message = found.sentence

@@ -54,9 +54,7 @@ class Recorder(BenchNode[RecorderConfig]):
                 self._latest[topic] = cdr
             self._write(topic, cdr)
 
-        subscription = self.create_subscription(
-            message_type, name, on_message, LATCHED if latched else RECORDED, raw=True
-        )
+        subscription = self.create_subscription(message_type, name, on_message, LATCHED if latched else RECORDED, raw=True)
         topic: str = subscription.topic_name
         self._types[topic] = (type_name(message_type), latched)
         return topic
@@ -105,9 +103,7 @@ class Recorder(BenchNode[RecorderConfig]):
         calibration = self._latest.get(self._calibration)
         known = None
         if calibration is not None:
-            known = describe_calibration(
-                typestore().deserialize_cdr(calibration, self._types[self._calibration][0])
-            )
+            known = describe_calibration(typestore().deserialize_cdr(calibration, self._types[self._calibration][0]))
         info = run_info(
             experiment=request.experiment,
             seed=int(request.seed),

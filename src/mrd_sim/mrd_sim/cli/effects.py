@@ -63,7 +63,5 @@ def parameters(effect: Effect) -> Table:
     table = Table("parameter", "unit", "neutral", "bounds", "clearly there", "meaning")
     for p in effect.parameters:
         typical = effect.typical.get(p.name, p.default)
-        table.add_row(
-            f"{effect.id}.{p.name}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}", escape(p.meaning)
-        )
+        table.add_row(f"{effect.id}.{p.name}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}", escape(p.meaning))
     return table

@@ -37,7 +37,10 @@ def work() -> None:
     )
     parser.add_argument("--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws: {', '.join(LAWS)}")
     parser.add_argument(
-        "--effect", action="append", default=[], metavar="EFFECT.PARAMETER=VALUE",
+        "--effect",
+        action="append",
+        default=[],
+        metavar="EFFECT.PARAMETER=VALUE",
         help="what else acts (ros2 run mrd_sim effects), in SI; may be repeated",
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")

@@ -9,8 +9,15 @@ from mrd_sim.models.model import Array, DamperModel, Quantity
 from mrd_sim.models.quantities import OFFSET, VISCOUS, YIELD_FORCE
 
 YIELD_SPEED = Quantity(
-    "yield_speed", "v_y", "m/s", "speed up to which the fluid has not yielded, F_y / (C_pr - C_po)", 0.01, 5e-4, 0.2,
-    (0.01, -0.2, 0.2), log=True,
+    "yield_speed",
+    "v_y",
+    "m/s",
+    "speed up to which the fluid has not yielded, F_y / (C_pr - C_po)",
+    0.01,
+    5e-4,
+    0.2,
+    (0.01, -0.2, 0.2),
+    log=True,
 )
 
 

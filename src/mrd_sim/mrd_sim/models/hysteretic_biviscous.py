@@ -40,8 +40,7 @@ MODEL = DamperModel(
         replace(YIELD_FORCE, multiplies="term", meaning="yield force"),
         YIELD_SPEED,
         Quantity(
-            "loop_half_width", "v_h", "m/s", "half the width of the loop over velocity", 0.005, 0.0, 0.1,
-            (0.005, -0.1, 0.2),
+            "loop_half_width", "v_h", "m/s", "half the width of the loop over velocity", 0.005, 0.0, 0.1, (0.005, -0.1, 0.2)
         ),
         replace(VISCOUS, symbol="C_po"),
         replace(OFFSET, meaning="constant force (gas preload)"),

@@ -65,9 +65,7 @@ class Quantity:
 
     def parameters(self) -> tuple[Parameter, ...]:
         """What its law consists of: value at 0 A, slope there and, where the law has one, a third parameter."""
-        at_zero = Parameter(
-            self.name, self.unit, self.default, self.lower, self.upper, self.meaning, self.log, self.free
-        )
+        at_zero = Parameter(self.name, self.unit, self.default, self.lower, self.upper, self.meaning, self.log, self.free)
         if self.per_ampere is None or self.law == "constant":
             return (at_zero,)
         default, lower, upper = self.per_ampere
@@ -261,9 +259,7 @@ class DamperModel:
             parameter = self.parameters[index]
             if not parameter.lower <= value <= parameter.upper:
                 found = f"{value:g} {parameter.unit}".rstrip()
-                raise InputError(
-                    f"model {self.id}: {name} is {found}, expected {parameter.lower:g} to {parameter.upper:g}"
-                )
+                raise InputError(f"model {self.id}: {name} is {found}, expected {parameter.lower:g} to {parameter.upper:g}")
             theta[index] = value
         return theta
 

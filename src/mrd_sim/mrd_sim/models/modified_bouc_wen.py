@@ -31,8 +31,17 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
 
 @njit(cache=True, nogil=True, forceinline=True)
 def _internal_step(
-    w: float, travel: float, middle: float, dt: float, f_y: float, x_y: float, sigma: float, n: float,
-    c0: float, c1: float, k0: float,
+    w: float,
+    travel: float,
+    middle: float,
+    dt: float,
+    f_y: float,
+    x_y: float,
+    sigma: float,
+    n: float,
+    c0: float,
+    c1: float,
+    k0: float,
 ) -> tuple[float, float]:
     """Displacement d of the internal node over one step, and the state after it.
 
@@ -92,13 +101,28 @@ MODEL = DamperModel(
         EXPONENT,
         Quantity("viscous", "c0", "N s/m", "viscous coefficient at high speed", 1500.0, 0.0, 2e4, (3000.0, 0.0, 2e4)),
         Quantity(
-            "series_viscous", "c1", "N s/m", "dashpot in series, roll-off at low speed", 3e4, 1e3, 3e5,
-            (6e4, 0.0, 4e5), log=True,
+            "series_viscous",
+            "c1",
+            "N s/m",
+            "dashpot in series, roll-off at low speed",
+            3e4,
+            1e3,
+            3e5,
+            (6e4, 0.0, 4e5),
+            log=True,
         ),
         Quantity("stiffness", "k0", "N/m", "stiffness beside the element", 500.0, 0.0, 1e4),
         Quantity(
-            "accumulator_stiffness", "k1", "N/m", "stiffness of the accumulator", 1000.0, 0.0, 1e4, (0.0, -1e4, 1e4),
-            multiplies="x", law="constant",
+            "accumulator_stiffness",
+            "k1",
+            "N/m",
+            "stiffness of the accumulator",
+            1000.0,
+            0.0,
+            1e4,
+            (0.0, -1e4, 1e4),
+            multiplies="x",
+            law="constant",
         ),
         replace(OFFSET, meaning="constant force (gas preload), -k1 x0"),
     ),

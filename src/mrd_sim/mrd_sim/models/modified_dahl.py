@@ -48,8 +48,16 @@ MODEL = DamperModel(
         # Some newtons at least, by which rho is divided.
         replace(YIELD_FORCE, symbol="F_d", meaning="yield force", lower=5.0),
         Quantity(
-            "series_stiffness", "k_s", "N/m", "stiffness before yield (fluid, mounts and load cell in series)",
-            2e6, 2e5, 2e7, (0.0, -1e7, 1e7), log=True, law="constant",
+            "series_stiffness",
+            "k_s",
+            "N/m",
+            "stiffness before yield (fluid, mounts and load cell in series)",
+            2e6,
+            2e5,
+            2e7,
+            (0.0, -1e7, 1e7),
+            log=True,
+            law="constant",
         ),
         VISCOUS,
         STIFFNESS,

@@ -40,7 +40,14 @@ MODEL = DamperModel(
     quantities=(
         replace(YIELD_FORCE, name="kappa_w", symbol="kappa_w", meaning="yield force", multiplies="term"),
         Quantity(
-            "rho", "rho", "1/m", "rate of the state over the travel, 1 / yield travel", 2e4, 5e2, 5e5, (-1.2e4, -1e5, 1e5),
+            "rho",
+            "rho",
+            "1/m",
+            "rate of the state over the travel, 1 / yield travel",
+            2e4,
+            5e2,
+            5e5,
+            (-1.2e4, -1e5, 1e5),
             log=True,
         ),
         replace(SHAPE, name="sigma", meaning="share of the hysteresis that opposes motion in either direction"),

@@ -15,6 +15,14 @@ STIFFNESS = Quantity(
     "stiffness", "k0", "N/m", "stiffness", 1500.0, 0.0, 1e4, (0.0, -1e4, 1e4), multiplies="x", law="constant"
 )
 OFFSET = Quantity(
-    "offset", "f0", "N", "constant force (gas preload), -k0 x0", 0.0, -300.0, 300.0, (0.0, -300.0, 300.0),
-    multiplies="1", law="constant",
+    "offset",
+    "f0",
+    "N",
+    "constant force (gas preload), -k0 x0",
+    0.0,
+    -300.0,
+    300.0,
+    (0.0, -300.0, 300.0),
+    multiplies="1",
+    law="constant",
 )

@@ -80,9 +80,7 @@ MODEL = DamperModel(
         _geometry("iron_share", "phi", "", "volume share of iron in the fluid", 0.32, 0.1, 0.5),
         _geometry("carrier", "C", "", "constant of the carrier fluid: oil 1, water 1.16, silicone oil 0.95", 1.0, 0.9, 1.2),
         Quantity("viscosity", "eta", "Pa s", "viscosity of the fluid without field", 0.1, 0.01, 2.0, log=True),
-        Quantity(
-            "field", "H", "A/m", "magnetic field in the gap, remanent at 0 A", 0.0, 0.0, 3e4, (1.2e5, 1e4, 5e5),
-        ),
+        Quantity("field", "H", "A/m", "magnetic field in the gap, remanent at 0 A", 0.0, 0.0, 3e4, (1.2e5, 1e4, 5e5)),
         Quantity("friction", "F_f", "N", "friction of the seal", 50.0, 0.0, 300.0, multiplies="term"),
         Quantity("creep_speed", "v_e", "m/s", "speed at which friction is 76 % developed", 2e-3, 5e-4, 5e-3, log=True),
         replace(OFFSET, meaning="constant force (gas preload)"),

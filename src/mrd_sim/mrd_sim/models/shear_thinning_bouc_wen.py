@@ -75,8 +75,19 @@ def _element_speed(drive: Any, c0: Any, m: Any, c1: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _internal_step(
-    w: Any, travel: Any, middle: Any, dt: float, speed: Any, f_y: Any, x_y: Any, sigma: Any, n: Any, c0: Any, m: Any,
-    c1: Any, k0: Any,
+    w: Any,
+    travel: Any,
+    middle: Any,
+    dt: float,
+    speed: Any,
+    f_y: Any,
+    x_y: Any,
+    sigma: Any,
+    n: Any,
+    c0: Any,
+    m: Any,
+    c1: Any,
+    k0: Any,
 ) -> tuple[Any, Any]:
     """Displacement d of the internal node over one step, and the state after it, as in the modified Bouc-Wen model.
 

@@ -164,9 +164,13 @@ def _run(state: Array, settings: Array, plan: Array, motion: Array) -> int:
         state[_LOAD] = settings[_LOAD_NOW] + (state[_LOAD] - settings[_LOAD_NOW]) * keep_load
         rod_speed = v * lead
         if mode == _SERVO:
-            demand = settings[_INERTIA] * lead * (
-                settings[_STIFFNESS] * (state[_XC] - state[_X])
-                + settings[_DAMPING] * (settings[_FEED_FORWARD] * state[_VC] - v)
+            demand = (
+                settings[_INERTIA]
+                * lead
+                * (
+                    settings[_STIFFNESS] * (state[_XC] - state[_X])
+                    + settings[_DAMPING] * (settings[_FEED_FORWARD] * state[_VC] - v)
+                )
             )
             demand = min(demand, settings[_BRAKE] * (settings[_FREE_SPEED] - rod_speed))
             demand = max(demand, settings[_BRAKE] * (-settings[_FREE_SPEED] - rod_speed))

@@ -48,9 +48,20 @@ _BUS, _HOT, _POSITION_ERROR, _TOO_FAST = 3, 5, 6, 7
 _HISTORICAL_PLUS, _HISTORICAL_MINUS, _PLUS, _MINUS = 12, 13, 14, 15
 
 _BIT_LETTERS = {
-    "o": (0, 1), "t": (0, 2), "a": (0, 4), "h": (0, 5), "e": (0, 6), "v": (0, 7), "r": (0, 12), "l": (0, 13),
-    "p": (0, 14), "m": (0, 15), "s": (2, 14), "k": (2, 15), "w": (3, 3),
-}  # fmt: skip
+    "o": (0, 1),
+    "t": (0, 2),
+    "a": (0, 4),
+    "h": (0, 5),
+    "e": (0, 6),
+    "v": (0, 7),
+    "r": (0, 12),
+    "l": (0, 13),
+    "p": (0, 14),
+    "m": (0, 15),
+    "s": (2, 14),
+    "k": (2, 15),
+    "w": (3, 3),
+}
 
 _ASSIGNMENT = re.compile(r"([A-Z]+)=([+-]?\d+)")
 _INDEXED = re.compile(r"([A-Z]+)\((\d+)\)=(\d+)")
@@ -60,9 +71,17 @@ _NUMBER = re.compile(r"[+-]?\d+")
 
 # Tuning and configuration that this emulation stores or ignores: name, lowest and highest value.
 _STORED = {
-    "KP": (0, 65535), "KI": (0, 32767), "KD": (0, 65535), "KL": (0, 32767), "KS": (0, 15), "KV": (0, 65535),
-    "KA": (0, 65535), "KG": _INT32, "DEL": _INT32, "EPTR": (0, 32767),
-}  # fmt: skip
+    "KP": (0, 65535),
+    "KI": (0, 32767),
+    "KD": (0, 65535),
+    "KL": (0, 32767),
+    "KS": (0, 15),
+    "KV": (0, 65535),
+    "KA": (0, 65535),
+    "KG": _INT32,
+    "DEL": _INT32,
+    "EPTR": (0, 32767),
+}
 _IGNORED = {"F", "END", "BRKRLS", "BRKSRV", "BRKENG", "BRKTRJ", "MTB", "VAC", "FSA", "OCHN", "CCHN", "SLEEP", "WAKE"}
 
 
@@ -383,12 +402,7 @@ class SmartMotor:
         elif number == 2:
             bits = {14: r.command_error}
         elif number == 3:
-            bits = {
-                1: abs(drive.pwm) >= drive.pwm_limit,
-                5: drive.velocity < 0,
-                6: drive.pwm < 0,
-                15: drive.at_velocity,
-            }
+            bits = {1: abs(drive.pwm) >= drive.pwm_limit, 5: drive.velocity < 0, 6: drive.pwm < 0, 15: drive.at_velocity}
         elif not 0 <= number <= 17:
             raise _CommandError(_BAD_ARGUMENT)
         return word | sum(1 << bit for bit, on in bits.items() if on)

@@ -23,9 +23,7 @@ class Multisine(Waveform):
     lowest: float = quantity(unit="Hz", doc="lowest frequency", lower=1e-3, upper=100)
     highest: float = quantity(unit="Hz", doc="highest frequency", lower=1e-3, upper=100)
     period: float = quantity(unit="s", doc="after which it repeats; its inverse spaces the lines", lower=0.01, upper=3600)
-    rolloff: float = quantity(
-        1.0, "", "amplitude ∝ frequency^−rolloff; 0: equal levels, 1: equal rates", lower=-2, upper=4
-    )
+    rolloff: float = quantity(1.0, "", "amplitude ∝ frequency^−rolloff; 0: equal levels, 1: equal rates", lower=-2, upper=4)
     seed: int = quantity(0, "", "of the phases", lower=0)
     offset: float = level_field("mean", 0.0)
 

@@ -101,8 +101,4 @@ def repeated(vertices: ArrayLike, levels: ArrayLike, period: float, duration: fl
 def fields_in(waveform: Waveform, unit: str) -> list["dataclasses.Field[object]"]:
     """Fields of a waveform that have a unit; the levels of a waveform with a ``scale`` are that field."""
     fields = dataclasses.fields(waveform)  # type: ignore[arg-type]
-    return [
-        field
-        for field in fields
-        if field.metadata.get("unit") == unit or (unit == "level" and field.name == "scale")
-    ]
+    return [field for field in fields if field.metadata.get("unit") == unit or (unit == "level" and field.name == "scale")]

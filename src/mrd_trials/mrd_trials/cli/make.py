@@ -29,11 +29,15 @@ def work() -> None:
     parser.add_argument("trial", type=Path, metavar="TRIAL", help="folder to be made, or gone on with")
     parser.add_argument("--seed", type=int, required=True, help="same seed, same plants")
     parser.add_argument(
-        "--plants", default="", metavar="TIER=N,...",
+        "--plants",
+        default="",
+        metavar="TIER=N,...",
         help=f"plants by tier (default: {','.join(f'{tier}={count}' for tier, count in STANDARD.items())})",
     )
     parser.add_argument(
-        "--shares", default="", metavar="KIND=SHARE,...",
+        "--shares",
+        default="",
+        metavar="KIND=SHARE,...",
         help=f"of each kind (default: {','.join(f'{kind}={share:g}' for kind, share in SHARES.items())})",
     )
     parser.add_argument(

@@ -27,8 +27,12 @@ def work() -> None:
     arguments = parser.parse_args()
     with progress("diagnosing") as show:
         found = run(
-            arguments.trial, arguments.output, frozen(arguments.seed),
-            workers=workers_of(arguments), scheduler=arguments.scheduler, progress=show,
+            arguments.trial,
+            arguments.output,
+            frozen(arguments.seed),
+            workers=workers_of(arguments),
+            scheduler=arguments.scheduler,
+            progress=show,
         )
     counts = Counter(each.verdict for each in found.values())
     print(", ".join(f"{verdict}: {count}" for verdict, count in counts.most_common()))

@@ -9,5 +9,15 @@ from mrd_trials.truth.instruments import Instruments, Recorded
 from mrd_trials.truth.plant import Motion, Plant, record
 
 __all__ = [
-    "BASES", "EFFECTS", "Base", "Instruments", "Motion", "Plant", "Quantity", "Recorded", "TrueEffect", "draw", "record",
-]  # fmt: skip
+    "BASES",
+    "EFFECTS",
+    "Base",
+    "Instruments",
+    "Motion",
+    "Plant",
+    "Quantity",
+    "Recorded",
+    "TrueEffect",
+    "draw",
+    "record",
+]

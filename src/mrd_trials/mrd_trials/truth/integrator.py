@@ -152,9 +152,10 @@ def _between(position: Array, velocity: Array, i: int, part: float, step: float)
     """Position of the drive within the step that ends at sample ``i``: a cubic."""
     u = 1.0 - part
     return float(
-        u * u * (1.0 + 2.0 * part) * position[i - 1] + part * part * (1.0 + 2.0 * u) * position[i]
+        u * u * (1.0 + 2.0 * part) * position[i - 1]
+        + part * part * (1.0 + 2.0 * u) * position[i]
         + part * u * step * (u * velocity[i - 1] - part * velocity[i])
-    )  # fmt: skip
+    )
 
 
 @njit(nogil=True)

@@ -123,8 +123,7 @@ def record(plant: Plant, motions: Sequence[Motion], instruments: Instruments, rn
         gain = 1.0 + instruments.gain_scatter * gain
         force = stepped(p, rod[0], rod[1], acting, step, gain, series, slow)
         force = (
-            _read(p, force + p.moving_mass_mass * rod[2], shown, current, clock, step)
-            + instruments.offset_scatter * offset
+            _read(p, force + p.moving_mass_mass * rod[2], shown, current, clock, step) + instruments.offset_scatter * offset
         )
         position = shown if p.sensor_stiction_slack == 0.0 else stuck(shown, p.sensor_stiction_slack)
         position = transduced(p.lvdt_nonlinearity_cubic, p.lvdt_nonlinearity_gain, position)
@@ -186,9 +185,15 @@ def _read(p: Values, force: Array, position: Array, current: Array, clock: float
 
 
 def _written(
-    instruments: Instruments, streams: Sequence[np.random.Generator], step: float,
-    position: Array, current: Array, acceleration: Array, force: Array, hum: tuple[float, float],
-) -> Recorded:  # fmt: skip
+    instruments: Instruments,
+    streams: Sequence[np.random.Generator],
+    step: float,
+    position: Array,
+    current: Array,
+    acceleration: Array,
+    force: Array,
+    hum: tuple[float, float],
+) -> Recorded:
     """Sampled at one jittered time for all channels, with each channel's noise, and the mains' hum on the force.
 
     The ``hum`` (N, turns) is picked up by what converts, so that its size is what recordings hold of it at every rate.
@@ -203,6 +208,9 @@ def _written(
     amplitude, phase = hum
     mains = amplitude * np.sin(2 * np.pi * (MAINS * (time + jitter) + phase))
     return Recorded(
-        time, read(position, instruments.position, streams[1]), read(current, instruments.current, streams[2]),
-        read(acceleration, instruments.acceleration, streams[3]), read(force, instruments.force, streams[4]) + mains,
-    )  # fmt: skip
+        time,
+        read(position, instruments.position, streams[1]),
+        read(current, instruments.current, streams[2]),
+        read(acceleration, instruments.acceleration, streams[3]),
+        read(force, instruments.force, streams[4]) + mains,
+    )

@@ -17,7 +17,15 @@ from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
 OF_A_RUN: tuple[Callable[[View], Iterator[Finding]], ...] = (
-    units, dead, clock, holds, spikes, clipping, quantisation, aliasing, accelerometer,
+    units,
+    dead,
+    clock,
+    holds,
+    spikes,
+    clipping,
+    quantisation,
+    aliasing,
+    accelerometer,
 )
 OF_ALL_RUNS: tuple[Callable[[Sequence[View]], Iterator[Finding]], ...] = (rates, signs, rigs, duplicates, repeats)
 

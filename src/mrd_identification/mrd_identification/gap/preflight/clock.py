@@ -26,7 +26,9 @@ def clock(view: View) -> Iterator[Finding]:
     if missing:
         share = missing / (missing + len(view.run))
         yield view.finding(
-            "gap", "fault" if share > LOST else "limitation", "time",
+            "gap",
+            "fault" if share > LOST else "limitation",
+            "time",
             f"{missing} samples ({100 * share:.2g} %) are missing in {len(late)} gaps, the longest {late.max():.1f} "
             f"intervals, expected none; what the damper did there is lost: look at the DAQ"
             f"{' and record it again' if share > LOST else ''}",
@@ -34,14 +36,18 @@ def clock(view: View) -> Iterator[Finding]:
     bunched = int(np.sum(intervals <= BUNCHED))
     if bunched:
         yield view.finding(
-            "clock", "limitation", "time",
+            "clock",
+            "limitation",
+            "time",
             f"{bunched} samples follow the one before within {BUNCHED:g} intervals, expected equal intervals of "
             f"{milli(view.interval)} ms; look for samples written twice",
         )
     jitter = float(np.std(intervals[usual])) if usual.any() else 0.0
     if jitter > JITTER[0]:
         yield view.finding(
-            "clock", "limitation" if jitter > JITTER[1] else "remark", "time",
+            "clock",
+            "limitation" if jitter > JITTER[1] else "remark",
+            "time",
             f"intervals scatter by {100 * jitter:.2g} % rms, expected less than {100 * JITTER[0]:g} %; if these are not the "
             "times of sampling but of writing, forces near reversals carry that error: sample by a hardware clock",
         )
@@ -52,7 +58,8 @@ def rates(views: Sequence[View]) -> Iterator[Finding]:
     rates = np.array([1 / view.interval for view in views])
     if rates.max() > (1 + RATES) * rates.min():
         yield Finding(
-            "clock", "remark",
+            "clock",
+            "remark",
             f"runs are sampled at {rates.min():.4g} to {rates.max():.4g} Hz; what is fast shows in the faster ones only",
         )
     slow = [view for view in views if view.slow]
@@ -61,7 +68,8 @@ def rates(views: Sequence[View]) -> Iterator[Finding]:
         travel = max(view.speed * view.interval for view in slow)
         which = "all runs" if len(slow) == len(views) else ", ".join(view.run.name for view in slow)
         yield Finding(
-            "aliasing", "limitation",
+            "aliasing",
+            "limitation",
             f"{which}: one sample every {milli(longest)} ms, in which the rod moves up to {milli(travel)} mm; time "
             "constants and lost travel below about that, and anything above "
             f"{0.5 / longest:.3g} Hz, cannot be seen: sample at {LOW_RATE:g} Hz at least, better 1 kHz",

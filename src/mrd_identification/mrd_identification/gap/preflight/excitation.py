@@ -25,14 +25,16 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
     dependent = f", nor how {model.id} depends on the current" if model is not None and model.laws else ""
     if not changing and np.ptp(current[:, 2]) < max(0.01, 0.02 * float(np.abs(current).max())):
         yield Finding(
-            "coverage", "limitation",
+            "coverage",
+            "limitation",
             f"the current never changes ({current[:, 2].mean():.3g} A): effects of the magnetics stage cannot be tested"
             f"{dependent}; record runs with steps of the current",
             channel="current",
         )
     elif not changing:
         yield Finding(
-            "coverage", "limitation",
+            "coverage",
+            "limitation",
             "the current is constant within every run: how the force follows a change of it (lag, hysteresis) cannot be "
             "tested; record a run with steps of the current",
             channel="current",
@@ -43,17 +45,22 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
             yield view.finding("coverage", "limitation", "position", "the rod rests: says nothing of the damper in motion")
         elif len(view.strokes) < 3:
             yield view.finding(
-                "coverage", "limitation", "position",
+                "coverage",
+                "limitation",
+                "position",
                 f"is shorter than one stroke to and fro ({len(view.strokes) - 1} reversals): no loop; record longer",
             )
     if all(len(view.strokes) < 3 for view in views):
         yield Finding(
-            "coverage", "fault", "no run holds a stroke to and fro: there is no loop to compare; record longer",
+            "coverage",
+            "fault",
+            "no run holds a stroke to and fro: there is no loop to compare; record longer",
             channel="position",
         )
     elif reversals < FEWEST_REVERSALS:
         yield Finding(
-            "coverage", "limitation",
+            "coverage",
+            "limitation",
             f"{reversals} reversals in all runs, expected {FEWEST_REVERSALS} at least: effects at reversals (hysteresis, "
             "play, compliance) rest on too little; record longer",
             channel="position",
@@ -61,7 +68,8 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
     stroke = max(view.stroke for view in views)
     if stroke < SHORT_STROKE:
         yield Finding(
-            "coverage", "limitation",
+            "coverage",
+            "limitation",
             f"no stroke is longer than {milli(stroke)} mm, expected {milli(SHORT_STROKE)} mm at least: the damper may "
             "never leave its pre-yield loop; record longer strokes",
             channel="position",
@@ -70,7 +78,8 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
     if _alike(peaks):
         several = not _alike(frequencies)
         yield Finding(
-            "coverage", "limitation",
+            "coverage",
+            "limitation",
             f"all strokes peak at one speed ({milli(float(np.median(peaks)))} mm/s): what grows with "
             f"{'it' if several else 'it, or with frequency,'} cannot be told from what does not; record other speeds",
             channel="position",
@@ -79,7 +88,8 @@ def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Findi
     highest = max(float(view.run.position.max()) for view in views)
     at = f" at {frequencies.min():.2g} to {frequencies.max():.2g} Hz" if len(frequencies) else ""
     yield Finding(
-        "coverage", "remark",
+        "coverage",
+        "remark",
         f"{len(views)} runs, {sum(view.run.duration for view in views):.4g} s: position {milli(lowest)} to "
         f"{milli(highest)} mm, speed up to {milli(max(view.speed for view in views))} mm/s, current {current.min():.3g} "
         f"to {current.max():.3g} A, {reversals} reversals{at}",

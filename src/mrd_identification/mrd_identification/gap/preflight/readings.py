@@ -53,7 +53,9 @@ def holds(view: View) -> Iterator[Finding]:
         if refreshed:
             rate = view.run.rate / refreshed
             yield view.finding(
-                "clock", "limitation", channel.name,
+                "clock",
+                "limitation",
+                channel.name,
                 f"stays the same for {refreshed} samples at a time: it is refreshed at {rate:.3g} Hz, expected "
                 f"{view.run.rate:.4g} Hz like the samples; set the sensor's own rate or record at {rate:.3g} Hz",
             )
@@ -64,7 +66,9 @@ def holds(view: View) -> Iterator[Finding]:
             share = count / len(values)
             useless = share > LOST and channel.name in ("position", "force")
             yield view.finding(
-                "gap", "fault" if useless else "limitation", channel.name,
+                "gap",
+                "fault" if useless else "limitation",
+                channel.name,
                 f"{count} samples ({100 * share:.2g} %) repeat the one before, up to {length[held].max()} in a row, where "
                 f"readings change; expected a new reading each: look at the channel's connection"
                 f"{' and record it again' if useless else ''}",
@@ -119,7 +123,9 @@ def spikes(view: View) -> Iterator[Finding]:
     count = int(np.sum(away > least + 3 * view.speed * view.interval))
     if count:
         yield view.finding(
-            "gap", "limitation", "position",
+            "gap",
+            "limitation",
+            "position",
             f"{count} samples jump away from their neighbours and back, by up to {milli(away.max())} mm, as no rod does; "
             "the damper's hysteresis would follow them: look at the sensor's connection, remove these samples",
         )
@@ -137,7 +143,9 @@ def clipping(view: View) -> Iterator[Finding]:
                 continue
             useless = share > CLIPPED and channel.name in ("position", "force")
             yield view.finding(
-                "clipping", "fault" if useless else "limitation", channel.name,
+                "clipping",
+                "fault" if useless else "limitation",
+                channel.name,
                 f"{clipped} samples ({100 * share:.2g} %) stay at the {side} reading, {top:.4g} {channel.unit}, where "
                 "others scatter: it is beyond the range of its sensor or converter; widen that range"
                 + (" and record it again" if useless else ""),
@@ -197,7 +205,9 @@ def quantisation(view: View) -> Iterator[Finding]:
         needed = channel.name in ("position", "force")
         severity = "fault" if needed and error > COARSE[1] else "limitation" if needed else "remark"
         yield view.finding(
-            "quantisation", severity, channel.name,
+            "quantisation",
+            severity,
+            channel.name,
             f"is read in steps of {channel.step:.3g} {channel.unit}, {np.ptp(channel.values) / channel.step:.0f} over its "
             f"span: rounding is {100 * error:.2g} % of its standard deviation, expected below {100 * COARSE[0]:g} %; use a "
             "smaller range of the converter",
@@ -217,7 +227,9 @@ def aliasing(view: View) -> Iterator[Finding]:
         share = float(np.sum(density[int(TOP_BAND * len(density)) :] - white) / density.sum())
         if share > ALIASED:
             yield view.finding(
-                "aliasing", "limitation", name,
+                "aliasing",
+                "limitation",
+                name,
                 f"{100 * share:.2g} % of its power lies between {0.5 * TOP_BAND * view.run.rate:.3g} Hz and half the sample "
                 f"rate, expected below {100 * ALIASED:g} %: noise, or what is faster and folded there; sample faster or "
                 "filter before sampling",
@@ -227,7 +239,9 @@ def aliasing(view: View) -> Iterator[Finding]:
     often = float(np.mean(np.abs(np.diff(current)) > SWITCHED[1] * span)) if span > SWITCHED[0] else 0.0
     if often > SWITCHED[2]:
         yield view.finding(
-            "aliasing", "limitation", "current",
+            "aliasing",
+            "limitation",
+            "current",
             f"switches every {1 / often:.2g} samples, expected {1 / SWITCHED[2]:g} at least: what it was in between is "
             "unknown; sample faster or switch more slowly",
         )

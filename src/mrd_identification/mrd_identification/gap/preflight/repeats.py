@@ -36,7 +36,9 @@ def duplicates(views: Sequence[View]) -> Iterator[Finding]:
             others = (channel.noisy for name, channel in one.channels.items() if name != "force")
             recorded = one.channels["force"].noisy and (one.channels["position"].step > 0 or any(others))
             yield other.finding(
-                "repeat", "fault" if recorded else "limitation", "force",
+                "repeat",
+                "fault" if recorded else "limitation",
+                "force",
                 f"is the same recording as {one.run.name}: {len(a)} samples of its force are equal to the last digit; "
                 + ("give each recording once" if recorded else "without noise, it says nothing more"),
             )
@@ -56,7 +58,9 @@ def repeats(views: Sequence[View]) -> Iterator[Finding]:
         if alike < SAME_MOTION:
             if claimed:
                 yield other.finding(
-                    "repeat", "limitation", "position",
+                    "repeat",
+                    "limitation",
+                    "position",
                     f"claims the experiment of {one.run.name} but moves otherwise (correlation {alike:.3f}, expected "
                     f"{SAME_MOTION:g}; strokes {milli(other.stroke)} and {milli(one.stroke)} mm); it is no repeat of it: "
                     "look at the servo",
@@ -85,7 +89,9 @@ def _compared(one: View, other: View, shift: int, claimed: bool) -> Iterator[Fin
     if different > 0.1 * span + 4 * (one.channels["current"].noise + other.channels["current"].noise):
         if claimed:
             yield other.finding(
-                "repeat", "limitation", "current",
+                "repeat",
+                "limitation",
+                "current",
                 f"claims the experiment of {one.run.name} and moves like it, but its current differs by {different:.2g} A "
                 "rms; it is no repeat of it: look at the coil's supply",
             )
@@ -117,7 +123,9 @@ def _compared(one: View, other: View, shift: int, claimed: bool) -> Iterator[Fin
     if differs:
         much = abs(gain - 1) > REPEAT[1] or abs(offset) > REPEAT[1] * spread or reshaped
         yield other.finding(
-            "repeat", "limitation" if much else "remark", "force",
+            "repeat",
+            "limitation" if much else "remark",
+            "force",
             f"moves like {one.run.name} at the same current, but {' and '.join(differs)}, beside a noise of {noise:.2g} N; "
             "expected the same within a few %: something changed between them, such as temperature, mounting or gain",
         )

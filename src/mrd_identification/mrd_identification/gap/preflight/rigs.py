@@ -53,7 +53,9 @@ def rigs(views: Sequence[View]) -> Iterator[Finding]:
         factor = max(ratio, 1 / max(ratio, 1e-9))
         unit = next((f" ({text}?)" for known, text in UNITS.items() if 0.8 < factor / known < 1.25), "")
         yield moved.pop(worst).finding(
-            "rig", "fault", "force",
+            "rig",
+            "fault",
+            "force",
             f"is {ratio:.3g} times that of the other runs at the same speed and current, expected within a factor "
             f"{RIG_RATIO:g}{unit}; is it another damper, load cell or unit? Diagnose rigs one by one",
         )

@@ -30,19 +30,25 @@ def units(view: View) -> Iterator[Finding]:
     current, force = float(np.abs(run.current).max()), float(np.ptp(run.force))
     if np.ptp(run.position) > LARGEST_STROKE:
         yield view.finding(
-            "rig", "fault", "position",
+            "rig",
+            "fault",
+            "position",
             f"spans {np.ptp(run.position):.3g}, expected at most {LARGEST_STROKE:g} m; is it in mm? Convert it to m",
         )
     if current > LARGEST_CURRENT:
         yield view.finding(
-            "rig", "fault", "current",
+            "rig",
+            "fault",
+            "current",
             f"reaches {current:.3g}, expected at most {LARGEST_CURRENT:g} A; is it in mA? Convert it to A",
         )
     # A dead force says so itself.
     if force > LARGEST_FORCE or (view.stroke > MOVED and 2 * view.channels["force"].step < force < SMALLEST_FORCE):
         small = force < SMALLEST_FORCE
         yield view.finding(
-            "rig", "fault", "force",
+            "rig",
+            "fault",
+            "force",
             f"spans {force:.3g}, expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N; is it in "
             f"{'kN or V' if small else 'mN'}? Convert it to N",
         )
@@ -54,7 +60,9 @@ def dead(view: View) -> Iterator[Finding]:
     if view.stroke > MOVED:
         if np.ptp(run.force) <= 2 * force.step:
             yield view.finding(
-                "dead_channel", "fault", "force",
+                "dead_channel",
+                "fault",
+                "force",
                 f"stays at {run.force[0]:.4g} N while the rod moves over {milli(view.stroke)} mm; expected a damper's "
                 "force: look at the load cell and its channel",
             )
@@ -62,7 +70,9 @@ def dead(view: View) -> Iterator[Finding]:
             related = float(np.abs(correlations(run.velocity, signal.detrend(run.force))[1]).max())
             if related < UNRELATED:
                 yield view.finding(
-                    "dead_channel", "fault", "force",
+                    "dead_channel",
+                    "fault",
+                    "force",
                     f"does not respond to the motion: correlation with the velocity at most {related:.2g} at any lag, "
                     f"expected above {UNRELATED:g}; look at the load cell, its channel, and whether the damper is mounted",
                 )
@@ -73,7 +83,9 @@ def dead(view: View) -> Iterator[Finding]:
             # Steps of the current move the force of a rod at rest, too.
             by_current = view.varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
             yield view.finding(
-                "dead_channel", "limitation" if by_current else "fault", "position",
+                "dead_channel",
+                "limitation" if by_current else "fault",
+                "position",
                 f"rests at {milli(run.position[0])} mm while the force swings over {high - low:.3g} N; expected the "
                 "motion that causes it: look at the position sensor",
             )
@@ -110,7 +122,9 @@ def accelerometer(view: View) -> Iterator[Finding]:
     shift = int(near[np.argmin(np.abs(near))])
     if related[reach] < -0.9 or related.max() < 0.5:
         yield view.finding(
-            "rig", "limitation", "acceleration",
+            "rig",
+            "limitation",
+            "acceleration",
             f"does not follow the motion (correlation {related[reach]:.2g} with the acceleration of the position, expected "
             "1); is it the rod's, > 0 where it extends faster?",
         )
@@ -128,14 +142,18 @@ def accelerometer(view: View) -> Iterator[Finding]:
     lag = (shift + late) * view.interval
     if not ACCELEROMETER[0] < gain < ACCELEROMETER[1] and related.max() > 0.95:
         yield view.finding(
-            "rig", "limitation", "acceleration",
+            "rig",
+            "limitation",
+            "acceleration",
             f"is {gain:.3g} times the acceleration of the position, expected {ACCELEROMETER[0]:g} to {ACCELEROMETER[1]:g}; "
             f"is it the rod's{', in g instead of m/s²' if 0.08 < gain < 0.125 else ', in m/s²'}?",
         )
     if abs(lag) > LAG + 2 * error and abs(lag) > 4 * error:
         late_one, early = ("acceleration", "position") if lag > 0 else ("position", "acceleration")
         yield view.finding(
-            "lag", "limitation", late_one,
+            "lag",
+            "limitation",
+            late_one,
             f"comes {milli(abs(lag))} ± {milli(1.96 * error)} ms after {early}, expected less than {milli(LAG)} ms: "
             "velocities from both are wrong; sample all channels at once, with the same filters",
         )
