@@ -12,12 +12,12 @@ from common import console, duration, machine
 from rich.table import Table
 from scipy.optimize import least_squares
 
-from mrd_identification import diagnose
-from mrd_identification.gap.contest import FIRST_SCATTER
-from mrd_identification.gap.ground import Ground, first_fit, with_effect
-from mrd_identification.gap.noise import run_noise
-from mrd_identification.gap.refit import refit
-from mrd_identification.gap.which import Foundation, score
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.effect_search import Foundation, score
+from mrd_diagnosis.model_comparison import FIRST_SCATTER
+from mrd_diagnosis.noise_model import run_noise
+from mrd_diagnosis.refit import refit
+from mrd_diagnosis.weighting import Ground, first_fit, with_effect
 from mrd_identification.problem import in_threads, pose, prepare
 from mrd_runs import Run
 from mrd_sim.damper import Damper

@@ -10,7 +10,7 @@ import numpy as np
 from mrd_runs import read_run
 from mrd_runs.bag import BagWriter, read_bag
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
-from mrd_runs.motion import smooth_motion
+from mrd_runs.signals.motion import smooth_motion
 
 RATE, DURATION, BLOCK = 1000, 600, 20
 

@@ -24,7 +24,8 @@ FLOORS = {
     # Apart from the simulator: an error in the driver must show against the simulated motor, not be shared with it.
     "mrd_bench_driver": {"mrd_base", "mrd_trajectory", "mrd_runs"},
     "mrd_identification": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim"},
-    "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
+    "mrd_diagnosis": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
+    "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
 
 EXECUTABLES = {
@@ -33,7 +34,8 @@ EXECUTABLES = {
     "mrd_runs": {"recorder", "replay", "import_csv", "info"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
-    "mrd_identification": {"identifier", "identify", "compare", "export", "diagnose", "apply", "trend"},
+    "mrd_identification": {"identifier", "identify", "compare", "export"},
+    "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
     "mrd_trials": {"make", "run", "score", "withhold"},
 }
 

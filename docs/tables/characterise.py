@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mrd_identification import diagnose
-from mrd_identification.gap.coverage import Coverage, coverage, foreseen
-from mrd_identification.gap.words import human
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.detectability import Coverage, coverage, foreseen
+from mrd_diagnosis.report.sentences import human
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

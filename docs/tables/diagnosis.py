@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from mrd_identification import diagnose
-from mrd_identification.gap.diagnosis import Diagnosis
-from mrd_identification.gap.words import human, share
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.report.sentences import human, share
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS

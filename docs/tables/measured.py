@@ -6,10 +6,10 @@ Prints the table of docs/diagnosis.md, and writes the reports on all runs of a d
 import argparse
 from pathlib import Path
 
-from mrd_identification import diagnose, write_gap_report
-from mrd_identification.fit_file import make_folder
-from mrd_identification.gap.diagnosis import Diagnosis
-from mrd_identification.gap.words import share
+from mrd_diagnosis import diagnose, write_gap_report
+from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.report.sentences import share
+from mrd_identification.json_file import make_folder
 from mrd_runs import read_runs
 
 DAMPERS = {"utfsm": "UTFSM, press", "utfpr": "UTFPR, shaking table"}

@@ -5,7 +5,7 @@ package = "mrd_identification"
 setup(
     name=package,
     version="0.1.0",
-    description="What the recordings say: fit and gap",
+    description="Identification of damper models and their comparison",
     maintainer="The bench's maintainers",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
@@ -24,9 +24,6 @@ setup(
             "identify = mrd_identification.cli.identify:main",
             "compare = mrd_identification.cli.compare:main",
             "export = mrd_identification.cli.export:main",
-            "diagnose = mrd_identification.cli.diagnose:main",
-            "apply = mrd_identification.cli.apply:main",
-            "trend = mrd_identification.cli.trend:main",
         ]
     },
 )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_identification.identify import Case, Fit, Method, RunResult, identify_all
-from mrd_identification.stretches import correlation_length, stretches
+from mrd_identification.residual_correlation import correlation_length, stretches
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
 

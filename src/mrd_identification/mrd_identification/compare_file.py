@@ -7,7 +7,8 @@ import plotly.graph_objects as go
 
 from mrd_identification import figures
 from mrd_identification.compare import Comparison
-from mrd_identification.fit_file import finite, write_fit, write_json
+from mrd_identification.fit_file import write_fit
+from mrd_identification.json_file import finite, write_json
 from mrd_identification.report import render
 
 SCHEMA = "mrd-comparison/1"
@@ -114,7 +115,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
     for entry in comparison.entries:
         (folder / folder_of(entry.name)).mkdir(exist_ok=True)
         write_fit(entry.fit, folder / folder_of(entry.name))
-    write_json(to_json(comparison), "compare", folder)
+    write_json(to_json(comparison), "mrd_identification", "compare", folder)
     (folder / "compare.md").write_text(markdown(comparison), encoding="utf-8")
     best = comparison.entries[0].fit
     return render(

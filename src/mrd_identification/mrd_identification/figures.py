@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from mrd_identification.identify import Fit, RunResult
-from mrd_runs.motion import motion
 
 Array = NDArray[np.float64]
 
@@ -40,7 +39,7 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     )
     for index, result in enumerate(chosen):
         shown = _window(result)
-        moved = motion(result.run)
+        moved = result.motion
         for axis, (series, title) in enumerate(((moved.velocity, "velocity, mm/s"), (moved.position, "position, mm"))):
             row, column = (1, axis + 1) if single else (axis + 1, index + 1)
             for force, name, line in (

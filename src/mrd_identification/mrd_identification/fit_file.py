@@ -1,21 +1,15 @@
 """fit.json: an identified model as a file."""
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 
-from mrd_base import InputError
 from mrd_identification.identify import Fit
+from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
-from mrd_runs import Run
 
 SCHEMA = "mrd-fit/2"
 
@@ -42,12 +36,6 @@ class StoredFit:
     effects: Sequence[str]
     values: Mapping[str, float]
     content: Mapping[str, Any]
-
-
-@cache
-def schema(name: str = "fit") -> Any:
-    """JSON Schema of a file that this package writes."""
-    return json.loads(resources.files("mrd_identification").joinpath(f"schemas/{name}.schema.json").read_text())
 
 
 def to_json(fit: Fit) -> dict[str, Any]:
@@ -124,38 +112,9 @@ def to_json(fit: Fit) -> dict[str, Any]:
     }
 
 
-def make_folder(path: str) -> Path:
-    """Make the folder of the results, before anything is computed for it.
-
-    Raises
-    ------
-    InputError
-        When nothing can be written there.
-    """
-    if not path:
-        raise InputError("--output is empty, expected a folder for the results")
-    folder = Path(path)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "fit.part").touch()
-        (folder / "fit.part").unlink()
-    except OSError as error:
-        raise InputError(f"--output {path}: cannot be written ({error.strerror}), expected a folder") from None
-    return folder
-
-
 def write_fit(fit: Fit, folder: str | Path) -> Path:
     """Write fit.json into ``folder`` and return its path; the file is whole or not there."""
-    return write_json(to_json(fit), "fit", folder)
-
-
-def write_json(content: Mapping[str, Any], name: str, folder: str | Path) -> Path:
-    """Write ``name``.json into ``folder`` after checking it against its schema; the file is whole or not there."""
-    jsonschema.validate(content, schema(name))
-    path = Path(folder) / f"{name}.json"
-    partial = path.with_suffix(".part")
-    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return partial.replace(path)
+    return write_json(to_json(fit), "mrd_identification", "fit", folder)
 
 
 def read_fit(path: str | Path) -> StoredFit:
@@ -166,44 +125,9 @@ def read_fit(path: str | Path) -> StoredFit:
     InputError
         When the file cannot be read or is no fit.json of this version.
     """
-    content = read_json(path, "fit", SCHEMA)
+    content = read_json(path, "mrd_identification", "fit", SCHEMA)
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
     return StoredFit(content["model"], content["laws"], content["effects"], values, content)
-
-
-def read_json(path: str | Path, name: str, version: str) -> Any:
-    """Read a file that `write_json` wrote as ``name``.json, of this version of its schema.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read or is something else.
-    """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        found = content.get("schema") if isinstance(content, dict) else None
-        if found != version:
-            raise InputError(f"{path}: its schema is {str(found)[:40]}, expected a {name}.json of {version}")
-        jsonschema.validate(content, schema(name))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON ({error})") from None
-    except jsonschema.ValidationError as error:
-        field = "/".join(map(str, error.absolute_path)) or "the file"
-        wrong = error.message.splitlines()[0][:200]
-        raise InputError(f"{path}: {field}: {wrong}; expected a {name}.json of {version}") from None
-    return content
-
-
-def run_json(run: Run) -> dict[str, Any]:
-    return {
-        "name": run.name,
-        "source": str(run.info.get("source", "")),
-        "samples": len(run),
-        "rate_hz": run.rate,
-        "duration_s": run.duration,
-    }
 
 
 def metrics_json(of: Metrics) -> dict[str, Any]:
@@ -216,22 +140,3 @@ def metrics_json(of: Metrics) -> dict[str, Any]:
         "e2_N": of.e2,
         "einf_N": of.einf,
     }
-
-
-def finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def versions(*others: str) -> dict[str, str]:
-    """Versions of this package, of those that compute, and of others."""
-    return {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", *others)}
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "unknown"
-
-
-__all__ = ["SCHEMA", "StoredFit", "read_fit", "schema", "to_json", "write_fit"]

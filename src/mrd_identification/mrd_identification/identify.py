@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_identification.cautions import cautions
 from mrd_identification.cluster import run_on_cluster
+from mrd_identification.fit_warnings import cautions
+from mrd_identification.least_squares import polish, polish_front, with_loss_scale
 from mrd_identification.metrics import Metrics, metrics
 from mrd_identification.nsga2 import Front, search
-from mrd_identification.polish import polish, polish_front, with_loss_scale
 from mrd_identification.problem import Loss, Problem, Recording, Weights, modelled_in_turn, pose, prepare, run_weights
 from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
+from mrd_runs.signals.motion import Motion
 from mrd_sim.models import DamperModel, Parameter, find_model
 
 Array = NDArray[np.float64]
@@ -112,6 +113,8 @@ class RunResult:
     Attributes
     ----------
     run : Run
+    motion : Motion
+        Smoothed motion of the run.
     modelled : ndarray (n,)
         Force in N at every sample.
     counted : slice
@@ -120,6 +123,7 @@ class RunResult:
     """
 
     run: Run
+    motion: Motion
     modelled: Array
     counted: slice
     metrics: Metrics
@@ -425,7 +429,9 @@ def _results(model: DamperModel, theta: Array, recordings: Sequence[Recording]) 
     """Of runs that were recorded one after the other."""
     modelled = modelled_in_turn(model, theta, recordings)
     return tuple(
-        RunResult(recording.run, force, recording.counted, metrics(recording.force, force[recording.counted]))
+        RunResult(
+            recording.run, recording.motion, force, recording.counted, metrics(recording.force, force[recording.counted])
+        )
         for recording, force in zip(recordings, modelled, strict=True)
     )
 

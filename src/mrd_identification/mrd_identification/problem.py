@@ -16,9 +16,10 @@ from scipy.optimize import lsq_linear
 from mrd_base import InputError
 from mrd_identification.metrics import error_norms
 from mrd_runs import Run
-from mrd_runs.motion import motion
+from mrd_runs.signals.motion import Motion
+from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
 from mrd_sim.dual import STEP
-from mrd_sim.models import DamperModel, Parameter
+from mrd_sim.models import DamperModel, Parameter, SeriesSolutions
 from mrd_sim.path import Path, path_of
 
 Array = NDArray[np.float64]
@@ -31,16 +32,19 @@ FORGETTING_STROKE = 1e-3
 """m; the hysteretic state at the start of a recording is not known. Once the rod moved this far, several usual yield
 travels, little of it is left."""
 
-_WORKERS_NAME = "candidates"
-_WORKERS = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix=_WORKERS_NAME)
-"""The compiled models release the interpreter, so threads use all cores and share the data without a copy."""
+_THREAD_NAME = "analysis"
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """``function`` of every item, on all cores, in the order of the items; work within such work stays on its core."""
-    if threading.current_thread().name.startswith(_WORKERS_NAME):
+    """Apply ``function`` to every item on all cores, and return the results in the order of the items.
+
+    The compiled models release the interpreter, so threads use all cores and share the data without a copy. A call from one
+    of these threads does its work on the core that it has.
+    """
+    if threading.current_thread().name.startswith(_THREAD_NAME):
         return [function(item) for item in items]
-    return list(_WORKERS.map(function, items))
+    with ThreadPoolExecutor(os.cpu_count(), thread_name_prefix=_THREAD_NAME) as workers:
+        return list(workers.map(function, items))
 
 
 @dataclass(frozen=True)
@@ -49,19 +53,30 @@ class Recording:
 
     Attributes
     ----------
-    run : Run
+    smoothed : SmoothedRun
+        The run, its smoothed motion and its current without sensor noise.
     path : Path
-        Smoothed motion with its reversal vertices, and the measured current.
+        The smoothed signals with the vertices at reversals, along which models are integrated.
     counted : slice
         Samples whose residual counts.
     weight : float
         Factor of its squared residuals.
     """
 
-    run: Run
+    smoothed: SmoothedRun
     path: Path
     counted: slice
     weight: float = 1.0
+
+    @property
+    def run(self) -> Run:
+        """The run itself."""
+        return self.smoothed.run
+
+    @property
+    def motion(self) -> Motion:
+        """Smoothed motion of the run."""
+        return self.smoothed.motion
 
     @property
     def force(self) -> Array:
@@ -75,26 +90,34 @@ class Recording:
 
 def prepare(run: Run, weight: float = 1.0) -> Recording:
     """Smooth the motion of a run and lay out the path of integration."""
-    position = motion(run).position
+    smoothed = smooth_run(run)
+    position = smoothed.motion.position
     reached = np.maximum.accumulate(position) - np.minimum.accumulate(position)
     start = int(np.argmax(reached >= min(FORGETTING_STROKE, 0.25 * reached[-1])))
-    return Recording(run, path_of(run), slice(start, len(run)), weight)
+    return Recording(smoothed, path_of(smoothed), slice(start, len(run)), weight)
 
 
-def modelled_in_turn(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
-    """Modelled force in N of runs recorded one after the other: what outlasts a run, such as heat, goes on to the next."""
-    found: list[Array] = []
+def modelled_in_turn(
+    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
+) -> list[Array]:
+    """Modelled force in N of runs recorded one after the other: a state that outlasts a run, such as heat, is carried over.
+
+    ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
+    """
+    forces: list[Array] = []
     state: Array | None = None
     for recording in recordings:
-        begin = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
-        state = begin.astype(theta.dtype)
-        found.append(model.force(theta, recording.path, state))
-    return found
+        initial = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
+        state = initial.astype(theta.dtype)
+        forces.append(model.force(theta, recording.path, state, solutions))
+    return forces
 
 
-def forces_in_turn(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
-    """The same at the counted samples."""
-    forces = modelled_in_turn(model, theta, recordings)
+def forces_in_turn(
+    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
+) -> list[Array]:
+    """The forces of `modelled_in_turn` at the counted samples."""
+    forces = modelled_in_turn(model, theta, recordings, solutions)
     return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
 
 
@@ -227,9 +250,9 @@ class Problem:
             logarithmic = theta[list(self.free)] * np.log(self.upper / self.lower)
         return np.where(self.log, logarithmic, self.upper - self.lower)
 
-    def forces(self, theta: Array) -> Array:
-        """Modelled force in N over all counted samples."""
-        return np.concatenate(forces_in_turn(self.model, theta, self.recordings))
+    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
+        """Modelled force in N over all counted samples; ``solutions`` is as in `mrd_sim.models.DamperModel.force`."""
+        return np.concatenate(forces_in_turn(self.model, theta, self.recordings, solutions))
 
     def modelled(self, theta: Array, index: int) -> Array:
         """Modelled force in N at the counted samples of one recording."""
@@ -270,11 +293,14 @@ class Problem:
         """Exact derivatives (samples, indices) of the residuals to the unit coordinates, all or those of ``indices``."""
         theta = self.theta(unit)
         scale = self.scale(theta)
+        solutions: SeriesSolutions = {}
+        if self.model.has_series_elements:
+            self.forces(theta, solutions)
 
         def column(index: int) -> Array:
             moved = theta.astype(complex)
             moved[self.free[index]] += 1j * STEP * scale[index]
-            return self.counted(self.forces(moved).imag / STEP)
+            return self.counted(self.forces(moved, solutions).imag / STEP)
 
         columns = in_threads(column, range(len(self.free)) if indices is None else indices)
         return np.stack(columns, axis=1) if columns else np.empty((len(self.force), 0))

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from mrd_identification.polish import BORDER, descend
+from mrd_identification.least_squares import BORDER, descend
 from mrd_identification.problem import Problem
-from mrd_identification.stretches import correlation_length, stretches
+from mrd_identification.residual_correlation import correlation_length, stretches
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import pytest
 from mrd_base import InputError
 from mrd_identification import compare, identify
 from mrd_identification.compare_file import sentence, write_comparison
-from mrd_identification.fit_file import schema
+from mrd_identification.json_file import read_schema
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -75,11 +75,11 @@ def test_files_hold_to_their_schema_and_need_no_network(found, tmp_path):
     page = write_comparison(found, tmp_path).read_text()
     assert "<script src=" not in page
     content = json.loads((tmp_path / "compare.json").read_text())
-    jsonschema.validate(content, schema("compare"))
+    jsonschema.validate(content, read_schema("mrd_identification", "compare"))
     table = (tmp_path / "compare.md").read_text()
     for model in content["models"]:
         assert f"| `{model['name']}` | {model['free_parameters']} | {model['nrmse']['value']:.4f} |" in table
-        jsonschema.validate(json.loads((tmp_path / model["fit"]).read_text()), schema("fit"))
+        jsonschema.validate(json.loads((tmp_path / model["fit"]).read_text()), read_schema("mrd_identification", "fit"))
         assert model["name"] in page
 
 

@@ -1,6 +1,5 @@
 """The identifier node: one answer at a time, as the tools give it, and none once nobody waits."""
 
-import json
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -12,7 +11,7 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_identification.nodes import identifier
-from mrd_interfaces.action import Diagnose, Identify
+from mrd_interfaces.action import Identify
 
 
 class Client:
@@ -26,9 +25,8 @@ class Client:
         self._executor.add_node(self.node)
         self._executor.add_node(self._client)
         self.feedback: list[Any] = []
-        self._actions = {kind: ActionClient(self._client, kind, name) for kind, name in _NAMES.items()}
-        for action in self._actions.values():
-            self.until(action.server_is_ready)
+        self._action = ActionClient(self._client, Identify, "identify")
+        self.until(self._action.server_is_ready)
 
     def until(self, done: Any) -> None:
         for _ in range(12000):
@@ -38,8 +36,7 @@ class Client:
         pytest.fail("timed out")
 
     def send(self, goal: Any) -> Any:
-        kind = next(kind for kind in _NAMES if isinstance(goal, kind.Goal))
-        future = self._actions[kind].send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
+        future = self._action.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
         self.until(future.done)
         return future.result()
 
@@ -50,15 +47,11 @@ class Client:
 
     def close(self) -> None:
         self.node.close()
-        for action in self._actions.values():
-            action.destroy()
+        self._action.destroy()
         self._executor.shutdown()
         self._client.destroy_node()
         self.node.destroy_node()
         rclpy.try_shutdown()
-
-
-_NAMES = {Identify: "identify", Diagnose: "diagnose"}
 
 
 @pytest.fixture
@@ -69,33 +62,11 @@ def client(monkeypatch) -> Iterator[Client]:
     client.close()
 
 
-def test_diagnose_answers_as_the_tool_does(client, recorded, tmp_path):
-    effects = ["force_sensor_lag", "gas_spring"]
-    handle = client.send(Diagnose.Goal(runs=recorded, model="bingham", effects=effects, output=str(tmp_path / "out")))
-    assert handle.accepted
-    ended = client.ended(handle)
-    assert ended.status == GoalStatus.STATUS_SUCCEEDED
-    answer = ended.result
-    assert answer.success
-    report = json.loads((tmp_path / "out" / "gap_report.json").read_text())
-    assert answer.report == str(tmp_path / "out" / "gap_report.html")
-    assert (answer.message, answer.verdict) == (report["sentence"], report["verdict"])
-    assert list(answer.causes) == [cause["effect"] for cause in report["causes"]] == ["force_sensor_lag"]
-    assert list(answer.probability) == [cause["probability"] for cause in report["causes"]]
-    assert answer.closed_fraction == report["gap"]["closed_fraction"]["value"] > 0.9
-    fractions = [feedback.fraction for feedback in client.feedback]
-    assert fractions == sorted(fractions)
-    assert fractions
-    assert all(feedback.stage for feedback in client.feedback)
-
-
 def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
     for goal, words in (
-        (Diagnose.Goal(runs=recorded, model="bingham", effects=["ghost"], output=str(tmp_path)), "unknown effect ghost"),
-        (Diagnose.Goal(runs=recorded, model="bingham"), "--output is empty"),
-        (Diagnose.Goal(model="bingham", output=str(tmp_path)), ""),
-        (Diagnose.Goal(runs=recorded, model="bingham", parameters="no", output=str(tmp_path)), "no: cannot be read"),
         (Identify.Goal(runs=recorded, model="honey", output=str(tmp_path)), "unknown model honey"),
+        (Identify.Goal(runs=recorded, model="bingham"), "--output is empty"),
+        (Identify.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
     ):
         ended = client.ended(client.send(goal))
         assert ended.status == GoalStatus.STATUS_ABORTED
@@ -105,23 +76,21 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         assert ended.result.message
 
 
-@pytest.mark.parametrize("kind", [Identify, Diagnose])
-def test_one_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch, kind):
+def test_one_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch):
     going, cancelled = threading.Event(), threading.Event()
 
     def endless(*_arguments, progress, **_options):
         while True:
             going.set()
             cancelled.wait(0.02)
-            progress(*(("trying effects", 0.5) if kind is Diagnose else (1, 0.5)))
+            progress(1, 0.5)
 
-    monkeypatch.setattr(identifier, _NAMES[kind], endless)
-    goal = kind.Goal(runs=recorded, model="bingham", output=str(tmp_path))
+    monkeypatch.setattr(identifier, "identify", endless)
+    goal = Identify.Goal(runs=recorded, model="bingham", output=str(tmp_path))
     handle = client.send(goal)
     client.until(lambda: client.feedback)
     assert going.is_set()
-    for other in (goal, Identify.Goal(runs=recorded, model="bingham", output=str(tmp_path))):
-        assert not client.send(other).accepted
+    assert not client.send(goal).accepted
     handle.cancel_goal_async()
     ended = client.ended(handle)
     assert ended.status == GoalStatus.STATUS_CANCELED

@@ -8,7 +8,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_identification import identify, load_damper, metrics, read_fit, write_fit
-from mrd_identification.fit_file import make_folder
+from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import knee
 from mrd_identification.problem import modelled_in_turn, pose, prepare
 from mrd_identification.report import write_report

@@ -9,10 +9,10 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, sawtooth
 
 from mrd_identification import identify
-from mrd_identification.cautions import cautions
-from mrd_identification.polish import polish
+from mrd_identification.fit_warnings import cautions
+from mrd_identification.least_squares import polish
 from mrd_identification.problem import Problem, pose, prepare
-from mrd_identification.stretches import correlation_length
+from mrd_identification.residual_correlation import correlation_length
 from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model

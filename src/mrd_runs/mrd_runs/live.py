@@ -6,10 +6,10 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_runs.blocks import Blocks, decode_blocks
+from mrd_runs.check import make_run
 from mrd_runs.definitions import typestore
 from mrd_runs.read import assemble
 from mrd_runs.run import Run
-from mrd_runs.series import make_run
 
 
 class HeardSamples:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,11 @@ from mrd_base import InputError
 from mrd_base.config import parse_yaml
 from mrd_runs.bag import Bag, read_bag
 from mrd_runs.blocks import Blocks, decode_blocks
+from mrd_runs.check import make_run
 from mrd_runs.csv_file import read_csv
 from mrd_runs.definitions import SAMPLES_TYPE
 from mrd_runs.description import describe_calibration
 from mrd_runs.run import Run
-from mrd_runs.series import make_run
 
 Array = NDArray[np.float64]
 
@@ -77,7 +78,7 @@ def read_runs(paths: Iterable[str | Path]) -> list[Run]:
         taken = {other.name for other in runs}
         if run.name in taken:
             base = f"{Path(path).resolve().parent.name}/{run.name}"
-            run = run.renamed(next(name for name in _candidates(base) if name not in taken))
+            run = replace(run, name=next(name for name in _candidates(base) if name not in taken))
         runs.append(run)
     return runs
 

@@ -1,7 +1,7 @@
 """What a recording is, wherever it came from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 class Run:
     """One recording: equally long, finite series in SI units.
 
-    Two runs are equal only when they are the same object, so that a run can key a cache.
+    Two runs are equal only when they are the same object.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Run:
     position : ndarray (n,)
         m, as measured; > 0 extends the damper.
     velocity : ndarray (n,)
-        m/s; from the recording where it has one, else by `mrd_runs.motion.smooth_motion` from position.
+        m/s; the recorded velocity where there is one, else that of the smoothed motion.
     current : ndarray (n,)
         A, through the coil.
     force : ndarray (n,)
@@ -60,11 +60,3 @@ class Run:
     def duration(self) -> float:
         """From the first to the last sample, in s."""
         return float(self.time[-1] - self.time[0])
-
-    def renamed(self, name: str) -> "Run":
-        """The same recording under another name, with what has been computed of its motion."""
-        from mrd_runs.motion import carry_over
-
-        renamed = replace(self, name=name)
-        carry_over(self, renamed)
-        return renamed

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mrd_runs.motion import motion
 from mrd_runs.run import Run
+from mrd_runs.signals.motion import smooth_motion
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Summary:
 
 def summarise(run: Run) -> Summary:
     """Figures of a run."""
-    smoothed = motion(run)
+    smoothed = smooth_motion(run.time, run.position, run.acceleration)
     return Summary(
         run.duration,
         run.rate,

@@ -10,7 +10,8 @@ from scipy.signal import savgol_filter
 
 from mrd_base import InputError
 from mrd_runs import make_run
-from mrd_runs.motion import _Model, _quantisation_variance, _smooth, motion, smooth_motion
+from mrd_runs.signals.motion import MotionModel, _quantisation_variance, _smooth, smooth_motion
+from mrd_runs.signals.smoothed_run import smooth_run
 
 FREQUENCIES = 0.5 * np.arange(1, 16, 2)
 AMPLITUDES = 2.5e-3 / FREQUENCIES
@@ -83,7 +84,7 @@ def test_matches_the_direct_solution() -> None:
     n, order, pace = 40, 4, 0.3
     steps = np.append(rng.uniform(0.5, 1.5, n - 1), 1.0)
     reading = np.cumsum(rng.normal(size=n))
-    states, variance = _smooth(steps, reading, np.zeros(n), _Model(order, pace, noise=2.0))
+    states, variance = _smooth(steps, reading, np.zeros(n), MotionModel(order, pace, noise=2.0))
     h = steps * pace
     precision, rhs = np.zeros((n * order, n * order)), np.zeros(n * order)
     for k in range(n - 1):
@@ -178,10 +179,9 @@ def test_too_short() -> None:
         smooth_motion(np.arange(4.0), np.arange(4.0))
 
 
-def test_motion_of_a_run_is_computed_once(columns: dict[str, np.ndarray]) -> None:
+def test_the_velocity_of_a_run_is_that_of_its_smoothed_motion(columns: dict[str, np.ndarray]) -> None:
     run = make_run("run", columns)
-    assert motion(run) is motion(run)
-    np.testing.assert_array_equal(motion(run).velocity, run.velocity)
+    np.testing.assert_array_equal(smooth_run(run).motion.velocity, run.velocity)
     np.testing.assert_array_equal(run.position, columns["position_m"])
 
 

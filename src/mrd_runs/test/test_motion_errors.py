@@ -6,7 +6,8 @@ from scipy.interpolate import BPoly
 from scipy.signal import lfilter
 
 from mrd_runs import Run, make_run
-from mrd_runs.motion import between_samples, finer, motion, motion_errors, redrawn
+from mrd_runs.signals.motion import between_samples, finer, motion_errors
+from mrd_runs.signals.smoothed_run import remeasure, smooth_run
 
 FREQUENCIES = 0.5 * np.arange(1, 16, 2)
 AMPLITUDES = 2.5e-3 / FREQUENCIES
@@ -44,8 +45,8 @@ def rms(values: np.ndarray) -> float:
 @pytest.mark.parametrize("jitter", [0.0, 4e-4])
 def test_spread_of_velocity_is_what_the_smoother_says(accelerometer: bool, jitter: float) -> None:
     run = measured(accelerometer, 1500, jitter=jitter)
-    _, velocity, _ = motion_errors(run, np.random.default_rng(3), 400)
-    ratio = np.sqrt(np.mean(velocity**2, axis=0)) / motion(run).velocity_std
+    _, velocity, _ = motion_errors(run.time, smooth_run(run).motion, np.random.default_rng(3), 400)
+    ratio = np.sqrt(np.mean(velocity**2, axis=0)) / smooth_run(run).motion.velocity_std
     # 400 draws tell a standard deviation to 3.5 %.
     assert np.abs(ratio - 1).max() < 0.2
     assert ratio.mean() == pytest.approx(1, abs=0.02)
@@ -54,17 +55,17 @@ def test_spread_of_velocity_is_what_the_smoother_says(accelerometer: bool, jitte
 @pytest.mark.parametrize("accelerometer", [False, True])
 def test_spread_is_that_of_the_actual_errors(accelerometer: bool) -> None:
     run = measured(accelerometer)
-    smoothed = motion(run)
+    smoothed = smooth_run(run).motion
     assert (smoothed.accelerometer is not None) == accelerometer
     found = smoothed.position, smoothed.velocity, smoothed.acceleration
-    drawn = motion_errors(run, np.random.default_rng(4), 8)
+    drawn = motion_errors(run.time, smooth_run(run).motion, np.random.default_rng(4), 8)
     for values, true, errors in zip(found, multisine(run.time), drawn, strict=True):
         assert 1 / 1.5 < rms(values - true) / rms(errors) < 1.5
 
 
 def test_drawn_errors_are_derivatives_of_each_other() -> None:
     run = measured(accelerometer=False)
-    position, velocity, acceleration = motion_errors(run, np.random.default_rng(5), 3)
+    position, velocity, acceleration = motion_errors(run.time, smooth_run(run).motion, np.random.default_rng(5), 3)
     for values, slopes in ((position, velocity), (velocity, acceleration)):
         assert rms((np.gradient(values, run.time, axis=1) - slopes)[:, 1:-1]) < 0.1 * rms(slopes)
 
@@ -73,26 +74,27 @@ def test_drawn_errors_are_derivatives_of_each_other() -> None:
 def test_measuring_again_differs_by_as_much_as_errors_do(seed: int) -> None:
     run = measured(accelerometer=True)
     rng = np.random.default_rng(seed)
-    again = redrawn(run, rng)
-    assert motion(again).order == motion(run).order
-    assert rms(again.position - motion(run).position) == pytest.approx(NOISE, rel=0.1)
+    remeasured = remeasure(smooth_run(run), rng)
+    again = remeasured.run
+    assert remeasured.motion.order == smooth_run(run).motion.order
+    assert rms(again.position - smooth_run(run).motion.position) == pytest.approx(NOISE, rel=0.1)
     assert np.std(again.acceleration - run.acceleration) == pytest.approx(np.sqrt(2) * ACCELEROMETER_NOISE, rel=0.1)
     assert np.std(again.current) == pytest.approx(4e-3, rel=0.1)
-    difference = motion(again).velocity - motion(run).velocity
-    assert rms(difference) == pytest.approx(rms(motion_errors(run, rng, 8)[1]), rel=0.2)
+    difference = remeasured.motion.velocity - smooth_run(run).motion.velocity
+    assert rms(difference) == pytest.approx(rms(motion_errors(run.time, smooth_run(run).motion, rng, 8)[1]), rel=0.2)
 
 
 def test_without_noise_there_is_hardly_an_error() -> None:
     run = measured(accelerometer=False, noise=0.0)
-    assert rms(motion_errors(run, np.random.default_rng(8), 2)[1]) < 1e-7
-    assert rms(motion(redrawn(run, np.random.default_rng(9))).velocity - motion(run).velocity) < 1e-7
+    assert rms(motion_errors(run.time, smooth_run(run).motion, np.random.default_rng(8), 2)[1]) < 1e-7
+    assert rms(remeasure(smooth_run(run), np.random.default_rng(9)).motion.velocity - smooth_run(run).motion.velocity) < 1e-7
 
 
 def test_standstill_has_no_error() -> None:
     t = np.arange(100) / 25
     run = make_run("still", {"time_s": t, "position_m": np.full(100, 0.01), "current_A": t, "force_N": np.sin(t)})
-    assert not np.any(motion_errors(run, np.random.default_rng(10), 2))
-    np.testing.assert_array_equal(redrawn(run, np.random.default_rng(11)).position, run.position)
+    assert not np.any(motion_errors(run.time, smooth_run(run).motion, np.random.default_rng(10), 2))
+    np.testing.assert_array_equal(remeasure(smooth_run(run), np.random.default_rng(11)).run.position, run.position)
 
 
 def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
@@ -104,7 +106,10 @@ def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
     t, every = np.arange(1000) / 25, 64
     read = exact[::every] + rng.normal(0, 5e-7, len(t))
     run = make_run("few", {"time_s": t, "position_m": read, "current_A": t / 60, "force_N": np.sin(t)})
-    values, errors = between_samples(run, 8), motion_errors(run, rng, 8, 8)
+    values, errors = (
+        between_samples(run.time, smooth_run(run).motion, 8),
+        motion_errors(run.time, smooth_run(run).motion, rng, 8, 8),
+    )
     true = exact, np.gradient(exact, 1 / 1600)
     for found, right, drawn in zip(values, true, errors, strict=False):
         wrong = found - right[: len(exact) - every + 1 : every // 8]
@@ -115,17 +120,18 @@ def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
 
 def test_between_samples_nothing_changes_at_the_samples() -> None:
     run = measured(accelerometer=True, n=300)
-    for fine, values in zip(between_samples(run, 4), (motion(run).position, motion(run).velocity), strict=False):
+    motion = smooth_run(run).motion
+    for fine, values in zip(between_samples(run.time, motion, 4), (motion.position, motion.velocity), strict=False):
         np.testing.assert_allclose(fine[::4], values, rtol=1e-6, atol=1e-9)
-    coarse, fine = (motion_errors(run, np.random.default_rng(3), 400, parts)[1] for parts in (1, 4))
+    coarse, fine = (motion_errors(run.time, motion, np.random.default_rng(3), 400, parts)[1] for parts in (1, 4))
     assert rms(fine[:, ::4]) == pytest.approx(rms(coarse), rel=0.05)
 
 
 def test_between_samples_position_is_the_polynomial_of_its_derivatives_at_both_ends() -> None:
     run = measured(accelerometer=True, n=300, jitter=5e-4)
     parts = np.random.default_rng(4).integers(1, 9, 299)
-    at = motion(run)
+    at = smooth_run(run).motion
     expected = BPoly.from_derivatives(run.time, np.stack([at.position, at.velocity, at.acceleration], axis=1))
-    for order, fine in enumerate(between_samples(run, parts)):
+    for order, fine in enumerate(between_samples(run.time, smooth_run(run).motion, parts)):
         right = expected(finer(run.time, parts), order)
         np.testing.assert_allclose(fine, right, atol=1e-9 * np.abs(right).max())

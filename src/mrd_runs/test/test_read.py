@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
 from mrd_runs.import_csv import import_run
-from mrd_runs.motion import motion
 
 
 def test_csv_comes_back_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -168,11 +167,6 @@ def test_csv_and_the_bag_made_of_it_are_the_same_recording(tmp_path: Path, make_
         read_runs([file, tmp_path / "bag"])
     other = columns | {"force_N": np.nextafter(columns["force_N"], np.inf)}
     assert len(read_runs([file, write_csv(tmp_path / "other.csv", other)])) == 2
-
-
-def test_renamed_run_is_not_smoothed_again(columns) -> None:
-    run = make_run("a", columns)
-    assert motion(run.renamed("b")) is motion(run)
 
 
 def test_runs_travel_to_other_processes(columns) -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_runs.steady import current_noise, steady_current
+from mrd_runs.signals.current import current_noise, steady_current
 
 RATE = 500
 T = np.arange(7500) / RATE

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_base.config import parse_yaml
-from mrd_runs.motion import smooth_motion
+from mrd_runs.signals.motion import smooth_motion
 from mrd_sim.models import find_model
 from mrd_sim.path import Path, make_path
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs import Run
-from mrd_runs.mains import mains_phase
-from mrd_runs.motion import between_samples, divided, finer
-from mrd_runs.steady import steady
+from mrd_runs.signals.mains import mains_phase
+from mrd_runs.signals.motion import between_samples, divided, finer
+from mrd_runs.signals.smoothed_run import SmoothedRun
 
 Array = NDArray[np.float64]
 
@@ -38,8 +38,8 @@ class Path:
     samples : ndarray (n,) of int
         Which vertices are samples.
     mains : ndarray (2,)
-        rad, the mains' phase at the start, see `mrd_runs.mains.mains_phase`.
-    run : Run or None
+        rad, the mains' phase at the start, see `mrd_runs.signals.mains.mains_phase`.
+    smoothed : SmoothedRun or None
         The recorded run that it belongs to.
     """
 
@@ -50,23 +50,26 @@ class Path:
     current: Array
     samples: NDArray[np.intp]
     mains: Array = field(default_factory=lambda: np.zeros(2))
-    run: Run | None = None
+    smoothed: SmoothedRun | None = None
 
     @cached_property
     def fine(self) -> "Path":
         """The same with more vertices where the recorded force changes fast, for effects that follow the force."""
-        return self if self.run is None else replace(_along(self.run, pieces(self.run)), mains=self.mains)
+        if self.smoothed is None:
+            return self
+        return replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains)
 
 
-def path_of(run: Run) -> Path:
-    """Path of a recorded run: its smoothed motion, its measured current without the sensor's noise, the mains' phase."""
-    return replace(_along(run, 1), mains=mains_phase(run), run=run)
+def path_of(smoothed: SmoothedRun) -> Path:
+    """Path of a recorded run: its smoothed motion, its current without sensor noise, the phase of the mains."""
+    return replace(_along(smoothed, 1), mains=mains_phase(smoothed.run, smoothed.current), smoothed=smoothed)
 
 
-def _along(run: Run, parts: int | NDArray[np.intp]) -> Path:
+def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:
     """Path of a recorded run with its sampling intervals `divided`."""
-    path = make_path(finer(run.time, parts), *between_samples(run, parts), finer(steady(run), parts))
-    return replace(path, samples=path.samples[divided(len(run), parts)])
+    time = smoothed.run.time
+    path = make_path(finer(time, parts), *between_samples(time, smoothed.motion, parts), finer(smoothed.current, parts))
+    return replace(path, samples=path.samples[divided(len(time), parts)])
 
 
 def pieces(run: Run) -> NDArray[np.intp]:

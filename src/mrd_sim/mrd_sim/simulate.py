@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from mrd_base import InputError
 from mrd_runs import Run, make_run
-from mrd_runs.motion import motion
+from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.damper import Damper
 from mrd_sim.path import make_path, path_of
 from mrd_trajectory.plan import Plan
@@ -57,8 +57,9 @@ class Instruments:
 
 def simulate_run(run: Run, damper: Damper) -> Run:
     """Replace the force of a run by that of a damper along its (smoothed) motion and measured current."""
-    moved = motion(run)
-    force = damper.model.force(damper.theta, path_of(run))
+    smoothed = smooth_run(run)
+    moved = smoothed.motion
+    force = damper.model.force(damper.theta, path_of(smoothed))
     return Run(
         f"{run.name}_{damper.model.id}",
         run.time,

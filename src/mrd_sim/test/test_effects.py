@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_runs import Run
+from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.dual import STEP
 from mrd_sim.effects import EFFECTS, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
@@ -493,7 +494,7 @@ def test_what_follows_the_force_is_resolved_between_the_samples_of_a_recording(e
     model, theta = switched_on("bouc_wen", effect)
     expected = model.force(theta, make_path(time, x, v, a, current))
     at = slice(None, None, 32)
-    path = path_of(Run("recorded", time[at], x[at], v[at], current[at], expected[at], a[at]))
+    path = path_of(smooth_run(Run("recorded", time[at], x[at], v[at], current[at], expected[at], a[at])))
 
     def error(along):
         return np.sqrt(np.mean((model.force(theta, along) - expected[at])[100:] ** 2))

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from mrd_base import InputError
-from mrd_identification.gap.library import within
+from mrd_diagnosis.experiment_design.candidates import within
 from mrd_runs import Run, read_runs
-from mrd_runs.motion import motion
+from mrd_runs.signals.motion import smooth_motion
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.plan import Plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
@@ -102,7 +102,7 @@ def commanded(planned: Plan) -> Motion:
 def replayed(run: Run) -> Motion:
     """The motion and current of a recording, smoothed as every recording's are."""
     time = STEP * np.arange(int(run.duration / STEP), dtype=float)
-    moved = motion(run)
+    moved = smooth_motion(run.time, run.position, run.acceleration)
     position = CubicHermiteSpline(run.time, moved.position, moved.velocity)(time)
     return Motion(time, position, np.interp(time, run.time, run.current), exact=True)
 

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_identification import diagnose
-from mrd_identification.gap.contest import FIRST_SCATTER
-from mrd_identification.gap.diagnose import model_alone
-from mrd_identification.gap.diagnosis import Diagnosis
-from mrd_identification.gap.ground import Ground
-from mrd_identification.gap.library import library
-from mrd_identification.gap.noise import run_noise
-from mrd_identification.gap.refit import own_error
-from mrd_identification.gap.where import where
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.diagnose import model_alone
+from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.experiment_design.candidates import library
+from mrd_diagnosis.localisation import where
+from mrd_diagnosis.model_comparison import FIRST_SCATTER
+from mrd_diagnosis.noise_model import run_noise
+from mrd_diagnosis.refit import own_error
+from mrd_diagnosis.weighting import Ground
 from mrd_identification.problem import in_threads, prepare
 from mrd_runs import Run, read_runs
 from mrd_sim.models import DamperModel, find_model

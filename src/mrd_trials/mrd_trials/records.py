@@ -109,7 +109,7 @@ class Submission:
     ----------
     plant : str
     verdict : str
-        As of `mrd_identification.gap.diagnosis.Diagnosis`; ``failed`` where it came to none.
+        As of `mrd_diagnosis.diagnosis.Diagnosis`; ``failed`` where it came to none.
     failure : str
         The error in one line.
     causes : tuple of Named

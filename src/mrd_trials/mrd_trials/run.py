@@ -10,15 +10,15 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_identification import diagnose
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Interval
 from mrd_identification.cluster import run_on_cluster
-from mrd_identification.gap.diagnosis import Candidate, Cause, Diagnosis, Interval
 from mrd_runs import Run, read_runs
 from mrd_trials.make import Exhibit, read_trial
 from mrd_trials.pool import every
 from mrd_trials.records import Bin, Named, Submission, completed, read_records
 
-JUDGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_identification")
+JUDGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_identification", "mrd_diagnosis")
 """Packages whose code decides what a diagnosis says."""
 
 VERDICTS, FROZEN = "verdicts.jsonl", "diagnoser.json"
@@ -47,7 +47,7 @@ def frozen(seed: int = 0) -> Diagnoser:
     """The diagnoser that is installed here."""
     roots = {name: Path(_origin(name)).parent for name in JUDGES}
     code, catalogue = _hash(list(roots.values())), _hash([roots["mrd_sim"] / "effects"])
-    return Diagnoser(version("mrd_identification"), code, catalogue, seed)
+    return Diagnoser(version("mrd_diagnosis"), code, catalogue, seed)
 
 
 def run(

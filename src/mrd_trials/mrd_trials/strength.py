@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.gap.ground import first_fit
+from mrd_diagnosis.weighting import first_fit
 from mrd_identification.problem import forces_in_turn, in_threads, pose, prepare
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, find_model

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.gap.diagnose import model_alone
-from mrd_identification.gap.ground import Ground, with_effect
-from mrd_identification.gap.refit import Refit
-from mrd_identification.gap.which import Foundation, around, beside
+from mrd_diagnosis.diagnose import model_alone
+from mrd_diagnosis.effect_search import Foundation, around, beside
+from mrd_diagnosis.refit import Refit
+from mrd_diagnosis.weighting import Ground, with_effect
 from mrd_identification.problem import in_threads, prepare
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS

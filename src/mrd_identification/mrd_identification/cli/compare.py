@@ -11,7 +11,7 @@ from mrd_base import run_tool
 from mrd_identification.cli.options import add_method_arguments, add_run_arguments, method, read_arguments_runs
 from mrd_identification.compare import Comparison, compare
 from mrd_identification.compare_file import folder_of, sentence, write_comparison
-from mrd_identification.fit_file import make_folder
+from mrd_identification.json_file import make_folder
 from mrd_sim.models import MODELS, find_model
 
 

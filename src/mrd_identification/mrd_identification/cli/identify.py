@@ -7,8 +7,9 @@ from tqdm import tqdm
 
 from mrd_base import run_tool
 from mrd_identification.cli.options import add_method_arguments, add_run_arguments, method, read_arguments_runs
-from mrd_identification.fit_file import make_folder, write_fit
+from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
+from mrd_identification.json_file import make_folder
 from mrd_identification.report import sentence, write_report
 from mrd_sim.models import MODELS, find_model
 

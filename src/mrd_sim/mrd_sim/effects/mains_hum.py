@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from mrd_runs.mains import MAINS
+from mrd_runs.signals.mains import MAINS
 from mrd_sim.dual import cos
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.parameter import Parameter

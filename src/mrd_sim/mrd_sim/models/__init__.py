@@ -22,7 +22,7 @@ from mrd_sim.models import (
     shear_thinning_bouc_wen,
     sigmoid,
 )
-from mrd_sim.models.model import DamperModel, Quantity
+from mrd_sim.models.model import DamperModel, Quantity, SeriesSolutions
 from mrd_sim.parameter import Parameter
 
 MODELS: dict[str, DamperModel] = {
@@ -62,4 +62,4 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
     return model.with_effects(find_effects(effects)) if effects else model
 
 
-__all__ = ["MODELS", "DamperModel", "Parameter", "Quantity", "find_model"]
+__all__ = ["MODELS", "DamperModel", "Parameter", "Quantity", "SeriesSolutions", "find_model"]

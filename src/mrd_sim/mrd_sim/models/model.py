@@ -13,14 +13,19 @@ from mrd_sim.current import LAWS, coefficients, lagged_current, rise
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series import MOST, derivatives_in_series, in_series
+from mrd_sim.series_elements import MOST, derivatives_in_series, in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
 
 NO_FLOOR = -1e300
 
-_KEPT = 64  # paths
+SeriesSolutions = dict[int, tuple[tuple[bytes, bytes], Array, Array]]
+"""Solutions of a damper in series with something that gives way, by the identity of the path.
+
+Each holds the parameters and the initial state that it belongs to, the force, and the derivatives over it. One such
+dictionary serves one evaluation of derivatives, during which its paths exist.
+"""
 
 
 @dataclass(frozen=True)
@@ -291,7 +296,7 @@ class DamperModel:
                 found[first:last] = state[first:last]
         return found
 
-    def force(self, theta: Array, path: Path, state: Array | None = None) -> Array:
+    def force(self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None) -> Array:
         """Force in N at the samples of a path.
 
         Parameters
@@ -303,9 +308,11 @@ class DamperModel:
             As from `initial_state`, of the type of ``theta``; changed in place, so that a following path continues where
             this one ended.
         """
-        return self.forces(theta, path, state)[1]
+        return self.forces(theta, path, state, solutions)[1]
 
-    def forces(self, theta: Array, path: Path, state: Array | None = None) -> tuple[Array, Array]:
+    def forces(
+        self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None
+    ) -> tuple[Array, Array]:
         """Force in N on the rod and the measured one, after the effects of sensing; arguments as of `force`."""
         if state is None:
             state = self.initial_state(path)
@@ -328,7 +335,7 @@ class DamperModel:
         inner = state[2 : 2 + self.states]
         if self._series:
             stretched = state[-len(self._series) - 1 :]
-            self._run_in_series(theta, path, start, (stretched, rows.T, inner, path.dt, x, v, a, force))
+            self._run_in_series(theta, path, start, (stretched, rows.T, inner, path.dt, x, v, a, force), solutions)
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
         self._act(("fluid", "structure"), theta, path.dt, (x, v, a, current, force), state)
@@ -338,38 +345,38 @@ class DamperModel:
         self._act(("sensing",), theta, path.dt, (x, v, a, current, force), state)
         return on_rod, force[path.samples]
 
-    def _run_in_series(self, theta: Array, path: Path, start: bytes, arguments: tuple[Array, ...]) -> None:
-        """Fill the force of the damper and of what is in series with it.
+    def _run_in_series(
+        self, theta: Array, path: Path, start: bytes, arguments: tuple[Array, ...], solutions: SeriesSolutions | None
+    ) -> None:
+        """Fill the force of the damper and of what is in series with it; ``start`` is the state at the start of the path.
 
-        Derivatives begin with the force itself, and a fit asks for them parameter by parameter: what was found last along a
-        path is kept for them, with the parameters and the state at the ``start`` that it belongs to.
+        The derivatives need the solution of the equations themselves, which is the same for all of them.
         """
         p = np.stack([np.resize(theta[part], 4) for part in self._effect_parameters(self._series)])
         stretches = tuple(effect.stretch for effect in self._series)
         derivatives = np.iscomplexobj(theta)
         key = theta.real.tobytes(), start
-        known = self._found.get(id(path))
-        if known is None or known[0] != key or not derivatives:
+        known = solutions.get(id(path)) if solutions is not None and derivatives else None
+        if known is None or known[0] != key:
             values = [np.ascontiguousarray(argument.real) for argument in arguments]
             solved = np.empty((len(path.dt), 2 + self.states))
             in_series(self.kernel, stretches, p.real + 0j, *values, solved)
-            known = key, path, values[-1].copy(), solved
-            self._found[id(path)] = known
-            if len(self._found) > _KEPT:
-                self._found.pop(next(iter(self._found)), None)
+            known = key, values[-1].copy(), solved
+            if solutions is not None and not derivatives:
+                solutions[id(path)] = known
         if derivatives:
-            arguments[-1][:] = known[2]
-            derivatives_in_series(self.kernel, stretches, p, *arguments, known[3])
-
-    @cached_property
-    def _found(self) -> dict[int, tuple[tuple[bytes, bytes], Path, Array, Array]]:
-        """What it belongs to, the path, the force and what was `solved` (`mrd_sim.series`), by the path's identity."""
-        return {}
+            arguments[-1][:] = known[1]
+            derivatives_in_series(self.kernel, stretches, p, *arguments, known[2])
 
     @cached_property
     def follows_force(self) -> bool:
         """Whether effects need vertices between samples, where the force changes fast."""
         return any(effect.follows_force for effect in self.effects)
+
+    @property
+    def has_series_elements(self) -> bool:
+        """Whether effects give way in series with the damper, so that its force is the root of an equation."""
+        return bool(self._series)
 
     @cached_property
     def _series(self) -> tuple[Effect, ...]:

@@ -1,0 +1,21 @@
+"""Diagnosis of the gap between simulator and recordings: where it lies, which effect causes it, how far it closes."""
+
+from mrd_diagnosis.diagnose import diagnose
+from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Interval, Region
+from mrd_diagnosis.report.gap_file import read_gap_report
+from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.trend.trend import Trend, trend
+
+__all__ = [
+    "Candidate",
+    "Cause",
+    "Diagnosis",
+    "Finding",
+    "Interval",
+    "Region",
+    "Trend",
+    "diagnose",
+    "read_gap_report",
+    "trend",
+    "write_gap_report",
+]

@@ -1,0 +1,108 @@
+"""Follow a parameter of a damper over dated runs."""
+
+import argparse
+import sys
+from typing import Any
+
+from tqdm import tqdm
+
+from mrd_base import InputError, run_tool
+from mrd_diagnosis.report.gap_file import read_gap_report
+from mrd_diagnosis.trend.trend import calendar_of, trend
+from mrd_diagnosis.trend.trend_file import write_trend
+from mrd_identification.fit_file import StoredFit, read_fit
+from mrd_identification.json_file import make_folder
+from mrd_runs import read_runs
+from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.current import LAWS, parse_laws
+from mrd_sim.effects import find_effects
+from mrd_sim.models import MODELS
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_diagnosis trend``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Parse, follow, write, report."""
+    parser = argparse.ArgumentParser(
+        prog="trend",
+        description="Follow a parameter over dated runs: its trend, a change point if there is one, and when it reaches a "
+        "limit; writes trend.json and trend.html.",
+    )
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
+    parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: that of the report or the fit")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--effect", metavar="EFFECT[.PARAMETER]", help="follow an effect: its first parameter, or another")
+    what.add_argument("--parameter", metavar="NAME", help="follow a parameter of the model, such as yield_force")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--report", metavar="GAP_REPORT.json", help="model and effects as a diagnosis found them; follows the first"
+    )
+    source.add_argument("--parameters", metavar="FIT.json", help="fitted model to start from, instead of a search")
+    parser.add_argument(
+        "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
+    )
+    add_effects_folder(parser)
+    parser.add_argument(
+        "--dates", default="", metavar="DATE,...", help="one for each run, such as 2024-05-31; default: the recordings' own"
+    )
+    parser.add_argument("--limit", type=float, metavar="VALUE", help="in SI; tells when the trend reaches it")
+    parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
+    parser.add_argument("--output", required=True, metavar="DIR", help="where trend.json and trend.html go")
+    arguments = parser.parse_args()
+    if arguments.seed < 0:
+        raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
+    start = _start(arguments)
+    runs = read_runs(arguments.runs)
+    calendar = calendar_of(runs, [date for date in arguments.dates.split(",") if date])
+    folder = make_folder(arguments.output)
+    with tqdm(total=100, desc="trend", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
+
+        def progress(stage: str, fraction: float) -> None:
+            bar.set_description_str(stage, refresh=False)
+            bar.update(int(100 * fraction) - bar.n)
+
+        found = trend(runs, calendar=calendar, limit=arguments.limit, seed=arguments.seed, progress=progress, **start)
+    page = write_trend(found, folder)
+    print(found.sentence)
+    for note in found.notes:
+        print(f"note: {note}")
+    print(page)
+
+
+def _start(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Model, laws, effects, parameters and what to follow, from the arguments and the file that they name."""
+    laws = parse_laws(arguments.law, "--law")
+    source, follow = arguments.report or arguments.parameters, arguments.effect
+    stored = None
+    if arguments.report:
+        report = read_gap_report(source)
+        corrected = report["corrected"]
+        stored = StoredFit(report["model"], report["laws"], corrected["effects"], corrected["parameters"], report)
+        follow = follow or next(iter([*(cause["effect"] for cause in report["causes"]), *stored.effects]), None)
+    elif arguments.parameters:
+        stored = read_fit(source)
+    if arguments.parameter:
+        follow = arguments.parameter
+    elif follow:
+        effect, _, name = follow.partition(".")
+        follow = f"{effect}.{name or find_effects([effect])[0].parameters[0].name}"
+    else:
+        raise InputError("nothing to follow: name an --effect or a --parameter")
+    if stored is None:
+        if not arguments.model:
+            raise InputError("--model is missing, expected one, or a --report or --parameters of one")
+        return {"model": arguments.model, "follow": follow, "laws": laws}
+    if arguments.model not in (None, stored.model):
+        raise InputError(f"--model {arguments.model}: {source} is of {stored.model}, expected the same")
+    if laws:
+        raise InputError(f"--law {arguments.law}: {source} has current laws of its own; leave it out")
+    return {
+        "model": stored.model,
+        "follow": follow,
+        "laws": stored.laws,
+        "effects": stored.effects,
+        "parameters": stored.values,
+    }

@@ -1,0 +1,396 @@
+"""Diagnoses of simulated dampers whose effect is known."""
+
+import sys
+from dataclasses import replace
+from textwrap import dedent
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.diagnose import model_alone
+from mrd_diagnosis.diagnosis import Interval
+from mrd_diagnosis.effect_search import Foundation, anew, around, beside
+from mrd_diagnosis.model_comparison import Contest
+from mrd_identification.fit_file import StoredFit
+from mrd_identification.problem import prepare
+from mrd_sim.damper import Damper
+from mrd_sim.models import find_model
+from mrd_sim.simulate import Instruments, measure_plans
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import plan
+from mrd_trajectory.settings import read_settings
+
+diagnosing = sys.modules["mrd_diagnosis.diagnose"]
+
+EXPERIMENTS = {
+    "multisine": """
+        rod: {waveform: multisine, amplitude_mm: 14, lowest_hz: 0.3, highest_hz: 6, period_s: 10, rolloff: 1.2, seed: 0}
+        coil: {waveform: aprbs, low_mA: 0, high_mA: 300, shortest_s: 0.05, longest_s: 0.3, count: 8, seed: 1}""",
+    "triangle": """
+        rod: {waveform: triangle, amplitude_mm: 12, slope_mm_per_s: 40}
+        coil: {waveform: staircase, levels_mA: [0, 200, 400, 200], hold_s: 0.7}""",
+    "sine": """
+        rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 3}
+        coil: {waveform: prbs, low_mA: 50, high_mA: 300, bit_s: 0.1, order: 7, seed: 2}""",
+    "slow": """
+        rod: {waveform: sine, amplitude_mm: 20, frequency_hz: 0.25}
+        coil: {waveform: constant, level_mA: 150}""",
+}
+DAMPER = {
+    "yield_force": 60.0,
+    "yield_force_per_A": 800.0,
+    "yield_travel": 1.5e-4,
+    "viscous": 800.0,
+    "viscous_per_A": 1500.0,
+    "stiffness": 1000.0,
+    "offset": -40.0,
+    "coil_lag": 0.0,
+}
+
+
+def cut(run, first, last):
+    """Part of a run, in s."""
+    part = (run.time >= first) & (run.time <= last)
+    series = {n: getattr(run, n)[part] for n in ("position", "velocity", "current", "force", "acceleration")}
+    return replace(run, time=run.time[part] - run.time[part][0], **series)
+
+
+FEW = ("coil_lag", "gas_spring", "moving_mass", "force_sensor_lag", "channel_delay")
+
+
+def recorded(effects=None, model="bouc_wen", seed=0, rate=250, instruments=None, only=EXPERIMENTS, **values):
+    """Runs of a damper; ``only`` names experiments, or holds others."""
+    settings = read_settings(None)
+    texts = EXPERIMENTS | (only if isinstance(only, dict) else {})
+    plans = [
+        plan(
+            parse_experiment(f"name: {name}\nduration_s: 8\nrate_hz: {rate}\n{dedent(texts[name])}", name),
+            settings.limits,
+            settings.force_envelope,
+        )
+        for name in only
+    ]
+    own = {name: value for name, value in DAMPER.items() if name in find_model(model).names}
+    damper = Damper(model, own | values, effects=effects)
+    return measure_plans(plans, damper, np.random.default_rng(seed), instruments=instruments)
+
+
+@pytest.fixture(scope="module")
+def delayed():
+    return recorded({"channel_delay": {"delay": 0.012}})
+
+
+@pytest.fixture(scope="module")
+def explained(delayed):
+    return diagnose(delayed, "bouc_wen", effects=FEW)
+
+
+def test_the_effect_is_named_with_its_size_and_what_it_closes(explained):
+    assert (explained.verdict, [cause.effect for cause in explained.causes]) == ("explained", ["channel_delay"])
+    (cause,) = explained.causes
+    found = cause.parameters["channel_delay.delay"].value
+    assert found.value == pytest.approx(0.012, abs=3e-4)
+    assert 0.0 < found.upper - found.lower < 0.001
+    assert cause.probability > 0.95
+    assert cause.p_value < 0.01
+    assert explained.closed.value > 0.97
+    assert explained.closed.lower > 0.9
+    assert explained.floor.value < explained.after.value < 1.3 * explained.floor.value < explained.before.value
+    assert explained.sentence.startswith("The force channel is late by 1")
+    assert explained.parameters["channel_delay.delay"] == found.value
+    assert explained.held_out_by == "leave-one-run-out"
+
+
+def test_where_it_lies_is_told(explained):
+    assert explained.where
+    assert explained.where[0].q_value < 0.05
+    assert explained.where[0].lift > 1
+
+
+def test_the_same_seed_gives_the_same_answer(delayed, explained):
+    again = diagnose(delayed, "bouc_wen", effects=FEW[::-1])
+    assert again.sentence == explained.sentence
+    assert again.closed == explained.closed
+    assert again.candidates == explained.candidates
+
+
+def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
+    found = diagnose(delayed, "bouc_wen", effects=("gas_spring", "moving_mass"))
+    assert found.verdict == "unknown_effect"
+    assert not found.causes
+    assert found.where
+    assert "not in the catalogue" in found.sentence
+    assert found.forms
+    assert {form.effects[0] for form in found.forms} >= {"sigmoid", "bouc_wen with exponent freed"}
+
+
+def test_without_an_effect_there_is_no_gap():
+    found = diagnose(recorded(seed=1), "bouc_wen", effects=FEW)
+    assert (found.verdict, found.causes, found.effects) == ("no_gap", (), ())
+    assert found.before.value < 1.2 * found.floor.value
+    smallest = {candidate.effects[0]: candidate.smallest for candidate in found.candidates}
+    assert smallest["channel_delay"].endswith(("ms", "µs"))
+
+
+def test_scatter_from_run_to_run_is_no_effect():
+    noisy = recorded(seed=2, instruments=Instruments(run_gain=0.03, run_offset=6.0))
+    found = diagnose(noisy, "bouc_wen")
+    assert found.verdict == "no_gap"
+    gains = np.array([trace.gain for trace in found.traces])
+    assert 0.005 < gains.std() < 0.08
+
+
+def test_parameters_alone_can_be_the_answer():
+    simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"yield_force": 140.0, "viscous": 1500.0}, {})
+    found = diagnose(recorded(seed=3), "bouc_wen", parameters=simulator, effects=FEW)
+    assert found.verdict == "no_gap"
+    assert found.unfitted > 5 * found.before.value
+    assert "parameters" in found.sentence
+
+
+def test_a_lag_that_the_simulator_has_is_no_candidate():
+    simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"coil_lag": 0.004}, {})
+    found = diagnose(recorded(seed=4, coil_lag=0.004), "bouc_wen", parameters=simulator, effects=FEW)
+    assert found.verdict == "no_gap"
+    assert "coil_lag" in {candidate.effects[0] for candidate in found.untestable}
+
+
+def test_a_model_without_hysteresis_is_told_so():
+    runs = recorded(seed=5)
+    found = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "channel_delay", "moving_mass"))
+    assert "pre_yield_hysteresis" in {cause.effect for cause in found.causes}
+
+
+def test_beside_something_unknown_what_the_model_lacks_has_the_size_that_it_has_alone():
+    runs = recorded({"channel_delay": {"delay": 0.012}, "gas_spring": {"stiffness": 4000.0}})
+    found = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "gas_spring"))
+    assert found.verdict == "unknown_effect"
+    assert found.nearest.effects == ("pre_yield_hysteresis", "gas_spring")
+    (cause,) = found.causes
+    (alone,) = diagnose(runs, "bingham", effects=("pre_yield_hysteresis",)).causes
+    size = "pre_yield_hysteresis.yield_travel"
+    assert cause.parameters[size].value.value == pytest.approx(alone.parameters[size].value.value, rel=0.1)
+    assert found.parameters[size] == pytest.approx(found.nearest.parameters[size].value.value)
+    assert cause.parameters[size].value.value > 1.3 * found.parameters[size]
+
+
+def test_one_run_is_judged_by_its_parts(delayed):
+    found = diagnose(delayed[:1], "bouc_wen", effects=FEW)
+    assert found.held_out_by == "blocks"
+    assert [cause.effect for cause in found.causes] == ["channel_delay"]
+    assert any("one run only" in note for note in found.notes)
+
+
+def test_held_out_runs_judge(delayed):
+    found = diagnose(delayed[:3], "bouc_wen", held_out=delayed[3:], effects=("channel_delay", "moving_mass"))
+    assert found.held_out_by == "runs"
+    assert [trace.held_out for trace in found.traces] == [False, False, False, True]
+    assert [cause.effect for cause in found.causes] == ["channel_delay"]
+    assert found.closed.value > 0.9
+
+
+def test_an_odd_multisine_tells_noise_from_distortion():
+    odd = """
+        rod: {waveform: multisine, amplitude_mm: 8, lowest_hz: 0.5, highest_hz: 4, period_s: 2, rolloff: 1, seed: 0}
+        coil: {waveform: constant, level_mA: 200}"""
+    (run,) = recorded(seed=11, only={"odd": odd})
+    body = cut(run, run.duration - 7.5, run.duration - 1.2)
+    found = diagnose([body], "bouc_wen", effects=("moving_mass",))
+    assert any("an odd multisine" in note and "even lines" in note for note in found.notes)
+
+
+def test_faulty_recordings_stop_the_diagnosis(delayed):
+    dead = replace(delayed[0], name="dead", force=np.full(len(delayed[0]), 3.0))
+    found = diagnose([*delayed[1:], dead], "bouc_wen")
+    assert found.verdict == "data_fault"
+    assert "dead" in found.sentence
+    assert not found.candidates
+    assert len(found.runs) == 4
+
+
+def test_constant_currents_say_nothing_of_magnetics():
+    for seed in range(4):
+        runs = [cut(run, 1.5, run.duration - 1.5) for run in recorded(seed=20 + seed, only=["slow", "slow"])]
+        found = diagnose(runs, "bouc_wen", effects=("magnetic_hysteresis", "coil_lag", "moving_mass", "channel_delay"))
+        assert found.verdict == "no_gap", found.sentence
+        assert {"magnetic_hysteresis", "coil_lag"} <= {candidate.effects[0] for candidate in found.untestable}
+
+
+def sines(model="bouc_wen", effects=None, **values):
+    """One sine at three currents."""
+    coil = "coil: {waveform: constant, level_mA: %g}"
+    sine = "rod: {waveform: sine, amplitude_mm: 12, frequency_hz: 1}"
+    only = {f"sine_{level}": f"{sine}\n{coil % level}" for level in (50, 150, 300)}
+    return [cut(run, 1.5, run.duration - 1.5) for run in recorded(effects, model, seed=1, only=only, **values)]
+
+
+@pytest.mark.parametrize("model", ["modified_dahl", "modified_lugre", "hyperbolic_tangent"])
+def test_at_one_speed_another_form_of_the_damper_is_not_taken_for_an_effect(model):
+    found = diagnose(sines(model), "bouc_wen", effects=("joint_play", "seal_friction", "shear_thinning"))
+    assert (found.verdict, found.causes) == ("unknown_effect", ())
+    assert found.forms[0].closed.value > max(0.95, found.nearest.closed.value)
+    assert f"another form of the damper model ({found.forms[0].effects[0]})" in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("closes", "left", "verdict"),
+    [(0.7, 0.1, "explained"), (0.45, 0.1, "unknown_effect"), (0.7, 0.25, "unknown_effect"), (0.8, 0.25, "explained")],
+)
+def test_where_hardly_more_than_noise_is_left_half_of_the_gap_is_enough(closes, left, verdict, monkeypatch):
+    monkeypatch.setattr(diagnosing, "closed_between", lambda *_: Interval(closes, closes, closes))
+    left_of = SimpleNamespace(level=1.0 + left, noises=np.full(8, 100.0 * (1.0 + left)))
+    found = SimpleNamespace(
+        best=left_of,
+        alone=SimpleNamespace(level=2.0),
+        effects=("moving_mass",),
+        form="",
+        ground=SimpleNamespace(parts=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
+    )
+    chances = {"moving_mass": {"moving_mass": 1.0}}
+    assert diagnosing._verdict(found, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
+
+
+def test_a_form_that_predicts_worse_than_the_other_effects_alone_is_no_rival():
+    def of(total):
+        return SimpleNamespace(total=total)
+
+    rivals = {"gas_spring": {"gas_spring": of(1.0), "": of(9.0)}, "coil_lag": {"coil_lag": of(1.0), "": of(2.0)}}
+    found = Contest(None, of(99.0), (of(9.0), of(1.0)), tuple(rivals), rivals).against({"dahl": of(5.0), "lugre": of(7.0)})
+    assert found.rivals["gas_spring"][found.form].total == 5.0
+    assert found.rivals["coil_lag"] == rivals["coil_lag"]
+
+
+def test_at_one_speed_an_effect_that_is_no_form_of_the_damper_is_named():
+    found = diagnose(sines(effects={"joint_play": {"play": 3e-4}}), "bouc_wen", effects=("joint_play", "seal_friction"))
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["joint_play"])
+
+
+def test_a_true_simulator_among_scattered_runs_is_no_gap_in_the_parameters():
+    runs = recorded(seed=8, instruments=Instruments(run_gain=0.03, run_offset=8.0))
+    found = diagnose(runs, "bouc_wen", parameters=StoredFit("bouc_wen", {}, (), DAMPER, {}), effects=FEW)
+    assert found.unfitted < 1.3 * found.before.value
+    assert found.sentence.startswith("No gap")
+
+
+def test_a_second_cause_is_found_and_both_have_rivals():
+    runs = recorded({"coil_lag": {"lag": 0.002}, "moving_mass": {"mass": 4.0}}, seed=9)
+    found = diagnose(runs, "bouc_wen", effects=FEW)
+    assert {cause.effect for cause in found.causes} == {"coil_lag", "moving_mass"}
+    assert all(cause.probability > 0.8 for cause in found.causes)
+    likely = [cause.probability * cause.closed.value for cause in found.causes]
+    assert likely == sorted(likely, reverse=True)
+
+
+def test_a_second_cause_is_sought_where_the_form_of_the_first_could_leave_as_much():
+    runs = recorded({"channel_delay": {"delay": 0.006}, "moving_mass": {"mass": 5.0}}, seed=9)
+    found = diagnose(runs, "bouc_wen", effects=FEW)
+    assert [cause.effect for cause in found.causes] == ["channel_delay", "moving_mass"]
+    sizes = found.causes[1].parameters["moving_mass.mass"].value
+    assert sizes.value == pytest.approx(5.0, rel=0.1)
+    assert found.causes[1].closed.value < 0.06
+
+
+def test_a_play_far_smaller_than_typical_promises_to_close_what_it_does_beside_a_lag():
+    runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
+    ground, alone, _, _ = model_alone(find_model("bouc_wen"), None, [prepare(run) for run in runs], np.random.default_rng(0))
+    (lagging,) = around(ground, Foundation.of(ground, alone), ["force_sensor_lag"], 1)
+    ground = ground.after(lagging.refit.problem.model, lagging.refit.theta)
+    foundation = Foundation.of(ground, anew(ground, lagging.refit))
+    promised, *others = (promise.gain for promise in beside(ground, foundation, ["backlash", *FEW, "flow_asymmetry"]))
+    assert promised > 10 * max(others)
+
+
+def test_runs_that_were_set_aside_may_go_beyond_the_fitted():
+    effect = {"channel_delay": {"delay": 0.012}}
+    runs = recorded(effect, seed=10, only=["sine", "multisine", "slow", "slow"])
+    found = diagnose(runs[:2], "bouc_wen", held_out=runs[2:], effects=("channel_delay", "moving_mass"))
+    assert [trace.extrapolates for trace in found.traces if trace.held_out] == ["stroke", "stroke"]
+    assert found.extrapolated is not None
+
+
+def test_heat_goes_on_from_run_to_run():
+    effect = {"thermal_fade": {"fade": 2e-4}}
+    runs = recorded(effect, seed=6, only=["multisine", "sine", "triangle", "slow", "multisine"])
+    found = diagnose(runs, "bouc_wen", effects=("thermal_fade", "gas_spring"))
+    fade = next(candidate for candidate in found.candidates if candidate.effects == ("thermal_fade",))
+    assert fade.parameters["thermal_fade.fade"].value.value == pytest.approx(2e-4, rel=0.2)
+
+
+def test_what_has_settled_is_stirred_once_also_in_runs_that_were_set_aside():
+    effect = {"settling": {"excess": 0.3, "travel": 0.3}}
+    runs = recorded(effect, seed=6, only=["triangle", "multisine", "sine", "slow", "multisine"])
+    found = diagnose(runs[:4], "bouc_wen", held_out=runs[4:], effects=("settling", "gas_spring"))
+    assert [cause.effect for cause in found.causes] == ["settling"]
+    assert found.after.value < 1.2 * found.floor.value
+
+
+@pytest.mark.parametrize("frequency", [50.0, 60.0])
+def test_a_hum_is_found_whichever_the_mains_are(frequency):
+    runs = recorded({"mains_hum": {"amplitude": 4.0, "frequency": frequency}}, rate=500)
+    found = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["mains_hum"])
+    assert found.parameters["mains_hum.frequency"] == frequency
+    assert found.parameters["mains_hum.amplitude"] == pytest.approx(4.0, rel=0.1)
+    assert f"at {frequency:.0f} Hz" in found.sentence
+
+
+def test_no_cap_is_said_to_show_that_the_force_never_reaches():
+    found = diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
+    cavitation = next(candidate for candidate in found.candidates if candidate.effects == ("cavitation",))
+    size, _, unit = cavitation.smallest.partition(" ")
+    assert unit == "per kN"
+    model = find_model("bouc_wen", effects=("cavitation",))
+    change = [
+        model.force(model.vector(found.parameters | {"cavitation.inverse_cap": 1e-3 * float(size)}), path)
+        - model.force(model.vector(found.parameters), path)
+        for path in (trace.recording.path for trace in found.traces)
+    ]
+    assert np.abs(np.concatenate(change)).max() > 5.0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"effects": ["ghost"]}, "unknown effect ghost"),
+        ({"model": "ghost"}, "unknown model ghost"),
+        ({"runs": []}, "no runs to diagnose"),
+        ({"parameters": StoredFit("bingham", {}, (), {}, {})}, "of the model bingham, expected bouc_wen"),
+        ({"parameters": StoredFit("bouc_wen", {}, (), {"yield_force": 1e9}, {})}, "yield_force is 1e.09 N, expected"),
+        ({"parameters": StoredFit("bouc_wen", {}, ("backlash",), {}, {})}, "has the effects backlash around the model"),
+        ({"parameters": StoredFit("bouc_wen", {"viscous": "tanh"}, (), {}, {}), "laws": "affine"}, "has the current laws"),
+    ],
+)
+def test_bad_input(delayed, change, says):
+    asked = {"runs": delayed, "model": "bouc_wen"} | change
+    with pytest.raises(InputError, match=says):
+        diagnose(**asked)
+
+
+def test_it_can_be_cancelled(delayed):
+    class CancelledError(Exception):
+        pass
+
+    def progress(stage, fraction):
+        if fraction > 0.1:
+            raise CancelledError(stage)
+
+    with pytest.raises(CancelledError):
+        diagnose(delayed, "bouc_wen", effects=FEW, progress=progress)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effect", "size"),
+    [("backlash", 2e-4), ("coil_lag", 0.01), ("moving_mass", 2.0), ("shear_thinning", 600.0), ("flow_asymmetry", 0.08)],
+)
+def test_the_whole_catalogue_names_it(effect, size):
+    from mrd_sim.effects import EFFECTS
+
+    first = EFFECTS[effect].parameters[0].name
+    runs = recorded({effect: dict(EFFECTS[effect].typical) | {first: size}}, seed=7, rate=500)
+    found = diagnose(runs, "bouc_wen")
+    assert found.causes[0].effect == effect
+    assert found.closed.value > 0.9

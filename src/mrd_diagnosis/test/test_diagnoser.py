@@ -1,0 +1,125 @@
+"""The diagnoser node: one answer at a time, as the tools give it, and none once nobody waits."""
+
+import json
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+
+from mrd_diagnosis.nodes import diagnoser
+from mrd_interfaces.action import Diagnose
+
+
+class Client:
+    """Node and client in one process; the test's thread spins both."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.node = diagnoser.Diagnoser()
+        self._client = rclpy.create_node("client")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._executor.add_node(self._client)
+        self.feedback: list[Any] = []
+        self._action = ActionClient(self._client, Diagnose, "diagnose")
+        self.until(self._action.server_is_ready)
+
+    def until(self, done: Any) -> None:
+        for _ in range(12000):
+            if done():
+                return
+            self._executor.spin_once(timeout_sec=0.01)
+        pytest.fail("timed out")
+
+    def send(self, goal: Any) -> Any:
+        future = self._action.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
+        self.until(future.done)
+        return future.result()
+
+    def ended(self, handle: Any) -> Any:
+        future = handle.get_result_async()
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        self.node.close()
+        self._action.destroy()
+        self._executor.shutdown()
+        self._client.destroy_node()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def client(monkeypatch) -> Iterator[Client]:
+    monkeypatch.setattr("sys.argv", ["diagnoser"])
+    client = Client()
+    yield client
+    client.close()
+
+
+def test_diagnose_answers_as_the_tool_does(client, recorded, tmp_path):
+    effects = ["force_sensor_lag", "gas_spring"]
+    handle = client.send(Diagnose.Goal(runs=recorded, model="bingham", effects=effects, output=str(tmp_path / "out")))
+    assert handle.accepted
+    ended = client.ended(handle)
+    assert ended.status == GoalStatus.STATUS_SUCCEEDED
+    answer = ended.result
+    assert answer.success
+    report = json.loads((tmp_path / "out" / "gap_report.json").read_text())
+    assert answer.report == str(tmp_path / "out" / "gap_report.html")
+    assert (answer.message, answer.verdict) == (report["sentence"], report["verdict"])
+    assert list(answer.causes) == [cause["effect"] for cause in report["causes"]] == ["force_sensor_lag"]
+    assert list(answer.probability) == [cause["probability"] for cause in report["causes"]]
+    assert answer.closed_fraction == report["gap"]["closed_fraction"]["value"] > 0.9
+    fractions = [feedback.fraction for feedback in client.feedback]
+    assert fractions == sorted(fractions)
+    assert fractions
+    assert all(feedback.stage for feedback in client.feedback)
+
+
+def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
+    for goal, words in (
+        (Diagnose.Goal(runs=recorded, model="bingham", effects=["ghost"], output=str(tmp_path)), "unknown effect ghost"),
+        (Diagnose.Goal(runs=recorded, model="bingham"), "--output is empty"),
+        (Diagnose.Goal(model="bingham", output=str(tmp_path)), ""),
+        (Diagnose.Goal(runs=recorded, model="bingham", parameters="no", output=str(tmp_path)), "no: cannot be read"),
+    ):
+        ended = client.ended(client.send(goal))
+        assert ended.status == GoalStatus.STATUS_ABORTED
+        assert not ended.result.success
+        assert words in ended.result.message
+        assert "\n" not in ended.result.message.strip()
+        assert ended.result.message
+
+
+def test_one_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch):
+    going, cancelled = threading.Event(), threading.Event()
+
+    def endless(*_arguments, progress, **_options):
+        while True:
+            going.set()
+            cancelled.wait(0.02)
+            progress("trying effects", 0.5)
+
+    monkeypatch.setattr(diagnoser, "diagnose", endless)
+    goal = Diagnose.Goal(runs=recorded, model="bingham", output=str(tmp_path))
+    handle = client.send(goal)
+    client.until(lambda: client.feedback)
+    assert going.is_set()
+    assert not client.send(goal).accepted
+    handle.cancel_goal_async()
+    ended = client.ended(handle)
+    assert ended.status == GoalStatus.STATUS_CANCELED
+    assert (ended.result.success, ended.result.message) == (False, "cancelled")
+    client.feedback.clear()
+    again = client.send(goal)
+    assert again.accepted
+    client.until(lambda: client.feedback)
+    again.cancel_goal_async()
+    assert client.ended(again).status == GoalStatus.STATUS_CANCELED

@@ -1,0 +1,478 @@
+"""Every defect of a recording that is put in is found by name; good recordings, of whatever kind, are free of faults."""
+
+import os
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrd_diagnosis.preflight import preflight
+from mrd_runs import Run, read_runs
+from mrd_runs.signals.motion import smooth_motion
+from mrd_sim.damper import Damper
+from mrd_sim.models import find_model
+from mrd_sim.simulate import simulate_plan
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.force import ForceEnvelope
+from mrd_trajectory.limits import Limits
+from mrd_trajectory.plan import plan
+
+MULTISINE = "{waveform: multisine, amplitude_mm: 12, lowest_hz: 0.25, highest_hz: 6, period_s: 8, rolloff: 1.5}"
+PRBS = "{waveform: prbs, low_mA: 0, high_mA: 300, bit_s: 0.05, order: 8}"
+CONSTANT = "{waveform: constant, level_mA: 200}"
+EXPERIMENTS = {
+    "multisine": (MULTISINE, PRBS),
+    "slow": (
+        "{waveform: sine, amplitude_mm: 24, frequency_hz: 0.3}",
+        "{waveform: staircase, levels_mA: [0, 100, 200, 300, 150], hold_s: 2}",
+    ),
+    "sine": ("{waveform: sine, amplitude_mm: 8, frequency_hz: 2}", CONSTANT),
+    "triangle": ("{waveform: triangle, amplitude_mm: 10, slope_mm_per_s: 40}", CONSTANT),
+    "dwell": ("{waveform: staircase, levels_mm: [-10, 10], hold_s: 1.5}", "{waveform: constant, level_mA: 100}"),
+    "chirp": ("{waveform: chirp, amplitude_mm: 8, start_hz: 0.5, end_hz: 8, constant_speed: true}", PRBS),
+    "steps": (
+        "{waveform: triangle, amplitude_mm: 20, slope_mm_per_s: 30}",
+        "{waveform: staircase, levels_mA: [0, 300, 100], hold_s: 0.8}",
+    ),
+}
+
+
+@cache
+def simulated(name, rate=500.0, duration=12.0, model="bouc_wen"):
+    rod, coil = EXPERIMENTS[name]
+    text = f"name: {name}\nduration_s: {duration}\nrate_hz: {rate}\nrod: {rod}\ncoil: {coil}\n"
+    return replace(
+        simulate_plan(plan(parse_experiment(text, name), Limits(), ForceEnvelope()), Damper(model)), name=name, info={}
+    )
+
+
+def measured(run, seed=0, scale=1.0, accelerometer=True, gain=1.0, offset=0.0, steps=False):
+    """What a bench would have recorded: noise, and perhaps the steps of its converter."""
+    random = np.random.default_rng(seed)
+
+    def read(values, noise, step):
+        values = values + scale * noise * random.standard_normal(len(values))
+        return step * np.round(values / step) if steps else values
+
+    return replace(
+        run,
+        position=read(run.position, 8e-6, 1.6e-6),
+        force=read(gain * run.force + offset, 1.5, 0.0628),
+        current=read(run.current, 4e-3, 0.87e-3),
+        acceleration=read(run.acceleration, 0.05, 0.0016) if accelerometer else None,
+    )
+
+
+@pytest.fixture(scope="module")
+def good():
+    return [measured(simulated(name), seed, gain=1 + 0.01 * (seed % 3)) for seed, name in enumerate(EXPERIMENTS)]
+
+
+def among(runs, name, **changed):
+    """The runs, one of them changed."""
+    return [replace(run, **changed) if run.name == name else run for run in runs]
+
+
+def of(runs, name):
+    return next(run for run in runs if run.name == name)
+
+
+def the(findings, kind, run, channel):
+    """The only finding of a kind about a run and a channel."""
+    found = [finding for finding in findings if (finding.kind, finding.run, finding.channel) == (kind, run, channel)]
+    assert len(found) == 1, [(f.kind, f.run, f.channel, f.text) for f in findings]
+    return found[0]
+
+
+def test_good_runs_are_only_summed_up(good):
+    findings = preflight(good, find_model("bouc_wen"))
+    assert [(finding.kind, finding.severity) for finding in findings] == [("coverage", "remark")]
+    assert "7 runs" in findings[0].text
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sets(st.sampled_from(sorted(EXPERIMENTS)), min_size=1, max_size=4),
+    st.sampled_from([25.0, 100.0, 500.0, 1000.0]),
+    st.integers(0, 2**32 - 1),
+    st.just(0.0) | st.floats(0.1, 4.0),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from(["bouc_wen", "bingham", "linear_viscous", "hyperbolic_tangent"]),
+    st.floats(-0.04, 0.04),
+    st.floats(-100.0, 100.0),
+)
+def test_good_runs_of_any_kind_have_no_fault(names, rate, seed, scale, accelerometer, steps, model, gain, offset):
+    runs = [
+        measured(simulated(name, rate, model=model), seed + index, scale, accelerometer, 1 + gain * index, offset, steps)
+        for index, name in enumerate(sorted(names))
+    ]
+    findings = preflight(runs)
+    assert [finding for finding in findings if finding.severity == "fault"] == []
+    defects = ("clipping", "gap", "rig", "lag", "repeat", "dead_channel")
+    assert [finding for finding in findings if finding.kind in defects] == []
+
+
+def data(folder):
+    base = Path(os.environ.get("MRD_DATA", Path(__file__).resolve().parents[4] / "shared/data"))
+    files = sorted((base / folder).glob("*.csv"))
+    if not files:
+        pytest.skip(f"no measured runs in {base / folder}; name their folder by MRD_DATA")
+    return read_runs(files)
+
+
+@pytest.mark.parametrize("folder", ["utfsm", "utfpr"])
+def test_measured_runs_have_no_fault_and_say_that_their_currents_are_constant(folder):
+    findings = preflight(data(folder))
+    assert [finding for finding in findings if finding.severity == "fault"] == []
+    limitation = [finding for finding in findings if finding.severity == "limitation"]
+    assert [(finding.kind, finding.channel) for finding in limitation] == [("coverage", "current")]
+    assert "constant within every run" in limitation[0].text
+
+
+def test_seven_runs_take_less_than_a_third_of_a_second():
+    runs = [measured(simulated(name, duration=14.0), seed) for seed, name in enumerate(EXPERIMENTS)]
+    preflight(runs)
+    taken = []
+    for _ in range(3):
+        start = process_time()
+        preflight(runs)
+        taken.append(process_time() - start)
+    assert min(taken) < 0.3
+
+
+# ---- Clock
+
+
+def without(run, lost):
+    """The run without these samples."""
+    kept = np.setdiff1d(np.arange(len(run)), lost)
+    series = ("time", "position", "velocity", "current", "force", "acceleration")
+    return replace(run, **{name: getattr(run, name)[kept] for name in series})
+
+
+@pytest.mark.parametrize(("count", "severity"), [(40, "limitation"), (1500, "fault")])
+def test_missing_samples(good, count, severity):
+    runs = [without(run, np.arange(1000, 1000 + count)) if run.name == "sine" else run for run in good]
+    finding = the(preflight(runs), "gap", "sine", "time")
+    assert finding.severity == severity
+    assert finding.text.startswith(f"{count} samples")
+
+
+@pytest.mark.parametrize(("share", "severity"), [(0.05, "remark"), (0.25, "limitation")])
+def test_jitter(good, share, severity):
+    run = of(good, "chirp")
+    time = run.time + np.random.default_rng(1).uniform(-1, 1, len(run)) * share * np.sqrt(1.5) / run.rate
+    assert the(preflight(among(good, "chirp", time=time)), "clock", "chirp", "time").severity == severity
+
+
+def test_samples_written_twice(good):
+    run = of(good, "slow")
+    time = run.time.copy()
+    time[[500, 900]] = time[[499, 899]] + 1e-5
+    assert "2 samples follow" in the(preflight(among(good, "slow", time=time)), "clock", "slow", "time").text
+
+
+def test_different_rates(good):
+    findings = preflight([*good, replace(measured(simulated("sine", 1000.0)), name="faster")])
+    assert "500 to 1000 Hz" in the(findings, "clock", "", "").text
+
+
+def test_a_low_rate_says_what_it_cannot_see():
+    findings = preflight([measured(simulated("multisine", 25.0)), measured(simulated("slow", 25.0))])
+    finding = the(findings, "aliasing", "", "")
+    assert finding.severity == "limitation"
+    assert "every 40 ms" in finding.text
+
+
+@pytest.mark.parametrize("channel", ["position", "force", "acceleration"])
+def test_a_channel_refreshed_slowly(good, channel):
+    values = getattr(of(good, "multisine"), channel)
+    slow = values[np.arange(len(values)) // 5 * 5]
+    finding = the(preflight(among(good, "multisine", **{channel: slow})), "clock", "multisine", channel)
+    assert "refreshed at 100 Hz" in finding.text
+
+
+# ---- Readings
+
+
+@pytest.mark.parametrize(("every", "severity"), [(600, "limitation"), (60, "fault")])
+@pytest.mark.parametrize(("channel", "scale"), [("position", 1.0), ("position", 0.0), ("force", 1.0)])
+def test_dropouts(good, channel, every, severity, scale):
+    run = measured(simulated("sine"), scale=scale)
+    index = np.arange(len(run))
+    held = np.where(index % every < 12, index // every * every, index)
+    stuck = replace(run, **{channel: getattr(run, channel)[held]})
+    finding = the(preflight([stuck if other.name == "sine" else other for other in good]), "gap", "sine", channel)
+    assert finding.severity == severity
+
+
+def test_spikes(good):
+    position = of(good, "chirp").position.copy()
+    position[[700, 2000, 3100]] = 0.03
+    assert "3 samples jump" in the(preflight(among(good, "chirp", position=position)), "gap", "chirp", "position").text
+
+
+@pytest.mark.parametrize("steps", [False, True])
+@pytest.mark.parametrize("name", ["sine", "multisine", "triangle"])
+def test_a_clipped_force(good, name, steps):
+    run = measured(simulated(name), steps=steps)
+    limit = 0.7 * np.quantile(run.force, 0.95)
+    clipped = np.minimum(run.force, limit)
+    if steps:  # behind the amplifier, the converter still has its noise
+        clipped += 0.0628 * np.random.default_rng(2).integers(-1, 2, len(clipped))
+    finding = the(preflight(among(good, name, force=clipped)), "clipping", name, "force")
+    assert finding.severity == "fault"
+    assert "highest" in finding.text
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.0])
+def test_a_clipped_position(good, scale):
+    run = measured(simulated("sine"), scale=scale)
+    finding = the(preflight(among(good, "sine", position=np.maximum(run.position, -6e-3))), "clipping", "sine", "position")
+    assert finding.severity == "fault"
+    assert "lowest" in finding.text
+
+
+@pytest.mark.parametrize("channel", ["acceleration", "current"])
+def test_other_clipped_channels_limit_only(good, channel):
+    values = getattr(of(good, "multisine"), channel)
+    limit = np.quantile(values, 0.97) if channel == "acceleration" else np.quantile(values, 0.75)
+    findings = preflight(among(good, "multisine", **{channel: np.minimum(values, limit)}))
+    assert the(findings, "clipping", "multisine", channel).severity == "limitation"
+
+
+@pytest.mark.parametrize(("step", "severity"), [(0.06, "limitation"), (0.5, "fault")])
+@pytest.mark.parametrize("channel", ["position", "force"])
+def test_coarse_readings(good, channel, step, severity):
+    values = getattr(of(good, "slow"), channel)
+    step *= values.std()
+    findings = preflight(among(good, "slow", **{channel: step * np.round(values / step)}))
+    assert the(findings, "quantisation", "slow", channel).severity == severity
+
+
+def test_a_coarse_current_is_told_from_a_commanded_one(good):
+    commanded = simulated("multisine").current
+    smooth = 0.15 + 0.1 * np.sin(3 * of(good, "multisine").time)
+    coarse = 0.02 * np.round((smooth + 0.01 * np.random.default_rng(0).standard_normal(len(smooth))) / 0.02)
+    assert not [f for f in preflight(among(good, "multisine", current=commanded)) if f.kind == "quantisation"]
+    the(preflight(among(good, "multisine", current=coarse)), "quantisation", "multisine", "current")
+
+
+def test_a_dead_force(good):
+    run = of(good, "sine")
+    constant = preflight(among(good, "sine", force=np.full(len(run), 3.2)))
+    assert the(constant, "dead_channel", "sine", "force").severity == "fault"
+    noise = 20 + 2 * np.random.default_rng(0).standard_normal(len(run)) + 0.1 * run.time
+    finding = the(preflight(among(good, "sine", force=noise)), "dead_channel", "sine", "force")
+    assert finding.severity == "fault"
+    assert "does not respond" in finding.text
+
+
+def test_a_dead_position(good):
+    run = of(good, "sine")
+    for noise in (0.0, 8e-6):
+        still = 1e-3 + noise * np.random.default_rng(0).standard_normal(len(run))
+        runs = among(good, "sine", position=still, velocity=np.zeros(len(run)), acceleration=None)
+        assert the(preflight(runs), "dead_channel", "sine", "position").severity == "fault"
+
+
+def test_a_dead_accelerometer(good):
+    findings = preflight(among(good, "sine", acceleration=np.zeros(len(of(good, "sine")))))
+    assert the(findings, "dead_channel", "sine", "acceleration").severity == "remark"
+
+
+def test_aliasing(good):
+    run = measured(simulated("multisine"))
+    wave = 0.4 * run.force.std() * np.sin(2 * np.pi * 231.0 * run.time)
+    finding = the(preflight(among(good, "multisine", force=run.force + wave)), "aliasing", "multisine", "force")
+    assert finding.severity == "limitation"
+    switched = replace(run, current=0.2 * (np.random.default_rng(0).integers(0, 2, len(run)) + 0.5))
+    the(preflight([switched]), "aliasing", "multisine", "current")
+
+
+# ---- Lag
+
+
+@pytest.mark.parametrize("name", ["multisine", "sine", "chirp"])
+@pytest.mark.parametrize("lag", [0.012, -0.02, 0.08])
+def test_a_lag_between_accelerometer_and_position(good, name, lag):
+    run = simulated(name)
+    late = replace(run, acceleration=np.interp(run.time - lag, run.time, run.acceleration))
+    findings = preflight([measured(late) if other.name == name else other for other in good])
+    finding = the(findings, "lag", name, "acceleration" if lag > 0 else "position")
+    found, error = (float(finding.text.split()[index]) for index in (1, 3))
+    assert found == pytest.approx(1e3 * abs(lag), abs=max(0.3, 2 * error))
+    assert error < 1.0
+
+
+def test_a_delay_of_the_force_is_left_to_physics(good):
+    force = np.roll(of(good, "multisine").force, 15)
+    assert len(preflight(among(good, "multisine", force=force))) == 1
+
+
+def test_an_accelerometer_in_g(good):
+    findings = preflight(among(good, "multisine", acceleration=of(good, "multisine").acceleration / 9.81))
+    assert "in g" in the(findings, "rig", "multisine", "acceleration").text
+
+
+# ---- Repeats
+
+
+def test_the_same_recording_twice(good):
+    again = replace(of(good, "slow"), name="again")
+    assert the(preflight([*good, again]), "repeat", "again", "force").severity == "fault"
+    part = replace(without(again, np.arange(700)), name="part")
+    part = replace(part, time=part.time - part.time[0])
+    assert the(preflight([*good, part]), "repeat", "part", "force").severity == "fault"
+
+
+@pytest.mark.parametrize("rate", [25.0, 500.0])
+def test_a_true_repeat_is_no_finding(good, rate):
+    runs = [measured(simulated("multisine", rate), seed, gain=1 + 0.01 * seed, offset=2.0 * seed) for seed in (0, 1)]
+    late = replace(without(runs[1], np.arange(7)), name="again", info={"experiment": "a"})
+    late = replace(late, time=late.time - late.time[0])
+    findings = preflight([replace(runs[0], info={"experiment": "a"}), late])
+    assert not [finding for finding in findings if finding.kind == "repeat"]
+
+
+@pytest.mark.parametrize(
+    ("gain", "offset", "severity", "said"),
+    [(1.1, 0, "remark", r"1\.1\d? times"), (1.3, 0, "limitation", r"1\.3\d? times"), (1.0, 30, "remark", r"30(\.\d)? N")],
+)
+def test_repeats_that_differ(good, gain, offset, severity, said):
+    again = replace(measured(simulated("multisine"), 9, gain=gain, offset=offset), name="again")
+    finding = the(preflight([*good, again]), "repeat", "again", "force")
+    assert finding.severity == severity
+    assert re.search(said, finding.text)
+
+
+def test_repeats_of_another_shape(good):
+    again = replace(measured(simulated("multisine", model="linear_viscous"), 9), name="again")
+    scale = of(good, "multisine").force.std() / again.force.std()
+    finding = the(preflight([*good, replace(again, force=scale * again.force)]), "repeat", "again", "force")
+    assert finding.severity == "limitation"
+    assert "shape" in finding.text
+
+
+def test_a_repeat_whose_motion_wanders_is_of_the_same_shape(good):
+    """A servo follows a multisine a few milliseconds early here and late there."""
+    still = simulated("multisine")
+    wandering = still.time + 5e-3 * np.sin(2 * np.pi * 0.3 * still.time)
+    names = ("position", "velocity", "acceleration", "current", "force")
+    series = {name: np.interp(wandering, still.time, getattr(still, name)) for name in names}
+    again = replace(measured(replace(still, **series), 9), name="again")
+    assert not [finding for finding in preflight([*good, again]) if finding.kind == "repeat"]
+
+
+def test_runs_that_claim_an_experiment(good):
+    runs = [replace(run, info={"experiment": "name: sine"}) if run.name in ("sine", "chirp") else run for run in good]
+    assert the(preflight(runs), "repeat", "chirp", "position").severity == "limitation"
+    other = replace(of(runs, "sine"), name="other", current=of(runs, "sine").current + 0.2)
+    assert the(preflight([of(runs, "sine"), other]), "repeat", "other", "current").severity == "limitation"
+
+
+# ---- Rigs
+
+
+@pytest.mark.parametrize("factor", [3.0, 1 / 3, 1e-3, 4.448])
+def test_forces_of_another_rig(good, factor):
+    force = factor * of(good, "multisine").force
+    findings = preflight(among(good, "multisine", force=force))
+    finding = next(f for f in findings if f.kind == "rig" and f.run == "multisine" and "times that" in f.text)
+    assert finding.severity == "fault"
+    assert [f.run for f in findings if f.severity == "fault" and f.run] == ["multisine"] * (2 if factor == 1e-3 else 1)
+    assert ("kN against N" in finding.text) == (factor == 1e-3)
+    assert ("lbf" in finding.text) == (factor == 4.448)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_opposite_signs(good, name):
+    finding = the(preflight(among(good, name, force=-of(good, name).force)), "rig", name, "force")
+    assert finding.severity == "fault"
+    assert "opposite signs" in finding.text
+    run = of(good, name)
+    turned = among(good, name, position=-run.position, velocity=-run.velocity, acceleration=-run.acceleration)
+    assert the(preflight(turned), "rig", name, "force").severity == "fault"
+
+
+def test_opposite_signs_in_all_runs(good):
+    assert "in all runs" in the(preflight([replace(run, force=-run.force) for run in good]), "rig", "", "force").text
+
+
+def test_part_of_a_loop_has_no_sign(good):
+    for run in good:
+        for first in range(0, 2000, 100):
+            part = without(run, np.setdiff1d(np.arange(len(run)), np.arange(first, first + 150)))
+            part = replace(part, time=part.time - part.time[0])
+            assert not [finding for finding in preflight([part]) if finding.severity == "fault" and finding.kind == "rig"]
+
+
+@pytest.mark.parametrize(("channel", "unit"), [("position", "mm"), ("current", "mA")])
+def test_units(good, channel, unit):
+    findings = preflight(among(good, "slow", **{channel: 1e3 * getattr(of(good, "slow"), channel)}))
+    finding = the(findings, "rig", "slow", channel)
+    assert finding.severity == "fault"
+    assert f"is it in {unit}" in finding.text
+
+
+# ---- Coverage
+
+
+def limitations(runs, model=None):
+    return {finding.text for finding in preflight(runs, model) if finding.severity == "limitation"}
+
+
+def test_a_current_that_never_changes():
+    runs = [with_current(measured(simulated(name), seed), 0.2) for seed, name in enumerate(("sine", "triangle"))]
+    (text,) = limitations(runs, find_model("bouc_wen"))
+    assert "never changes (0.2 A)" in text
+    assert "bouc_wen depends on the current" in text
+    (text,) = limitations([runs[0], with_current(runs[1], 0.4)])
+    assert "constant within every run" in text
+
+
+def with_current(run, level):
+    return replace(run, current=np.full(len(run), level))
+
+
+def test_one_speed_only():
+    one = limitations([with_current(measured(simulated("sine")), 0.2)])
+    assert any(re.search(r"at one speed \(10[01] mm/s\)", text) for text in one)
+    several = limitations([measured(simulated("chirp")), measured(simulated("slow"))])
+    assert not any("one speed" in text for text in several)
+
+
+def test_too_few_reversals_and_strokes():
+    run = measured(simulated("slow"))
+    short = without(run, np.setdiff1d(np.arange(len(run)), np.arange(1500, 2200)))
+    short = replace(short, time=short.time - short.time[0])
+    texts = limitations([short])
+    assert any("shorter than one stroke" in text for text in texts)
+    faults = [finding for finding in preflight([short]) if finding.severity == "fault"]
+    assert [finding.text.split(":")[0] for finding in faults] == ["no run holds a stroke to and fro"]
+    half = without(run, np.arange(3800, len(run)))
+    assert any("reversals in all runs, expected 10" in text for text in limitations([half]))
+
+
+def test_short_strokes_and_rest():
+    time = np.arange(0, 4, 0.002)
+    position, noise = 4e-4 * np.sin(12 * time), np.random.default_rng(0).standard_normal((3, len(time)))
+    velocity, force = 4.8e-3 * np.cos(12 * time), 3e5 * position + noise[1]
+    tiny = Run("tiny", time, position + 1e-6 * noise[0], velocity, np.full(len(time), 0.2), force)
+    assert any("no stroke is longer than 0.8" in text for text in limitations([tiny]))
+    still = replace(tiny, name="still", position=8e-6 * noise[0], velocity=0 * time, force=5 + noise[2])
+    assert any("the rod rests" in text for text in limitations([tiny, still]))
+    assert [finding.kind for finding in preflight([still]) if finding.severity == "fault"] == ["coverage"]
+
+
+def test_the_velocity_may_come_from_the_smoothed_position(good):
+    run = of(good, "multisine")
+    smoothed = smooth_motion(run.time, run.position).velocity
+    assert len(preflight(among(good, "multisine", velocity=smoothed))) == 1

@@ -1,0 +1,274 @@
+"""A parameter followed over dated runs: what grows is said to grow, what does not is not."""
+
+import json
+import subprocess
+import sys
+
+import jsonschema
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_diagnosis.cli import trend as tool
+from mrd_diagnosis.trend.change_point import growth
+from mrd_diagnosis.trend.trend import DatedProblem, calendar_of, trend
+from mrd_diagnosis.trend.trend_file import to_json, write_trend
+from mrd_identification.json_file import read_schema
+from mrd_identification.problem import pose, prepare
+from mrd_runs import Run
+from mrd_sim.models import find_model
+from mrd_sim.path import make_path
+from mrd_sim.simulate import write_csv
+
+DATES = [f"2024-{month:02d}-01" for month in range(1, 11)]
+MODEL = {"yield_force": 100.0, "yield_force_per_A": 800.0, "viscous": 1000.0, "viscous_per_A": 2000.0}
+
+
+def series(values, follow, *, seed=0, seconds=2.0, rate=200.0, scatter=0.0, effects=()):
+    """Short runs of a Bingham model, one for each value of a parameter; load cell zeroed anew each time."""
+    random = np.random.default_rng(seed)
+    model = find_model("bingham", effects=effects)
+    time = np.arange(int(rate * seconds)) / rate
+    runs = []
+    for number, value in enumerate(values, 1):
+        position, velocity, acceleration = np.zeros((3, len(time)))
+        for frequency, amplitude in ((0.5, 9e-3), (1.5, 4e-3), (3.5, 1.2e-3)):
+            w, phase = 2 * np.pi * frequency, random.uniform(0, 2 * np.pi)
+            position += amplitude * np.sin(w * time + phase)
+            velocity += amplitude * w * np.cos(w * time + phase)
+            acceleration -= amplitude * w**2 * np.sin(w * time + phase)
+        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3], len(time) // 40 + 1), 40)[: len(time)]
+        theta = model.vector({**MODEL, follow: value + scatter * random.standard_normal()})
+        force = model.force(theta, make_path(time, position, velocity, acceleration, current))
+        force += 5.0 * random.standard_normal() + random.standard_normal(len(time))
+        runs.append(Run(f"run{number}", time, position, velocity, current, force))
+    return runs
+
+
+def followed(values, follow="yield_force", **options):
+    limit = options.pop("limit", None)
+    runs = series(values, follow, **options)
+    return trend(runs, "bingham", follow, parameters=MODEL, calendar=calendar_of(runs, DATES[: len(runs)]), limit=limit)
+
+
+@pytest.fixture(scope="module")
+def growing():
+    return followed(100.0 + 5.0 * np.arange(10), scatter=1.0, limit=200.0)
+
+
+def test_what_grows_is_said_to_grow(growing):
+    # 5 N a month.
+    assert growing.growth.slope.lower < 5 / 30.4 < growing.growth.slope.upper
+    assert growing.growth.slope.upper - growing.growth.slope.lower < 0.05
+    assert growing.growth.change is None
+    assert growing.growth.scatter == pytest.approx(1.0, abs=0.6)
+    for month, value in enumerate(growing.values):
+        assert value.value == pytest.approx(100 + 5 * month, abs=4.0)
+        assert 0 < value.upper - value.lower < 2.0
+    # 20 months after the start.
+    assert growing.reached.lower < 20 * 30.4 < growing.reached.upper
+    assert growing.sentence.startswith("yield_force grows by ")
+    assert "it reaches 200 N about 2025-" in growing.sentence
+    assert growing.common["viscous"] == pytest.approx(1000.0, rel=0.02)
+
+
+def test_what_stays_is_not_said_to_grow():
+    found = followed(np.full(10, 100.0), scatter=1.0, limit=200.0)
+    assert found.growth.slope.lower < 0 < found.growth.slope.upper
+    assert found.growth.change is None
+    assert found.reached is None
+    assert "shows no trend" in found.sentence
+    assert "no change point" in found.sentence
+    assert "cannot be told" in found.sentence
+    assert found.notes == ()
+
+
+def test_a_step_is_found_where_it_is():
+    found = followed(100.0 + 30.0 * (np.arange(10) >= 6), scatter=1.0)
+    assert (found.growth.change.kind, found.growth.change.after) == ("step", 6)
+    assert found.growth.change.size.value == pytest.approx(30.0, abs=3.0)
+    assert "it jumps by " in found.sentence
+    assert "between 2024-06-01 and 2024-07-01" in found.sentence
+
+
+def test_an_effect_is_followed_from_nothing_on():
+    found = followed(np.maximum(0.0, 3e-3 * (np.arange(10) - 4)), "force_sensor_lag.lag", effects=["force_sensor_lag"])
+    assert (found.growth.change.kind, found.growth.change.before) == ("bend", 4)
+    assert [effect.id for effect in found.model.effects] == ["force_sensor_lag"]
+    assert found.growth.slope.value == pytest.approx(3e-3 / 30.4, rel=0.02)
+    # A value on the bound does not bend the line, nor does its interval end there.
+    assert all(value.lower < 0 < value.upper or value.value == pytest.approx(0, abs=1e-4) for value in found.values[:5])
+    assert any("on its bound" in note for note in found.notes)
+
+
+def test_a_parameter_that_explains_the_dates_better_is_told():
+    runs = series(1000.0 + 50.0 * np.arange(6), "viscous")
+    (note,) = trend(runs, "bingham", "yield_force", parameters=MODEL).notes
+    assert note.startswith("what changes from date to date looks more like viscous")
+    assert trend(runs, "bingham", "viscous", parameters=MODEL).notes == ()
+
+
+def test_derivatives_of_dates_are_exact():
+    runs = series([100.0, 110.0, 120.0, 130.0], "yield_force")
+    problem, _ = pose(find_model("bingham"), [prepare(run) for run in runs], offsets=True)
+    count = len(problem.base)
+    dated = DatedProblem(
+        problem.model,
+        problem.recordings,
+        (*problem.free[1:], count, count + 1, count + 2),
+        np.concatenate([problem.base, [100.0, 105.0, 120.0]]),
+        True,
+        followed=0,
+        place=(0, 1, 1, 2),
+    )
+    unit = dated.unit(dated.base)
+    exact = dated.jacobian(unit)
+    for index in range(len(unit)):
+        step = np.zeros(len(unit))
+        step[index] = 1e-6
+        slope = (dated.residuals(dated.theta(unit + step)) - dated.residuals(dated.theta(unit - step))) / 2e-6
+        assert np.allclose(exact[:, index], slope, atol=1e-5 * np.abs(slope).max()), dated.parameters[index].name
+    assert np.array_equal(dated.jacobian(unit, [0, len(unit) - 1]), exact[:, [0, -1]])
+
+
+def test_alarms_are_as_rare_as_they_should_be():
+    """Of steady values with errors of their own, errors that all share, and scatter."""
+    random = np.random.default_rng(5)
+    trends = changes = 0
+    for _ in range(300):
+        dates = int(random.integers(6, 20))
+        times = np.sort(random.uniform(0, 300, dates))
+        sigma = random.uniform(0.5, 2.0, dates)
+        values = 50 + sigma * random.standard_normal(dates) + 3 * random.standard_normal()
+        values += random.choice([0.0, 2.0]) * random.standard_normal(dates)
+        found = growth(times, values, np.diag(sigma**2) + 9.0)
+        trends += not found.slope.lower < 0 < found.slope.upper
+        changes += found.change is not None
+    assert trends < 30
+    assert changes < 15
+
+
+def test_the_limit_lies_in_its_interval():
+    random = np.random.default_rng(6)
+    within = 0
+    for _ in range(200):
+        times = np.arange(10.0)
+        values = 2.0 * times + random.standard_normal(10)
+        reached = growth(times, values, np.eye(10)).reaches(40.0)
+        within += reached is not None and reached.lower < 20.0 < reached.upper
+    assert 178 <= within <= 199
+    assert growth(times, -2.0 * times, np.eye(10)).reaches(40.0) is None
+
+
+def test_values_without_any_error_are_a_line():
+    found = growth(np.arange(5.0), 3.0 + 2.0 * np.arange(5.0), np.zeros((5, 5)))
+    assert found.slope.value == pytest.approx(2.0)
+    assert found.scatter == pytest.approx(0.0, abs=1e-6)
+    assert np.isnan(found.p_change)
+
+
+@pytest.mark.slow
+def test_twenty_steady_dampers_raise_two_alarms_at_most():
+    alarms = 0
+    for seed in range(20):
+        found = followed(np.full(8, 100.0), scatter=2.0, seed=100 + seed)
+        alarms += found.growth.change is not None or not found.growth.slope.lower < 0 < found.growth.slope.upper
+    assert alarms <= 2
+
+
+def test_dates_come_from_the_recordings_or_the_order():
+    def recorded(*starts):
+        empty = np.zeros(10)
+        return [Run(f"r{i}", np.arange(10.0), empty, empty, empty, empty, info={"started": s}) for i, s in enumerate(starts)]
+
+    days = recorded(*(f"2024-03-0{day}T08:30:00+00:00" for day in (5, 1, 3, 1)))
+    calendar = calendar_of(days)
+    assert calendar.basis == "recorded"
+    assert calendar.labels == ("2024-03-01", "2024-03-03", "2024-03-05")
+    assert calendar.place == (2, 0, 1, 0)
+    assert list(calendar.times) == [0.0, 2.0, 4.0]
+    assert calendar.label(31.0) == "2024-04-01"
+    hours = calendar_of(recorded(*(f"2024-03-01T{hour:02d}:00:00+00:00" for hour in (8, 9, 11))))
+    assert np.allclose(hours.times * 24, [0, 1, 3])
+    assert hours.labels[1] == "2024-03-01 09:00:00"
+    assert calendar_of(recorded("2024-03-01", "", "2024-03-02")).basis == "order"
+    assert calendar_of(days, ["2024-01-01"] * 4).basis == "given"
+    with pytest.raises(InputError, match="3 dates for 4 runs"):
+        calendar_of(days, ["2024-01-01"] * 3)
+    with pytest.raises(InputError, match="'monday' is no date, expected one as 2024-05-31"):
+        calendar_of(days, ["monday"] * 4)
+
+
+def test_unusable_input_is_refused_in_one_line():
+    runs = series([100.0, 110.0, 120.0], "yield_force")
+    for follow, words in (
+        ("stiffness", "model bingham: unknown parameter stiffness"),
+        ("gas_spring.volume", "unknown parameter gas_spring.volume"),
+        ("ghost.size", "unknown effect ghost"),
+    ):
+        with pytest.raises(InputError, match=words) as refused:
+            trend(runs, "bingham", follow, parameters=MODEL)
+        assert "\n" not in str(refused.value)
+    with pytest.raises(InputError, match="limit is nan, expected a finite number"):
+        trend(runs, "bingham", "yield_force", parameters=MODEL, limit=float("nan"))
+    with pytest.raises(InputError, match="2 dates, expected at least 3"):
+        trend(runs[:2], "bingham", "yield_force", parameters=MODEL)
+    still = [Run(r.name, r.time, r.position, r.velocity, 0 * r.current, r.force) for r in runs]
+    with pytest.raises(InputError, match="yield_force_per_A: these runs say nothing of it"):
+        trend(still, "bingham", "yield_force_per_A", parameters=MODEL)
+
+
+def test_files_fit_their_schema(growing, tmp_path):
+    page = write_trend(growing, tmp_path)
+    text = page.read_text()
+    assert growing.sentence in text
+    assert text.count("<td>2024-") == 10
+    stored = json.loads((tmp_path / "trend.json").read_text())
+    jsonschema.validate(stored, read_schema("mrd_diagnosis", "trend"))
+    assert stored["slope"]["unit"] == "N/day"
+    assert stored["limit"]["reached"]["label"].startswith("2025-")
+    assert [date["runs"][0]["name"] for date in stored["dates"]][:2] == ["run1", "run2"]
+    with_change = to_json(followed(100.0 + 30.0 * (np.arange(10) >= 6), scatter=1.0))
+    jsonschema.validate(with_change, read_schema("mrd_diagnosis", "trend"))
+    assert with_change["change_point"]["found"]["between"] == ["2024-06-01", "2024-07-01"]
+    assert with_change["limit"] is None
+
+
+def test_the_tool(tmp_path, monkeypatch, capsys):
+    paths = []
+    for run in series([100.0, 110.0, 120.0, 130.0], "yield_force"):
+        paths.append(str(tmp_path / f"{run.name}.csv"))
+        write_csv(run, paths[-1])
+
+    def called(*arguments):
+        monkeypatch.setattr(sys, "argv", ["trend", *paths, "--output", str(tmp_path / "out"), *arguments])
+        with pytest.raises(SystemExit) as left:
+            tool.main()
+        return left.value.code, capsys.readouterr().err
+
+    assert called("--model", "bingham") == (2, "error: nothing to follow: name an --effect or a --parameter\n")
+    assert called("--parameter", "yield_force")[1].startswith("error: --model is missing")
+    assert called("--model", "bingham", "--effect", "ghost")[1].startswith("error: unknown effect ghost")
+    assert called("--model", "bingham", "--parameter", "viscous", "--dates", "2024-01-01")[0] == 2
+    done = subprocess.run(
+        [
+            "ros2",
+            "run",
+            "mrd_diagnosis",
+            "trend",
+            *paths,
+            "--model",
+            "bingham",
+            "--parameter",
+            "yield_force",
+            "--limit",
+            "150",
+            "--output",
+            str(tmp_path / "out"),
+        ],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("yield_force grows by ")
+    assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["reached"]["label"] == "run 6"

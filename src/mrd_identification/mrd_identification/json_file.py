@@ -1,0 +1,105 @@
+"""JSON result files: each is checked against the schema that ships with its package, on writing and on reading."""
+
+import json
+import math
+from collections.abc import Mapping
+from functools import cache
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+
+from mrd_base import InputError
+from mrd_runs import Run
+
+
+@cache
+def read_schema(package: str, name: str) -> Any:
+    """Read the JSON Schema of ``name``.json, which the package ``package`` writes."""
+    return json.loads(resources.files(package).joinpath(f"schemas/{name}.schema.json").read_text())
+
+
+def make_folder(path: str) -> Path:
+    """Make the folder of the results, before anything is computed for it.
+
+    Raises
+    ------
+    InputError
+        When nothing can be written there.
+    """
+    if not path:
+        raise InputError("--output is empty, expected a folder for the results")
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / ".writable").touch()
+        (folder / ".writable").unlink()
+    except OSError as error:
+        raise InputError(f"--output {path}: cannot be written ({error.strerror}), expected a folder") from None
+    return folder
+
+
+def write_json(content: Mapping[str, Any], package: str, name: str, folder: str | Path) -> Path:
+    """Check ``content`` against the schema of ``package`` and write ``name``.json into ``folder``.
+
+    The file is complete or absent, even when the process is interrupted. Returns the path of the file.
+    """
+    jsonschema.validate(content, read_schema(package, name))
+    path = Path(folder) / f"{name}.json"
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return partial.replace(path)
+
+
+def read_json(path: str | Path, package: str, name: str, version: str) -> Any:
+    """Read a file that `write_json` wrote as ``name``.json, with this version of its schema.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read or is something else.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        found = content.get("schema") if isinstance(content, dict) else None
+        if found != version:
+            raise InputError(f"{path}: its schema is {str(found)[:40]}, expected a {name}.json of {version}")
+        jsonschema.validate(content, read_schema(package, name))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise InputError(f"{path}: is not JSON ({error})") from None
+    except jsonschema.ValidationError as error:
+        field = "/".join(map(str, error.absolute_path)) or "the file"
+        wrong = error.message.splitlines()[0][:200]
+        raise InputError(f"{path}: {field}: {wrong}; expected a {name}.json of {version}") from None
+    return content
+
+
+def run_json(run: Run) -> dict[str, Any]:
+    """Describe a run in a JSON file."""
+    return {
+        "name": run.name,
+        "source": str(run.info.get("source", "")),
+        "samples": len(run),
+        "rate_hz": run.rate,
+        "duration_s": run.duration,
+    }
+
+
+def finite(value: float) -> float | None:
+    """Return the value, or None (null in JSON) where it is not finite."""
+    return value if math.isfinite(value) else None
+
+
+def versions(*others: str) -> dict[str, str]:
+    """Return the versions of the bench, of its numerical libraries, and of ``others``."""
+    return {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", *others)}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "unknown"

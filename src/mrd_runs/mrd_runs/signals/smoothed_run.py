@@ -1,0 +1,61 @@
+"""A run with what every analysis derives from its readings: the smoothed motion and the current without sensor noise."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_runs.run import Run
+from mrd_runs.signals.current import current_noise, steady_current
+from mrd_runs.signals.motion import Motion, remeasured_motion, smooth_motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedRun:
+    """A run and its smoothed signals.
+
+    Attributes
+    ----------
+    run : Run
+        The readings.
+    motion : Motion
+        Smoothed position, velocity and acceleration.
+    current : ndarray (n,)
+        Measured current in A without the noise of its sensor.
+    """
+
+    run: Run
+    motion: Motion
+    current: Array
+
+
+def smooth_run(run: Run) -> SmoothedRun:
+    """Smooth the motion and the current of a run."""
+    motion = smooth_motion(run.time, run.position, run.acceleration)
+    return SmoothedRun(run, motion, steady_current(run.current))
+
+
+def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
+    """Measure a run again: along its smoothed motion and current, with new sensor noise.
+
+    The new readings are smoothed by the motion model that was fitted to ``smoothed``. The force stays.
+    """
+    run = smoothed.run
+    position, acceleration, motion = remeasured_motion(run.time, smoothed.motion, run.acceleration, rng)
+    measured = replace(
+        run,
+        position=position,
+        velocity=motion.velocity,
+        acceleration=acceleration,
+        current=smoothed.current + rng.normal(0.0, current_noise(run.current), len(run)),
+    )
+    return SmoothedRun(measured, motion, steady_current(measured.current))
+
+
+def exact_run(run: Run, acceleration: Array) -> SmoothedRun:
+    """Take the series of a run as exact, as those of a simulated run are."""
+    none = np.zeros(len(run))
+    return SmoothedRun(run, Motion(run.position, run.velocity, acceleration, none, 0.0, 3, math.inf), run.current)
