@@ -18,7 +18,7 @@ from mrd_diagnosis.model_comparison import FIRST_SCATTER
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.weighting import Ground, first_fit, with_effect
-from mrd_identification.problem import in_threads, pose, prepare
+from mrd_identification.problem import in_threads, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -57,9 +57,9 @@ def recorded(effect: str) -> list[Run]:
 
 def candidates(runs: list[Run]) -> Table:
     """Time of each candidate's refit, and of the peer's."""
-    recordings = in_threads(prepare, runs)
+    recordings = in_threads(prepare_recording, runs)
     base = find_model(MODEL)
-    posed, _ = pose(base, recordings, fixed={"coil_lag": 0.0})
+    posed, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
     theta = first_fit(posed, None, np.random.default_rng(0))
     noises = run_noise(recordings, base, theta, np.random.default_rng(0))
     ground = Ground(recordings, noises, FIRST_SCATTER, {"coil_lag": 0.0}).after(base, theta)

@@ -19,7 +19,7 @@ import numpy as np
 from common import Array, console, machine, sampled, timed
 from rich.table import Table
 
-from mrd_identification.problem import Problem, pose, prepare
+from mrd_identification.problem import Problem, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import MODELS
 
@@ -36,7 +36,7 @@ def record(samples: int) -> Run:
 
 def population(model_id: str, run: Run, candidates: int) -> tuple[Problem, Array]:
     """A problem, and so many candidates all over its bounds."""
-    problem, _ = pose(MODELS[model_id], [prepare(run)])
+    problem, _ = make_problem(MODELS[model_id], [prepare_recording(run)])
     return problem, problem.theta(np.random.default_rng(0).random((candidates, len(problem.free))))
 
 

@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 from mrd_identification import identify
 from mrd_identification.metrics import error_norms
-from mrd_identification.problem import Problem, pose, prepare
+from mrd_identification.problem import Problem, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.models import MODELS
@@ -123,7 +123,7 @@ class Timed:
 def with_pymoo(run: Run, between: Callable[[], None]) -> tuple[Array, float]:
     """Times in s that the peer takes, and the NRMSE that it reaches; ``between`` is done after every fifth generation."""
     began = clocks()
-    problem, _ = pose(MODELS["bouc_wen"], [prepare(run)])
+    problem, _ = make_problem(MODELS["bouc_wen"], [prepare_recording(run)])
     peer = Peer(problem)
     first = LHS().do(peer, POPULATION, random_state=np.random.default_rng(SEED)).get("X")
     first[0] = problem.unit(problem.base)
@@ -140,10 +140,17 @@ def with_pymoo(run: Run, between: Callable[[], None]) -> tuple[Array, float]:
     return clocks() - began, nrmse
 
 
-def with_identify(run: Run, *, polish: bool) -> float:
+def with_identify(run: Run, *, least_squares: bool) -> float:
     """NRMSE that this bench reaches, with and without least squares after the search."""
     fit = identify(
-        [run], "bouc_wen", population=POPULATION, generations=GENERATIONS, seed=SEED, seeds=1, profile=False, polish=polish
+        [run],
+        "bouc_wen",
+        population=POPULATION,
+        generations=GENERATIONS,
+        seed=SEED,
+        seeds=1,
+        profile=False,
+        least_squares=least_squares,
     )
     return fit.pooled_fitted.nrmse
 
@@ -152,7 +159,7 @@ def main() -> None:
     """Print the table."""
     run = record()
     # The first time, which compiles or loads from the cache, does not count.
-    whole, search = (Timed(lambda polish=polish: with_identify(run, polish=polish)) for polish in (True, False))
+    whole, search = (Timed(lambda refined=refined: with_identify(run, least_squares=refined)) for refined in (True, False))
 
     def ours() -> None:
         whole()

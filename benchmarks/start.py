@@ -15,14 +15,14 @@ FIRST_USE = """
 import time; began = time.perf_counter()
 import mrd_identification
 import numpy as np
-from mrd_identification.problem import pose, prepare
+from mrd_identification.problem import make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import MODELS
 imported = time.perf_counter()
 t = np.arange(10_000) / 1000.0
 x = 0.01 * np.sin(9.0 * t)
 run = Run("start", t, x, np.gradient(x, t), 0.2 + 0.1 * np.sin(5.0 * t), 2000.0 * np.gradient(x, t))
-problem, _ = pose(MODELS["bouc_wen"], [prepare(run)])
+problem, _ = make_problem(MODELS["bouc_wen"], [prepare_recording(run)])
 problem.residuals(problem.base)
 evaluated = time.perf_counter()
 problem.jacobian(np.full(len(problem.free), 0.5))

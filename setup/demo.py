@@ -69,7 +69,7 @@ def identify(bag: Path, output: Path) -> Any:
         with running(log / "replay.log", "mrd_runs", "replay", *namespace, *parameters) as replay:
             if replay.wait(120):
                 raise InputError(f"the replay stopped with status {replay.returncode}; see {log / 'replay.log'}")
-        goal = Identify.Goal(model=MODEL, polish=True, output=str(output))
+        goal = Identify.Goal(model=MODEL, least_squares=True, output=str(output))
         sent = action.send_goal_async(goal, feedback_callback=show_progress)
         rclpy.spin_until_future_complete(client, sent)
         ended = sent.result().get_result_async()

@@ -139,7 +139,7 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
     assert replay.returncode == 0, replay.stderr
     # What was sent as fast as it went is still being read.
     bench.client.spin(lambda: False, 3)
-    goal = Identify.Goal(model="bouc_wen", seed=1, population=40, generations=20, polish=True, output=str(tmp_path))
+    goal = Identify.Goal(model="bouc_wen", seed=1, population=40, generations=20, least_squares=True, output=str(tmp_path))
     sent = action.send_goal_async(goal)
     assert bench.client.spin(sent.done, 10)
     ended = sent.result().get_result_async()

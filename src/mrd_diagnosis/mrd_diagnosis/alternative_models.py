@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.refit import Refit, refit
 from mrd_diagnosis.weighting import Ground, first_fit
-from mrd_identification.least_squares import polish
-from mrd_identification.problem import current_levels, pose
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.problem import current_levels, make_problem
 from mrd_sim.models import MODELS, DamperModel, find_model
 
 Array = NDArray[np.float64]
@@ -46,8 +46,8 @@ def forms(ground: Ground, alone: Refit, enough: float, rng: np.random.Generator)
     """
     found = {}
     for name, model, freed, start in _variants(ground, alone):
-        plain, _ = pose(model, ground.recordings, fixed=ground.fixed, freed=freed)
-        begin = first_fit(plain, None, rng, STARTS, 1) if start is None else polish(plain, start, FREED)[0]
+        plain, _ = make_problem(model, ground.recordings, fixed=ground.fixed, freed=freed)
+        begin = first_fit(plain, None, rng, STARTS, 1) if start is None else fit_least_squares(plain, start, FREED)[0]
         found[name] = refit(ground.problem(model, begin, freed), begin, ground.parts)
         if found[name].level - 1.0 <= enough:
             break

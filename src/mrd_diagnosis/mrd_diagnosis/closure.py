@@ -11,7 +11,7 @@ from mrd_diagnosis.model_comparison import Contest
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import GapProblem, Refit, own_error, without_each
 from mrd_diagnosis.statistics import closed, nrmse, resampled
-from mrd_identification.least_squares import descend
+from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.problem import Recording, in_threads
 
 Array = NDArray[np.float64]
@@ -155,7 +155,7 @@ def _of_runs(fitted: Refit, found: Contest) -> Array:
     def of(run: int) -> Array:
         silent = problem.whitenings[run].silent()
         others = replace(problem, whitenings=(*problem.whitenings[:run], silent, *problem.whitenings[run + 1 :]))
-        unit, _ = descend(others, problem.unit(starts[run]), np.arange(len(problem.free)), 10, 1e-4, renewal=4)
+        unit, _ = levenberg_marquardt(others, problem.unit(starts[run]), np.arange(len(problem.free)), 10, 1e-4, renewal=4)
         return problem.theta(unit)
 
     return np.stack(in_threads(of, list(runs)))

@@ -11,7 +11,7 @@ from mrd_diagnosis.effect_search import LEFT_OVER, NO_GAP, Foundation
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import Scatter, refit
 from mrd_diagnosis.weighting import Ground, with_effect
-from mrd_identification.problem import in_threads, prepare
+from mrd_identification.problem import in_threads, prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import Effect, find_effects
 from mrd_sim.simulate import Instruments, measure_plans
@@ -80,7 +80,7 @@ def foreseen(
     hushed = {e.name: _HUSHED * getattr(instruments, e.name) for e in fields(instruments) if e.name.endswith("_noise")}
     model, theta = damper.model, damper.theta
     noisy, still = (
-        in_threads(prepare, measure_plans(plans, damper, own, instruments=used))
+        in_threads(prepare_recording, measure_plans(plans, damper, own, instruments=used))
         for own, used in zip(
             rng.spawn(2), (instruments, replace(instruments, run_gain=0.0, run_offset=0.0, **hushed)), strict=True
         )

@@ -27,7 +27,7 @@ from mrd_diagnosis.report.sentences import describe, human
 from mrd_diagnosis.statistics import CERTAIN, probabilities, resampled, values
 from mrd_diagnosis.weighting import Ground, first_fit
 from mrd_identification.fit_file import StoredFit
-from mrd_identification.problem import Recording, current_levels, in_threads, pose, prepare
+from mrd_identification.problem import Recording, current_levels, in_threads, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
@@ -138,7 +138,7 @@ def diagnose(
         traces=(),
     )
     if not any(finding.severity == "fault" for finding in findings):
-        recordings = in_threads(prepare, [*runs, *held_out])
+        recordings = in_threads(prepare_recording, [*runs, *held_out])
         asked = _Asked(base, simulator, candidates, recordings[: len(runs)], recordings[len(runs) :])
         diagnosis = _explain(diagnosis, asked, rng, progress)
     progress("done", 1.0)
@@ -281,7 +281,7 @@ def model_alone(
     """
     # Lag behind the current is a candidate, unless the simulator has it already.
     fixed = {} if simulator is not None and simulator[base.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
-    posed, notes = pose(base, recordings, fixed=fixed)
+    posed, notes = make_problem(base, recordings, fixed=fixed)
     theta = first_fit(posed, simulator, rng)
     ground = Ground(recordings, run_noise(recordings, base, theta, rng), FIRST_SCATTER, fixed).after(base, theta)
     problem = ground.problem(base, theta)

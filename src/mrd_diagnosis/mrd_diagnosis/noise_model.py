@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from mrd_base import InputError
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_identification.problem import Recording, forces_in_turn, in_threads
+from mrd_identification.problem import Recording, consecutive_forces, in_threads
 from mrd_runs import Run
 from mrd_runs.signals.current import current_noise, normal_deviation, steady_current
 from mrd_runs.signals.motion import between_samples, divided, finer, motion_errors
@@ -67,7 +67,7 @@ def run_noise(
     """
     of_runs = list(zip(recordings, rng.spawn(len(recordings)), strict=True))
     carried = in_threads(lambda each: _carried(each[0], model, theta, each[1], draws), of_runs)
-    modelled = forces_in_turn(model, theta, recordings)
+    modelled = consecutive_forces(model, theta, recordings)
     residuals = [recording.force - force for recording, force in zip(recordings, modelled, strict=True)]
     found = []
     for index, recording in enumerate(recordings):

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.least_squares import bounded_step, descend
+from mrd_identification.least_squares import bounded_step, levenberg_marquardt
 from mrd_identification.problem import Problem, in_threads
 
 Array = NDArray[np.float64]
@@ -185,7 +185,9 @@ def refit(
     settled : float
         Relative decrease of the cost below which the fit is done.
     """
-    unit, _ = descend(problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, settled, renewal=3)
+    unit, _ = levenberg_marquardt(
+        problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, settled, renewal=3
+    )
     theta = problem.theta(unit)
     force, jacobian = problem.forces(theta), problem.jacobian(unit)
     residuals = problem.counted(force - problem.force)

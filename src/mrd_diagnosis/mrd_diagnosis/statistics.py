@@ -8,7 +8,7 @@ from scipy.special import expit, softmax, stdtrit
 
 from mrd_diagnosis.diagnosis import Interval, Value
 from mrd_diagnosis.refit import Refit, scaled_inverse
-from mrd_identification.least_squares import BORDER
+from mrd_identification.least_squares import BOUND_TOLERANCE
 from mrd_identification.residual_correlation import correlation_length
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def values(refit: Refit) -> dict[str, Value]:
         moved[:, place] = ends
         lower, upper = problem.theta(moved)[:, index]
         remark = ""
-        if unit[place] < BORDER or unit[place] > 1 - BORDER:
+        if unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE:
             if refit.theta[index] != parameter.default:
                 remark = "at the end of what is plausible"
         elif ends[0] == 0.0 and ends[1] == 1.0:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.refit import GapProblem, Scatter, whitening
-from mrd_identification.least_squares import polish
-from mrd_identification.problem import Problem, Recording, forces_in_turn, pose
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.problem import Problem, Recording, consecutive_forces, make_problem
 from mrd_identification.residual_correlation import correlation_length
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel
@@ -62,9 +62,9 @@ class Ground:
         theta : ndarray (parameters,)
             Near the optimum: a run's own gain multiplies the force that they give.
         freed : sequence of str
-            See `mrd_identification.problem.pose`.
+            See `mrd_identification.problem.make_problem`.
         """
-        posed, _ = pose(model, self.recordings, fixed=self.fixed, freed=freed)
+        posed, _ = make_problem(model, self.recordings, fixed=self.fixed, freed=freed)
         base = posed.base.copy()
         # What is never searched stays as it is: the mains' frequency.
         kept = [i for i, p in enumerate(model.parameters) if not (p.free or p.name in freed or p.name in self.fixed)]
@@ -74,7 +74,7 @@ class Ground:
         sigmas = tuple(noise.sigma for noise in self.noises)
         whitenings = tuple(
             whitening(np.sqrt(sigma**2 + self.missing**2), force, scatter)
-            for sigma, force in zip(sigmas, forces_in_turn(model, theta, self.recordings), strict=True)
+            for sigma, force in zip(sigmas, consecutive_forces(model, theta, self.recordings), strict=True)
         )
         return GapProblem(posed.model, posed.recordings, posed.free, base, whitenings=whitenings, sigmas=sigmas)
 
@@ -82,7 +82,7 @@ class Ground:
         """The ground on which a model with these parameters is the best so far."""
         left = []
         for recording, noise, force in zip(
-            self.recordings, self.noises, forces_in_turn(model, theta, self.recordings), strict=True
+            self.recordings, self.noises, consecutive_forces(model, theta, self.recordings), strict=True
         ):
             error = force - recording.force
             gain, offset = whitening(noise.sigma, force, self.scatter).own @ error
@@ -128,8 +128,8 @@ def first_fit(
     thetas, norms = problem.project(problem.theta(units))
     best = np.argsort(norms[:, 0], kind="stable")[: 1 + starts // 20]
     begins = [*thetas[best], *([] if start is None else [problem.theta(problem.unit(start))])]
-    brief = [polish(problem, begin, 15) for begin in begins]
-    return polish(problem, min(brief, key=lambda found: found[1])[0], evaluations)[0]
+    brief = [fit_least_squares(problem, begin, 15) for begin in begins]
+    return fit_least_squares(problem, min(brief, key=lambda found: found[1])[0], evaluations)[0]
 
 
 def without_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:

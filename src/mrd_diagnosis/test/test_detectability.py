@@ -10,7 +10,7 @@ from mrd_diagnosis.detectability import coverage, foreseen, largest_size, sized
 from mrd_diagnosis.effect_search import NO_GAP
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.weighting import with_effect
-from mrd_identification.problem import prepare
+from mrd_identification.problem import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
 from mrd_sim.simulate import measure_plans
@@ -80,7 +80,9 @@ def test_a_recorded_effect_shows_as_was_foreseen(known, effect):
     damper = Damper("bouc_wen", OWN, effects={effect: values})
     # The floor is that of the runs without it.
     runs = measure_plans(PLANS, damper, np.random.default_rng(4))
-    recordings = [replace(prepare(run), counted=other.counted) for run, other in zip(runs, ground.recordings, strict=True)]
+    recordings = [
+        replace(prepare_recording(run), counted=other.counted) for run, other in zip(runs, ground.recordings, strict=True)
+    ]
     recorded = replace(ground, recordings=recordings)
     base = Damper("bouc_wen", OWN)
     alone = refit(recorded.problem(base.model, base.theta), base.theta, recorded.parts)

@@ -15,7 +15,7 @@ from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.effect_search import Foundation, anew, around, beside
 from mrd_diagnosis.model_comparison import Contest
 from mrd_identification.fit_file import StoredFit
-from mrd_identification.problem import prepare
+from mrd_identification.problem import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
 from mrd_sim.simulate import Instruments, measure_plans
@@ -295,7 +295,9 @@ def test_a_second_cause_is_sought_where_the_form_of_the_first_could_leave_as_muc
 
 def test_a_play_far_smaller_than_typical_promises_to_close_what_it_does_beside_a_lag():
     runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
-    ground, alone, _, _ = model_alone(find_model("bouc_wen"), None, [prepare(run) for run in runs], np.random.default_rng(0))
+    ground, alone, _, _ = model_alone(
+        find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0)
+    )
     (lagging,) = around(ground, Foundation.of(ground, alone), ["force_sensor_lag"], 1)
     ground = ground.after(lagging.refit.problem.model, lagging.refit.theta)
     foundation = Foundation.of(ground, anew(ground, lagging.refit))

@@ -14,7 +14,7 @@ from mrd_diagnosis.model_comparison import Contest
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import Refit, Scatter, refit
 from mrd_diagnosis.weighting import Ground
-from mrd_identification.problem import forces_in_turn, prepare
+from mrd_identification.problem import consecutive_forces, prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
@@ -52,7 +52,7 @@ def damper(effect, **sizes):
 def fitted(plans, truth, rivals) -> tuple[Ground, dict[str, Refit]]:
     """What recordings of a damper make of rivals."""
     random = np.random.default_rng(0)
-    recordings = [prepare(run) for run in measure_plans(plans, truth, random)]
+    recordings = [prepare_recording(run) for run in measure_plans(plans, truth, random)]
     noises = run_noise(recordings, truth.model, truth.theta, random)
     ground = Ground(recordings, noises, Scatter(0.01, 2.0), {"coil_lag": 0.0})
 
@@ -218,7 +218,7 @@ def test_what_outlasts_a_run_goes_on_in_the_next_one():
     rival = _Rival.of(found["thermal_fade"], ground.fixed)
     theta = rival.problem.theta(rival.unit)
     again = ground.recordings[0]
-    expected = forces_in_turn(rival.problem.model, theta, [*ground.recordings, again])[-1]
+    expected = consecutive_forces(rival.problem.model, theta, [*ground.recordings, again])[-1]
     np.testing.assert_allclose(rival.force(theta, again.path)[again.counted], expected, rtol=1e-12)
     assert np.abs(expected - again.modelled(rival.problem.model, theta)).max() > 0.1
 

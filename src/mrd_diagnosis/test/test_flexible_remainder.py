@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mrd_diagnosis.flexible_remainder import explainable
-from mrd_identification.least_squares import polish
-from mrd_identification.problem import pose, prepare
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.problem import make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
@@ -38,8 +38,8 @@ def campaign(effect=None, seconds=12.0, seed=0):
         motion = np.sin(angle) @ a, np.cos(angle) @ (a * w), -np.sin(angle) @ (a * w**2)
         current = np.repeat(random.choice((0.0, 0.3, 0.6, 1.0), 100), int(0.3 * RATE))[: len(time)]
         force = model.force(theta, make_path(time, *motion, current)) + NOISE * random.standard_normal(len(time))
-        recordings.append(prepare(Run(f"run{place}", time, motion[0], motion[1], current, force)))
-    fitted = polish(pose(BASE, recordings)[0], BASE.defaults)[0] if effect else BASE.defaults
+        recordings.append(prepare_recording(Run(f"run{place}", time, motion[0], motion[1], current, force)))
+    fitted = fit_least_squares(make_problem(BASE, recordings)[0], BASE.defaults)[0] if effect else BASE.defaults
     return recordings, [r.force - r.modelled(BASE, fitted) for r in recordings]
 
 

@@ -32,8 +32,8 @@ from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import content, write_gap_report
 from mrd_diagnosis.report.sentences import clause, describe, human, share
 from mrd_identification.json_file import read_schema
-from mrd_identification.least_squares import polish
-from mrd_identification.problem import Problem, prepare
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.problem import Problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
@@ -77,7 +77,7 @@ def fitted(recordings, effects):
     model = find_model("bouc_wen", effects=list(effects))
     free = tuple(i for i, p in enumerate(model.parameters) if p.free)
     start = model.vector({f"{name}.{p}": v for name in effects for p, v in EFFECTS[name].typical.items()})
-    theta, _ = polish(Problem(model, recordings, free, start), start, 20)
+    theta, _ = fit_least_squares(Problem(model, recordings, free, start), start, 20)
     return [r.force - r.modelled(model, theta) for r in recordings], dict(zip(model.names, map(float, theta), strict=True))
 
 
@@ -100,7 +100,7 @@ def values(effect, parameters):
 def diagnosed(verdict, effect="channel_delay"):
     """A diagnosis with this verdict, of runs with a late force channel (none for ``no_gap``)."""
     true = {} if verdict == "no_gap" else {effect: {"delay": 0.012}}
-    recordings = [prepare(simulated(seed, true)) for seed in (1, 2, 3)]
+    recordings = [prepare_recording(simulated(seed, true)) for seed in (1, 2, 3)]
     noises = [RunNoise(np.full(len(r.force), NOISE), NOISE, 0.0, "residual") for r in recordings]
     chosen = {"no_gap": (), "data_fault": (), "unknown_effect": ("force_sensor_lag",)}.get(verdict, (effect,))
     before, base = fitted(recordings, ())
@@ -364,7 +364,7 @@ def test_reading_something_else_is_one_line(tmp_path):
     for text, words in (
         ("{", "is not JSON"),
         ("[1]", "its schema is None, expected a gap_report.json of mrd-gap/1"),
-        ('{"schema": "mrd-fit/2"}', "its schema is mrd-fit/2, expected"),
+        ('{"schema": "mrd-fit/3"}', "its schema is mrd-fit/3, expected"),
         ('{"schema": "mrd-gap/1"}', "'sentence' is a required property; expected a gap_report.json"),
     ):
         file.write_text(text)

@@ -8,7 +8,7 @@ import pytest
 
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.localisation import SIGNIFICANT, maps, travel_since_reversal, where
-from mrd_identification.problem import prepare
+from mrd_identification.problem import prepare_recording
 from mrd_runs import Run
 from mrd_sim.path import make_path
 
@@ -31,7 +31,7 @@ def recording(place, seconds=12.0, current=None):
     if current is None:
         current = np.repeat(random.choice(LEVELS, 100), int(0.3 * RATE))[: len(at)]
     still = np.zeros_like(at)
-    return prepare(Run(f"run{place}", at, position, np.gradient(position, at), still + current, still))
+    return prepare_recording(Run(f"run{place}", at, position, np.gradient(position, at), still + current, still))
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis.noise_model import distortion, repeating_period, run_noise
-from mrd_identification.problem import Recording, prepare
+from mrd_identification.problem import Recording, prepare_recording
 from mrd_runs import Run, make_run
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
@@ -61,7 +61,7 @@ def recorded(
     }
     if accelerometer:
         columns["acceleration_mps2"] = acceleration + rng.normal(0, ACCELERATION, len(force))
-    return prepare(make_run(f"{kind}{seed}", columns))
+    return prepare_recording(make_run(f"{kind}{seed}", columns))
 
 
 def rms(values: np.ndarray) -> float:
@@ -144,7 +144,7 @@ def test_short_runs_and_runs_without_noise_have_a_floor(count: int, moves: bool)
     t = np.arange(count) / 25
     x = 0.01 * np.sin(t) if moves else np.full(count, 0.01)
     run = make_run("short", {"time_s": t, "position_m": x, "current_A": np.zeros(count), "force_N": 100 * np.cos(t)})
-    (found,) = run_noise([prepare(run)], DAMPER.model, DAMPER.theta, np.random.default_rng(7))
+    (found,) = run_noise([prepare_recording(run)], DAMPER.model, DAMPER.theta, np.random.default_rng(7))
     assert np.isfinite(found.sigma).all()
     assert found.sigma.min() > 0
 

@@ -17,8 +17,8 @@ from mrd_diagnosis.null_distribution import null_errors, null_gains, p_value
 from mrd_diagnosis.refit import Scatter, refit, whitening, without_each
 from mrd_diagnosis.statistics import closed, probabilities, resampled, values
 from mrd_diagnosis.weighting import Ground, with_effect
-from mrd_identification.least_squares import polish
-from mrd_identification.problem import prepare
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.problem import prepare_recording
 from mrd_runs import Run
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -45,7 +45,7 @@ def run(seed, gain=0.0, offset=0.0, model=BASE, theta=THETA, rate=250.0, seconds
 
 
 def ground_of(runs, scatter=FIRST_SCATTER):
-    recordings = [prepare(one) for one in runs]
+    recordings = [prepare_recording(one) for one in runs]
     noises = [RunNoise(np.full(len(r.force), FORCE_NOISE), FORCE_NOISE, 0.0, "residual") for r in recordings]
     return Ground(recordings, noises, scatter, {"coil_lag": 0.0})
 
@@ -63,7 +63,7 @@ def ground():
 def alone(ground):
     problem = ground.problem(BASE, THETA)
     noise = null_errors(problem, THETA, [FORCE_NOISE] * 5, FIRST_SCATTER, np.random.default_rng(0))
-    return refit(problem, polish(problem, THETA)[0], ground.parts, noise)
+    return refit(problem, fit_least_squares(problem, THETA)[0], ground.parts, noise)
 
 
 @given(gain=st.floats(1e-4, 0.1), offset=st.floats(1e-3, 30.0), seed=st.integers(0, 2**32 - 1), sigma=st.floats(0.1, 10.0))
@@ -89,7 +89,7 @@ def test_scatter_is_learned_from_the_runs():
     runs = [run(seed, *rng.normal(0, (0.02, 5.0))) for seed in range(12)]
     ground = ground_of(runs)
     problem = ground.problem(BASE, THETA)
-    found = learned_scatter(refit(problem, polish(problem, THETA)[0], ground.parts))
+    found = learned_scatter(refit(problem, fit_least_squares(problem, THETA)[0], ground.parts))
     assert 0.01 < found.gain < 0.035
     assert 2.5 < found.offset < 9.0
 
@@ -109,7 +109,7 @@ def test_leaving_a_part_out_is_fitting_without_it(ground, alone):
     noises = list(ground.noises)
     noises[run_of] = replace(noises[run_of], sigma=sigma)
     without = replace(ground, noises=noises).problem(BASE, THETA)
-    theta, _ = polish(without, alone.theta)
+    theta, _ = fit_least_squares(without, alone.theta)
     step = without_each(problem, problem.unit(alone.theta), alone.grams, alone.slopes)[index]
     wrong = np.abs(problem.unit(step) - problem.unit(theta))
     standard_error = np.sqrt(np.diag(np.linalg.inv(alone.grams.sum(axis=0))))
@@ -138,7 +138,7 @@ def test_a_score_promises_what_a_fit_keeps(ground):
     theta = np.append(THETA, [0.05, 1.5e-4])
     moved = ground_of([run(seed, model=model, theta=theta) for seed in range(5)])
     problem = moved.problem(BASE, THETA)
-    alone = refit(problem, polish(problem, THETA)[0], moved.parts)
+    alone = refit(problem, fit_least_squares(problem, THETA)[0], moved.parts)
     foundation = Foundation.of(moved, alone)
     scores = {
         name: score(neutral(moved, name, alone.theta), foundation, EFFECTS[name])

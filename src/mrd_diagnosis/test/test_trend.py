@@ -14,7 +14,7 @@ from mrd_diagnosis.trend.change_point import growth
 from mrd_diagnosis.trend.trend import DatedProblem, calendar_of, trend
 from mrd_diagnosis.trend.trend_file import to_json, write_trend
 from mrd_identification.json_file import read_schema
-from mrd_identification.problem import pose, prepare
+from mrd_identification.problem import make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -110,7 +110,7 @@ def test_a_parameter_that_explains_the_dates_better_is_told():
 
 def test_derivatives_of_dates_are_exact():
     runs = series([100.0, 110.0, 120.0, 130.0], "yield_force")
-    problem, _ = pose(find_model("bingham"), [prepare(run) for run in runs], offsets=True)
+    problem, _ = make_problem(find_model("bingham"), [prepare_recording(run) for run in runs], offsets=True)
     count = len(problem.base)
     dated = DatedProblem(
         problem.model,

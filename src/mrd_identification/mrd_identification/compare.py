@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_identification.identify import Case, Fit, Method, RunResult, identify_all
-from mrd_identification.residual_correlation import correlation_length, stretches
+from mrd_identification.identify import Fit, IdentificationTask, Method, RunResult, identify_all
+from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
 
@@ -121,7 +121,7 @@ def compare(
     names = list(models or MODELS)
     if len(set(names)) < len(names):
         raise InputError(f"models {', '.join(names)}: expected each one once")
-    if not held_out and not replace(method or Method(), **options).polish:
+    if not held_out and not replace(method or Method(), **options).least_squares:
         raise InputError("without least squares no run is left out in turn: give held-out runs")
     if len(runs) < 2 and not held_out:
         raise InputError("one run and nothing to judge by: give more runs or held-out ones")
@@ -142,7 +142,7 @@ def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
     by_runs = len(blocks) >= FEWEST_RUNS
     # Within a run, a level of its own left aside: too few runs are no sample of what differs between them.
     within = max(correlation_length(error[block] - error[block].mean()) for error in errors for block in blocks)
-    units = blocks if by_runs else stretches(blocks, within)
+    units = blocks if by_runs else independent_segments(blocks, within)
     # How often each unit is drawn in each resample; the same draws for all models make their differences sharp.
     draws = np.random.default_rng(0).multinomial(len(units), np.full(len(units), 1 / len(units)), RESAMPLES).astype(float)
     count, total, square = (np.array([of(force[unit]) for unit in units]) for of in (len, np.sum, lambda part: part @ part))
@@ -180,7 +180,7 @@ def _force(result: RunResult) -> Array:
     return result.run.force[result.counted]
 
 
-def _case(name: str, runs: tuple[Run, ...], held_out: tuple[Run, ...], method: Method) -> Case:
+def _case(name: str, runs: tuple[Run, ...], held_out: tuple[Run, ...], method: Method) -> IdentificationTask:
     model, _, law = name.partition(":")
     find_model(model, law)
-    return Case(runs, model, held_out, replace(method, laws=law) if law else method)
+    return IdentificationTask(runs, model, held_out, replace(method, laws=law) if law else method)

@@ -107,7 +107,7 @@ def pareto_front(fit: Fit) -> go.Figure:
             x=[knee[0]], y=[knee[1]], mode="markers", name="knee", marker={"size": 13, "symbol": "diamond", "color": ACCENT}
         )
     )
-    if fit.method.polish:
+    if fit.method.least_squares:
         figure.add_trace(
             go.Scatter(
                 x=[fit.pooled_fitted.e2],

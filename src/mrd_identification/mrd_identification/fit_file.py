@@ -11,7 +11,7 @@ from mrd_identification.identify import Fit
 from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
 
-SCHEMA = "mrd-fit/2"
+SCHEMA = "mrd-fit/3"
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "population": fit.method.population,
             "generations": fit.method.generations,
             "seeds": fit.method.seeds,
-            "polished": fit.method.polish,
+            "least_squares": fit.method.least_squares,
             "loss": fit.method.loss,
             "weights": fit.method.weights if isinstance(fit.method.weights, str) else list(fit.method.weights),
             "run_offsets_N": list(fit.run_offsets) if fit.method.offsets else None,

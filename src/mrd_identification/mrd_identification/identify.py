@@ -11,10 +11,19 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_identification.cluster import run_on_cluster
 from mrd_identification.fit_warnings import cautions
-from mrd_identification.least_squares import polish, polish_front, with_loss_scale
+from mrd_identification.least_squares import fit_from_front, fit_least_squares, with_loss_scale
 from mrd_identification.metrics import Metrics, metrics
 from mrd_identification.nsga2 import Front, search
-from mrd_identification.problem import Loss, Problem, Recording, Weights, modelled_in_turn, pose, prepare, run_weights
+from mrd_identification.problem import (
+    Loss,
+    Problem,
+    Recording,
+    Weights,
+    consecutive_modelled_forces,
+    make_problem,
+    prepare_recording,
+    run_weights,
+)
 from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
@@ -55,7 +64,7 @@ class Method:
         Of the residuals in least squares.
     population, generations, seed, seeds : int
         NSGA-II's; it runs ``seeds`` times, from ``seed`` on.
-    polish : bool
+    least_squares : bool
         Least squares from the front; without it the knee of the first front is the result.
     profile : bool
         Intervals from profiles of the objective beside those from the covariance.
@@ -72,7 +81,7 @@ class Method:
     generations: int = GENERATIONS
     seed: int = 0
     seeds: int = SEEDS
-    polish: bool = True
+    least_squares: bool = True
     profile: bool = True
 
 
@@ -236,12 +245,12 @@ def identify(
     InputError
         For an unknown model, law, effect, parameter, loss or weights, no runs, or runs whose rod or force does not move.
     """
-    case = Case(tuple(runs), model, tuple(held_out), replace(method or Method(), **options))
+    case = IdentificationTask(tuple(runs), model, tuple(held_out), replace(method or Method(), **options))
     return identify_all([case], scheduler=scheduler, progress=progress)[0]
 
 
 @dataclass(frozen=True)
-class Case:
+class IdentificationTask:
     """One of many identifications: what `identify` takes."""
 
     runs: tuple[Run, ...]
@@ -250,7 +259,9 @@ class Case:
     method: Method = Method()
 
 
-def identify_all(cases: Sequence[Case], *, scheduler: str | None = None, progress: Progress = no_progress) -> list[Fit]:
+def identify_all(
+    cases: Sequence[IdentificationTask], *, scheduler: str | None = None, progress: Progress = no_progress
+) -> list[Fit]:
     """Identify many cases, batches of runs or models or both; see `identify`.
 
     First every seed of every case is searched, then every case is judged. On a cluster each of these is one piece of work.
@@ -263,9 +274,9 @@ def identify_all(cases: Sequence[Case], *, scheduler: str | None = None, progres
     solutions: list[Solution] = []
     if scheduler is None:
         for index, search_of in enumerate(searches):
-            solutions.append(solve(*search_of, _shifted(progress, index * generations)))
+            solutions.append(search_and_fit(*search_of, _shifted(progress, index * generations)))
     else:
-        solutions = run_on_cluster(scheduler, solve, searches, lambda done: progress(done * generations, np.nan))
+        solutions = run_on_cluster(scheduler, search_and_fit, searches, lambda done: progress(done * generations, np.nan))
     rest = iter(solutions)
     verdicts = [
         (case.runs, case.held_out, case.model, case.method, [next(rest) for _ in _seeds(case.method)]) for case in cases
@@ -294,15 +305,15 @@ class Solution:
     elapsed: float
 
 
-def solve(runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = no_progress) -> Solution:
+def search_and_fit(runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = no_progress) -> Solution:
     """Search by NSGA-II from one seed, then least squares."""
     began = time.monotonic()
-    problem, _ = _pose(_prepare(runs, method), model, method)
+    problem, _ = _make_problem(_prepare(runs, method), model, method)
     to_nrmse = np.sqrt(len(problem.force)) / np.std(problem.force)
     front = search(problem, method.population, method.generations, seed, lambda g, e2: progress(g, e2 * to_nrmse))
     theta = front.thetas[front.knee]
-    if method.polish:
-        theta = polish_front(with_loss_scale(problem, front), front)
+    if method.least_squares:
+        theta = fit_from_front(with_loss_scale(problem, front), front)
     return Solution(front, theta, time.monotonic() - began)
 
 
@@ -317,23 +328,23 @@ def judge(
     """Choose the best of several seeds and find out what can be said of it; ``step`` is called now and then."""
     began = time.monotonic()
     recordings = _prepare(runs, method)
-    problem, notes = _pose(recordings, model, method)
+    problem, notes = _make_problem(recordings, model, method)
     problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
     theta = best.theta
-    if method.polish and problem.loss != "linear":
-        theta, _ = polish(problem, theta)  # on the common scale of the loss
+    if method.least_squares and problem.loss != "linear":
+        theta, _ = fit_least_squares(problem, theta)  # on the common scale of the loss
     fitted = _results(problem.model, theta, recordings)
     if held_out:
-        everything = [*recordings, *map(prepare, held_out)]
+        everything = [*recordings, *map(prepare_recording, held_out)]
         held, by = _results(problem.model, theta, everything)[len(recordings) :], "runs"
-    elif len(runs) > 1 and method.polish:
+    elif len(runs) > 1 and method.least_squares:
         held, poorer = _leave_one_out(recordings, model, method, [s.front for s in solutions], notes, step)
         by = "leave-one-run-out"
         notes = [*notes, *poorer]
     else:
         held, by = (), "none"
-    uncertain = uncertainty(problem, theta, profile=method.profile and method.polish, step=step)
+    uncertain = uncertainty(problem, theta, profile=method.profile and method.least_squares, step=step)
     at = {index: place for place, index in enumerate(problem.free)}
 
     def end(of: Array, index: int) -> float:
@@ -379,7 +390,7 @@ def pooled(results: Sequence[RunResult]) -> Metrics:
     return metrics(measured, np.concatenate([r.modelled[r.counted] for r in results]))
 
 
-def _check(case: Case) -> None:
+def _check(case: IdentificationTask) -> None:
     method = case.method
     find_model(case.model, method.laws, method.effects)
     if method.loss not in get_args(Loss):
@@ -403,15 +414,15 @@ def _shifted(progress: Progress, before: int) -> Progress:
 
 
 def _seeds(method: Method) -> range:
-    return range(method.seed, method.seed + (method.seeds if method.polish else 1))
+    return range(method.seed, method.seed + (method.seeds if method.least_squares else 1))
 
 
 def _prepare(runs: Sequence[Run], method: Method) -> list[Recording]:
-    return [prepare(run, weight) for run, weight in zip(runs, run_weights(runs, method.weights), strict=True)]
+    return [prepare_recording(run, weight) for run, weight in zip(runs, run_weights(runs, method.weights), strict=True)]
 
 
-def _pose(recordings: Sequence[Recording], model: str, method: Method) -> tuple[Problem, list[str]]:
-    problem, notes = pose(
+def _make_problem(recordings: Sequence[Recording], model: str, method: Method) -> tuple[Problem, list[str]]:
+    problem, notes = make_problem(
         find_model(model, method.laws, method.effects),
         recordings,
         fixed=method.fixed,
@@ -427,7 +438,7 @@ def _nrmse(problem: Problem, theta: Array) -> float:
 
 def _results(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> tuple[RunResult, ...]:
     """Of runs that were recorded one after the other."""
-    modelled = modelled_in_turn(model, theta, recordings)
+    modelled = consecutive_modelled_forces(model, theta, recordings)
     return tuple(
         RunResult(
             recording.run, recording.motion, force, recording.counted, metrics(recording.force, force[recording.counted])
@@ -452,11 +463,11 @@ def _leave_one_out(
     thetas = np.concatenate([front.thetas for front in fronts])
     results, poorer = [], []
     for index, recording in enumerate(recordings):
-        rest, said = _pose([*recordings[:index], *recordings[index + 1 :]], model, method)
+        rest, said = _make_problem([*recordings[:index], *recordings[index + 1 :]], model, method)
         starts, norms = rest.project(rest.theta(rest.unit(thetas)))
         order = np.argsort(norms[:, 0], kind="stable")
         front = Front(starts[order], norms[order], 0)
-        theta, _ = polish(with_loss_scale(rest, front), front.thetas[0])
+        theta, _ = fit_least_squares(with_loss_scale(rest, front), front.thetas[0])
         results.append(_results(rest.model, theta, recordings[: index + 1])[-1])
         if len(said) > len(notes):
             poorer.append(recording.run.name)

@@ -12,14 +12,14 @@ from mrd_identification.problem import Problem
 
 Array = NDArray[np.float64]
 
-BORDER = 1e-6
+BOUND_TOLERANCE = 1e-6
 """of the unit box: closer than this is on the bound."""
 
 LEAST_DAMPING = 1e-11
 """Keeps the normal equations regular where two parameters do the same."""
 
 
-def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[Array, float]:
+def fit_least_squares(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[Array, float]:
     """Local least squares on all counted residuals within the bounds.
 
     Parameters
@@ -35,11 +35,11 @@ def polish(problem: Problem, theta: Array, max_evaluations: int = 100) -> tuple[
     cost : float
         Half the sum of the loss in N².
     """
-    unit, cost = descend(problem, problem.unit(theta), np.arange(len(problem.free)), max_evaluations)
+    unit, cost = levenberg_marquardt(problem, problem.unit(theta), np.arange(len(problem.free)), max_evaluations)
     return problem.theta(unit), cost
 
 
-def descend(
+def levenberg_marquardt(
     problem: Problem, unit: Array, moving: NDArray[np.intp], max_evaluations: int, tolerance: float = 1e-10, renewal: int = 1
 ) -> tuple[Array, float]:
     """Point of the unit box where the objective is least over the coordinates ``moving``, near ``unit``, and its cost.
@@ -116,11 +116,11 @@ def bounded_step(gram: Array, slope: Array, lower: Array, upper: Array) -> Array
     return np.asarray(lsq_linear(np.tril(root).T * size, right, bounds=(lower, upper), method="bvls").x)
 
 
-def polish_front(problem: Problem, front: Front) -> Array:
+def fit_from_front(problem: Problem, front: Front) -> Array:
     """Optimum (parameters,) of least squares from the ends and the knee of a front, briefly; the best goes on."""
     starts = np.unique([0, front.knee, len(front.thetas) - 1])
-    brief = [polish(problem, front.thetas[start], 12) for start in starts]
-    return polish(problem, min(brief, key=lambda found: found[1])[0])[0]
+    brief = [fit_least_squares(problem, front.thetas[start], 12) for start in starts]
+    return fit_least_squares(problem, min(brief, key=lambda found: found[1])[0])[0]
 
 
 def with_loss_scale(problem: Problem, front: Front) -> Problem:

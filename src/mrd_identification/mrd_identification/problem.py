@@ -88,7 +88,7 @@ class Recording:
         return model.force(theta, self.path)[self.counted]
 
 
-def prepare(run: Run, weight: float = 1.0) -> Recording:
+def prepare_recording(run: Run, weight: float = 1.0) -> Recording:
     """Smooth the motion of a run and lay out the path of integration."""
     smoothed = smooth_run(run)
     position = smoothed.motion.position
@@ -97,7 +97,7 @@ def prepare(run: Run, weight: float = 1.0) -> Recording:
     return Recording(smoothed, path_of(smoothed), slice(start, len(run)), weight)
 
 
-def modelled_in_turn(
+def consecutive_modelled_forces(
     model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
 ) -> list[Array]:
     """Modelled force in N of runs recorded one after the other: a state that outlasts a run, such as heat, is carried over.
@@ -113,11 +113,11 @@ def modelled_in_turn(
     return forces
 
 
-def forces_in_turn(
+def consecutive_forces(
     model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
 ) -> list[Array]:
-    """The forces of `modelled_in_turn` at the counted samples."""
-    forces = modelled_in_turn(model, theta, recordings, solutions)
+    """The forces of `consecutive_modelled_forces` at the counted samples."""
+    forces = consecutive_modelled_forces(model, theta, recordings, solutions)
     return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
 
 
@@ -252,12 +252,12 @@ class Problem:
 
     def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
         """Modelled force in N over all counted samples; ``solutions`` is as in `mrd_sim.models.DamperModel.force`."""
-        return np.concatenate(forces_in_turn(self.model, theta, self.recordings, solutions))
+        return np.concatenate(consecutive_forces(self.model, theta, self.recordings, solutions))
 
     def modelled(self, theta: Array, index: int) -> Array:
         """Modelled force in N at the counted samples of one recording."""
         if any(effect.carries for effect in self.model.effects):
-            return forces_in_turn(self.model, theta, self.recordings[: index + 1])[-1]
+            return consecutive_forces(self.model, theta, self.recordings[: index + 1])[-1]
         return self.recordings[index].modelled(self.model, theta)
 
     def errors(self, theta: Array) -> Array:
@@ -397,7 +397,7 @@ def _bounded(gram: Array, right: Array, lower: Array, upper: Array) -> Array:
     return np.asarray(lsq_linear((vectors * root).T * size, shortened, bounds=(lower, upper), method="bvls").x)
 
 
-def pose(
+def make_problem(
     model: DamperModel,
     recordings: Sequence[Recording],
     *,

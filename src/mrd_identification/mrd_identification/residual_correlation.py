@@ -40,7 +40,7 @@ def _decay(series: Array) -> int:
     return max(1, int(below[0])) if below.size else len(series)
 
 
-def stretches(runs: Sequence[slice], correlated: int) -> list[slice]:
+def independent_segments(runs: Sequence[slice], correlated: int) -> list[slice]:
     """Cut runs into stretches four times as long as the residual is correlated, each within one run.
 
     Parameters

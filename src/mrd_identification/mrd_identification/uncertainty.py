@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from mrd_identification.least_squares import BORDER, descend
+from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt
 from mrd_identification.problem import Problem
-from mrd_identification.residual_correlation import correlation_length, stretches
+from mrd_identification.residual_correlation import correlation_length, independent_segments
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def uncertainty(
     sensitivity = problem.jacobian(unit)
     root = problem.robust_weights(residuals)
     jacobian, weighted = sensitivity * root[:, None], residuals * root
-    on_bound = (unit < BORDER) | (unit > 1 - BORDER)
+    on_bound = (unit < BOUND_TOLERANCE) | (unit > 1 - BOUND_TOLERANCE)
     norm = np.linalg.norm(jacobian, axis=0)
     least = ROUNDING * float(np.linalg.norm(problem.force * problem.root_weight))
     sensitivity[:, norm <= least] = norm[norm <= least] = 0.0
@@ -106,7 +106,7 @@ def uncertainty(
     # Where there are runs enough, they are what is independent: an error that each of them repeats all over is seen, too.
     needed = int(seen.sum()) + FEWEST_SPARE_BLOCKS + problem.run_offsets
     enough = len(problem.blocks) >= needed
-    parts = problem.blocks if enough else stretches(problem.blocks, correlation_length(weighted))
+    parts = problem.blocks if enough else independent_segments(problem.blocks, correlation_length(weighted))
     blocks = len(parts)
     scores = np.stack([scaled[part].T @ weighted[part] for part in parts])
     if seen.any():
@@ -207,7 +207,7 @@ def _profile_end(
 def _refit(problem: Problem, start: Array, index: int, tolerance: float) -> tuple[float, Array]:
     """Smallest objective over the parameters other than ``index``, near ``start``, and where it is."""
     others = np.delete(np.arange(len(start)), index)
-    refitted, cost = descend(problem, start, others, 10, tolerance)
+    refitted, cost = levenberg_marquardt(problem, start, others, 10, tolerance)
     return cost, refitted
 
 

@@ -109,7 +109,7 @@ def test_unusable_comparisons_are_one_line():
     with pytest.raises(InputError, match="expected each one once"):
         compare([run, run], ["bingham", "bingham"])
     with pytest.raises(InputError, match="no run is left out in turn"):
-        compare([run, run], ["bingham"], polish=False)
+        compare([run, run], ["bingham"], least_squares=False)
     with pytest.raises(InputError, match="unknown current law nosuch"):
         compare([run, run], ["bingham:nosuch"])
     with pytest.raises(InputError, match="unknown model nosuch"):

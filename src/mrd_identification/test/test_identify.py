@@ -10,7 +10,7 @@ from mrd_base import InputError
 from mrd_identification import identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import knee
-from mrd_identification.problem import modelled_in_turn, pose, prepare
+from mrd_identification.problem import consecutive_modelled_forces, make_problem, prepare_recording
 from mrd_identification.report import write_report
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
@@ -104,12 +104,12 @@ def test_every_model_fits_its_own_data(model):
 
 def test_without_polish_the_knee_is_the_result():
     run = simulated("bingham", {}, seconds=3, noise=1.0)
-    fit = identify([run], "bingham", population=16, generations=8, seed=2, polish=False)
+    fit = identify([run], "bingham", population=16, generations=8, seed=2, least_squares=False)
     assert np.array_equal(fit.theta, fit.front.thetas[fit.front.knee])
 
 
 def searched(model, runs, **options):
-    problem, notes = pose(find_model(model), [prepare(run) for run in runs], **options)
+    problem, notes = make_problem(find_model(model), [prepare_recording(run) for run in runs], **options)
     return [parameter.name for parameter in problem.parameters], notes
 
 
@@ -125,12 +125,12 @@ def test_what_the_runs_cannot_tell_is_fixed_and_said():
 
 def test_two_currents_bend_no_law():
     runs = [simulated("bingham", {}, current=level) for level in (0.1, 0.3)]
-    recordings = [prepare(run) for run in runs]
-    problem, notes = pose(find_model("bingham", "tanh"), recordings)
+    recordings = [prepare_recording(run) for run in runs]
+    problem, notes = make_problem(find_model("bingham", "tanh"), recordings)
     assert not any(p.name.endswith("_saturation") for p in problem.parameters)
     assert any("two points bend no law" in note for note in notes)
-    third = prepare(simulated("bingham", {}, current=0.2))
-    problem, _ = pose(find_model("bingham", "tanh"), [*recordings, third])
+    third = prepare_recording(simulated("bingham", {}, current=0.2))
+    problem, _ = make_problem(find_model("bingham", "tanh"), [*recordings, third])
     assert any(p.name.endswith("_saturation") for p in problem.parameters)
 
 
@@ -149,20 +149,23 @@ def test_parameters_can_be_fixed_and_freed():
 
 
 def test_unit_box_round_trip():
-    problem, _ = pose(find_model("modified_bouc_wen"), [prepare(simulated("modified_bouc_wen", {}))])
+    problem, _ = make_problem(find_model("modified_bouc_wen"), [prepare_recording(simulated("modified_bouc_wen", {}))])
     unit = np.random.default_rng(0).random((5, len(problem.free)))
     assert np.allclose([problem.unit(theta) for theta in problem.theta(unit)], unit)
 
 
 def weighted_recordings(noise):
-    return [prepare(simulated("bouc_wen", TRUTH, noise=noise, seed=seed), weight) for seed, weight in ((1, 0.5), (2, 2.0))]
+    return [
+        prepare_recording(simulated("bouc_wen", TRUTH, noise=noise, seed=seed), weight)
+        for seed, weight in ((1, 0.5), (2, 2.0))
+    ]
 
 
 @pytest.mark.parametrize("offsets", [False, True])
 def test_jacobian_matches_central_differences(offsets):
     model = find_model("bouc_wen", "tanh")
     recordings = weighted_recordings(1.0)
-    problem, _ = pose(model, recordings, offsets=offsets)
+    problem, _ = make_problem(model, recordings, offsets=offsets)
     unit = problem.unit(model.vector(TRUTH))
     jacobian = problem.jacobian(unit)
     for column in range(len(problem.free)):
@@ -178,7 +181,7 @@ def test_projection_is_the_bounded_optimum_of_the_linear_parameters(model, offse
     """No change of a linear parameter within its bounds lowers the error, and the norms are those of the whole model."""
     damper = find_model(model)
     recordings = weighted_recordings(3.0)
-    problem, _ = pose(damper, recordings, offsets=offsets)
+    problem, _ = make_problem(damper, recordings, offsets=offsets)
     thetas, norms = problem.project(problem.theta(np.random.default_rng(0).random((3, len(problem.free)))))
     assert np.allclose(norms, problem.norms(thetas), rtol=1e-6)
     for theta in thetas:
@@ -229,7 +232,7 @@ def test_what_a_fit_says_of_a_run_begins_as_the_run_before_has_ended():
     damper = find_model("bingham", None, ["thermal_fade"])
     truth = damper.vector({"thermal_fade.fade": 2e-4, "viscous": 1500.0})
     still = [simulated("bingham", {}, seed=seed) for seed in (1, 2, 3)]
-    forces = modelled_in_turn(damper, truth, [prepare(run) for run in still])
+    forces = consecutive_modelled_forces(damper, truth, [prepare_recording(run) for run in still])
     runs = [replace(run, force=force) for run, force in zip(still, forces, strict=True)]
     fit = identify(runs[:2], "bingham", effects=["thermal_fade"], held_out=runs[2:], seeds=1, profile=False)
     assert all(result.metrics.nrmse < 1e-3 for result in (*fit.fitted, *fit.held_out))
@@ -328,7 +331,7 @@ def test_a_run_left_out_teaches_nothing():
 
 def test_without_polish_no_run_is_left_out_in_turn():
     runs = [simulated("bingham", {}, seed=seed, seconds=3) for seed in (1, 2)]
-    fit = identify(runs, "bingham", population=16, generations=4, polish=False)
+    fit = identify(runs, "bingham", population=16, generations=4, least_squares=False)
     assert fit.held_out_by == "none"
     assert any("nothing judges the fit" in warning for warning in fit.warnings)
 

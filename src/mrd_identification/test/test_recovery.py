@@ -10,8 +10,8 @@ from scipy.signal import lfilter, sawtooth
 
 from mrd_identification import identify
 from mrd_identification.fit_warnings import cautions
-from mrd_identification.least_squares import polish
-from mrd_identification.problem import Problem, pose, prepare
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.problem import Problem, Recording, make_problem, prepare_recording
 from mrd_identification.residual_correlation import correlation_length
 from mrd_identification.uncertainty import uncertainty
 from mrd_runs import Run
@@ -112,8 +112,8 @@ def test_the_search_finds_the_optimum_that_least_squares_alone_misses(name, seed
     problem = searched(model)
     theta = problem.theta(np.random.default_rng(seed).uniform(0.1, 0.9, len(problem.free)))
     run = experiment(model, theta, 1, seconds=3.0, rate=250.0)
-    posed, _ = pose(model, [prepare(run)])
-    _, cost = polish(posed, posed.project(model.defaults[None])[0][0])
+    posed, _ = make_problem(model, [prepare_recording(run)])
+    _, cost = fit_least_squares(posed, posed.project(model.defaults[None])[0][0])
     assert np.sqrt(2 * cost / len(posed.force)) > 0.05 * np.std(posed.force)
     fit = identify([run], name, profile=False)
     assert fit.pooled_fitted.nrmse < 1e-4
@@ -125,8 +125,8 @@ def test_least_squares_agree_with_scipy_also_on_bounds(loss):
     model = find_model("bouc_wen")
     run = experiment(model, model.vector({"viscous": 0.0, "viscous_per_A": 500.0}), 1, seconds=2.0)
     run = noisy(replace(run, force=run.force - 200.0 * run.velocity), 30.0, 1)
-    problem = replace(pose(model, [prepare(run)])[0], loss=loss, loss_scale=30.0)
-    theta, cost = polish(problem, model.defaults)
+    problem = replace(make_problem(model, [prepare_recording(run)])[0], loss=loss, loss_scale=30.0)
+    theta, cost = fit_least_squares(problem, model.defaults)
     reference = least_squares(
         lambda unit: problem.residuals(problem.theta(unit)),
         problem.unit(model.defaults).clip(1e-4, 1 - 1e-4),
@@ -157,7 +157,7 @@ def coverage(name, errors, *, seconds, rate, share=0.02, repeats=200, profile=Fa
     """Whether 95 % intervals hold the truth, (repeats, free), nan where there is none; each repeat starts at the truth."""
     model = MODELS[name]
     theta = truth(model)
-    recordings = [prepare(experiment(model, theta, seed, seconds, rate)) for seed in (1, 2)]
+    recordings = [prepare_recording(experiment(model, theta, seed, seconds, rate)) for seed in (1, 2)]
     forces = [model.force(theta, recording.path) for recording in recordings]
     deviation = share * np.std(np.concatenate(forces))
     random = np.random.default_rng(list(MODELS).index(name))
@@ -167,8 +167,8 @@ def coverage(name, errors, *, seconds, rate, share=0.02, repeats=200, profile=Fa
             replace(recording, run=replace(recording.run, force=force + deviation * errors(random, len(force))))
             for recording, force in zip(recordings, forces, strict=True)
         ]
-        problem, _ = pose(model, spoilt)
-        estimate, _ = polish(problem, theta)
+        problem, _ = make_problem(model, spoilt)
+        estimate, _ = fit_least_squares(problem, theta)
         found = uncertainty(problem, estimate, profile=profile)
         lower, upper = (found.profile_lower, found.profile_upper) if profile else (found.lower, found.upper)
         true = theta[list(problem.free)]
@@ -246,8 +246,8 @@ def bent():
         noisy(run_of(model, model.defaults, time, sines(time, [(f, 8e-3)], 0.0), np.full(2000, 0.3)), 30.0, int(10 * f))
         for f in (0.7, 2.0)
     ]
-    problem, _ = pose(model, [prepare(run) for run in runs])
-    theta, _ = polish(problem, model.defaults)
+    problem, _ = make_problem(model, [prepare_recording(run) for run in runs])
+    theta, _ = fit_least_squares(problem, model.defaults)
     return problem, theta, uncertainty(problem, theta)
 
 
@@ -261,8 +261,8 @@ def test_profile_ends_where_the_refitted_objective_has_risen(bent):
     for end in (found.profile_lower[place], found.profile_upper[place]):
         start = theta.copy()
         start[index] = end
-        posed, _ = pose(problem.model, problem.recordings, fixed={"steepness": float(end)})
-        rises.append(polish(posed, start)[1] - best)
+        posed, _ = make_problem(problem.model, problem.recordings, fixed={"steepness": float(end)})
+        rises.append(fit_least_squares(posed, start)[1] - best)
     assert rises[0] == pytest.approx(rises[1], rel=0.25)
     lower, upper = (np.log(end[place] / theta[index]) for end in (found.profile_lower, found.profile_upper))
     assert abs(-lower / upper - 1.0) > 0.3
@@ -272,8 +272,8 @@ def test_profile_of_a_straight_model_is_the_covariance_interval_and_costs_two_ev
     model = find_model("polynomial")
     theta = truth(model)
     run = noisy(experiment(model, theta, 1), 5.0, 0)
-    problem, _ = pose(model, [prepare(run)])
-    theta, _ = polish(problem, theta)
+    problem, _ = make_problem(model, [prepare_recording(run)])
+    theta, _ = fit_least_squares(problem, theta)
     counted = []
     evaluate = Problem.cost
     monkeypatch.setattr(Problem, "cost", lambda self, theta: counted.append(1) or evaluate(self, theta))
@@ -289,8 +289,8 @@ def test_a_parameter_on_a_bound_has_a_profile_inside():
     theta = model.vector({"viscous": 0.0, "viscous_per_A": 0.0, "offset": 0.0})
     time = np.arange(1000) / 200.0
     still = noisy(run_of(model, theta, time, sines(time, LINES, np.zeros(4)), np.zeros(1000)), 10.0, 2)
-    problem, _ = pose(model, [prepare(still)])
-    fitted, _ = polish(problem, theta)
+    problem, _ = make_problem(model, [prepare_recording(still)])
+    fitted, _ = fit_least_squares(problem, theta)
     found = uncertainty(problem, fitted)
     speed = np.std(problem.recordings[0].path.velocity)
     assert found.on_bound[0]
@@ -299,14 +299,19 @@ def test_a_parameter_on_a_bound_has_a_profile_inside():
     assert 0.0 < found.beyond[0] < 1.0
 
 
+def with_force(recording: Recording, force: np.ndarray) -> Recording:
+    run = replace(recording.run, force=force)
+    return replace(recording, smoothed=replace(recording.smoothed, run=run))
+
+
 def test_there_are_no_intervals_without_errors_but_also_no_nonsense():
     """The force is the model's own, to the last digit."""
     for name in ("bingham", "modified_bouc_wen"):
         model = find_model(name)
         theta = truth(model)
-        recording = prepare(experiment(model, theta, 1))
-        exact = replace(recording, run=replace(recording.run, force=model.force(theta, recording.path)))
-        problem, _ = pose(model, [exact])
+        recording = prepare_recording(experiment(model, theta, 1))
+        exact = with_force(recording, model.force(theta, recording.path))
+        problem, _ = make_problem(model, [exact])
         found = uncertainty(problem, theta)
         for ends in (found.lower, found.upper, found.profile_lower, found.profile_upper):
             assert ends == pytest.approx(theta[list(problem.free)], rel=1e-6)
@@ -317,7 +322,7 @@ def test_there_are_no_intervals_without_errors_but_also_no_nonsense():
 def test_everything_on_bounds_is_no_crash():
     model = find_model("linear_viscous")
     run = noisy(experiment(model, model.defaults, 1), 10.0, 1)
-    problem, _ = pose(model, [prepare(run)], fixed={"offset": 0.0, "coil_lag": 0.0})
+    problem, _ = make_problem(model, [prepare_recording(run)], fixed={"offset": 0.0, "coil_lag": 0.0})
     theta = model.vector({"viscous": 0.0, "viscous_per_A": 0.0, "offset": 0.0, "coil_lag": 0.0})
     found = uncertainty(problem, theta)
     assert found.on_bound.all()
@@ -330,13 +335,13 @@ def test_everything_on_bounds_is_no_crash():
 
 
 def warned(problem, theta, *, seeds=None, **options):
-    theta, _ = polish(problem, theta)
+    theta, _ = fit_least_squares(problem, theta)
     return cautions(problem, theta, uncertainty(problem, theta, **options), seeds or [theta], "runs")
 
 
 def said_of(model, runs, theta=None, **options):
     model = find_model(model)
-    problem, _ = pose(model, [prepare(run) for run in runs])
+    problem, _ = make_problem(model, [prepare_recording(run) for run in runs])
     return warned(problem, model.defaults if theta is None else theta, **options)
 
 
@@ -416,10 +421,10 @@ def test_two_parameters_that_go_together_are_named_as_a_pair():
     model = find_model("bingham")
     time, position = triangle((0.02, 0.022))
     still = np.zeros_like(time)
-    recording = prepare(Run("triangle", time, position, np.gradient(position, time), still + 0.3, still))
+    recording = prepare_recording(Run("triangle", time, position, np.gradient(position, time), still + 0.3, still))
     force = model.force(model.defaults, recording.path)
     run = noisy(replace(recording.run, force=force), 100.0, 0)
-    problem, _ = pose(model, [replace(recording, run=run)], fixed={"creep_speed": 2e-3})
+    problem, _ = make_problem(model, [with_force(recording, run.force)], fixed={"creep_speed": 2e-3})
     assert_says(
         warned(problem, model.defaults),
         "viscous cannot be told from 0: the runs fit as well with anything from 0 to 3.* N s/m",
@@ -432,8 +437,8 @@ def test_correlated_parameters_that_are_known_well_are_no_worry():
     model = find_model("normalised_bouc_wen")
     theta = truth(model)
     runs = [noisy(experiment(model, theta, seed), 20.0, seed) for seed in (1, 2)]
-    problem, _ = pose(model, [prepare(run) for run in runs])
-    fitted, _ = polish(problem, theta)
+    problem, _ = make_problem(model, [prepare_recording(run) for run in runs])
+    fitted, _ = fit_least_squares(problem, theta)
     found = uncertainty(problem, fitted, profile=False)
     names = [parameter.name for parameter in problem.parameters]
     assert abs(found.correlation[names.index("rho"), names.index("rho_per_A")]) > 0.98
@@ -471,7 +476,7 @@ def test_what_has_no_effect_is_said_to_have_none():
     model = find_model("algebraic")
     theta = model.vector({"yield_force": 0.0})
     run = noisy(held("algebraic", theta, LINES, rate=100, seconds=10, current=(0.0,)), 20.0, 1)
-    problem, _ = pose(model, [prepare(run)], fixed={"yield_force": 0.0})
+    problem, _ = make_problem(model, [prepare_recording(run)], fixed={"yield_force": 0.0})
     said = cautions(problem, problem.base, uncertainty(problem, problem.base), [problem.base], "runs")
     none = " is not identifiable from these runs: it does not change the modelled force at all"
     assert_says(said, "steepness" + none, "position_weight" + none)
@@ -485,7 +490,7 @@ def test_seeds_that_disagree_are_counted():
     said = said_of("bingham", runs, seeds=[best, elsewhere, best])
     assert_says(said, "1 of 3 seeds of the search ended in another, worse optimum")
     # Of fits without error one is always much worse than another, and it does not matter.
-    exact, _ = pose(model, [prepare(experiment(model, best, 1))])
+    exact, _ = make_problem(model, [prepare_recording(experiment(model, best, 1))])
     near = best * (1 + 1e-6)
     assert exact.cost(near) > 1.02 * exact.cost(best)
     assert_says(cautions(exact, best, uncertainty(exact, best), [best, near], "runs"))

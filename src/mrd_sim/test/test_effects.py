@@ -499,7 +499,7 @@ def test_what_follows_the_force_is_resolved_between_the_samples_of_a_recording(e
     def error(along):
         return np.sqrt(np.mean((model.force(theta, along) - expected[at])[100:] ** 2))
 
-    assert error(path) < 0.65 * error(replace(path, run=None))  # that is: with vertices at samples and reversals only
+    assert error(path) < 0.65 * error(replace(path, smoothed=None))  # that is: with vertices at samples and reversals only
     assert len(path.fine.dt) < 2 * len(path.dt)
 
 

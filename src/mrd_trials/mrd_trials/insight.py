@@ -20,7 +20,7 @@ from mrd_diagnosis.model_comparison import FIRST_SCATTER
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import own_error
 from mrd_diagnosis.weighting import Ground
-from mrd_identification.problem import in_threads, prepare
+from mrd_identification.problem import in_threads, prepare_recording
 from mrd_runs import Run, read_runs
 from mrd_sim.models import DamperModel, find_model
 from mrd_trajectory.experiment import parse_experiment
@@ -138,7 +138,7 @@ def _true_map(knowing: Diagnosis) -> tuple[Bin, ...]:
 def _closed_on(runs: Sequence[Run], fresh: Sequence[Run], name: str, said: Submission) -> float:
     """Share of the gap on fresh runs that the submitted parameters close, those runs' own offset and gain taken out."""
     model, corrected = find_model(name), find_model(name, effects=said.effects)
-    recordings = in_threads(prepare, [*runs, *fresh])
+    recordings = in_threads(prepare_recording, [*runs, *fresh])
     alone = model_alone(model, None, recordings[: len(runs)], np.random.default_rng(0))[1].theta
     theta = corrected.vector(said.parameters)
     noises = run_noise(recordings, corrected, theta, np.random.default_rng(0))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.weighting import first_fit
-from mrd_identification.problem import forces_in_turn, in_threads, pose, prepare
+from mrd_identification.problem import consecutive_forces, in_threads, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, find_model
 
@@ -44,11 +44,11 @@ class Yardstick:
     @classmethod
     def of(cls, model: str, runs: Sequence[Run], rng: np.random.Generator) -> "Yardstick":
         """From the recordings of the plant without effects."""
-        recordings = in_threads(prepare, runs)
+        recordings = in_threads(prepare_recording, runs)
         found = find_model(model)
-        posed, _ = pose(found, recordings, fixed={"coil_lag": 0.0})
+        posed, _ = make_problem(found, recordings, fixed={"coil_lag": 0.0})
         theta = first_fit(posed, None, rng, starts=FITTING_STARTS)
-        forces = forces_in_turn(found, theta, recordings)
+        forces = consecutive_forces(found, theta, recordings)
         own = np.zeros((len(posed.force), 2 * len(recordings)))
         for place, (block, force) in enumerate(zip(posed.blocks, forces, strict=True)):
             own[block, 2 * place], own[block, 2 * place + 1] = 1.0, force
@@ -63,9 +63,9 @@ class Yardstick:
 
     def signal_to_floor(self, runs: Sequence[Run]) -> float:
         """Mean square of what effects add to the errors on the same motions and noise, over that of the floor."""
-        prepared = in_threads(prepare, runs)
+        prepared = in_threads(prepare_recording, runs)
         recordings = [replace(recording, counted=part) for recording, part in zip(prepared, self.counted, strict=True)]
-        forces = forces_in_turn(self.model, self.theta, recordings)
+        forces = consecutive_forces(self.model, self.theta, recordings)
         change = np.concatenate([f - r.force for f, r in zip(forces, recordings, strict=True)]) - self.errors
         left = change - self.nuisance @ (self.nuisance.T @ change)
         return float(np.mean(left**2) / self.floor**2)

@@ -10,7 +10,7 @@ from mrd_diagnosis.diagnose import model_alone
 from mrd_diagnosis.effect_search import Foundation, around, beside
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.weighting import Ground, with_effect
-from mrd_identification.problem import in_threads, prepare
+from mrd_identification.problem import in_threads, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
@@ -51,7 +51,7 @@ def survey(runs: Sequence[Run], model: str, seed: int = 0) -> Survey:
     """
     effects = list(EFFECTS)
     rng = np.random.default_rng(seed)
-    ground, alone, _, _ = model_alone(find_model(model), None, in_threads(prepare, runs), rng)
+    ground, alone, _, _ = model_alone(find_model(model), None, in_threads(prepare_recording, runs), rng)
     foundation = Foundation.of(ground, alone)
     trials = around(ground, foundation, effects, len(effects))
     fits = {trial.effects[-1]: trial.refit for trial in trials}

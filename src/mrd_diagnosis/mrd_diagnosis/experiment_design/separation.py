@@ -21,7 +21,7 @@ from mrd_diagnosis.refit import GapProblem, Refit, Scatter, whitening
 from mrd_diagnosis.report.sentences import name_of
 from mrd_diagnosis.statistics import CERTAIN, certainty, dispersion
 from mrd_diagnosis.weighting import Ground
-from mrd_identification.least_squares import descend
+from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.problem import Recording, in_threads
 from mrd_runs import Run
 from mrd_runs.signals.motion import motion_errors
@@ -317,7 +317,7 @@ class Foreseen:
             sigmas=(sigma,),
             rival=rival,
         )
-        _, cost = descend(problem, rival.unit, np.arange(len(old.free)), EVALUATIONS, 1e-3, renewal=EVALUATIONS)
+        _, cost = levenberg_marquardt(problem, rival.unit, np.arange(len(old.free)), EVALUATIONS, 1e-3, renewal=EVALUATIONS)
         return 2.0 * cost / together
 
 
@@ -358,7 +358,7 @@ class _Rival:
             theta[silent] = model.defaults[silent]
             problem = replace(problem, free=free, base=theta)
             known = np.flatnonzero(~np.isin(free, silent))
-            unit, _ = descend(problem, problem.unit(theta), known, 10, 1e-6)
+            unit, _ = levenberg_marquardt(problem, problem.unit(theta), known, 10, 1e-6)
             jacobian = problem.jacobian(unit)
             gram = jacobian.T @ jacobian
         values, vectors = np.linalg.eigh(gram)

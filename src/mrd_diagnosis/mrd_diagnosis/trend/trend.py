@@ -14,10 +14,10 @@ from mrd_base import InputError
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.report.sentences import human, share
 from mrd_diagnosis.trend.change_point import FEWEST_DATES, FEWEST_FOR_CHANGE, Growth, growth
-from mrd_identification.identify import Method, solve
-from mrd_identification.least_squares import BORDER, descend
-from mrd_identification.problem import Problem, Recording, pose, prepare
-from mrd_identification.residual_correlation import correlation_length, stretches
+from mrd_identification.identify import Method, search_and_fit
+from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt
+from mrd_identification.problem import Problem, Recording, make_problem, prepare_recording
+from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_identification.uncertainty import FEWEST_SPARE_BLOCKS, normal_inverse
 from mrd_runs import Run
 from mrd_sim.dual import STEP
@@ -236,10 +236,10 @@ def trend(
         raise InputError(f"{len(calendar.times)} dates, expected at least {FEWEST_DATES} to tell growth from scatter")
     offsets = not follow.endswith("offset")
     progress("reading the runs", 0.0)
-    recordings = _thinned([prepare(run) for run in runs], len(around.names) + len(calendar.times))
+    recordings = _thinned([prepare_recording(run) for run in runs], len(around.names) + len(calendar.times))
     # The effect takes the place of the model's own lag.
     fixed = {"coil_lag": 0.0} if "coil_lag" in (effect.id for effect in around.effects) else {}
-    problem, notes = pose(around, recordings, fixed=fixed, freed=[follow], offsets=offsets)
+    problem, notes = make_problem(around, recordings, fixed=fixed, freed=[follow], offsets=offsets)
     if followed not in problem.free:
         raise InputError(f"{follow}: these runs say nothing of it ({'; '.join(notes)})")
     progress("fitting all runs alike", 0.05)
@@ -248,7 +248,7 @@ def trend(
     notes = [*notes, *_likelier(problem, theta, followed, calendar.place)]
     dated = _dated(problem, followed, calendar.place)
     start = np.concatenate([theta, np.full(len(calendar.times), theta[followed])])
-    unit, _ = descend(dated, dated.unit(start), np.arange(len(dated.free)), 60, 1e-8)
+    unit, _ = levenberg_marquardt(dated, dated.unit(start), np.arange(len(dated.free)), 60, 1e-8)
     progress("judging", 0.9)
     values, covariance, more = _estimates(dated, unit, len(calendar.times))
     deviations = np.sqrt(np.diag(covariance))
@@ -400,7 +400,7 @@ def _common(
     around = problem.model
     if parameters is None:
         method = Method(laws=laws or {}, offsets=problem.offsets)
-        found = solve(runs, own.id, method, seed, lambda generation, _: progress(generation / method.generations))
+        found = search_and_fit(runs, own.id, method, seed, lambda generation, _: progress(generation / method.generations))
         parameters = dict(zip(own.names, map(float, found.theta), strict=True))
     neutral = problem.base.copy()
     free = list(problem.free)
@@ -413,7 +413,7 @@ def _common(
             if f"{effect.id}.{name}" not in parameters and index in free:
                 there[index] = value
     starts = [neutral] if (there == neutral).all() else [neutral, there]
-    found_from = [descend(problem, problem.unit(start), np.arange(len(free)), 40, 1e-6) for start in starts]
+    found_from = [levenberg_marquardt(problem, problem.unit(start), np.arange(len(free)), 40, 1e-6) for start in starts]
     return problem.theta(min(found_from, key=lambda of: of[1])[0])
 
 
@@ -467,7 +467,7 @@ def _estimates(problem: DatedProblem, unit: Array, dates: int) -> tuple[Array, A
     if (norm[dated] == 0).any():
         name = problem.model.names[problem.followed]
         raise InputError(f"{name}: the force of some date does not depend on it; follow another, or leave that date out")
-    on_bound = (unit < BORDER) | (unit > 1 - BORDER)
+    on_bound = (unit < BOUND_TOLERANCE) | (unit > 1 - BOUND_TOLERANCE)
     seen = (norm > 0) & (dated | ~on_bound)
     scaled = jacobian[:, seen] / norm[seen]
     inverse = normal_inverse(scaled.T @ scaled)
@@ -475,7 +475,7 @@ def _estimates(problem: DatedProblem, unit: Array, dates: int) -> tuple[Array, A
     scale = problem.scale(theta)
     last = slice(-dates, None)
     values = theta[last] + np.where(on_bound.any(), step[last], 0.0) * scale[last]
-    parts = stretches(problem.blocks, correlation_length(residuals))
+    parts = independent_segments(problem.blocks, correlation_length(residuals))
     notes: list[str] = []
     spare = len(parts) - int(seen.sum()) - problem.run_offsets
     if spare < FEWEST_SPARE_BLOCKS:

@@ -34,7 +34,7 @@ def work() -> None:
     find_model(arguments.model, how.laws, how.effects)
     runs, held_out = read_arguments_runs(arguments)
     folder = make_folder(arguments.output)
-    total = how.generations * (how.seeds if how.polish else 1)
+    total = how.generations * (how.seeds if how.least_squares else 1)
     with tqdm(total=total, desc="NSGA-II", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
 
         def progress(generation: int, nrmse: float) -> None:

@@ -53,7 +53,7 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         "--seeds", type=int, default=_DEFAULT.seeds, help="searches, from --seed on; the best counts (default %(default)s)"
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="work on the dask cluster of this scheduler")
-    parser.set_defaults(fix=[], free=[], no_polish=False, no_profile=False)
+    parser.set_defaults(fix=[], free=[], no_least_squares=False, no_profile=False)
     if one_model:
         parser.add_argument(
             "--fix", action="append", metavar="PARAMETER=VALUE", help="keep at a value in SI; may be repeated"
@@ -64,7 +64,7 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
             metavar="PARAMETER",
             help="search a parameter that usually keeps its default; may be repeated",
         )
-        parser.add_argument("--no-polish", action="store_true", help="keep the knee of the front as it is")
+        parser.add_argument("--no-least-squares", action="store_true", help="keep the knee of the front as it is")
         parser.add_argument("--no-profile", action="store_true", help="leave out intervals by profile, the slow part")
 
 
@@ -99,7 +99,7 @@ def method(arguments: argparse.Namespace) -> Method:
         generations=arguments.generations,
         seed=arguments.seed,
         seeds=arguments.seeds,
-        polish=not arguments.no_polish,
+        least_squares=not arguments.no_least_squares,
         profile=not arguments.no_profile,
     )
 

@@ -24,7 +24,7 @@ class Identifier(AnalysisNode):
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         """Identify the model that the goal asks for, and write its files."""
         method = _method(request)
-        generations = method.generations * (method.seeds if method.polish else 1)
+        generations = method.generations * (method.seeds if method.least_squares else 1)
 
         def progress(generation: int, nrmse: float) -> None:
             publish(Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse))
@@ -43,7 +43,7 @@ def _method(request: Identify.Goal) -> Method:
         population=request.population or default.population,
         generations=request.generations or default.generations,
         seed=request.seed,
-        polish=request.polish,
+        least_squares=request.least_squares,
     )
 
 
