@@ -13,11 +13,11 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.effect_search import Foundation, score
-from mrd_diagnosis.model_comparison import FIRST_SCATTER
+from mrd_diagnosis.effect_search import BaseFit, score
+from mrd_diagnosis.model_comparison import INITIAL_RUN_SCATTER
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import refit
-from mrd_diagnosis.weighting import Ground, first_fit, with_effect
+from mrd_diagnosis.weighting import Weighting, global_fit, with_effect
 from mrd_identification.problem import in_threads, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.damper import Damper
@@ -60,10 +60,10 @@ def candidates(runs: list[Run]) -> Table:
     recordings = in_threads(prepare_recording, runs)
     base = find_model(MODEL)
     posed, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
-    theta = first_fit(posed, None, np.random.default_rng(0))
+    theta = global_fit(posed, None, np.random.default_rng(0))
     noises = run_noise(recordings, base, theta, np.random.default_rng(0))
-    ground = Ground(recordings, noises, FIRST_SCATTER, {"coil_lag": 0.0}).after(base, theta)
-    foundation = Foundation.of(ground, refit(ground.problem(base, theta), theta, ground.parts))
+    weighting = Weighting(recordings, noises, INITIAL_RUN_SCATTER, {"coil_lag": 0.0}).updated(base, theta)
+    base_fit = BaseFit.of(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
     table = Table("candidate", box=None)
     for title in ("score", "refit and parts left out", "scipy, refit only", "ratio"):
         table.add_column(title, justify="right")
@@ -71,11 +71,11 @@ def candidates(runs: list[Run]) -> Table:
         if effect.structural:
             continue
         model, neutral = with_effect(base, theta, name)
-        problem = ground.problem(model, neutral)
+        problem = weighting.problem(model, neutral)
         began = time.perf_counter()
-        start = score(problem, foundation, effect).start
+        start = score(problem, base_fit, effect).start
         scored = time.perf_counter()
-        refit(ground.problem(model, start), start, ground.parts)
+        refit(weighting.problem(model, start), start, weighting.folds)
         fitted = time.perf_counter()
         unit = np.clip(problem.unit(start), 1e-9, 1 - 1e-9)
         least_squares(lambda at, p=problem: p.residuals(p.theta(at)), unit, bounds=(0, 1), ftol=1e-6)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.detectability import Coverage, coverage, foreseen
-from mrd_diagnosis.report.sentences import human
+from mrd_diagnosis.detectability import Detectability, coverage, simulate_base_fit
+from mrd_diagnosis.report.sentences import format_quantity
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
@@ -60,9 +60,9 @@ def damper_of(model: str, effects: Mapping[str, Mapping[str, float]] | None = No
     return Damper(model, {name: value for name, value in values.items() if name in names}, effects=effects)
 
 
-def covered(plans: list[Plan], model: str, effects: list[str]) -> dict[str, Coverage]:
+def covered(plans: list[Plan], model: str, effects: list[str]) -> dict[str, Detectability]:
     """Coverage by effect, around a model."""
-    computed = coverage(*foreseen(plans, damper_of(model), np.random.default_rng(0)), effects)
+    computed = coverage(*simulate_base_fit(plans, damper_of(model), np.random.default_rng(0)), effects)
     return {found.effect: found for found in computed}
 
 
@@ -73,7 +73,7 @@ def tried(plans: list[Plan], model: str, effect: str, size: float) -> str:
     return f"{effect} of {shown(effect, size)}: {found.verdict} {', '.join(str(cause.effect) for cause in found.causes)}"
 
 
-def text(runs: list[str], rows: list[Coverage]) -> str:
+def text(runs: list[str], rows: list[Detectability]) -> str:
     """The section: what the table is, the table, what it says."""
     header = ["effect", "smallest", "typical", *runs]
     table = [header, ["---", *["---:"] * (len(header) - 1)], *map(cells, rows)]
@@ -93,7 +93,7 @@ more.
 """
 
 
-def cells(row: Coverage) -> list[str]:
+def cells(row: Detectability) -> list[str]:
     """A row of the table."""
     least = LEAST * typical(row.effect)
     smallest = shown(row.effect, row.smallest) if row.smallest >= least else f"< {shown(row.effect, least)}"
@@ -109,10 +109,10 @@ def typical(effect: str) -> float:
 def shown(effect: str, size: float) -> str:
     """A size to two figures."""
     unit = EFFECTS[effect].parameters[0].unit
-    return human(float(f"{size:.2g}"), unit, "" if unit else "%")
+    return format_quantity(float(f"{size:.2g}"), unit, "" if unit else "%")
 
 
-def meaning(runs: list[str], rows: list[Coverage]) -> str:
+def meaning(runs: list[str], rows: list[Detectability]) -> str:
     """What the table says, in items."""
     one = [f"`{r.effect}` on {runs[int(r.shares.argmax())]}" for r in rows if not r.remark and r.shares.max() >= MOST]
     items = [f"Half of the evidence or more rests on one run: {', '.join(one)}. The others say little of these."]

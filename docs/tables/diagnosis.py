@@ -15,7 +15,7 @@ import numpy as np
 
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.report.sentences import human, share
+from mrd_diagnosis.report.sentences import format_quantity, share
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -93,8 +93,8 @@ def told(diagnosis: Diagnosis) -> dict[str, Any]:
         "alternatives": [alternative.effect for alternative in diagnosis.alternatives],
         "untestable": [candidate.effects[0] for candidate in diagnosis.untestable],
         "nearest": list(diagnosis.nearest.effects) if diagnosis.nearest else [],
-        "before": diagnosis.before.value,
-        "after": diagnosis.after.value,
+        "before": diagnosis.gap.before.value,
+        "after": diagnosis.gap.after.value,
         "floor": diagnosis.floor.value,
         "closed": diagnosis.closed.value,
         "ends": [diagnosis.closed.lower, diagnosis.closed.upper],
@@ -148,8 +148,8 @@ def table(lines: list[dict[str, Any]]) -> str:
         if effect in line["untestable"]:
             named = "listed as untestable"
         rows.append(
-            f"| `{effect}` | {human(line['size'][size.name], size.unit)} | {share(line['oracle'])} | {line['verdict']} | "
-            f"{named} | {share(line['closed'])} | {human(found[0], size.unit) if found else '–'} |"
+            f"| `{effect}` | {format_quantity(line['size'][size.name], size.unit)} | {share(line['oracle'])} | {line['verdict']} | "
+            f"{named} | {share(line['closed'])} | {format_quantity(found[0], size.unit) if found else '–'} |"
         )
     rows += ["", "| damper without effect | dampers | no gap | unknown effect | named |", "|" + "---|" * 5]
     for form in dict.fromkeys(line["name"] for line in by["null"]):
@@ -183,7 +183,7 @@ def main() -> None:
         return
     known = {(line["kind"], line["name"], line["seed"]) for line in done}
     with arguments.results.open("a", encoding="utf-8") as stream:
-        for kind, name, seed in cases(arguments.seed, arguments.nulls):
+        for kind, name, seed in cases(arguments.seed, arguments.null_gradients):
             if (kind, name, seed) in known or kind not in arguments.kind.split(","):
                 continue
             began = time.monotonic()

@@ -1,9 +1,10 @@
 """Diagnosis of the gap between simulator and recordings: where it lies, which effect causes it, how far it closes."""
 
 from mrd_diagnosis.diagnose import diagnose
-from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Interval, Region
+from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Gap, Interval, Region
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.sentences import next_command
 from mrd_diagnosis.trend.trend import Trend, trend
 
 __all__ = [
@@ -11,10 +12,12 @@ __all__ = [
     "Cause",
     "Diagnosis",
     "Finding",
+    "Gap",
     "Interval",
     "Region",
     "Trend",
     "diagnose",
+    "next_command",
     "read_gap_report",
     "trend",
     "write_gap_report",

@@ -1,19 +1,20 @@
-"""Another form of the damper model in the place of an effect: what is missing may be no effect at all."""
+"""Alternative models: another damper model in the place of effects, because what is missing may be no effect at all."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_diagnosis.base_fit import global_fit
 from mrd_diagnosis.refit import Refit, refit
-from mrd_diagnosis.weighting import Ground, first_fit
+from mrd_diagnosis.weighting import Weighting
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import current_levels, make_problem
 from mrd_sim.models import MODELS, DamperModel, find_model
 
 Array = NDArray[np.float64]
 
-OTHERS = (
+OTHER_MODELS = (
     "hyperbolic_tangent",
     "algebraic",
     "sigmoid",
@@ -23,52 +24,55 @@ OTHERS = (
     "modified_dahl",
     "modified_lugre",
 )
-"""Models with a loop of different shape."""
+"""Models whose hysteresis loop has another shape."""
 
-STARTS = 20
-"""Random points from which each is fitted: a form that needs more of them is no easy explanation."""
+RANDOM_STARTS = 20
+"""Random points from which each is fitted: a model that needs more of them is no simple explanation."""
 
-FREED = 15
-"""Evaluations of a model with more freedom, from where it has been fitted without."""
+EVALUATIONS = 15
+"""Evaluations of a model with more freedom, from where it was fitted without."""
 
 
-def forms(ground: Ground, alone: Refit, enough: float, rng: np.random.Generator) -> dict[str, Refit]:
-    """Refits, by name, of the model with more freedom and of other models, on the same ground, until one explains the gap.
+def fit_alternative_models(weighting: Weighting, base: Refit, enough: float, rng: np.random.Generator) -> dict[str, Refit]:
+    """Refit the base model with more freedom and other models, by name, until one of them explains the gap.
 
     Parameters
     ----------
-    ground : Ground
-    alone : Refit
-        Of the model without effects.
+    weighting : Weighting
+    base : Refit
+        The model without effects.
     enough : float
-        Mean squared error beyond noise, over the variance of noise, that an explanation may leave.
+        Excess of the reduced chi-square over 1 that an explanation may leave.
     rng : numpy Generator
     """
-    found = {}
-    for name, model, freed, start in _variants(ground, alone):
-        plain, _ = make_problem(model, ground.recordings, fixed=ground.fixed, freed=freed)
-        begin = first_fit(plain, None, rng, STARTS, 1) if start is None else fit_least_squares(plain, start, FREED)[0]
-        found[name] = refit(ground.problem(model, begin, freed), begin, ground.parts)
-        if found[name].level - 1.0 <= enough:
+    refits = {}
+    for name, model, freed, start in _alternatives(weighting, base):
+        plain, _ = make_problem(model, weighting.recordings, fixed=weighting.fixed, freed=freed)
+        if start is None:
+            theta = global_fit(plain, None, rng, RANDOM_STARTS, 1)
+        else:
+            theta = fit_least_squares(plain, start, EVALUATIONS)[0]
+        refits[name] = refit(weighting.problem(model, theta, freed), theta, weighting.folds)
+        if refits[name].chi_square - 1.0 <= enough:
             break
-    return found
+    return refits
 
 
-_Variant = tuple[str, DamperModel, tuple[str, ...], Array | None]
-"""Name, model, parameters that are searched although they are not usually, and where from if that is known."""
+_AlternativeModel = tuple[str, DamperModel, tuple[str, ...], Array | None]
+"""Name, model, parameters that are searched although they usually are not, and the start of the fit if it is known."""
 
 
-def _variants(ground: Ground, alone: Refit) -> Iterator[_Variant]:
-    base = alone.problem.model
-    levels, _ = current_levels([recording.run for recording in ground.recordings])
-    freed = tuple(parameter.name for parameter in base.parameters if not parameter.free)
-    if freed and base.id != "quasi_static":  # whose fixed parameters are its dimensions
-        yield f"{base.id} with {', '.join(freed)} freed", base, freed, alone.theta
-    if levels > 2 and any(law == "affine" for law in base.laws.values()):
-        richer = find_model(base.id, "quadratic")
-        values = dict(zip(base.names, alone.theta, strict=True))
-        start = np.array([values.get(parameter.name, parameter.default) for parameter in richer.parameters])
-        yield f"{base.id} with quadratic current laws", richer, (), start
-    for name in OTHERS:
-        if name != base.id:
+def _alternatives(weighting: Weighting, base: Refit) -> Iterator[_AlternativeModel]:
+    model = base.problem.model
+    levels, _ = current_levels([recording.run for recording in weighting.recordings])
+    freed = tuple(parameter.name for parameter in model.parameters if not parameter.free)
+    if freed and model.id != "quasi_static":  # its fixed parameters are its dimensions
+        yield f"{model.id} with {', '.join(freed)} freed", model, freed, base.theta
+    if levels > 2 and any(law == "affine" for law in model.laws.values()):
+        quadratic = find_model(model.id, "quadratic")
+        values = dict(zip(model.names, base.theta, strict=True))
+        start = np.array([values.get(parameter.name, parameter.default) for parameter in quadratic.parameters])
+        yield f"{model.id} with quadratic current laws", quadratic, (), start
+    for name in OTHER_MODELS:
+        if name != model.id:
             yield name, MODELS[name], (), None

@@ -1,4 +1,4 @@
-"""How far the gap closes: errors before and after, on what the parameters have not seen."""
+"""Closure: how far the gap closes with the causes, on data that the parameters were not fitted to."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,107 +6,111 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Interval, RunNoise, Trace
-from mrd_diagnosis.model_comparison import Contest
-from mrd_diagnosis.noise_model import run_noise
-from mrd_diagnosis.refit import GapProblem, Refit, own_error, without_each
-from mrd_diagnosis.statistics import closed, nrmse, resampled
+from mrd_diagnosis.diagnosis import Interval, RunNoise, RunResidual
+from mrd_diagnosis.model_comparison import ModelComparison
+from mrd_diagnosis.noise_model import estimate_noise
+from mrd_diagnosis.refit import Refit, without_each
+from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, nrmse_interval
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighting import WeightedProblem, error_of_run
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.problem import Recording, in_threads
 
 Array = NDArray[np.float64]
 
-BEYOND = 1.15
-"""A run goes beyond the others where its stroke, speed or current is larger than theirs by this factor."""
+NO_DIFFERENCE = {"stroke": 1e-4, "speed": 1e-3, "current": 0.02}
+"""Differences in m, m/s and A that do not count as extrapolation."""
 
-ALONE = 0.8
-"""Share of what all runs say of an effect's parameter that makes one run the only one to say it."""
+LEAST_RUNS_TO_RESAMPLE = 4
+"""Runs from which on a bootstrap draws runs; of fewer, it draws segments of them."""
 
-
-_NOTHING = {"stroke": 1e-4, "speed": 1e-3, "current": 0.02}
-"""m, m/s, A: less is no difference."""
+LEAST_SEGMENTS = 8
+"""Segments of all runs together in such a bootstrap."""
 
 
 @dataclass(frozen=True)
-class HowFar:
-    """Errors as NRMSE with intervals, and the runs they come from.
+class Closure:
+    """Errors as NRMSE with intervals, and the residuals from which they were computed.
 
     Attributes
     ----------
-    floor, before, after : Interval
-    closed : Interval
+    noise_floor, before, after : Interval
+    closed_fraction : Interval
         Share of the explainable gap; nan without effects.
     extrapolated : Interval or None
-        The same on the runs that go beyond the others, each predicted from the others alone.
-    traces : tuple of Trace
-    counted : tuple of Trace
-        Those that the figures are of: the held-out runs where there are any.
+        The same on the runs that exceed the others, each predicted from the others only.
+    residuals : tuple of RunResidual
+    counted : tuple of RunResidual
+        The residuals behind these figures: those of the held-out runs where there are any.
     """
 
-    floor: Interval
+    noise_floor: Interval
     before: Interval
     after: Interval
-    closed: Interval
+    closed_fraction: Interval
     extrapolated: Interval | None
-    traces: tuple[Trace, ...]
-    counted: tuple[Trace, ...]
+    residuals: tuple[RunResidual, ...]
+    counted: tuple[RunResidual, ...]
 
 
-def how_far(found: Contest, unseen: Sequence[Recording], rng: np.random.Generator) -> HowFar:
-    """Errors of the model without and with the effects that were found.
+def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], rng: np.random.Generator) -> Closure:
+    """Compute the errors of the model without and with the chosen effects.
 
     Parameters
     ----------
-    found : Contest
-    unseen : sequence of Recording
-        Set aside from the start; without them, each of the fitted runs is judged by a fit to the others, and a run that goes
-        beyond the others by fits to all but a part of it.
+    comparison : ModelComparison
+    held_out : sequence of Recording
+        Runs that were set aside from the start. Without them, each fitted run is judged by a fit to the others, and a run
+        that exceeds the others by fits to all but one of its folds.
     rng : numpy Generator
     """
-    recordings = found.ground.recordings
-    beyond = [_beyond(recording, [*recordings[:run], *recordings[run + 1 :]]) for run, recording in enumerate(recordings)]
-    in_parts = [bool(respect) or run in _alone_in(found) or len(recordings) == 1 for run, respect in enumerate(beyond)]
-    alone, best = (_Left.out(fitted, found, in_parts) for fitted in (found.alone, found.best))
-    traces = [
-        _trace(found.best.problem, found.best.theta, run, noise, before, after, beyond[run], in_parts[run])
-        for run, (noise, before, after) in enumerate(zip(found.ground.noises, alone.known, best.known, strict=True))
+    recordings = comparison.weighting.recordings
+    excesses = [_exceeds(recording, [*recordings[:run], *recordings[run + 1 :]]) for run, recording in enumerate(recordings)]
+    sole_sources = _sole_sources(comparison)
+    by_folds = [bool(excess) or run in sole_sources or len(recordings) == 1 for run, excess in enumerate(excesses)]
+    before, after = (_leave_out(refit, comparison, by_folds) for refit in (comparison.base, comparison.best))
+    best = comparison.best
+    residuals = [
+        _run_residual(
+            best.problem, best.theta, run, noise, before.known[run], after.known[run], excesses[run], by_folds[run]
+        )
+        for run, noise in enumerate(comparison.weighting.noise)
     ]
-    held = _held_out(found, unseen, rng)
-    traces += held
-    counted = tuple(held or traces)
-    before, after, floor, samples, draws = _units(counted, rng)
-    variance = float(np.var(np.concatenate([trace.recording.force for trace in counted])))
-    further = (
-        [trace for trace in held if trace.extrapolates]
-        if held
-        else [
-            replace(traces[run], before=alone.others[run], after=best.others[run])
-            for run, respect in enumerate(beyond)
-            if respect
+    set_aside = _set_aside(comparison, held_out, rng)
+    residuals += set_aside
+    counted = tuple(set_aside or residuals)
+    squares_before, squares_after, squares_noise, samples, draws = _bootstrap_units(counted, rng)
+    variance = float(np.var(np.concatenate([residual.recording.force for residual in counted])))
+    if set_aside:
+        beyond = [residual for residual in set_aside if residual.extrapolates]
+    else:
+        beyond = [
+            replace(residuals[run], before=before.by_other_runs[run], after=after.by_other_runs[run])
+            for run, excess in enumerate(excesses)
+            if excess
         ]
-    )
     extrapolated = None
-    if further and found.effects:
-        b, a, f, _, d = _units(further, rng)
-        extrapolated = closed(b, a, f, d)
-    return HowFar(
-        nrmse(floor, samples, variance, draws),
-        nrmse(before, samples, variance, draws),
-        nrmse(after, samples, variance, draws),
-        closed(before, after, floor, draws) if found.effects else Interval(np.nan),
+    if beyond and comparison.effects:
+        b, a, n, _, d = _bootstrap_units(beyond, rng)
+        extrapolated = closed_fraction(b, a, n, d)
+    return Closure(
+        nrmse_interval(squares_noise, samples, variance, draws),
+        nrmse_interval(squares_before, samples, variance, draws),
+        nrmse_interval(squares_after, samples, variance, draws),
+        closed_fraction(squares_before, squares_after, squares_noise, draws) if comparison.effects else Interval(np.nan),
         extrapolated,
-        tuple(traces),
+        tuple(residuals),
         counted,
     )
 
 
-def closed_between(before: Refit, after: Refit, found: Contest, rng: np.random.Generator) -> Interval:
-    """Share of the explainable gap that lies between two refits, on parts held out in turn."""
-    floor = np.concatenate([noise.sigma for noise in found.ground.noises]) ** 2
-    of_parts = np.array([floor[part].sum() for _, part in found.ground.parts])
-    gap = found.alone.plain - of_parts
-    draws = resampled(len(gap), rng)
-    gained = before.plain - after.plain
+def closed_fraction_between(before: Refit, after: Refit, comparison: ModelComparison, rng: np.random.Generator) -> Interval:
+    """Return the share of the explainable gap between two refits, on folds that are held out in turn."""
+    variance = np.concatenate([noise.sigma for noise in comparison.weighting.noise]) ** 2
+    noise_of_folds = np.array([variance[fold].sum() for _, fold in comparison.weighting.folds])
+    gap = comparison.base.held_out_squares - noise_of_folds
+    draws = bootstrap_counts(len(gap), rng)
+    gained = before.held_out_squares - after.held_out_squares
     if gap.sum() <= 0:
         return Interval(np.nan)
     shares = (draws @ gained) / np.where(draws @ gap > 0, draws @ gap, np.nan)
@@ -114,122 +118,138 @@ def closed_between(before: Refit, after: Refit, found: Contest, rng: np.random.G
     return Interval(float(np.clip(gained.sum() / gap.sum(), -1.0, 1.0)), *map(float, ends))
 
 
-def _beyond(recording: Recording, others: Sequence[Recording]) -> str:
-    """In which respect a run goes beyond others; empty where it does not."""
+def _exceeds(recording: Recording, others: Sequence[Recording]) -> str:
+    """Return in which respect a run exceeds others; empty where it does not."""
 
-    def reach(of: Recording) -> dict[str, float]:
+    def ranges(of_recording: Recording) -> dict[str, float]:
+        path = of_recording.path
         return {
-            "stroke": float(np.ptp(of.path.position)),
-            "speed": float(np.quantile(np.abs(of.path.velocity), 0.995)),
-            "current": float(np.quantile(np.abs(of.path.current), 0.995)),
+            "stroke": float(np.ptp(path.position)),
+            "speed": float(np.quantile(np.abs(path.velocity), 0.995)),
+            "current": float(np.quantile(np.abs(path.current), 0.995)),
         }
 
     if not others:
         return ""
-    own, rest = reach(recording), [reach(other) for other in others]
+    ranges_of_run, ranges_of_others = ranges(recording), [ranges(other) for other in others]
     return " and ".join(
-        name for name, value in own.items() if value > BEYOND * max(other[name] for other in rest) + _NOTHING[name]
+        name
+        for name, value in ranges_of_run.items()
+        if value > THRESHOLDS.extrapolation * max(other[name] for other in ranges_of_others) + NO_DIFFERENCE[name]
     )
 
 
-def _alone_in(found: Contest) -> set[int]:
-    """Runs that are (nearly) the only ones to say how large an effect is."""
-    problem = found.best.problem
+def _sole_sources(comparison: ModelComparison) -> set[int]:
+    """Return the runs that are nearly the only ones to determine a parameter of an effect."""
+    problem = comparison.best.problem
     of_effects = [i for i, parameter in enumerate(problem.parameters) if "." in parameter.name]
-    places = np.array([run for run, _ in found.ground.parts])
-    told = np.stack([np.diagonal(gram)[of_effects] for gram in found.best.grams])
-    by_run = np.stack([told[places == run].sum(axis=0) for run in range(len(found.ground.recordings))])
+    run_of_fold = np.array([run for run, _ in comparison.weighting.folds])
+    information = np.stack([np.diagonal(matrix)[of_effects] for matrix in comparison.best.normal_matrices])
+    runs = range(len(comparison.weighting.recordings))
+    by_run = np.stack([information[run_of_fold == run].sum(axis=0) for run in runs])
     shares = by_run / np.maximum(by_run.sum(axis=0), 1e-300)
-    return set(map(int, np.flatnonzero((shares > ALONE).any(axis=1))))
-
-
-def _of_runs(fitted: Refit, found: Contest) -> Array:
-    """Parameters (runs, parameters) that have not seen the run: a step from the joint optimum, then fitted to the others."""
-    problem = fitted.problem
-    places = np.array([run for run, _ in found.ground.parts])
-    runs = range(len(found.ground.recordings))
-    grams = np.stack([fitted.grams[places == run].sum(axis=0) for run in runs])
-    slopes = np.stack([fitted.slopes[places == run].sum(axis=0) for run in runs])
-    starts = without_each(problem, problem.unit(fitted.theta), grams, slopes)
-
-    def of(run: int) -> Array:
-        silent = problem.whitenings[run].silent()
-        others = replace(problem, whitenings=(*problem.whitenings[:run], silent, *problem.whitenings[run + 1 :]))
-        unit, _ = levenberg_marquardt(others, problem.unit(starts[run]), np.arange(len(problem.free)), 10, 1e-4, renewal=4)
-        return problem.theta(unit)
-
-    return np.stack(in_threads(of, list(runs)))
+    return set(map(int, np.flatnonzero((shares > THRESHOLDS.sole_information).any(axis=1))))
 
 
 @dataclass(frozen=True)
-class _Left:
+class _HeldOutErrors:
     """Measured minus modelled force in N of each run.
 
     Attributes
     ----------
-    others : list of ndarray
-        By parameters that have not seen the run.
+    by_other_runs : list of ndarray
+        With parameters that were fitted without the run.
     known : list of ndarray
-        The same, but by such that have not seen the part where no other run reaches as far.
+        The same; where the run exceeds the others, with parameters that were fitted without the fold instead.
     """
 
-    others: list[Array]
+    by_other_runs: list[Array]
     known: list[Array]
 
-    @classmethod
-    def out(cls, fitted: Refit, found: Contest, in_parts: Sequence[bool]) -> "_Left":
-        problem, runs = fitted.problem, range(len(in_parts))
-        thetas = _of_runs(fitted, found) if len(in_parts) > 1 else [fitted.theta]
-        others = [-own_error(problem, thetas[run], run)[1] for run in runs]
-        parts = without_each(problem, problem.unit(fitted.theta), fitted.grams, fitted.slopes)
-        known = list(others)
-        for run in runs:
-            if not in_parts[run]:
-                continue
-            known[run] = np.empty_like(others[run])
-            for (place, part), theta in zip(found.ground.parts, parts, strict=True):
-                if place == run:
-                    here = slice(part.start - problem.blocks[run].start, part.stop - problem.blocks[run].start)
-                    known[run][here] = -own_error(problem, theta, run)[1][here]
-        return cls(others, known)
+
+def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[bool]) -> _HeldOutErrors:
+    problem, runs = refit.problem, range(len(by_folds))
+    thetas = _without_each_run(refit, comparison) if len(by_folds) > 1 else [refit.theta]
+    by_other_runs = [-error_of_run(problem, thetas[run], run)[1] for run in runs]
+    thetas_of_folds = without_each(problem, problem.unit(refit.theta), refit.normal_matrices, refit.gradients)
+    known = list(by_other_runs)
+    for run in runs:
+        if not by_folds[run]:
+            continue
+        known[run] = np.empty_like(by_other_runs[run])
+        for (run_of_fold, fold), theta in zip(comparison.weighting.folds, thetas_of_folds, strict=True):
+            if run_of_fold == run:
+                samples = slice(fold.start - problem.blocks[run].start, fold.stop - problem.blocks[run].start)
+                known[run][samples] = -error_of_run(problem, theta, run)[1][samples]
+    return _HeldOutErrors(by_other_runs, known)
 
 
-def _trace(
-    problem: GapProblem, theta: Array, run: int, noise: RunNoise, before: Array, after: Array, beyond: str, in_parts: bool
-) -> Trace:
+def _without_each_run(refit: Refit, comparison: ModelComparison) -> Array:
+    """Fit the parameters (runs, parameters) without each run, starting one step from the joint optimum."""
+    problem = refit.problem
+    run_of_fold = np.array([run for run, _ in comparison.weighting.folds])
+    runs = range(len(comparison.weighting.recordings))
+    matrices = np.stack([refit.normal_matrices[run_of_fold == run].sum(axis=0) for run in runs])
+    gradients = np.stack([refit.gradients[run_of_fold == run].sum(axis=0) for run in runs])
+    starts = without_each(problem, problem.unit(refit.theta), matrices, gradients)
+
+    def fit_without(run: int) -> Array:
+        weightless = problem.whitenings[run].without_weight()
+        others = replace(problem, whitenings=(*problem.whitenings[:run], weightless, *problem.whitenings[run + 1 :]))
+        free = np.arange(len(problem.free))
+        unit, _ = levenberg_marquardt(others, problem.unit(starts[run]), free, 10, 1e-4, renewal=4)
+        return problem.theta(unit)
+
+    return np.stack(in_threads(fit_without, list(runs)))
+
+
+def _run_residual(
+    problem: WeightedProblem,
+    theta: Array,
+    run: int,
+    noise: RunNoise,
+    before: Array,
+    after: Array,
+    extrapolates: str,
+    by_folds: bool,
+) -> RunResidual:
     recording = problem.recordings[run]
-    gain, offset = problem.whitenings[run].own @ (recording.force - problem.modelled(theta, run))
-    return Trace(recording, noise, before, after, float(offset), float(gain), extrapolates=beyond, in_parts=in_parts)
+    gain, offset = problem.whitenings[run].run_errors @ (recording.force - problem.modelled(theta, run))
+    return RunResidual(
+        recording, noise, before, after, float(offset), float(gain), extrapolates=extrapolates, by_folds=by_folds
+    )
 
 
-def _held_out(found: Contest, unseen: Sequence[Recording], rng: np.random.Generator) -> list[Trace]:
-    """Runs that were set aside, with the parameters of all others; they count as recorded after these."""
-    if not unseen:
+def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: np.random.Generator) -> list[RunResidual]:
+    """Return the residuals of runs that were set aside; they count as recorded after the others."""
+    if not held_out:
         return []
-    alone, best, recordings = found.alone, found.best, found.ground.recordings
-    noises = run_noise(unseen, best.problem.model, best.theta, rng)
-    ground = replace(found.ground, recordings=[*recordings, *unseen], noises=[*found.ground.noises, *noises])
-    both = [(ground.problem(fitted.problem.model, fitted.theta), fitted.theta) for fitted in (alone, best)]
-    traces = []
-    for run, (recording, noise) in enumerate(zip(unseen, noises, strict=True), len(recordings)):
-        before, after = (-own_error(problem, theta, run)[1] for problem, theta in both)
-        beyond = _beyond(recording, recordings)
-        traces.append(replace(_trace(*both[1], run, noise, before, after, beyond, False), held_out=True))
-    return traces
+    base, best, weighting = comparison.base, comparison.best, comparison.weighting
+    noise = estimate_noise(held_out, best.problem.model, best.theta, rng)
+    extended = replace(weighting, recordings=[*weighting.recordings, *held_out], noise=[*weighting.noise, *noise])
+    fits = [(extended.problem(refit.problem.model, refit.theta), refit.theta) for refit in (base, best)]
+    residuals = []
+    for run, (recording, noise_of_run) in enumerate(zip(held_out, noise, strict=True), len(weighting.recordings)):
+        before, after = (-error_of_run(problem, theta, run)[1] for problem, theta in fits)
+        excess = _exceeds(recording, weighting.recordings)
+        residual = _run_residual(*fits[1], run, noise_of_run, before, after, excess, False)
+        residuals.append(replace(residual, held_out=True))
+    return residuals
 
 
-def _units(traces: Sequence[Trace], rng: np.random.Generator) -> tuple[Array, Array, Array, Array, Array]:
-    """Squared errors in N² before, after and of the floor, samples, and bootstrap draws, by what scatters independently.
+def _bootstrap_units(residuals: Sequence[RunResidual], rng: np.random.Generator) -> tuple[Array, Array, Array, Array, Array]:
+    """Sum squared errors in N² before and after, of the noise, and samples, by units that scatter independently; and draw
+    them.
 
-    These are runs; of fewer than four, stretches of theirs.
+    The units are runs, or segments of them where there are few runs.
     """
-    pieces = 1 if len(traces) >= 4 else -(-8 // len(traces))
+    pieces = 1 if len(residuals) >= LEAST_RUNS_TO_RESAMPLE else -(-LEAST_SEGMENTS // len(residuals))
 
-    def cut(series: Array) -> list[Array]:
-        return np.array_split(series, pieces)
+    def squares(series: Sequence[Array]) -> Array:
+        return np.array([float(piece @ piece) for whole in series for piece in np.array_split(whole, pieces)])
 
-    before = np.array([float(p @ p) for trace in traces for p in cut(trace.before)])
-    after = np.array([float(p @ p) for trace in traces for p in cut(trace.after)])
-    floor = np.array([float(p @ p) for trace in traces for p in cut(trace.noise.sigma)])
-    samples = np.array([float(len(p)) for trace in traces for p in cut(trace.before)])
-    return before, after, floor, samples, resampled(len(samples), rng)
+    before = squares([residual.before for residual in residuals])
+    after = squares([residual.after for residual in residuals])
+    noise = squares([residual.noise.sigma for residual in residuals])
+    samples = np.array([float(len(piece)) for residual in residuals for piece in np.array_split(residual.before, pieces)])
+    return before, after, noise, samples, bootstrap_counts(len(samples), rng)

@@ -1,4 +1,4 @@
-"""What recordings can tell of effects: the smallest size that they would show, and which run shows it."""
+"""What recordings can tell of effects: the smallest_size size that they would show, and which run shows it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from mrd_diagnosis.effect_search import LEFT_OVER, NO_GAP, Foundation
-from mrd_diagnosis.noise_model import run_noise
-from mrd_diagnosis.refit import Scatter, refit
-from mrd_diagnosis.weighting import Ground, with_effect
+from mrd_diagnosis.base_fit import BaseFit, with_effect
+from mrd_diagnosis.noise_model import estimate_noise
+from mrd_diagnosis.refit import refit
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighting import RunScatter, Weighting
 from mrd_identification.problem import in_threads, prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import Effect, find_effects
@@ -27,42 +28,42 @@ _HUSHED = 0.01
 
 
 @dataclass(frozen=True)
-class Coverage:
+class Detectability:
     """What recordings can tell of one effect.
 
     Attributes
     ----------
     effect : str
-    smallest : float
+    smallest_size : float
         Least magnitude of the effect's first parameter, in its unit, that would show; infinite where none would that is
         plausible.
-    left_over : float
+    unabsorbed : float
         Share of its change of the force, at that size or else at the largest one, that the model's own parameters and
         what differs from run to run cannot imitate.
-    shares : ndarray (runs,)
+    information : ndarray (runs,)
         Of each run in what they cannot: the evidence for the effect. They sum to one, or are zero where nothing changes.
     """
 
     effect: str
-    smallest: float
-    left_over: float
-    shares: Array
+    smallest_size: float
+    unabsorbed: float
+    information: Array
 
     @property
     def remark(self) -> str:
         """Why these recordings cannot test the effect; empty where they can."""
-        if np.isfinite(self.smallest):
+        if np.isfinite(self.smallest_size):
             return ""
-        if not self.shares.any():
+        if not self.information.any():
             return "it does not act in these runs"
-        if self.left_over < LEFT_OVER:
+        if self.unabsorbed < THRESHOLDS.untestable_share:
             return "the model's own parameters take it up"
         return "even the largest plausible size would not show"
 
 
-def foreseen(
+def simulate_base_fit(
     plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, instruments: Instruments | None = None
-) -> tuple[Ground, Foundation]:
+) -> tuple[Weighting, BaseFit]:
     """What a diagnosis would stand on, were these plans recorded of a damper that is just as its model says.
 
     The noise is in the floor, but not in the recordings: what an effect does to them is what it would do to the truth.
@@ -86,16 +87,18 @@ def foreseen(
         )
     )
     recordings = [replace(other, counted=one.counted) for one, other in zip(noisy, still, strict=True)]
-    ground = Ground(
+    weighting = Weighting(
         recordings,
-        run_noise(noisy, model, theta, rng),
-        Scatter(instruments.run_gain, instruments.run_offset),
+        estimate_noise(noisy, model, theta, rng),
+        RunScatter(instruments.run_gain, instruments.run_offset),
         {"coil_lag": float(theta[model.names.index("coil_lag")])},
     )
-    return ground, Foundation.of(ground, refit(ground.problem(model, theta), theta, ground.parts))
+    return weighting, BaseFit.linearise(weighting, refit(weighting.problem(model, theta), theta, weighting.folds))
 
 
-def coverage(ground: Ground, foundation: Foundation, effects: Sequence[str], needed: float | None = None) -> list[Coverage]:
+def detectable_sizes(
+    weighting: Weighting, base_fit: BaseFit, effects: Sequence[str], needed: float | None = None
+) -> list[Detectability]:
     """Smallest sizes of effects that recordings would show beside a model, and what each run contributes.
 
     An effect shows when what it changes of the white residual, less what the model's own parameters can imitate, has so much
@@ -103,22 +106,22 @@ def coverage(ground: Ground, foundation: Foundation, effects: Sequence[str], nee
 
     Parameters
     ----------
-    ground : Ground
-    foundation : Foundation
-        The model refitted on this ground.
+    weighting : Weighting
+    base_fit : BaseFit
+        The model refitted on this weighting.
     effects : sequence of str
         Ids, of effects that the model does not have.
     needed : float, optional
-        Squared white residual that it takes; by default, what a model leaves that `mrd_diagnosis.effect_search.NO_GAP` no
-        longer takes for noise. See `mrd_diagnosis.effect_search.showing`.
+        Squared white residual that it takes; by default, what a model leaves that `Thresholds.noise_chi_square` no
+        longer takes for noise. See `mrd_diagnosis.effect_search.detection_threshold`.
     """
-    energy = (NO_GAP - 1.0) * ground.samples if needed is None else needed
-    return in_threads(lambda effect: _coverage(ground, foundation, effect, energy), find_effects(effects))
+    energy = (THRESHOLDS.noise_chi_square - 1.0) * weighting.samples if needed is None else needed
+    return in_threads(lambda effect: _detectability(weighting, base_fit, effect, energy), find_effects(effects))
 
 
-def _coverage(ground: Ground, foundation: Foundation, effect: Effect, needed: float) -> Coverage:
-    model, plain = with_effect(foundation.refit.problem.model, foundation.refit.theta, effect.id)
-    problem = ground.problem(model, plain)
+def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, needed: float) -> Detectability:
+    model, plain = with_effect(base_fit.refit.problem.model, base_fit.refit.theta, effect.id)
+    problem = weighting.problem(model, plain)
     largest = largest_size(effect)
 
     def change(log_share: float) -> tuple[Array, float]:
@@ -126,8 +129,8 @@ def _coverage(ground: Ground, foundation: Foundation, effect: Effect, needed: fl
         theta = plain.copy()
         for name, value in sized(effect, np.exp(log_share) * largest).items():
             theta[model.names.index(f"{effect.id}.{name}")] = value
-        changed = problem.residuals(theta) - foundation.residual
-        left = changed - foundation.jacobian @ (foundation.inverse @ (foundation.jacobian.T @ changed))
+        changed = problem.residuals(theta) - base_fit.residual
+        left = changed - base_fit.jacobian @ (base_fit.inverse @ (base_fit.jacobian.T @ changed))
         return left, float(np.linalg.norm(left) / np.linalg.norm(changed)) if changed.any() else 1.0
 
     def margin(log_share: float) -> float:
@@ -138,12 +141,12 @@ def _coverage(ground: Ground, foundation: Foundation, effect: Effect, needed: fl
     shows = margin(at) > 0.0
     if shows:
         at = float(brentq(margin, lowest, at, xtol=0.01)) if margin(lowest) < 0.0 else lowest
-    left, left_over = change(at)
+    left, unabsorbed = change(at)
     evidence = np.array([float(left[block] @ left[block]) for block in problem.blocks])
-    return Coverage(
+    return Detectability(
         effect.id,
-        abs(largest) * float(np.exp(at)) if shows and left_over >= LEFT_OVER else float("inf"),
-        left_over,
+        abs(largest) * float(np.exp(at)) if shows and unabsorbed >= THRESHOLDS.untestable_share else float("inf"),
+        unabsorbed,
         evidence / max(float(evidence.sum()), np.finfo(float).tiny),
     )
 

@@ -1,4 +1,4 @@
-"""What a diagnosis says."""
+"""The result of a diagnosis: verdict, causes, regions, closure, advice."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,11 +15,12 @@ Array = NDArray[np.float64]
 Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "unknown_effect"]
 Severity = Literal["fault", "limitation", "remark"]
 Axis = Literal["run", "time", "position", "velocity", "acceleration", "current", "frequency", "reversal", "sign"]
+HeldOutBy = Literal["runs", "leave-one-run-out", "blocks"]
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A number with its 95 % interval; ends are nan where the recordings give none."""
+    """A number with its 95 % interval; the ends are nan where the recordings give none."""
 
     value: float
     lower: float = float("nan")
@@ -28,7 +29,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about the recordings themselves.
+    """A finding of the preflight check about the recordings themselves.
 
     Attributes
     ----------
@@ -36,7 +37,7 @@ class Finding:
         ``clock``, ``gap``, ``lag``, ``clipping``, ``quantisation``, ``aliasing``, ``dead_channel``, ``repeat``, ``rig``,
         ``coverage``.
     severity : {"fault", "limitation", "remark"}
-        A fault makes any diagnosis of physics worthless; a limitation narrows what can be said.
+        A fault makes any diagnosis of physics worthless; a limitation narrows what can be concluded.
     text : str
         One line: what was found, what was expected, what to do.
     run, channel : str
@@ -52,19 +53,19 @@ class Finding:
 
 @dataclass(frozen=True)
 class RunNoise:
-    """What of a run's residual no model could explain.
+    """Noise of a run: the part of its residual that no model can explain.
 
     Attributes
     ----------
     sigma : ndarray (counted samples,)
-        N; standard deviation of measured minus modelled force if the model were true: sensor noise and the error of the
-        measured motion and current carried through the model.
+        Standard deviation in N of measured minus modelled force if the model were true: sensor noise, and the errors of the
+        measured motion and current propagated through the model.
     force : float
-        N rms, the part of the force sensor.
+        Contribution of the force sensor in N rms.
     motion : float
-        N rms, the part of measured motion and current.
+        Contribution of the measured motion and current in N rms.
     source : str
-        What the force sensor's part was taken from: ``repeats``, ``periods`` or ``residual`` (high frequencies).
+        What the contribution of the force sensor was estimated from: ``repeats``, ``periods`` or ``residual``.
     """
 
     sigma: Array
@@ -75,20 +76,20 @@ class RunNoise:
 
 @dataclass(frozen=True)
 class Region:
-    """Where excess error lies: a bin of one axis.
+    """A bin of one axis, with its share of the excess error.
 
     Attributes
     ----------
     axis : str
     lower, upper : float
-        In ``unit``; for axis ``run`` both are the run's place, from 1.
+        Bounds in ``unit``; for the axis ``run`` both are the number of the run, from 1.
     unit : str
     share : Interval
-        Of all excess squared error; interval by bootstrap over runs.
+        Share of all excess squared error; the interval is a bootstrap over runs.
     lift : float
-        Share of excess over share of samples.
+        Share of the excess over share of the samples.
     q_value : float
-        Significance of more excess than uniform, after false-discovery control over all bins.
+        Significance of more excess than a uniform distribution gives, after false-discovery control over all bins.
     label : str
         The bin in words.
     """
@@ -104,7 +105,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Value:
+class ParameterEstimate:
     """A parameter of an effect, with its 95 % interval and a remark where it is hard to believe."""
 
     value: Interval
@@ -114,55 +115,63 @@ class Value:
 
 @dataclass(frozen=True)
 class Candidate:
-    """Effects that were added to the model, and what that did.
+    """One or several effects that were added to the model, and what they achieved.
 
     Attributes
     ----------
     effects : tuple of str
-        One id, or several together.
+        Ids of the effects.
     nrmse : float
-        Held-out.
-    closed : Interval
-        Share of the explainable gap that adding them closes, held out.
+        Error on held-out data.
+    closed_fraction : Interval
+        Share of the explainable gap that they close on held-out data.
     p_value : float
-        Of so large an improvement if there were no effect, over all candidates together.
+        Probability of so large an improvement if there were no effect, over all candidates together.
     probability : float
-        That this is the cause.
+        Probability that this is the cause.
     parameters : mapping
-        Of the effects, by EFFECT.PARAMETER.
-    alike : tuple of str
-        Effects that close nearly the same part of the gap on these runs: the group it belongs to.
+        Parameters of the effects by EFFECT.PARAMETER.
+    indistinguishable : tuple of str
+        Effects that close nearly the same part of the gap on these runs.
     remark : str
-        Why it cannot be tested, or what is odd about it.
-    smallest : str
+        Why the candidate cannot be tested, or what is odd about it.
+    smallest_detectable : str
         The smallest size that these runs would have shown, in words; empty where it was not computed.
     """
 
     effects: tuple[str, ...]
     nrmse: float
-    closed: Interval
+    closed_fraction: Interval
     p_value: float
     probability: float
-    parameters: Mapping[str, Value]
-    alike: tuple[str, ...] = ()
+    parameters: Mapping[str, ParameterEstimate]
+    indistinguishable: tuple[str, ...] = ()
     remark: str = ""
-    smallest: str = ""
+    smallest_detectable: str = ""
+
+
+@dataclass(frozen=True)
+class UntestableEffect:
+    """An effect about which these runs say nothing, and why."""
+
+    effect: str
+    why: str
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A named effect: a share of the answer."""
+    """A named effect, with the share of the gap that it closes after the effects before it."""
 
     effect: str
     probability: float
     p_value: float
-    closed: Interval
-    parameters: Mapping[str, Value]
+    closed_fraction: Interval
+    parameters: Mapping[str, ParameterEstimate]
 
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect, or another form of the damper model, that these runs cannot tell from a cause."""
+    """An effect, or another damper model, that these runs cannot tell from a cause."""
 
     effect: str
     instead_of: str
@@ -171,15 +180,34 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class AlternativeModel:
+    """Another damper model, or the same with more freedom, fitted in place of effects.
+
+    Attributes
+    ----------
+    name : str
+        Id of the model, or what was changed about the base model.
+    nrmse : float
+        Error on held-out data.
+    closed_fraction : Interval
+        Share of the explainable gap that it closes.
+    """
+
+    name: str
+    nrmse: float
+    closed_fraction: Interval
+
+
+@dataclass(frozen=True)
 class Advice:
     """What to record next.
 
     Attributes
     ----------
+    text : str
+        What to do and why: an experiment, or a sensor to add.
     experiment : str
         Text of a valid experiment.yaml; empty where no run of the bench would help.
-    text : str
-        What it is, and why; or which sensor to add.
     between : tuple of str
         The explanations that it separates.
     error_rate : float
@@ -193,24 +221,27 @@ class Advice:
 
 
 @dataclass(frozen=True)
-class Trace:
-    """One run, before and after.
+class RunResidual:
+    """Residuals of one run before and after the causes were added.
 
     Attributes
     ----------
     recording : Recording
     noise : RunNoise
     before, after : ndarray (counted samples,)
-        Measured minus modelled force in N, the run's own offset and gain taken out: of the refitted model without any effect
-        and of the one with the named causes (or the nearest candidate); on this run as a held-out one.
-    offset, gain : float
-        The run's own, in N and relative.
+        Measured minus modelled force in N without the run's offset and gain error: of the model refitted without any effect,
+        and of the model with the named causes (or the nearest candidate). The run is held out in both.
+    offset : float
+        Force offset of the run in N.
+    gain : float
+        Relative gain error of the run.
     held_out : bool
         Whether the run was set aside from the start.
     extrapolates : str
-        In which respect this run goes beyond the others; empty where it does not.
-    in_parts : bool
-        Whether parts of the run were left out in turn, not all of it: it goes beyond the others, or alone shows the effect.
+        In which respect the run exceeds the others; empty where it does not.
+    by_folds : bool
+        Whether folds of the run were held out in turn instead of the whole run, because it extrapolates or is the only run
+        that shows the effect.
     """
 
     recording: Recording
@@ -221,76 +252,117 @@ class Trace:
     gain: float
     held_out: bool = False
     extrapolates: str = ""
-    in_parts: bool = False
+    by_folds: bool = False
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Size of the gap as NRMSE (rms error over the standard deviation of the force) on held-out runs.
+
+    Each run's offset and gain error are removed, except in ``as_given``'s own fit of them.
+
+    Attributes
+    ----------
+    noise_floor : Interval
+        Error that noise alone explains.
+    before, after : Interval
+        Error of the model refitted without any effect, and with the causes (or the nearest candidate).
+    closed_fraction : Interval
+        Share of the explainable gap that lies between ``before`` and ``after``; nan without effects.
+    as_given : float or None
+        Error of the simulator with the parameters that were handed in; None without them.
+    explainable_fraction : float
+        Share of the gap that a flexible model of the residual closes: a lower bound of what can be explained; nan where
+        there is no gap.
+    extrapolated : Interval or None
+        ``closed_fraction`` on the runs that exceed the others.
+    """
+
+    noise_floor: Interval
+    before: Interval
+    after: Interval
+    closed_fraction: Interval
+    as_given: float | None = None
+    explainable_fraction: float = float("nan")
+    extrapolated: Interval | None = None
+
+
+@dataclass(frozen=True)
+class CorrectedSimulator:
+    """The refitted simulator.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        The causes; with an unknown effect, the effects that come nearest, where they lower the held-out error enough to
+        matter.
+    parameters : mapping
+        Parameters of the model with these effects, by name, in SI units.
+    """
+
+    effects: tuple[str, ...]
+    parameters: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where the gap lies, which effects cause it, how far it shrinks with them.
+    """Where simulator and recordings disagree, which effects cause it, and how far the gap closes with them.
 
     Attributes
     ----------
     model : DamperModel
         The base model.
+    runs, held_out : tuple of Run
+        The runs that were diagnosed, and those that were set aside.
+    seed : int
+    elapsed : float
+        Duration of the computation in s.
+    findings : tuple of Finding
+        What the preflight check found.
     verdict : str
     sentence : str
-        The answer, for a person.
+        The verdict in one or two sentences.
     held_out_by : {"runs", "leave-one-run-out", "blocks"}
-    unfitted : float or None
-        NRMSE of the parameters that were handed in; None without them.
-    floor, before, after : Interval
-        NRMSE on held-out runs, each run's own offset and gain taken out.
-    closed : Interval
-        Share of the explainable gap that the causes close.
-    ceiling : float
-        Share of it that a flexible model of the residual closes: a lower bound of what could be explained.
-    extrapolated : Interval or None
-        ``closed`` on the runs that go beyond the others.
+        How the errors on unseen data were obtained.
+    gap, corrected
+        None where the recordings are faulty.
+    where : tuple of Region
+        Where the excess error lies; most significant first.
     causes : tuple of Cause
-        Where the verdict is ``unknown_effect``, only what the model lacks by construction.
+        The named effects; with an unknown effect, only what the model lacks by construction.
+    alternatives : tuple of Alternative
     nearest : Candidate or None
-        What the gap resembles most where it is not explained.
+        What comes nearest to the gap where it is not explained.
     candidates : tuple of Candidate
-        Everything tried, best first.
-    untestable : tuple of Candidate
-        Effects of which these runs can say nothing.
-    parameters : mapping
-        Of the model with ``effects``, by name, SI: a corrected simulator.
-    effects : tuple of str
-        The causes; of an unknown effect, those that come nearest, where some lower the unseen error enough to matter.
+        Everything that was tried, best first.
+    untestable : tuple of UntestableEffect
+        Effects about which these runs say nothing.
+    alternative_models : tuple of AlternativeModel
+        Other damper models in place of effects, best first; where the gap is not explained.
+    next_experiment : Advice or None
+    residuals : tuple of RunResidual
     notes : tuple of str
         What limits the answer.
-    runs, held_out : tuple of Run
-        What was asked about.
-    forms : tuple of Candidate
-        Other forms of the damper model in the place of effects, by name, best first; where the gap is not explained.
     """
 
     model: DamperModel
-    verdict: Verdict
-    sentence: str
-    held_out_by: str
+    runs: tuple[Run, ...] = field(repr=False)
+    held_out: tuple[Run, ...] = field(repr=False)
     seed: int
     elapsed: float
     findings: tuple[Finding, ...]
-    unfitted: float | None
-    floor: Interval
-    before: Interval
-    after: Interval
-    closed: Interval
-    ceiling: float
-    extrapolated: Interval | None
-    where: tuple[Region, ...]
-    causes: tuple[Cause, ...]
-    alternatives: tuple[Alternative, ...]
-    nearest: Candidate | None
-    candidates: tuple[Candidate, ...]
-    untestable: tuple[Candidate, ...]
-    advice: Advice | None
-    parameters: Mapping[str, float]
-    effects: tuple[str, ...]
-    traces: tuple[Trace, ...] = field(repr=False)
+    verdict: Verdict
+    sentence: str
+    held_out_by: HeldOutBy
+    gap: Gap | None = None
+    corrected: CorrectedSimulator | None = None
+    where: tuple[Region, ...] = ()
+    causes: tuple[Cause, ...] = ()
+    alternatives: tuple[Alternative, ...] = ()
+    nearest: Candidate | None = None
+    candidates: tuple[Candidate, ...] = ()
+    untestable: tuple[UntestableEffect, ...] = ()
+    alternative_models: tuple[AlternativeModel, ...] = ()
+    next_experiment: Advice | None = None
+    residuals: tuple[RunResidual, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
-    runs: tuple[Run, ...] = field(default=(), repr=False)
-    held_out: tuple[Run, ...] = field(default=(), repr=False)
-    forms: tuple[Candidate, ...] = ()

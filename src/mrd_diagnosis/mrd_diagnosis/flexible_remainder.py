@@ -7,7 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mrd_diagnosis.localisation import FLOOR_ERROR, travel_since_reversal
+from mrd_diagnosis.localisation import travel_since_reversal
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.problem import Recording
 
 Array = NDArray[np.float64]
@@ -43,7 +44,7 @@ LARGEST = 3.0
 """standard deviations that a feature saturates at, so that an unseen run does not reach far beyond the others."""
 
 
-def explainable(
+def explainable_fraction(
     recordings: Sequence[Recording], residuals: Sequence[Array], sigma_by_run: Sequence[Array], rng: np.random.Generator
 ) -> float:
     """Share of the excess squared error that a flexible model of the residual closes on runs it has not seen.
@@ -69,8 +70,8 @@ def explainable(
     Returns
     -------
     float
-        Between 0 and 1. An excess within `FLOOR_ERROR` of the noise's variance is taken as that large, so that there is
-        nothing to explain where there is no gap.
+        Between 0 and 1. An excess within `Thresholds.noise_variance_error` of the noise's variance is taken as that large,
+        so that there is nothing to explain where there is no gap.
     """
     stride = -(-sum(map(len, residuals)) // MOST_SAMPLES)
     features = np.concatenate([f[::stride] for f in _features(recordings, residuals)])
@@ -89,7 +90,7 @@ def explainable(
     chosen = errors[np.arange(len(folds)), np.argmin(others, axis=1)]
     before = np.array([np.sum(residual[fold] ** 2) for fold in folds])
     closed = float(np.maximum(before - chosen, 0.0).sum())
-    return float(np.clip(closed / max(excess, FLOOR_ERROR * noise), 0.0, 1.0))
+    return float(np.clip(closed / max(excess, THRESHOLDS.noise_variance_error * noise), 0.0, 1.0))
 
 
 def _folds(recordings: Sequence[Recording], counts: Sequence[int], stride: int) -> list[slice]:

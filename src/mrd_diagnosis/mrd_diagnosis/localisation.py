@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.signal import spectrogram
 from scipy.special import ndtr
 
 from mrd_diagnosis.diagnosis import Axis, Interval, Region, RunNoise
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.problem import Recording, current_levels
 from mrd_sim.path import Path
 
@@ -21,12 +21,6 @@ Words = tuple[str, str, str]
 BLOCK = 1.0
 """s; the residuals of a damper model forget within much less, so blocks of this length count as independent."""
 
-FLOOR_ERROR = 0.1
-"""By how much, relatively, the noise's variance may be off: less excess than that in a bin is no finding."""
-
-SIGNIFICANT = 0.05
-"""q-value below which a bin is a finding."""
-
 FEWEST_RUNS = 4
 """With fewer, intervals come from blocks."""
 
@@ -35,33 +29,6 @@ FEWEST_SAMPLES = 20
 
 REVERSAL_EDGES = (0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)
 """m of travel since a reversal: around the usual yield travels."""
-
-MAP_BINS = 24
-"""of a map, along each axis."""
-
-
-@dataclass(frozen=True)
-class Map:
-    """A picture of the excess.
-
-    Attributes
-    ----------
-    title : str
-    x, y : str
-        What the axes are, with unit.
-    x_edges, y_edges : ndarray (columns + 1,), (rows + 1,)
-    values : ndarray (rows, columns)
-        In ``unit``; nan where there are too few samples.
-    unit : str
-    """
-
-    title: str
-    x: str
-    y: str
-    x_edges: Array
-    y_edges: Array
-    values: Array
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -85,7 +52,7 @@ class _Table:
     samples: Array
 
 
-def where(
+def localise(
     recordings: Sequence[Recording],
     noises: Sequence[RunNoise],
     residuals: Sequence[Array],
@@ -122,7 +89,7 @@ def where(
     Significance is that of the sum over blocks of a bin's excess above its part of a uniform one, over the root of its sum
     of squares. Of independent blocks with symmetric errors that ratio has tails below a Gaussian's, however unequal they
     are (Efron 1969). False discoveries among all bins are controlled after Benjamini & Hochberg (1995). Excess within
-    `FLOOR_ERROR` of the noise's variance is not counted.
+    `Thresholds.noise_variance_error` of the noise's variance is not counted.
 
     Intervals resample runs; blocks where there are fewer than `FEWEST_RUNS`, and for the axes run and time, where each run
     has bins of its own.
@@ -148,32 +115,7 @@ def where(
             p_values.append(p[index])
     q_values = _false_discovery(np.array(p_values))
     found = [replace(region, q_value=float(q)) for region, q in zip(regions, q_values, strict=True)]
-    return tuple(sorted(found, key=lambda r: (r.q_value >= SIGNIFICANT, -_concentration(r), r.q_value)))
-
-
-def maps(recordings: Sequence[Recording], noises: Sequence[RunNoise], residuals: Sequence[Array]) -> tuple[Map, ...]:
-    """Excess rms over velocity and position, over velocity and current, and a spectrogram of the run with most excess.
-
-    Parameters
-    ----------
-    recordings, noises, residuals
-        As of `where`.
-
-    Returns
-    -------
-    tuple of Map
-        Excess in N rms; the spectrogram in N/√Hz. Without that over current where the current never changes.
-    """
-    moved = [r.motion for r in recordings]
-    velocity = np.concatenate([m.velocity[r.counted] for m, r in zip(moved, recordings, strict=True)])
-    position = np.concatenate([m.position[r.counted] for m, r in zip(moved, recordings, strict=True)])
-    current = np.concatenate([r.run.current[r.counted] for r in recordings])
-    excess = np.concatenate([r**2 - n.sigma**2 for r, n in zip(residuals, noises, strict=True)])
-    found = [_grid("velocity × position", velocity, "velocity, m/s", position, "position, m", excess)]
-    if current_levels([r.run for r in recordings])[0] > 1:
-        found.append(_grid("velocity × current", velocity, "velocity, m/s", current, "current, A", excess))
-    energies = [float(np.sum(r**2 - n.sigma**2)) for r, n in zip(residuals, noises, strict=True)]
-    return (*found, _spectrogram(recordings[(worst := int(np.argmax(energies)))], residuals[worst]))
+    return tuple(sorted(found, key=lambda r: (r.q_value >= THRESHOLDS.q_value, -_concentration(r), r.q_value)))
 
 
 def travel_since_reversal(path: Path) -> Array:
@@ -398,7 +340,7 @@ def _shares(excess: Array) -> Array:
 
 def _significance(table: _Table, uniform: Array) -> Array:
     """One-sided p-value of each bin: more excess than uniform."""
-    above = table.excess - FLOOR_ERROR * table.floor - np.outer(table.excess.sum(axis=1), uniform)
+    above = table.excess - THRESHOLDS.noise_variance_error * table.floor - np.outer(table.excess.sum(axis=1), uniform)
     return np.asarray(ndtr(-above.sum(axis=0) / np.sqrt((above**2).sum(axis=0) + 1e-300)))
 
 
@@ -413,35 +355,3 @@ def _false_discovery(p_values: Array) -> Array:
 
 def _concentration(region: Region) -> float:
     return region.share.value * float(np.log(max(region.lift, 1e-12)))
-
-
-# -------------------------------------------------------------------------------------------------------------- pictures
-
-
-def _grid(title: str, x: Array, x_name: str, y: Array, y_name: str, excess: Array) -> Map:
-    edges = [np.linspace(np.quantile(v, 0.001), np.quantile(v, 0.999), MAP_BINS + 1) for v in (x, y)]
-    count, _, _ = np.histogram2d(y, x, edges[::-1])
-    total, _, _ = np.histogram2d(y, x, edges[::-1], weights=excess)
-    enough = count >= 5
-    values = np.where(enough, np.sqrt(np.maximum(total, 0.0) / np.maximum(count, 1)), np.nan)
-    return Map(title, x_name, y_name, edges[0], edges[1], values, "N")
-
-
-def _spectrogram(recording: Recording, residual: Array) -> Map:
-    """Amplitude density of the residual, half a second a column (longer for long runs)."""
-    run = recording.run
-    length = min(len(residual), max(32, round(0.5 * run.rate), len(residual) // 60))
-    frequency, time, density = spectrogram(residual, run.rate, "hann", length, 0, detrend=False)
-    height = -(-len(frequency) // 128)  # rows that a picture can show
-    rows = np.arange(0, len(frequency), height)
-    power = np.add.reduceat(density, rows, axis=0) / np.diff(np.append(rows, len(frequency)))[:, None]
-    half, begin = 0.5 * length / run.rate, float(run.time[recording.counted][0])
-    return Map(
-        f"run {run.name}",
-        "time, s",
-        "frequency, Hz",
-        np.append(time - half, time[-1] + half) + begin,
-        np.append(frequency[rows], frequency[-1] + frequency[1]),
-        np.sqrt(power),
-        "N/√Hz",
-    )

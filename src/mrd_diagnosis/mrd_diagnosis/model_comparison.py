@@ -1,4 +1,4 @@
-"""The refits between which is judged, on the noise floor and the run scatter of the best of them."""
+"""Model comparison: the chosen effects on the noise of the best model, and other effects in the place of each of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,141 +7,148 @@ from typing import Self
 
 import numpy as np
 
-from mrd_diagnosis.effect_search import Foundation, Trial, anew, around, worth
-from mrd_diagnosis.noise_model import run_noise
-from mrd_diagnosis.refit import Refit, Scatter, refit
-from mrd_diagnosis.report.sentences import name_of_form
-from mrd_diagnosis.weighting import Ground, without_effect
+from mrd_diagnosis.base_fit import BaseFit, without_effect
+from mrd_diagnosis.effect_search import EffectFit, is_improvement, refit_with_effects
+from mrd_diagnosis.noise_model import estimate_noise
+from mrd_diagnosis.refit import Refit, refit, refit_on
+from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, RunScatter, Weighting
 from mrd_identification.problem import in_threads
 from mrd_sim.effects import EFFECTS
 
-MOST_RIVALS = 4
-"""Effects that are compared in the place of each cause."""
+MOST_ALTERNATIVES = 4
+"""Effects that are fitted in the place of each cause."""
 
-FIRST_SCATTER = Scatter(0.01, 2.0)
-"""Of runs of the same bench, before anything is learned from them: relative, and in N."""
+LARGEST_RUN_SCATTER = RunScatter(0.04, 20.0)
+"""Largest scatter that is still attributed to the bench and not to physics."""
 
-MOST_SCATTER = Scatter(0.04, 20.0)
-"""More than this is no scatter."""
+NO_EFFECT = ""
+"""Name of the alternative in which nothing takes the place of an effect."""
 
 
 @dataclass(frozen=True)
-class Contest:
-    """The model alone, with the effects that were found, and with others in their place.
+class ModelComparison:
+    """The model without effects, with those that were chosen, and with others in their place.
 
     Attributes
     ----------
-    ground : Ground
-    alone : Refit
+    weighting : Weighting
+    base : Refit
         The model without effects.
     chain : tuple of Refit
-        With one effect, two, ...
+        The model with one effect, two, ...
     effects : tuple of str
-        Those of the chain, in its order.
-    rivals : dict
-        For each effect of the chain, refits in which another one, or none (""), takes its place.
-    form : str
-        Name of the rival in which another form of the damper model takes the place of all effects, where these were tried.
+        The effects of the chain, in its order.
+    alternatives : dict
+        For each effect of the chain, refits by name in which it stays, in which another one takes its place, and in which
+        none does (`NO_EFFECT`).
+    alternative_model : str
+        Name of the alternative in which another damper model takes the place of all effects; empty where none was fitted.
     """
 
-    ground: Ground
-    alone: Refit
+    weighting: Weighting
+    base: Refit
     chain: tuple[Refit, ...]
     effects: tuple[str, ...]
-    rivals: dict[str, dict[str, Refit]]
-    form: str = ""
+    alternatives: dict[str, dict[str, Refit]]
+    alternative_model: str = ""
 
     @property
     def best(self) -> Refit:
-        """The model with all effects that were found."""
-        return self.chain[-1] if self.chain else self.alone
+        """The model with all chosen effects."""
+        return self.chain[-1] if self.chain else self.base
 
-    def against(self, forms: Mapping[str, Refit]) -> Self:
-        """With the best of other forms of the damper model as a rival of every effect but those that it lacks itself.
+    def without_effects(self) -> Self:
+        """Return the comparison with no effect chosen."""
+        return replace(self, chain=(), effects=(), alternatives={})
 
-        A form takes the place of all effects at once: one that predicts worse than the others of them alone rivals none.
+    def with_alternative_models(self, refits: Mapping[str, Refit]) -> Self:
+        """Add the best of other damper models as an alternative to every effect that the base model does not lack itself.
+
+        Another model takes the place of all effects at once. Where it predicts worse than the other effects without one of
+        them, it is no alternative to that one.
         """
-        if not forms:
+        if not refits:
             return self
-        best = min(forms, key=lambda form: forms[form].total)
-        name = name_of_form(best)
-        rivals = {
+        best = min(refits, key=lambda name: refits[name].held_out_cost)
+        alternatives = {
             effect: others
-            if EFFECTS[effect].structural or forms[best].total > others[""].total
-            else others | {name: forms[best]}
-            for effect, others in self.rivals.items()
+            if EFFECTS[effect].structural or refits[best].held_out_cost > others[NO_EFFECT].held_out_cost
+            else others | {best: refits[best]}
+            for effect, others in self.alternatives.items()
         }
-        return replace(self, rivals=rivals, form=name)
+        return replace(self, alternatives=alternatives, alternative_model=best)
 
 
-def contest(
-    first: Ground, alone: Refit, chosen: Sequence[Trial], trials: Sequence[Trial], rng: np.random.Generator
-) -> Contest:
-    """Learn noise and scatter from the best model, and fit anew what may still be it.
+def compare_models(
+    weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], fits: Sequence[EffectFit], rng: np.random.Generator
+) -> ModelComparison:
+    """Estimate noise and run scatter from the best model, and refit everything that may still be the explanation.
 
     Parameters
     ----------
-    first : Ground
-        On which was searched.
-    alone, chosen, trials
-        See `mrd_diagnosis.effect_search.search`.
+    weighting : Weighting
+        The one of the search.
+    base, chosen, fits
+        See `mrd_diagnosis.effect_search.search_effects`.
     rng : numpy Generator
     """
-    best = chosen[-1].refit if chosen else alone
-    noises = run_noise(first.recordings, best.problem.model, best.theta, rng)
-    ground = replace(first, noises=noises, scatter=learned_scatter(best)).after(best.problem.model, best.theta)
-    chain, without = _needed(ground, in_threads(lambda trial: anew(ground, trial.refit), chosen))
-    singles = sorted((trial for trial in trials if len(trial.effects) == 1), key=lambda trial: trial.refit.total)
-    others = [trial.effects[0] for trial in singles if trial.effects[0] not in without][:MOST_RIVALS]
-    rivals = {
-        effect: {effect: chain[-1], "": fitted} | _in_its_place(ground, fitted, others) for effect, fitted in without.items()
+    best = chosen[-1].refit if chosen else base
+    noise = estimate_noise(weighting.recordings, best.problem.model, best.theta, rng)
+    weighting = replace(weighting, noise=noise, scatter=estimate_run_scatter(best)).updated(best.problem.model, best.theta)
+    chain, without = _drop_superfluous(weighting, in_threads(lambda fit: refit_on(weighting, fit.refit), chosen))
+    singles = sorted((fit for fit in fits if len(fit.effects) == 1), key=lambda fit: fit.refit.held_out_cost)
+    others = [fit.effects[0] for fit in singles if fit.effects[0] not in without][:MOST_ALTERNATIVES]
+    alternatives = {
+        effect: {effect: chain[-1], NO_EFFECT: refitted} | _in_its_place(weighting, refitted, others)
+        for effect, refitted in without.items()
     }
-    return Contest(ground, anew(ground, alone), tuple(chain), tuple(without), rivals)
+    return ModelComparison(weighting, refit_on(weighting, base), tuple(chain), tuple(without), alternatives)
 
 
-def _needed(ground: Ground, chain: list[Refit]) -> tuple[list[Refit], dict[str, Refit]]:
-    """The chain less the effects that others made superfluous, and by effect what it is without each."""
+def _drop_superfluous(weighting: Weighting, chain: list[Refit]) -> tuple[list[Refit], dict[str, Refit]]:
+    """Return the chain without effects that later ones made superfluous, and the refit without each effect that stays."""
     while chain:
         best = chain[-1]
-        effects = tuple(dict.fromkeys(effect.id for step in chain for effect in step.problem.model.effects))
-        without = dict(zip(effects, in_threads(partial(_without, ground, best), effects), strict=True))
-        least = min(effects, key=lambda effect: without[effect].total)
-        if len(effects) == 1 or worth(ground, without[least], best):
+        effects = tuple(dict.fromkeys(effect for step in chain for effect in step.effects))
+        without = dict(zip(effects, in_threads(partial(_without, weighting, best), effects), strict=True))
+        least = min(effects, key=lambda effect: without[effect].held_out_cost)
+        if len(effects) == 1 or is_improvement(weighting, without[least], best):
             return chain, without
         kept = [effect for effect in effects if effect != least]
         chain = [without[least]]
         for effect in kept[:0:-1]:
-            chain.insert(0, _without(ground, chain[0], effect))
+            chain.insert(0, _without(weighting, chain[0], effect))
     return chain, {}
 
 
-def _without(ground: Ground, fitted: Refit, effect: str) -> Refit:
-    """The same model refitted without one of its effects."""
-    model, theta = without_effect(fitted.problem.model, fitted.theta, effect)
-    return refit(ground.problem(model, theta), theta, ground.parts)
+def _without(weighting: Weighting, refitted: Refit, effect: str) -> Refit:
+    """Refit the model without one of its effects."""
+    model, theta = without_effect(refitted.problem.model, refitted.theta, effect)
+    return refit(weighting.problem(model, theta), theta, weighting.folds)
 
 
-def _in_its_place(ground: Ground, without: Refit, others: Sequence[str]) -> dict[str, Refit]:
-    """A model with each of some other effects."""
-    trials = around(ground, Foundation.of(ground, without), others, len(others))
-    return {trial.effects[-1]: trial.refit for trial in trials}
+def _in_its_place(weighting: Weighting, without: Refit, others: Sequence[str]) -> dict[str, Refit]:
+    """Refit the model with each of some other effects."""
+    fits = refit_with_effects(weighting, BaseFit.linearise(weighting, without), others, len(others))
+    return {fit.effects[-1]: fit.refit for fit in fits}
 
 
-def learned_scatter(fitted: Refit) -> Scatter:
-    """Scatter of gain and offset of runs, by expectation-maximisation from what a refit leaves of each run."""
-    problem = fitted.problem
+def estimate_run_scatter(refitted: Refit) -> RunScatter:
+    """Estimate the scatter of gain and offset of runs by expectation maximisation from the errors that a refit leaves."""
+    problem = refitted.problem
     known = []
     for index, block in enumerate(problem.blocks):
         whitening = problem.whitenings[index]
         columns = np.stack([whitening.reference, np.ones_like(whitening.reference)], axis=1) * whitening.weight[:, None]
-        error = (problem.modelled(fitted.theta, index) - problem.force[block]) * whitening.weight
-        # A gap is no noise: what it leaves makes offset and gain of a run less certain.
+        error = (problem.modelled(refitted.theta, index) - problem.force[block]) * whitening.weight
+        # A gap is not noise: the larger it is, the less certain are offset and gain of the run.
         known.append((columns.T @ columns, columns.T @ error, max(1.0, float(np.mean(error**2)))))
-    variance = np.array([FIRST_SCATTER.gain**2, FIRST_SCATTER.offset**2])
+    variance = np.array([INITIAL_RUN_SCATTER.gain**2, INITIAL_RUN_SCATTER.offset**2])
+    largest = [LARGEST_RUN_SCATTER.gain**2, LARGEST_RUN_SCATTER.offset**2]
     for _ in range(50):
         moments = []
-        for gram, right, level in known:
-            covariance = np.linalg.inv(gram / level + np.diag(1 / variance))
-            moments.append((covariance @ right / level) ** 2 + np.diag(covariance))
-        variance = np.clip(np.mean(moments, axis=0), [1e-6, 1e-2], [MOST_SCATTER.gain**2, MOST_SCATTER.offset**2])
-    return Scatter(float(np.sqrt(variance[0])), float(np.sqrt(variance[1])))
+        for matrix, right, chi_square in known:
+            covariance = np.linalg.inv(matrix / chi_square + np.diag(1 / variance))
+            moments.append((covariance @ right / chi_square) ** 2 + np.diag(covariance))
+        variance = np.clip(np.mean(moments, axis=0), [1e-6, 1e-2], largest)
+    return RunScatter(float(np.sqrt(variance[0])), float(np.sqrt(variance[1])))

@@ -1,70 +1,72 @@
-"""What effects seem to explain where there is none: the null distribution of the largest improvement."""
+"""Null distribution: the largest improvement that effects seem to make where there is only noise."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.refit import GapProblem, Refit, Scatter, scaled_inverse
+from mrd_diagnosis.refit import Refit, scaled_inverse
+from mrd_diagnosis.weighting import RunScatter, WeightedProblem
 from mrd_identification.problem import Recording, in_threads
 from mrd_runs.signals.smoothed_run import remeasure
 from mrd_sim.path import path_of
 
 Array = NDArray[np.float64]
 
-DRAWS = 6
-"""Of each run measured again, at least."""
+LEAST_DRAWS = 6
+"""Draws of each run, at least."""
 
-FEWEST = 40
-"""Runs measured again, all in all."""
+LEAST_TOTAL_DRAWS = 40
+"""Draws of all runs together, at least."""
 
 REALISATIONS = 999
-"""Of all runs together: the draw of each part of a run, and its sign, are chosen anew."""
+"""Realisations of the whole set; in each, every fold takes one of its draws with a random sign."""
 
 
-def null_errors(
-    problem: GapProblem, theta: Array, force_noise: Sequence[float], scatter: Scatter, rng: np.random.Generator
+def draw_null_errors(
+    problem: WeightedProblem, theta: Array, force_noise: Sequence[float], scatter: RunScatter, rng: np.random.Generator
 ) -> list[Array]:
-    """White errors (draws, n) of each run if the model were true.
+    """Draw white errors (draws, n) of each run as they were if the model were true.
 
-    The rod is taken to have moved as it seems to have; measured again, with new noise on position, acceleration, current and
-    force, and with another gain and offset of the run, the same model errs by what is drawn here.
+    The rod is assumed to have moved as the smoothed motion says. The run is then measured again, with new noise on position,
+    acceleration, current and force, and with another gain and offset. The error of the same model on these readings is a
+    draw.
     """
-    draws = max(DRAWS, -(-FEWEST // len(problem.recordings)))
+    draws = max(LEAST_DRAWS, -(-LEAST_TOTAL_DRAWS // len(problem.recordings)))
 
-    def of_run(each: tuple[int, np.random.Generator]) -> Array:
-        index, own = each
+    def errors_of_run(index: int, rng_of_run: np.random.Generator) -> Array:
         recording = problem.recordings[index]
         true = problem.modelled(theta, index)
-        found = []
+        errors = []
         for _ in range(draws):
-            remeasured = remeasure(recording.smoothed, own)
+            remeasured = remeasure(recording.smoothed, rng_of_run)
             again = Recording(remeasured, path_of(remeasured), recording.counted)
             error = again.modelled(problem.model, theta) - true
-            error += own.normal(0.0, scatter.gain) * true + own.normal(0.0, scatter.offset)
-            found.append(problem.whitenings[index](error + own.normal(0.0, force_noise[index], len(true))))
-        return np.array(found)
+            error += rng_of_run.normal(0.0, scatter.gain) * true + rng_of_run.normal(0.0, scatter.offset)
+            errors.append(problem.whitenings[index](error + rng_of_run.normal(0.0, force_noise[index], len(true))))
+        return np.array(errors)
 
-    return in_threads(of_run, list(enumerate(rng.spawn(len(problem.recordings)))))
+    return in_threads(lambda item: errors_of_run(*item), list(enumerate(rng.spawn(len(problem.recordings)))))
 
 
-def null_gains(base: Refit, trials: Sequence[Refit], rng: np.random.Generator) -> Array:
-    """Largest improvement (REALISATIONS,) of the squared white error over all trials where there is only noise.
+def draw_null_gains(base: Refit, refits: Sequence[Refit], rng: np.random.Generator) -> Array:
+    """Draw the largest decrease (REALISATIONS,) of the cost over all refits where there is only noise.
 
-    To first order: the improvement is what the derivatives of a trial, its effect's among them, can take away of an error.
+    To first order, the decrease is what the Jacobian of a refit, which includes its effect, can remove of an error.
     """
-    parts, draws = base.nulls.shape[:2]
-    choice = rng.integers(0, draws, (REALISATIONS, parts))
-    sign = rng.choice([-1.0, 1.0], (REALISATIONS, parts))
+    folds, draws = base.null_gradients.shape[:2]
+    choice = rng.integers(0, draws, (REALISATIONS, folds))
+    sign = rng.choice([-1.0, 1.0], (REALISATIONS, folds))
 
-    def explained(refit: Refit) -> Array:
-        slope = (refit.nulls[np.arange(parts), choice] * sign[:, :, None]).sum(axis=1)
-        return np.asarray(((slope @ scaled_inverse(refit.grams.sum(axis=0), 1e-9)) * slope).sum(axis=1))
+    def explained(fitted: Refit) -> Array:
+        gradient = (fitted.null_gradients[np.arange(folds), choice] * sign[:, :, None]).sum(axis=1)
+        inverse = scaled_inverse(fitted.normal_matrices.sum(axis=0), 1e-9)
+        return np.asarray(((gradient @ inverse) * gradient).sum(axis=1))
 
-    without = explained(base)
-    return np.asarray(np.max([explained(trial) - without for trial in trials], axis=0))
+    explained_by_base = explained(base)
+    return np.asarray(np.max([explained(fitted) - explained_by_base for fitted in refits], axis=0))
 
 
-def p_value(gain: float, nulls: Array) -> float:
-    """Probability of so large an improvement in noise alone; no smaller than what so many realisations can tell."""
-    return float(1 + np.count_nonzero(nulls >= gain)) / (1 + len(nulls))
+def p_value(gain: float, null_gains: Array) -> float:
+    """Return the probability of so large a gain in noise alone; at least what so many realisations can resolve."""
+    return float(1 + np.count_nonzero(null_gains >= gain)) / (1 + len(null_gains))

@@ -1,264 +1,185 @@
-"""Refits that know the noise floor and what differs from run to run, each judged on what it has not seen."""
+"""Refits: a model fitted to all runs, and to all but each cross-validation fold."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_diagnosis.weighting import WeightedProblem, Weighting, error_of_run
 from mrd_identification.least_squares import bounded_step, levenberg_marquardt
 from mrd_identification.problem import Problem, in_threads
 
 Array = NDArray[np.float64]
 
 EVALUATIONS = 40
-"""Of a model, at most, until its refit is good enough."""
+"""Evaluations of the model in one refit, at most."""
 
-SETTLED = 1e-6
-"""Relative decrease of the cost below which a refit is done."""
+CONVERGED = 1e-6
+"""Relative decrease of the cost below which a refit has converged."""
 
-FREEZING = 1e-6
-"""Information about a parameter, relative to what all parts together have, below which the rest say nothing about it."""
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """What differs from run to run though nothing of physics does: standard deviations.
-
-    Attributes
-    ----------
-    gain : float
-        Of the force's scale, relative.
-    offset : float
-        Of its zero, N.
-    """
-
-    gain: float
-    offset: float
-
-
-@dataclass(frozen=True)
-class Whitening:
-    """Makes the errors of a run, if they were noise and scatter, white with variance one.
-
-    The errors of a run have the covariance diag(sigma²) + B diag(gain², offset²) Bᵀ, the columns of B being the run's force
-    and one; their symmetric inverse root is a weight and a correction of rank two.
-
-    Attributes
-    ----------
-    weight : ndarray (n,)
-        1 / sigma.
-    basis : ndarray (n, 2)
-        Orthonormal, spans what gain and offset can do.
-    damping : ndarray (2,)
-        Share that is taken out.
-    own : ndarray (2, n)
-        Gain and offset of the run follow from its errors by this matrix.
-    reference : ndarray (n,)
-        N, what the gain multiplies.
-    """
-
-    weight: Array
-    basis: Array
-    damping: Array
-    own: Array
-    reference: Array
-
-    def __call__(self, errors: Array) -> Array:
-        """White errors (n,) or (n, columns)."""
-        white = (errors.T * self.weight).T
-        return np.asarray(white - self.basis @ ((self.basis.T @ white).T * self.damping).T)
-
-    def silent(self) -> "Whitening":
-        """One that counts nothing of its run."""
-        return replace(self, weight=np.zeros_like(self.weight), basis=np.zeros_like(self.basis))
-
-
-def whitening(sigma: Array, force: Array, scatter: Scatter) -> Whitening:
-    """Whitening of a run from its noise ``sigma`` (n,) in N, its modelled ``force`` (n,) and the scatter of runs."""
-    weight = 1.0 / sigma
-    nuisance = np.stack([scatter.gain * force, np.full_like(force, scatter.offset)], axis=1)
-    scaled = nuisance * weight[:, None]
-    values, vectors = np.linalg.eigh(scaled.T @ scaled)
-    values = np.maximum(values, 1e-12)
-    basis = scaled @ vectors / np.sqrt(values)
-    own = np.asarray(np.linalg.solve(scaled.T @ scaled + np.eye(2), scaled.T * weight), np.float64)
-    own *= np.array([[scatter.gain], [scatter.offset]])
-    return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), own, force)
-
-
-@dataclass(frozen=True)
-class GapProblem(Problem):
-    """A problem whose residuals are white where the model is true.
-
-    Attributes
-    ----------
-    whitenings : tuple of Whitening
-        One for each run.
-    sigmas : tuple of ndarray
-        Noise of each run in N at the counted samples.
-    """
-
-    whitenings: tuple[Whitening, ...] = ()
-    sigmas: tuple[Array, ...] = ()
-
-    @cached_property
-    def _alike(self) -> bool:
-        return False
-
-    def counted(self, errors: Array) -> Array:
-        """White errors (samples,)."""
-        return np.concatenate([white(errors[block]) for white, block in zip(self.whitenings, self.blocks, strict=True)])
+NO_INFORMATION = 1e-6
+"""Share of the information on a parameter below which the other folds say nothing about it."""
 
 
 @dataclass(frozen=True)
 class Refit:
-    """A model refitted to all runs, and to all but each part.
+    """A model refitted to all runs, and to all but each fold.
 
     Attributes
     ----------
-    problem : GapProblem
+    problem : WeightedProblem
     theta : ndarray (parameters,)
-        Fitted to everything.
-    cost : ndarray (parts,)
-        Squared white residual of each part.
-    unseen : ndarray (parts,)
-        The same of parameters that have not seen the part.
-    plain : ndarray (parts,)
-        Squared error in N² of these parameters on the part, the run's own offset and gain taken out.
-    noises : ndarray (parts,)
+        Parameters fitted to all folds.
+    fold_costs : ndarray (folds,)
+        Sum of squared white residuals of each fold with these parameters.
+    held_out_costs : ndarray (folds,)
+        The same with parameters that were fitted without the fold.
+    held_out_squares : ndarray (folds,)
+        Sum of squared errors in N² with those parameters, without the run's offset and gain error.
+    held_out_chi_squares : ndarray (folds,)
         The same over the variance of the noise alone.
-    grams : ndarray (parts, free, free)
-        Normal matrices of the parts at the optimum.
-    slopes : ndarray (parts, free)
-        Derivative of half the cost of each part.
-    means : ndarray (free,)
-        Derivatives times the white change of the force if its samples were means over the sampling period.
-    nulls : ndarray (parts, draws, free)
-        Derivatives times white errors that are nothing but noise, see `refit`.
+    normal_matrices : ndarray (folds, free, free)
+        Normal matrix of each fold at the optimum.
+    gradients : ndarray (folds, free)
+        Gradient of half the cost of each fold.
+    averaging_gradient : ndarray (free,)
+        Jacobian transposed times the white change of the force if its samples were means over the sampling period.
+    null_gradients : ndarray (folds, draws, free)
+        Jacobian transposed times white errors that are only noise, see `refit`.
     """
 
-    problem: GapProblem
+    problem: WeightedProblem
     theta: Array
-    cost: Array
-    unseen: Array
-    plain: Array
-    noises: Array
-    grams: Array
-    slopes: Array
-    means: Array
-    nulls: Array
+    fold_costs: Array
+    held_out_costs: Array
+    held_out_squares: Array
+    held_out_chi_squares: Array
+    normal_matrices: Array
+    gradients: Array
+    averaging_gradient: Array
+    null_gradients: Array
 
     @property
-    def total(self) -> float:
-        """Squared white residual of everything, unseen."""
-        total = float(self.unseen.sum())
+    def held_out_cost(self) -> float:
+        """Sum of squared white residuals of all folds, each held out; infinite where it is not finite."""
+        total = float(self.held_out_costs.sum())
         return total if np.isfinite(total) else np.inf
 
     @property
-    def level(self) -> float:
-        """Mean squared error over the variance of the noise, unseen: 1 where nothing is missing."""
-        return float(self.noises.sum() / len(self.problem.force))
+    def chi_square(self) -> float:
+        """Reduced chi-square on held-out folds: mean squared error over the noise variance, 1 where nothing is missing."""
+        return float(self.held_out_chi_squares.sum() / len(self.problem.force))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the effects in the model."""
+        return tuple(effect.id for effect in self.problem.model.effects)
 
 
 def refit(
-    problem: GapProblem,
+    problem: WeightedProblem,
     start: Array,
-    parts: Sequence[tuple[int, slice]],
-    noise: Sequence[Array] = (),
-    settled: float = SETTLED,
+    folds: Sequence[tuple[int, slice]],
+    null_errors: Sequence[Array] = (),
+    converged: float = CONVERGED,
 ) -> Refit:
-    """Fit a model to all runs, then without each part in turn.
+    """Fit a model to all runs, then without each fold in turn.
 
-    Leaving a part out moves the optimum a little: one Gauss-Newton step with the part's share of the normal equations taken
-    out finds it without fitting anew. A parameter of which only that part tells keeps its neutral value, if it has one.
+    Leaving a fold out moves the optimum a little. One Gauss-Newton step with the fold's contribution removed from the normal
+    equations finds the new optimum without another fit. A parameter that only this fold determines takes its neutral value,
+    if it has one.
 
     Parameters
     ----------
-    problem : GapProblem
+    problem : WeightedProblem
     start : ndarray (parameters,)
-    parts : sequence of (int, slice)
-        See `mrd_diagnosis.weighting.Ground.parts`.
-    noise : sequence of ndarray (draws, n), optional
+    folds : sequence of (int, slice)
+        See `mrd_diagnosis.weighting.Weighting.folds`.
+    null_errors : sequence of ndarray (draws, n), optional
         White errors of each run if there were no gap.
-    settled : float
-        Relative decrease of the cost below which the fit is done.
+    converged : float
+        Relative decrease of the cost below which the fit ends.
     """
     unit, _ = levenberg_marquardt(
-        problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, settled, renewal=3
+        problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, converged, renewal=3
     )
     theta = problem.theta(unit)
     force, jacobian = problem.forces(theta), problem.jacobian(unit)
     residuals = problem.counted(force - problem.force)
-    grams = np.stack([jacobian[part].T @ jacobian[part] for _, part in parts])
-    slopes = np.stack([jacobian[part].T @ residuals[part] for _, part in parts])
-    cost = np.array([residuals[part] @ residuals[part] for _, part in parts])
-    joined = np.concatenate(noise, axis=1) if len(noise) else np.empty((0, len(residuals)))
-    nulls = [joined[:, part] @ jacobian[part] for _, part in parts]
-    means = jacobian.T @ problem.counted(blurred(force, problem.blocks) - force)
-    thetas = without_each(problem, unit, grams, slopes)
-    unseen, plain, noises = unseen_cost(problem, thetas, parts)
-    return Refit(problem, theta, cost, unseen, plain, noises, grams, slopes, means, np.array(nulls))
+    normal_matrices = np.stack([jacobian[fold].T @ jacobian[fold] for _, fold in folds])
+    gradients = np.stack([jacobian[fold].T @ residuals[fold] for _, fold in folds])
+    costs = np.array([residuals[fold] @ residuals[fold] for _, fold in folds])
+    joined = np.concatenate(null_errors, axis=1) if len(null_errors) else np.empty((0, len(residuals)))
+    null_gradients = [joined[:, fold] @ jacobian[fold] for _, fold in folds]
+    averaging = jacobian.T @ problem.counted(averaged_over_period(force, problem.blocks) - force)
+    thetas = without_each(problem, unit, normal_matrices, gradients)
+    held_out = held_out_errors(problem, thetas, folds)
+    return Refit(problem, theta, costs, *held_out, normal_matrices, gradients, averaging, np.array(null_gradients))
 
 
-def blurred(series: Array, blocks: Sequence[slice]) -> Array:
-    """Means (n,) over the sampling period around each sample of runs, between samples as on straight lines."""
-    found = series.copy()
+def refit_on(weighting: Weighting, old: Refit) -> Refit:
+    """Refit the same model with another weighting."""
+    return refit(weighting.problem(old.problem.model, old.theta), old.theta, weighting.folds)
+
+
+def averaged_over_period(series: Array, blocks: Sequence[slice]) -> Array:
+    """Average runs (n,) over the sampling period around each sample, with straight lines between the samples."""
+    averaged = series.copy()
     for block in blocks:
-        found[block][1:-1] += np.diff(series[block], 2) / 8.0
-    return found
+        averaged[block][1:-1] += np.diff(series[block], 2) / 8.0
+    return averaged
 
 
-def without_each(problem: Problem, unit: Array, grams: Array, slopes: Array) -> Array:
-    """Parameters (pieces, parameters) without each piece of the recordings.
+def without_each(problem: Problem, unit: Array, normal_matrices: Array, gradients: Array) -> Array:
+    """Estimate the parameters (pieces, parameters) without each piece of the recordings.
 
-    Given the normal matrices (pieces, free, free) and slopes (pieces, free) of the pieces at the joint optimum ``unit``.
+    Parameters
+    ----------
+    problem : Problem
+    unit : ndarray (free,)
+        Joint optimum in unit coordinates.
+    normal_matrices : ndarray (pieces, free, free)
+    gradients : ndarray (pieces, free)
     """
-    gram, slope = grams.sum(axis=0), slopes.sum(axis=0)
+    matrix, gradient = normal_matrices.sum(axis=0), gradients.sum(axis=0)
     neutral = problem.unit(problem.model.defaults)
-    found = np.empty((len(grams), len(unit)))
-    for index, (own, pull) in enumerate(zip(grams, slopes, strict=True)):
-        rest = gram - own
-        told = np.diag(rest) > FREEZING * np.maximum(np.diag(gram), 1e-300)
-        moved = np.where(told, unit, neutral)
-        chosen = np.flatnonzero(told)
+    units = np.empty((len(normal_matrices), len(unit)))
+    for index, (matrix_of_piece, gradient_of_piece) in enumerate(zip(normal_matrices, gradients, strict=True)):
+        rest = matrix - matrix_of_piece
+        determined = np.diag(rest) > NO_INFORMATION * np.maximum(np.diag(matrix), 1e-300)
+        new = np.where(determined, unit, neutral)
+        chosen = np.flatnonzero(determined)
         step = bounded_step(
             rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]),
-            (slope - pull)[chosen],
+            (gradient - gradient_of_piece)[chosen],
             -unit[chosen],
             1.0 - unit[chosen],
         )
-        moved[chosen] = unit[chosen] + step
-        found[index] = np.clip(moved, 0.0, 1.0)
-    return problem.theta(found)
+        new[chosen] = unit[chosen] + step
+        units[index] = np.clip(new, 0.0, 1.0)
+    return problem.theta(units)
 
 
-def scaled_inverse(gram: Array, least: float) -> Array:
-    """Inverse of a normal matrix, its eigenvalues, all parameters on one scale, taken to be ``least`` at least."""
-    size = np.sqrt(np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max()))
-    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+def scaled_inverse(matrix: Array, least: float) -> Array:
+    """Invert a normal matrix after scaling all parameters alike; eigenvalues below ``least`` are taken as ``least``."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-12 * np.diag(matrix).max()))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     return np.asarray((vectors / np.maximum(values, least)) @ vectors.T / np.outer(size, size))
 
 
-def own_error(problem: GapProblem, theta: Array, run: int) -> tuple[Array, Array]:
-    """Modelled minus measured force (n,) in N of a run: white, and plain without the run's own offset and gain."""
-    error = problem.modelled(theta, run) - problem.recordings[run].force
-    whitening = problem.whitenings[run]
-    gain, offset = whitening.own @ error
-    return whitening(error), error - gain * whitening.reference - offset
+def held_out_errors(
+    problem: WeightedProblem, thetas: Array, folds: Sequence[tuple[int, slice]]
+) -> tuple[Array, Array, Array]:
+    """Sum the squared errors of each fold with its own parameters: white, in N², and over the noise variance."""
 
-
-def unseen_cost(problem: GapProblem, thetas: Array, parts: Sequence[tuple[int, slice]]) -> tuple[Array, Array, Array]:
-    """Squared error of each part with parameters of its own: white, in N², and over the variance of the noise alone."""
-
-    def of(index: int) -> tuple[float, float, float]:
-        run, part = parts[index]
+    def errors_of(index: int) -> tuple[float, float, float]:
+        run, fold = folds[index]
         start = problem.blocks[run].start
-        here = slice(part.start - start, part.stop - start)
-        white, plain = (error[here] for error in own_error(problem, thetas[index], run))
-        noisy = plain / problem.sigmas[run][here]
-        return float(white @ white), float(plain @ plain), float(noisy @ noisy)
+        samples = slice(fold.start - start, fold.stop - start)
+        white, plain = (error[samples] for error in error_of_run(problem, thetas[index], run))
+        relative = plain / problem.sigmas[run][samples]
+        return float(white @ white), float(plain @ plain), float(relative @ relative)
 
-    white, plain, noisy = np.array(in_threads(of, range(len(parts)))).T
-    return white, plain, noisy
+    white, plain, relative = np.array(in_threads(errors_of, range(len(folds)))).T
+    return white, plain, relative

@@ -1,4 +1,4 @@
-"""What refits allow to be said: probabilities, intervals, how far the gap closes."""
+"""Statistics of refits: probabilities of explanations, intervals of parameters and errors."""
 
 from collections.abc import Sequence
 
@@ -6,121 +6,116 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, softmax, stdtrit
 
-from mrd_diagnosis.diagnosis import Interval, Value
+from mrd_diagnosis.diagnosis import Interval, ParameterEstimate
 from mrd_diagnosis.refit import Refit, scaled_inverse
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import BOUND_TOLERANCE
 from mrd_identification.residual_correlation import correlation_length
 
 Array = NDArray[np.float64]
 
-RESAMPLES = 400
-
-FORM = 0.02
-"""Share of a gap that the right effect may leave, more than another one, because its form is a little off."""
+BOOTSTRAP_SAMPLES = 400
+"""Samples of every bootstrap."""
 
 
-CERTAIN = 0.8
-"""Probability from which an effect is named without an alternative."""
+def certainty(lead: float, gap: float) -> float:
+    """Return the probability of an explanation that leads another one by ``lead``, when both explain ``gap`` (white
+    squares).
 
-
-def certainty(ahead: float, gap: float) -> float:
-    """Probability of what leaves less squared white error than another explanation, by `FORM` of the gap alone.
-
-    Parameters
-    ----------
-    ahead : float
-        By how much less.
-    gap : float
-        What both explain.
+    Its formula may be wrong by `Thresholds.formula_error` of the gap.
     """
-    return float(expit(ahead / (FORM * max(gap, np.finfo(float).tiny))))
+    return float(expit(lead / (THRESHOLDS.formula_error * max(gap, np.finfo(float).tiny))))
 
 
-def probabilities(rivals: Sequence[Refit], rng: np.random.Generator) -> Array:
-    """Probability (rivals,) that each of some refits is the one that predicts unseen parts best.
+def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:
+    """Return the probability (alternatives,) of each refit to be the one that predicts held-out folds best.
 
-    The likelihood of the unseen white error, tempered by its correlation in time and by the level that even the best rival
-    leaves, averaged over a Bayesian bootstrap of the parts (Rubin, 1981): what rests on few parts is not certain. And by
-    `FORM`: a rival that is behind by less may be the cause in a form that is not quite the catalogue's.
+    The likelihood of the held-out white error, tempered by its correlation in time and by the reduced chi-square that even
+    the best refit leaves, is averaged over a Bayesian bootstrap of the folds (Rubin, 1981), so that nothing is certain that
+    rests on few folds. It is tempered as well by `Thresholds.formula_error`: a refit that is behind by less may hold the
+    cause in an inexact formula.
     """
-    unseen = np.stack([rival.unseen for rival in rivals])
-    totals = unseen.sum(axis=1)
-    best = rivals[int(np.argmin(totals))]
-    temperature = max(dispersion(best.problem.residuals(best.theta)), 0.5 * FORM * float(totals.max() - totals.min()))
-    weights = rng.dirichlet(np.ones(unseen.shape[1]), RESAMPLES) * unseen.shape[1]
-    return np.asarray(softmax(-0.5 * weights @ unseen.T / temperature, axis=1).mean(axis=0))
+    costs = np.stack([alternative.held_out_costs for alternative in alternatives])
+    totals = costs.sum(axis=1)
+    best = alternatives[int(np.argmin(totals))]
+    temperature = max(
+        error_dispersion(best.problem.residuals(best.theta)),
+        0.5 * THRESHOLDS.formula_error * float(totals.max() - totals.min()),
+    )
+    weights = rng.dirichlet(np.ones(costs.shape[1]), BOOTSTRAP_SAMPLES) * costs.shape[1]
+    return np.asarray(softmax(-0.5 * weights @ costs.T / temperature, axis=1).mean(axis=0))
 
 
-def dispersion(white: Array) -> float:
-    """By how much white errors (n,) count less than as many independent ones of variance one."""
+def error_dispersion(white: Array) -> float:
+    """Return the factor by which white errors (n,) count less than as many independent ones of variance one."""
     return max(1.0, float(np.mean(white**2))) * correlation_length(white)
 
 
-def values(refit: Refit) -> dict[str, Value]:
-    """Parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
+def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
+    """Return the parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
 
-    What is never searched is among them where it is not as usual.
+    A parameter that is never searched is included where it differs from its default.
 
-    The covariance is the larger of what the scatter of the parts says (sandwich; Liang & Zeger, 1986) and of what the
-    correlated noise does. A recording does not say whether a sample of the force is its mean over the sampling period or of
-    an instant, and a play is crossed in less: intervals of what follows the force hold both.
+    The covariance is the larger of two: what the scatter of the folds says (sandwich; Liang & Zeger, 1986) and what the
+    correlated noise does. A recording does not say whether a sample of the force is an instantaneous value or a mean over
+    the sampling period, and a play is crossed within one period; intervals of effects that follow the force contain both.
     """
-    problem, unit = refit.problem, refit.problem.unit(refit.theta)
-    inverse = scaled_inverse(refit.grams.sum(axis=0), 1e-12)
-    spare = len(refit.slopes) - len(unit)
-    deviation = 1.96 * np.sqrt(dispersion(problem.residuals(refit.theta)) * np.diag(inverse))
-    if spare > 4:
-        root = inverse @ refit.slopes.T * np.sqrt(len(refit.slopes) / spare)
-        deviation = np.maximum(deviation, stdtrit(spare, 0.975) * np.linalg.norm(root, axis=1))
+    problem, unit = refitted.problem, refitted.problem.unit(refitted.theta)
+    inverse = scaled_inverse(refitted.normal_matrices.sum(axis=0), 1e-12)
+    degrees = len(refitted.gradients) - len(unit)
+    deviation = 1.96 * np.sqrt(error_dispersion(problem.residuals(refitted.theta)) * np.diag(inverse))
+    if degrees > 4:
+        root = inverse @ refitted.gradients.T * np.sqrt(len(refitted.gradients) / degrees)
+        deviation = np.maximum(deviation, stdtrit(degrees, 0.975) * np.linalg.norm(root, axis=1))
     following = {effect.id for effect in problem.model.effects if effect.follows_force}
-    if_means = -inverse @ refit.means
-    found = {}
+    shift_if_averaged = -inverse @ refitted.averaging_gradient
+    estimates = {}
     for place, index in enumerate(problem.free):
         parameter = problem.model.parameters[index]
-        effect, _, own = parameter.name.partition(".")
-        if not own:
+        effect, _, name = parameter.name.partition(".")
+        if not name:
             continue
-        shift = if_means[place] if effect in following else 0.0
+        shift = shift_if_averaged[place] if effect in following else 0.0
         reach = np.array([min(shift, 0.0) - deviation[place], max(shift, 0.0) + deviation[place]])
         ends = np.clip(unit[place] + reach, 0.0, 1.0)
-        moved = np.tile(unit, (2, 1))
-        moved[:, place] = ends
-        lower, upper = problem.theta(moved)[:, index]
+        units = np.tile(unit, (2, 1))
+        units[:, place] = ends
+        lower, upper = problem.theta(units)[:, index]
         remark = ""
         if unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE:
-            if refit.theta[index] != parameter.default:
-                remark = "at the end of what is plausible"
+            if refitted.theta[index] != parameter.default:
+                remark = "at the limit of the plausible range"
         elif ends[0] == 0.0 and ends[1] == 1.0:
             remark = "not determined by these runs"
-        interval = Interval(float(refit.theta[index]), float(lower), float(upper))
-        found[parameter.name] = Value(interval, parameter.unit, remark)
-    for parameter, value in zip(problem.model.parameters, refit.theta, strict=True):
+        interval = Interval(float(refitted.theta[index]), float(lower), float(upper))
+        estimates[parameter.name] = ParameterEstimate(interval, parameter.unit, remark)
+    for parameter, value in zip(problem.model.parameters, refitted.theta, strict=True):
         if "." in parameter.name and not parameter.free and value != parameter.default:
-            found[parameter.name] = Value(Interval(float(value)), parameter.unit)
-    return found
+            estimates[parameter.name] = ParameterEstimate(Interval(float(value)), parameter.unit)
+    return estimates
 
 
-def resampled(units: int, rng: np.random.Generator) -> Array:
-    """How often (RESAMPLES, units) each unit is drawn in a bootstrap."""
-    return rng.multinomial(units, np.full(units, 1 / units), RESAMPLES).astype(float)
+def bootstrap_counts(units: int, rng: np.random.Generator) -> Array:
+    """Draw how often (BOOTSTRAP_SAMPLES, units) each unit appears in a bootstrap sample."""
+    return rng.multinomial(units, np.full(units, 1 / units), BOOTSTRAP_SAMPLES).astype(float)
 
 
-def nrmse(squares: Array, samples: Array, variance: float, draws: Array) -> Interval:
-    """Root mean square over the force's standard deviation, from squared errors in N² (units,) of so many samples."""
+def nrmse_interval(squares: Array, samples: Array, variance: float, draws: Array) -> Interval:
+    """Return the rms error over the force's standard deviation, from squared errors in N² (units,) of so many samples."""
     value = np.sqrt(squares.sum() / samples.sum() / variance)
-    found = np.sqrt((draws @ squares) / (draws @ samples) / variance)
-    return Interval(float(value), *map(float, np.quantile(found, (0.025, 0.975))))
+    drawn = np.sqrt((draws @ squares) / (draws @ samples) / variance)
+    return Interval(float(value), *map(float, np.quantile(drawn, (0.025, 0.975))))
 
 
-def closed(before: Array, after: Array, floor: Array, draws: Array) -> Interval:
-    """Share of the explainable gap that is closed, from squared errors in N² (units,) before, after and of the floor."""
+def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> Interval:
+    """Return the share of the explainable gap that is closed, from squared errors in N² (units,) and those of the noise."""
 
-    def share(b: Array, a: Array, f: Array) -> Array:
-        gap = b - f
+    def share(b: Array, a: Array, n: Array) -> Array:
+        gap = b - n
         return np.asarray(np.where(gap > 0, np.clip((b - a) / np.where(gap > 0, gap, 1.0), -1.0, 1.0), np.nan))
 
-    value = float(share(before.sum(keepdims=True), after.sum(keepdims=True), floor.sum(keepdims=True))[0])
-    found = share(draws @ before, draws @ after, draws @ floor)
-    if np.isnan(found).mean() > 0.1:
+    value = float(share(before.sum(keepdims=True), after.sum(keepdims=True), noise.sum(keepdims=True))[0])
+    drawn = share(draws @ before, draws @ after, draws @ noise)
+    if np.isnan(drawn).mean() > 0.1:
         return Interval(value)
-    return Interval(value, *map(float, np.nanquantile(found, (0.025, 0.975))))
+    return Interval(value, *map(float, np.nanquantile(drawn, (0.025, 0.975))))

@@ -1,149 +1,219 @@
-"""The ground on which models are compared: recordings, the noise in them, the parts that are held out in turn."""
+"""Weighting of residuals: noise, model discrepancy and run-to-run scatter, which make true residuals white."""
 
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.refit import GapProblem, Scatter, whitening
-from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem, Recording, consecutive_forces, make_problem
 from mrd_identification.residual_correlation import correlation_length
-from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
 
-PART = 4.0
-"""s; shorter parts of a run hang together too much to be judged by each other, but see `FEWEST_PARTS`."""
+FOLD_DURATION = 4.0
+"""Duration in s of a cross-validation fold: the errors within shorter ones depend on those of their neighbours too much."""
 
-FEWEST_PARTS = 8
-"""Fewer of them say too little of scatter."""
+LEAST_FOLDS = 8
+"""Folds of all runs together; fewer say too little about how much the error scatters."""
 
-STARTS = 64
-"""Random points from which the best are fitted when nothing is known of the parameters."""
+MOST_FOLDS_OF_RUN = 3
+"""Folds into which one of many runs is divided at most."""
 
 
 @dataclass(frozen=True)
-class Ground:
-    """Recordings and what is known of their errors.
+class RunScatter:
+    """Standard deviations of what differs from run to run although no physics does.
+
+    Attributes
+    ----------
+    gain : float
+        Relative gain error of the force.
+    offset : float
+        Offset of the force in N.
+    """
+
+    gain: float
+    offset: float
+
+
+INITIAL_RUN_SCATTER = RunScatter(0.01, 2.0)
+"""Scatter of the runs of one bench, assumed before it is estimated."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Linear map that makes the errors of a run white with variance one if they are noise and run scatter.
+
+    The errors have the covariance diag(sigma²) + B diag(gain², offset²) Bᵀ, where the columns of B are the run's force and
+    one. The symmetric inverse root of the covariance is a weight and a correction of rank two.
+
+    Attributes
+    ----------
+    weight : ndarray (n,)
+        1 / sigma.
+    basis : ndarray (n, 2)
+        Orthonormal basis of what gain and offset can change.
+    damping : ndarray (2,)
+        Share that is removed along each basis vector.
+    run_errors : ndarray (2, n)
+        Matrix that gives gain error and offset of the run from its errors.
+    reference : ndarray (n,)
+        Force in N that the gain multiplies.
+    """
+
+    weight: Array
+    basis: Array
+    damping: Array
+    run_errors: Array
+    reference: Array
+
+    def __call__(self, errors: Array) -> Array:
+        """Return the white errors (n,) or (n, columns)."""
+        white = (errors.T * self.weight).T
+        return np.asarray(white - self.basis @ ((self.basis.T @ white).T * self.damping).T)
+
+    def without_weight(self) -> "Whitening":
+        """Return a map that gives the run no weight."""
+        return replace(self, weight=np.zeros_like(self.weight), basis=np.zeros_like(self.basis))
+
+
+def whitening(sigma: Array, force: Array, scatter: RunScatter) -> Whitening:
+    """Make the whitening of a run from its noise ``sigma`` (n,) in N, its modelled ``force`` (n,) and the run scatter."""
+    weight = 1.0 / sigma
+    nuisance = np.stack([scatter.gain * force, np.full_like(force, scatter.offset)], axis=1)
+    scaled = nuisance * weight[:, None]
+    values, vectors = np.linalg.eigh(scaled.T @ scaled)
+    values = np.maximum(values, 1e-12)
+    basis = scaled @ vectors / np.sqrt(values)
+    run_errors = np.asarray(np.linalg.solve(scaled.T @ scaled + np.eye(2), scaled.T * weight), np.float64)
+    run_errors *= np.array([[scatter.gain], [scatter.offset]])
+    return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), run_errors, force)
+
+
+@dataclass(frozen=True)
+class WeightedProblem(Problem):
+    """A fitting problem whose residuals are white where the model is true.
+
+    Attributes
+    ----------
+    whitenings : tuple of Whitening
+        One for each run.
+    sigmas : tuple of ndarray
+        Noise of each run in N at the counted samples.
+    """
+
+    whitenings: tuple[Whitening, ...] = ()
+    sigmas: tuple[Array, ...] = ()
+
+    @cached_property
+    def _alike(self) -> bool:
+        return False
+
+    def counted(self, errors: Array) -> Array:
+        """Return the white errors (samples,)."""
+        return np.concatenate([white(errors[block]) for white, block in zip(self.whitenings, self.blocks, strict=True)])
+
+
+def error_of_run(problem: WeightedProblem, theta: Array, run: int) -> tuple[Array, Array]:
+    """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset and gain error."""
+    error = problem.modelled(theta, run) - problem.recordings[run].force
+    whitening_of_run = problem.whitenings[run]
+    gain, offset = whitening_of_run.run_errors @ error
+    return whitening_of_run(error), error - gain * whitening_of_run.reference - offset
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """Recordings with everything that is known about their errors.
 
     Attributes
     ----------
     recordings : sequence of Recording
-    noises : sequence of RunNoise
-    scatter : Scatter
+    noise : sequence of RunNoise
+        Noise of each run.
+    scatter : RunScatter
     fixed : mapping
         Values of the model's parameters that are not searched.
-    missing : float
-        N rms by which the best model so far errs beyond noise. As long as something is missing, samples without noise say no
-        more than others.
-    together : float
-        Samples over which its error hangs together: a run's own gain and offset are as much less free, or they would stand
-        in for what is missing.
+    discrepancy : float
+        Error in N rms of the best model so far beyond noise. While something is missing, samples without noise tell no more
+        than others.
+    error_correlation : float
+        Number of samples over which that error is correlated. The run's gain and offset are restricted accordingly;
+        otherwise they would compensate for what is missing.
     """
 
     recordings: Sequence[Recording]
-    noises: Sequence[RunNoise]
-    scatter: Scatter
+    noise: Sequence[RunNoise]
+    scatter: RunScatter
     fixed: Mapping[str, float]
-    missing: float = 0.0
-    together: float = 1.0
+    discrepancy: float = 0.0
+    error_correlation: float = 1.0
 
-    def problem(self, model: DamperModel, theta: Array, freed: Sequence[str] = ()) -> GapProblem:
-        """What these recordings can tell about a model, with white residuals where it is true.
+    def problem(self, model: DamperModel, theta: Array, freed: Sequence[str] = ()) -> WeightedProblem:
+        """Make the fitting problem of a model on these recordings.
 
         Parameters
         ----------
         model : DamperModel
         theta : ndarray (parameters,)
-            Near the optimum: a run's own gain multiplies the force that they give.
+            Parameters near the optimum: the run's gain multiplies the force that they give.
         freed : sequence of str
             See `mrd_identification.problem.make_problem`.
         """
-        posed, _ = make_problem(model, self.recordings, fixed=self.fixed, freed=freed)
-        base = posed.base.copy()
-        # What is never searched stays as it is: the mains' frequency.
+        plain, _ = make_problem(model, self.recordings, fixed=self.fixed, freed=freed)
+        base = plain.base.copy()
+        # A parameter that is never searched, such as the frequency of the mains, keeps its value.
         kept = [i for i, p in enumerate(model.parameters) if not (p.free or p.name in freed or p.name in self.fixed)]
         base[kept] = theta[kept].real
-        root = np.sqrt(self.together)
-        scatter = Scatter(self.scatter.gain / root, self.scatter.offset / root)
-        sigmas = tuple(noise.sigma for noise in self.noises)
+        root = np.sqrt(self.error_correlation)
+        scatter = RunScatter(self.scatter.gain / root, self.scatter.offset / root)
+        sigmas = tuple(noise.sigma for noise in self.noise)
         whitenings = tuple(
-            whitening(np.sqrt(sigma**2 + self.missing**2), force, scatter)
+            whitening(np.sqrt(sigma**2 + self.discrepancy**2), force, scatter)
             for sigma, force in zip(sigmas, consecutive_forces(model, theta, self.recordings), strict=True)
         )
-        return GapProblem(posed.model, posed.recordings, posed.free, base, whitenings=whitenings, sigmas=sigmas)
+        return WeightedProblem(plain.model, plain.recordings, plain.free, base, whitenings=whitenings, sigmas=sigmas)
 
-    def after(self, model: DamperModel, theta: Array) -> "Ground":
-        """The ground on which a model with these parameters is the best so far."""
-        left = []
+    def updated(self, model: DamperModel, theta: Array) -> "Weighting":
+        """Return the weighting with the discrepancy of another best model."""
+        remainders = []
         for recording, noise, force in zip(
-            self.recordings, self.noises, consecutive_forces(model, theta, self.recordings), strict=True
+            self.recordings, self.noise, consecutive_forces(model, theta, self.recordings), strict=True
         ):
             error = force - recording.force
-            gain, offset = whitening(noise.sigma, force, self.scatter).own @ error
-            left.append(error - gain * force - offset)
-        error, sigma = np.concatenate(left), np.concatenate([noise.sigma for noise in self.noises])
-        missing = float(np.sqrt(max(float(np.mean(error**2 - sigma**2)), 0.0)))
-        white = error / np.sqrt(sigma**2 + missing**2)
-        share = missing**2 / (missing**2 + float(np.mean(sigma**2)))
-        return replace(self, missing=missing, together=1.0 + share * (correlation_length(white) - 1.0))
+            gain, offset = whitening(noise.sigma, force, self.scatter).run_errors @ error
+            remainders.append(error - gain * force - offset)
+        error, sigma = np.concatenate(remainders), np.concatenate([noise.sigma for noise in self.noise])
+        discrepancy = float(np.sqrt(max(float(np.mean(error**2 - sigma**2)), 0.0)))
+        white = error / np.sqrt(sigma**2 + discrepancy**2)
+        share = discrepancy**2 / (discrepancy**2 + float(np.mean(sigma**2)))
+        correlation = 1.0 + share * (correlation_length(white) - 1.0)
+        return replace(self, discrepancy=discrepancy, error_correlation=correlation)
 
     @property
-    def noise_share(self) -> float:
-        """What noise alone contributes to the squared white error of everything."""
-        return float(sum(np.sum(n.sigma**2 / (n.sigma**2 + self.missing**2)) for n in self.noises))
+    def noise_cost(self) -> float:
+        """Sum of squared white errors that noise alone contributes."""
+        return float(sum(np.sum(n.sigma**2 / (n.sigma**2 + self.discrepancy**2)) for n in self.noise))
 
     @property
     def samples(self) -> int:
-        """Counted samples."""
+        """Number of counted samples."""
         return sum(len(recording.force) for recording in self.recordings)
 
     @property
-    def parts(self) -> list[tuple[int, slice]]:
-        """Place of the run and samples among all counted ones, for each part that is held out in turn."""
-        found, start = [], 0
-        fewest = -(-FEWEST_PARTS // len(self.recordings))
+    def folds(self) -> list[tuple[int, slice]]:
+        """Number of the run and samples among all counted ones, for each fold that is held out in turn."""
+        folds, start = [], 0
+        least = -(-LEAST_FOLDS // len(self.recordings))
         for run, recording in enumerate(self.recordings):
             length = len(recording.force)
-            count = max(fewest, min(3, int(recording.run.duration / PART)), 1)
+            count = max(least, min(MOST_FOLDS_OF_RUN, int(recording.run.duration / FOLD_DURATION)), 1)
             edges = start + np.linspace(0, length, count + 1).astype(int)
-            found += [(run, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)]
+            folds += [(run, slice(int(a), int(b))) for a, b in itertools.pairwise(edges)]
             start += length
-        return found
-
-
-def first_fit(
-    problem: Problem, start: Array | None, rng: np.random.Generator, starts: int = STARTS, evaluations: int = 100
-) -> Array:
-    """Least squares (parameters,) from ``start``, if there is one, and from the best of random points of the box.
-
-    Parameters in which the force is linear follow from the others (variable projection), so few points are enough.
-    """
-    units = np.vstack([problem.unit(problem.model.defaults), rng.random((starts, len(problem.free)))])
-    thetas, norms = problem.project(problem.theta(units))
-    best = np.argsort(norms[:, 0], kind="stable")[: 1 + starts // 20]
-    begins = [*thetas[best], *([] if start is None else [problem.theta(problem.unit(start))])]
-    brief = [fit_least_squares(problem, begin, 15) for begin in begins]
-    return fit_least_squares(problem, min(brief, key=lambda found: found[1])[0], evaluations)[0]
-
-
-def without_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:
-    """The model without one of its effects, and its other parameters."""
-    poorer = model.with_effects([other for other in model.effects if other.id != effect])
-    values = dict(zip(model.names, theta, strict=True))
-    return poorer, np.array([values[name] for name in poorer.names])
-
-
-def with_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:
-    """The model with one more effect, and its parameters with the effect neutral."""
-    present = {other.id for other in model.effects}
-    richer = replace(model, effects=()).with_effects(
-        [EFFECTS[name] for name in EFFECTS if name in present or name == effect]
-    )
-    values = dict(zip(model.names, theta, strict=True))
-    return richer, np.array([values.get(p.name, p.default) for p in richer.parameters])
+        return folds

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.detectability import coverage, foreseen, largest_size, sized
+from mrd_diagnosis.detectability import coverage, largest_size, simulate_base_fit, sized
 from mrd_diagnosis.effect_search import NO_GAP
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.weighting import with_effect
@@ -33,7 +33,7 @@ OWN = {"coil_lag": 0.0}
 
 @pytest.fixture(scope="module")
 def known():
-    return foreseen(PLANS, Damper("bouc_wen", OWN), np.random.default_rng(0))
+    return simulate_base_fit(PLANS, Damper("bouc_wen", OWN), np.random.default_rng(0))
 
 
 def test_what_the_model_takes_up_is_said(known):
@@ -74,22 +74,22 @@ def test_twice_the_size_has_four_times_the_evidence(known):
 @pytest.mark.parametrize("effect", ["seal_friction", "moving_mass", "coil_lag"])
 def test_a_recorded_effect_shows_as_was_foreseen(known, effect):
     """Twice the smallest size lowers the error of the fit by about four times what is needed."""
-    ground, foundation = known
-    (found,) = coverage(ground, foundation, [effect])
+    weighting, base_fit = known
+    (found,) = coverage(weighting, base_fit, [effect])
     values = sized(EFFECTS[effect], 2 * found.smallest)
     damper = Damper("bouc_wen", OWN, effects={effect: values})
     # The floor is that of the runs without it.
     runs = measure_plans(PLANS, damper, np.random.default_rng(4))
     recordings = [
-        replace(prepare_recording(run), counted=other.counted) for run, other in zip(runs, ground.recordings, strict=True)
+        replace(prepare_recording(run), counted=other.counted) for run, other in zip(runs, weighting.recordings, strict=True)
     ]
-    recorded = replace(ground, recordings=recordings)
+    recorded = replace(weighting, recordings=recordings)
     base = Damper("bouc_wen", OWN)
-    alone = refit(recorded.problem(base.model, base.theta), base.theta, recorded.parts)
+    alone = refit(recorded.problem(base.model, base.theta), base.theta, recorded.folds)
     model, theta = with_effect(base.model, alone.theta, effect)
     for name, value in values.items():
         theta[model.names.index(f"{effect}.{name}")] = value
-    both = refit(recorded.problem(model, theta), theta, recorded.parts)
+    both = refit(recorded.problem(model, theta), theta, recorded.folds)
     gain = float(alone.cost.sum() - both.cost.sum()) / ((NO_GAP - 1.0) * recorded.samples)
     assert 2.5 < gain < 6.5
 

@@ -10,10 +10,10 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.diagnose import model_alone
+from mrd_diagnosis.diagnose import fit_base
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.effect_search import Foundation, anew, around, beside
-from mrd_diagnosis.model_comparison import Contest
+from mrd_diagnosis.effect_search import BaseFit, refit_again, refit_with_effects, score_effects
+from mrd_diagnosis.model_comparison import ModelComparison
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.problem import prepare_recording
 from mrd_sim.damper import Damper
@@ -139,7 +139,7 @@ def test_scatter_from_run_to_run_is_no_effect():
     noisy = recorded(seed=2, instruments=Instruments(run_gain=0.03, run_offset=6.0))
     found = diagnose(noisy, "bouc_wen")
     assert found.verdict == "no_gap"
-    gains = np.array([trace.gain for trace in found.traces])
+    gains = np.array([trace.gain for trace in found.residuals])
     assert 0.005 < gains.std() < 0.08
 
 
@@ -147,7 +147,7 @@ def test_parameters_alone_can_be_the_answer():
     simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"yield_force": 140.0, "viscous": 1500.0}, {})
     found = diagnose(recorded(seed=3), "bouc_wen", parameters=simulator, effects=FEW)
     assert found.verdict == "no_gap"
-    assert found.unfitted > 5 * found.before.value
+    assert found.gap.as_given > 5 * found.before.value
     assert "parameters" in found.sentence
 
 
@@ -187,7 +187,7 @@ def test_one_run_is_judged_by_its_parts(delayed):
 def test_held_out_runs_judge(delayed):
     found = diagnose(delayed[:3], "bouc_wen", held_out=delayed[3:], effects=("channel_delay", "moving_mass"))
     assert found.held_out_by == "runs"
-    assert [trace.held_out for trace in found.traces] == [False, False, False, True]
+    assert [trace.held_out for trace in found.residuals] == [False, False, False, True]
     assert [cause.effect for cause in found.causes] == ["channel_delay"]
     assert found.closed.value > 0.9
 
@@ -247,7 +247,7 @@ def test_where_hardly_more_than_noise_is_left_half_of_the_gap_is_enough(closes, 
         alone=SimpleNamespace(level=2.0),
         effects=("moving_mass",),
         form="",
-        ground=SimpleNamespace(parts=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
+        weighting=SimpleNamespace(parts=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
     )
     chances = {"moving_mass": {"moving_mass": 1.0}}
     assert diagnosing._verdict(found, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
@@ -258,8 +258,10 @@ def test_a_form_that_predicts_worse_than_the_other_effects_alone_is_no_rival():
         return SimpleNamespace(total=total)
 
     rivals = {"gas_spring": {"gas_spring": of(1.0), "": of(9.0)}, "coil_lag": {"coil_lag": of(1.0), "": of(2.0)}}
-    found = Contest(None, of(99.0), (of(9.0), of(1.0)), tuple(rivals), rivals).against({"dahl": of(5.0), "lugre": of(7.0)})
-    assert found.rivals["gas_spring"][found.form].total == 5.0
+    found = ModelComparison(None, of(99.0), (of(9.0), of(1.0)), tuple(rivals), rivals).with_alternative_models(
+        {"dahl": of(5.0), "lugre": of(7.0)}
+    )
+    assert found.rivals["gas_spring"][found.form].held_out_cost == 5.0
     assert found.rivals["coil_lag"] == rivals["coil_lag"]
 
 
@@ -271,7 +273,7 @@ def test_at_one_speed_an_effect_that_is_no_form_of_the_damper_is_named():
 def test_a_true_simulator_among_scattered_runs_is_no_gap_in_the_parameters():
     runs = recorded(seed=8, instruments=Instruments(run_gain=0.03, run_offset=8.0))
     found = diagnose(runs, "bouc_wen", parameters=StoredFit("bouc_wen", {}, (), DAMPER, {}), effects=FEW)
-    assert found.unfitted < 1.3 * found.before.value
+    assert found.gap.as_given < 1.3 * found.before.value
     assert found.sentence.startswith("No gap")
 
 
@@ -295,13 +297,15 @@ def test_a_second_cause_is_sought_where_the_form_of_the_first_could_leave_as_muc
 
 def test_a_play_far_smaller_than_typical_promises_to_close_what_it_does_beside_a_lag():
     runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
-    ground, alone, _, _ = model_alone(
+    weighting, alone, _, _ = fit_base(
         find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0)
     )
-    (lagging,) = around(ground, Foundation.of(ground, alone), ["force_sensor_lag"], 1)
-    ground = ground.after(lagging.refit.problem.model, lagging.refit.theta)
-    foundation = Foundation.of(ground, anew(ground, lagging.refit))
-    promised, *others = (promise.gain for promise in beside(ground, foundation, ["backlash", *FEW, "flow_asymmetry"]))
+    (lagging,) = refit_with_effects(weighting, BaseFit.of(weighting, alone), ["force_sensor_lag"], 1)
+    weighting = weighting.updated(lagging.refit.problem.model, lagging.refit.theta)
+    base_fit = BaseFit.of(weighting, refit_again(weighting, lagging.refit))
+    promised, *others = (
+        promise.gain for promise in score_effects(weighting, base_fit, ["backlash", *FEW, "flow_asymmetry"])
+    )
     assert promised > 10 * max(others)
 
 
@@ -309,7 +313,7 @@ def test_runs_that_were_set_aside_may_go_beyond_the_fitted():
     effect = {"channel_delay": {"delay": 0.012}}
     runs = recorded(effect, seed=10, only=["sine", "multisine", "slow", "slow"])
     found = diagnose(runs[:2], "bouc_wen", held_out=runs[2:], effects=("channel_delay", "moving_mass"))
-    assert [trace.extrapolates for trace in found.traces if trace.held_out] == ["stroke", "stroke"]
+    assert [trace.extrapolates for trace in found.residuals if trace.held_out] == ["stroke", "stroke"]
     assert found.extrapolated is not None
 
 
@@ -348,7 +352,7 @@ def test_no_cap_is_said_to_show_that_the_force_never_reaches():
     change = [
         model.force(model.vector(found.parameters | {"cavitation.inverse_cap": 1e-3 * float(size)}), path)
         - model.force(model.vector(found.parameters), path)
-        for path in (trace.recording.path for trace in found.traces)
+        for path in (trace.recording.path for trace in found.residuals)
     ]
     assert np.abs(np.concatenate(change)).max() > 5.0
 

@@ -10,10 +10,10 @@ from mrd_diagnosis.diagnose import _advice as next_advice
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design.candidates import library
 from mrd_diagnosis.experiment_design.separation import ALLOWED_ERROR, BENCH, Foreseen, Separation, _Rival, advise, sensor
-from mrd_diagnosis.model_comparison import Contest
+from mrd_diagnosis.model_comparison import ModelComparison
 from mrd_diagnosis.noise_model import run_noise
-from mrd_diagnosis.refit import Refit, Scatter, refit
-from mrd_diagnosis.weighting import Ground
+from mrd_diagnosis.refit import Refit, RunScatter, refit
+from mrd_diagnosis.weighting import Weighting
 from mrd_identification.problem import consecutive_forces, prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -49,29 +49,29 @@ def damper(effect, **sizes):
     return Damper("bouc_wen", BASE, None, effects)
 
 
-def fitted(plans, truth, rivals) -> tuple[Ground, dict[str, Refit]]:
+def fitted(plans, truth, rivals) -> tuple[Weighting, dict[str, Refit]]:
     """What recordings of a damper make of rivals."""
     random = np.random.default_rng(0)
     recordings = [prepare_recording(run) for run in measure_plans(plans, truth, random)]
     noises = run_noise(recordings, truth.model, truth.theta, random)
-    ground = Ground(recordings, noises, Scatter(0.01, 2.0), {"coil_lag": 0.0})
+    weighting = Weighting(recordings, noises, RunScatter(0.01, 2.0), {"coil_lag": 0.0})
 
-    def fit(ground, rival, start):
+    def fit(weighting, rival, start):
         model = find_model("bouc_wen", None, [rival] if rival else [])
         if start is None:
             typical = {f"{rival}.{p}": v for p, v in EFFECTS[rival].typical.items()} if rival else {}
             start = model.vector(BASE | typical)
-        return refit(ground.problem(model, start), start, ground.parts)
+        return refit(weighting.problem(model, start), start, weighting.folds)
 
-    found = {rival: fit(ground, rival, None) for rival in rivals}
+    found = {rival: fit(weighting, rival, None) for rival in rivals}
     best = min(found.values(), key=lambda of: of.cost.sum())
-    ground = ground.after(best.problem.model, best.theta)
-    return ground, {rival: fit(ground, rival, of.theta) for rival, of in found.items()}
+    weighting = weighting.updated(best.problem.model, best.theta)
+    return weighting, {rival: fit(weighting, rival, of.theta) for rival, of in found.items()}
 
 
-def evidence(ground, found, true, other):
+def evidence(weighting, found, true, other):
     """Twice the log-likelihood ratio."""
-    return (found[other].cost.sum() - found[true].cost.sum()) / ground.together
+    return (found[other].cost.sum() - found[true].cost.sum()) / weighting.correlation_length
 
 
 PLAIN = sines((8e-3, 1.0), (4e-3, 1.0))
@@ -118,10 +118,10 @@ def test_another_bench_gets_smaller_experiments():
 
 
 def test_an_advised_experiment_tells_a_delay_from_a_lag(alike):
-    ground, found = alike
-    before = abs(evidence(ground, found, "channel_delay", "force_sensor_lag"))
+    weighting, found = alike
+    before = abs(evidence(weighting, found, "channel_delay", "force_sensor_lag"))
     shares = []
-    advice = advise(found, ground, progress=shares.append)
+    advice = advise(found, weighting, progress=shares.append)
     assert advice.between == ("channel_delay", "force_sensor_lag")
     assert advice.error_rate < ALLOWED_ERROR
     assert "delay of the force channel and lag of the force sensor apart" in advice.text
@@ -129,7 +129,7 @@ def test_an_advised_experiment_tells_a_delay_from_a_lag(alike):
     _, truth, plans = CASES["delay"]
     after = fitted([*plans, planned_of(advice)], truth, found)
     assert evidence(*after, "channel_delay", "force_sensor_lag") > 20 * before
-    assert advise(found, ground) == advice
+    assert advise(found, weighting) == advice
 
 
 @pytest.mark.slow
@@ -138,10 +138,10 @@ def test_it_does_so_for_others_too_and_better_than_a_random_one():
     random, won = np.random.default_rng(1), []
     for other, truth, plans in CASES.values():
         true = truth.model.effects[0].id
-        ground, found = fitted(plans, truth, [true, other])
-        advice = advise(found, ground)
+        weighting, found = fitted(plans, truth, [true, other])
+        advice = advise(found, weighting)
         assert advice.experiment, true
-        before = evidence(ground, found, true, other)
+        before = evidence(weighting, found, true, other)
         drawn = [library(BENCH)[place] for place in random.choice(len(library(BENCH)), 3, replace=False)]
         gains = [
             evidence(*fitted([*plans, planned], truth, [true, other]), true, other) - before
@@ -155,10 +155,10 @@ def test_it_does_so_for_others_too_and_better_than_a_random_one():
 def test_a_run_must_tell_more_than_a_form_that_is_a_little_off():
     """A delay and a lag of a millisecond differ by far less than they close, and one more run would not change that."""
     plans = sines((8e-3, 1.0), (4e-3, 2.0), (8e-3, 2.0), (4e-3, 3.0))
-    ground, found = fitted(plans, damper("force_sensor_lag", lag=1.2e-3), ["force_sensor_lag", "channel_delay", ""])
+    weighting, found = fitted(plans, damper("force_sensor_lag", lag=1.2e-3), ["force_sensor_lag", "channel_delay", ""])
     without = found.pop("")
-    assert advise(found, ground).experiment
-    advice = advise(found, ground, without=without)
+    assert advise(found, weighting).experiment
+    advice = advise(found, weighting, without=without)
     assert advice.experiment == ""
     assert "differ by less than either may err in its form" in advice.text
     assert "show all channels one event" in advice.text
@@ -168,8 +168,10 @@ def test_what_is_out_of_the_question_needs_no_experiment():
     """Nearly any run tells a spring from a mass, which answers nothing where a lag or a delay is the question."""
     plans = sines((8e-3, 1.0), (4e-3, 2.0), (8e-3, 2.0), (4e-3, 3.0))
     truth = damper("force_sensor_lag", lag=1.2e-3)
-    ground, rivals = fitted(plans, truth, ["force_sensor_lag", "channel_delay", "gas_spring", "moving_mass", ""])
-    found = Contest(ground, rivals[""], (rivals["force_sensor_lag"],), ("force_sensor_lag",), {"force_sensor_lag": rivals})
+    weighting, rivals = fitted(plans, truth, ["force_sensor_lag", "channel_delay", "gas_spring", "moving_mass", ""])
+    found = ModelComparison(
+        weighting, rivals[""], (rivals["force_sensor_lag"],), ("force_sensor_lag",), {"force_sensor_lag": rivals}
+    )
     chances = {"force_sensor_lag": 0.6, "channel_delay": 0.39, "gas_spring": 0.005, "moving_mass": 0.005, "": 0.0}
     advice = next_advice(found, {"force_sensor_lag": chances})
     assert advice.experiment == ""
@@ -177,8 +179,8 @@ def test_what_is_out_of_the_question_needs_no_experiment():
 
 
 def test_what_no_run_tells_apart_needs_a_sensor():
-    ground, found = fitted(PLAIN[:1], damper("load_cell_gain"), ["load_cell_gain", ""])
-    advice = advise(found, ground)
+    weighting, found = fitted(PLAIN[:1], damper("load_cell_gain"), ["load_cell_gain", ""])
+    advice = advise(found, weighting)
     assert advice.experiment == ""
     assert np.isnan(advice.error_rate)
     assert "dead weights" in advice.text
@@ -186,22 +188,22 @@ def test_what_no_run_tells_apart_needs_a_sensor():
 
 
 def test_one_explanation_needs_no_experiment(alike):
-    ground, found = alike
-    assert advise({"channel_delay": found["channel_delay"]}, ground) is None
+    weighting, found = alike
+    assert advise({"channel_delay": found["channel_delay"]}, weighting) is None
 
 
 def test_no_experiment_exceeds_the_force_that_a_rival_predicts(alike):
-    ground, found = alike
-    foreseen = Foreseen.of(found, ground, np.random.default_rng(0))
+    weighting, found = alike
+    foreseen = Foreseen.of(found, weighting, np.random.default_rng(0))
     planned = library(BENCH)[0]
     assert foreseen.separations(planned, 800.0, np.random.default_rng(0)) is not None
     assert foreseen.separations(planned, 100.0, np.random.default_rng(0)) is None
 
 
 def test_at_one_current_nothing_is_taken_to_be_known_of_others():
-    ground, found = fitted(sines((8e-3, 1.0), current=Constant(0.0)), damper("channel_delay"), ["channel_delay"])
+    weighting, found = fitted(sines((8e-3, 1.0), current=Constant(0.0)), damper("channel_delay"), ["channel_delay"])
     known = found["channel_delay"]
-    rival = _Rival.of(known, ground.fixed)
+    rival = _Rival.of(known, weighting.fixed)
     added = {p.name for p in rival.problem.parameters} - {p.name for p in known.problem.parameters}
     assert added == {"yield_force_per_A", "yield_travel_per_A", "viscous_per_A"}
     theta = rival.problem.theta(rival.unit)
@@ -214,11 +216,11 @@ def test_at_one_current_nothing_is_taken_to_be_known_of_others():
 
 def test_what_outlasts_a_run_goes_on_in_the_next_one():
     plans = sines((8e-3, 1.0), (8e-3, 2.0), current=Prbs(0.0, 0.3, 0.1, 8))
-    ground, found = fitted(plans, damper("thermal_fade"), ["thermal_fade"])
-    rival = _Rival.of(found["thermal_fade"], ground.fixed)
+    weighting, found = fitted(plans, damper("thermal_fade"), ["thermal_fade"])
+    rival = _Rival.of(found["thermal_fade"], weighting.fixed)
     theta = rival.problem.theta(rival.unit)
-    again = ground.recordings[0]
-    expected = consecutive_forces(rival.problem.model, theta, [*ground.recordings, again])[-1]
+    again = weighting.recordings[0]
+    expected = consecutive_forces(rival.problem.model, theta, [*weighting.recordings, again])[-1]
     np.testing.assert_allclose(rival.force(theta, again.path)[again.counted], expected, rtol=1e-12)
     assert np.abs(expected - again.modelled(rival.problem.model, theta)).max() > 0.1
 

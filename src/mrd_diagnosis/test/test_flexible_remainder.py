@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrd_diagnosis.flexible_remainder import explainable
+from mrd_diagnosis.flexible_remainder import explainable_fraction
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import make_problem, prepare_recording
 from mrd_runs import Run
@@ -45,7 +45,7 @@ def campaign(effect=None, seconds=12.0, seed=0):
 
 def ceiling(recordings, residuals):
     sigmas = [np.full(len(residual), NOISE) for residual in residuals]
-    return explainable(recordings, residuals, sigmas, np.random.default_rng(0))
+    return explainable_fraction(recordings, residuals, sigmas, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("effect", ["shear_thinning", "coil_lag", "gas_spring"])
@@ -81,7 +81,7 @@ def test_what_has_nothing_to_do_with_the_path_cannot_be_explained():
 def test_silence_has_nothing_to_explain():
     recordings, residuals = campaign()
     silent = [0.0 * r for r in residuals]
-    assert explainable(recordings, silent, silent, np.random.default_rng(0)) == 0.0
+    assert explainable_fraction(recordings, silent, silent, np.random.default_rng(0)) == 0.0
 
 
 def test_the_same_seed_gives_the_same_ceiling():

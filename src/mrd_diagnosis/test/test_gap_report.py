@@ -23,14 +23,14 @@ from mrd_diagnosis.diagnosis import (
     Finding,
     Interval,
     RunNoise,
-    Trace,
+    RunResiduals,
     Value,
 )
 from mrd_diagnosis.localisation import where
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import content, write_gap_report
-from mrd_diagnosis.report.sentences import clause, describe, human, share
+from mrd_diagnosis.report.sentences import clause, describe, format_quantity, share
 from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem, prepare_recording
@@ -106,7 +106,7 @@ def diagnosed(verdict, effect="channel_delay"):
     before, base = fitted(recordings, ())
     after, parameters = fitted(recordings, chosen) if chosen else (before, base)
     traces = tuple(
-        Trace(r, n, b, a, 0.8 * k, -0.002 * k, extrapolates="speed, 250 against 180 mm/s" if k == 2 else "")
+        RunResiduals(r, n, b, a, 0.8 * k, -0.002 * k, extrapolates="speed, 250 against 180 mm/s" if k == 2 else "")
         for k, (r, n, b, a) in enumerate(zip(recordings, noises, before, after, strict=True))
     )
     floor, first, last = (nrmse(recordings, part) for part in ([n.sigma for n in noises], before, after))
@@ -227,7 +227,7 @@ def test_the_file_says_what_the_contract_says():
 
 def test_runs_beside_held_out_ones_are_called_what_they_are():
     found = diagnosed("explained")
-    first, *others = found.traces
+    first, *others = found.residuals
     told = content(replace(found, held_out_by="runs", traces=(*others, replace(first, held_out=True))))
     assert [run["judged"] for run in told["runs"]] == ["left out", "left out", "held out"]
 
@@ -335,12 +335,12 @@ def test_an_effect_without_phrase_is_said_by_its_title(monkeypatch):
     ],
 )
 def test_numbers_are_written_as_a_person_writes_them(value, unit, style, words):
-    assert human(value, unit, style) == words
+    assert format_quantity(value, unit, style) == words
 
 
 @given(st.floats(1e-9, 1e9), st.sampled_from(["s", "m", "m/N", "N/m", "N s/m", "A", "1/A", "kg", "rad", ""]), st.booleans())
 def test_numbers_keep_their_size_whatever_their_unit(value, unit, negative):
-    words = human(-value if negative else value, unit)
+    words = format_quantity(-value if negative else value, unit)
     number, _, written = words.partition(" ") if unit != "rad" else (words[:-1], "", "°")
     prefix = {"µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9, "g": 1e-3}
     base = unit.partition(" ")[0].partition("/")[0]
@@ -390,9 +390,9 @@ def test_the_schema_leaves_nothing_unsaid():
 
 def test_the_run_that_tells_most_is_shown_where_it_tells_most():
     diagnosis = diagnosed("explained")
-    told = figures.telling(diagnosis.traces)
-    gains = [np.sum(trace.before**2 - trace.after**2) for trace in diagnosis.traces]
-    assert told is diagnosis.traces[int(np.argmax(gains))]
+    told = figures.telling(diagnosis.residuals)
+    gains = [np.sum(trace.before**2 - trace.after**2) for trace in diagnosis.residuals]
+    assert told is diagnosis.residuals[int(np.argmax(gains))]
     recording = told.recording
     sudden = np.zeros(len(told.before))
     sudden[700:720] = 50.0

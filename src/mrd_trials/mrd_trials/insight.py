@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.diagnose import model_alone
+from mrd_diagnosis.diagnose import fit_base
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.experiment_design.candidates import library
 from mrd_diagnosis.localisation import where
-from mrd_diagnosis.model_comparison import FIRST_SCATTER
+from mrd_diagnosis.model_comparison import INITIAL_RUN_SCATTER
 from mrd_diagnosis.noise_model import run_noise
-from mrd_diagnosis.refit import own_error
-from mrd_diagnosis.weighting import Ground
+from mrd_diagnosis.refit import run_errors
+from mrd_diagnosis.weighting import Weighting
 from mrd_identification.problem import in_threads, prepare_recording
 from mrd_runs import Run, read_runs
 from mrd_sim.models import DamperModel, find_model
@@ -124,11 +124,11 @@ def _alike(cause: str, closed: Mapping[str, float]) -> tuple[str, ...]:
 
 def _true_map(knowing: Diagnosis) -> tuple[Bin, ...]:
     """Where what the true causes change lies, on the bins of every axis."""
-    recordings = [trace.recording for trace in knowing.traces]
+    recordings = [trace.recording for trace in knowing.residuals]
     nothing = 1e-9  # N: where nothing may be, no sample counts
-    noises = [trace.noise for trace in knowing.traces]
+    noises = [trace.noise for trace in knowing.residuals]
     silent = [replace(noise, sigma=np.full_like(noise.sigma, nothing), force=nothing, motion=0.0) for noise in noises]
-    changes = [trace.before - trace.after for trace in knowing.traces]
+    changes = [trace.before - trace.after for trace in knowing.residuals]
     if not any(change.any() for change in changes):
         return ()
     regions = where(recordings, silent, changes, np.random.default_rng(0))
@@ -139,14 +139,14 @@ def _closed_on(runs: Sequence[Run], fresh: Sequence[Run], name: str, said: Submi
     """Share of the gap on fresh runs that the submitted parameters close, those runs' own offset and gain taken out."""
     model, corrected = find_model(name), find_model(name, effects=said.effects)
     recordings = in_threads(prepare_recording, [*runs, *fresh])
-    alone = model_alone(model, None, recordings[: len(runs)], np.random.default_rng(0))[1].theta
+    alone = fit_base(model, None, recordings[: len(runs)], np.random.default_rng(0))[1].theta
     theta = corrected.vector(said.parameters)
     noises = run_noise(recordings, corrected, theta, np.random.default_rng(0))
-    ground = Ground(recordings, noises, FIRST_SCATTER, {})
+    weighting = Weighting(recordings, noises, INITIAL_RUN_SCATTER, {})
 
     def squares(of: DamperModel, at: Array) -> float:
-        problem = ground.problem(of, at)
-        errors = [own_error(problem, at, run)[1] for run in range(len(runs), len(recordings))]
+        problem = weighting.problem(of, at)
+        errors = [run_errors(problem, at, run)[1] for run in range(len(runs), len(recordings))]
         return float(sum(error @ error for error in errors))
 
     before, after = squares(model, alone), squares(corrected, theta)

@@ -121,16 +121,16 @@ def submission(exhibit: Exhibit, found: Diagnosis) -> Submission:
         verdict=found.verdict,
         causes=tuple(_of_cause(cause, found) for cause in found.causes),
         candidates=tuple(_of_candidate(candidate) for candidate in found.candidates),
-        untestable=tuple(candidate.effects[0] for candidate in found.untestable),
+        untestable=tuple(entry.effect for entry in found.untestable),
         nearest=found.nearest.effects if found.nearest else (),
-        floor=found.floor.value,
-        before=found.before.value,
-        after=found.after.value,
-        closed=_ends(found.closed),
+        floor=found.gap.noise_floor.value if found.gap else float("nan"),
+        before=found.gap.before.value if found.gap else float("nan"),
+        after=found.gap.after.value if found.gap else float("nan"),
+        closed=_ends(found.gap.closed_fraction) if found.gap else (float("nan"),) * 3,
         where=tuple(Bin(region.axis, region.lower, region.upper, region.share.value) for region in found.where),
-        advice=found.advice.experiment if found.advice else "",
-        parameters=dict(found.parameters),
-        effects=found.effects,
+        advice=found.next_experiment.experiment if found.next_experiment else "",
+        parameters=dict(found.corrected.parameters) if found.corrected else {},
+        effects=found.corrected.effects if found.corrected else (),
         elapsed=found.elapsed,
         commitment=exhibit.commitment,
     )
@@ -139,11 +139,11 @@ def submission(exhibit: Exhibit, found: Diagnosis) -> Submission:
 def _of_cause(cause: Cause, found: Diagnosis) -> Named:
     alike = tuple(other.effect for other in found.alternatives if other.instead_of == cause.effect)
     sizes = {name: _ends(value.value) for name, value in cause.parameters.items()}
-    return Named((cause.effect,), cause.probability, _ends(cause.closed), sizes, alike)
+    return Named((cause.effect,), cause.probability, _ends(cause.closed_fraction), sizes, alike)
 
 
 def _of_candidate(candidate: Candidate) -> Named:
-    return Named(candidate.effects, candidate.probability, _ends(candidate.closed), {}, candidate.alike)
+    return Named(candidate.effects, candidate.probability, _ends(candidate.closed_fraction), {}, candidate.indistinguishable)
 
 
 def _ends(interval: Interval) -> tuple[float, float, float]:

@@ -19,7 +19,7 @@ def write_score_report(score: Score, folder: str | Path, title: str = "Blind tri
 
 def content(score: Score) -> dict[str, Any]:
     """What the page's template is filled with."""
-    rich = score.parts["rich"]
+    rich = score.folds["rich"]
     by = dict.fromkeys(ranks.by for ranks in score.which)
     spreads = {
         "closure over the oracle's": rich.closure,

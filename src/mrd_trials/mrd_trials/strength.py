@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.weighting import first_fit
+from mrd_diagnosis.base_fit import global_fit
 from mrd_identification.problem import consecutive_forces, in_threads, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, find_model
@@ -47,7 +47,7 @@ class Yardstick:
         recordings = in_threads(prepare_recording, runs)
         found = find_model(model)
         posed, _ = make_problem(found, recordings, fixed={"coil_lag": 0.0})
-        theta = first_fit(posed, None, rng, starts=FITTING_STARTS)
+        theta = global_fit(posed, None, rng, random_starts=FITTING_STARTS)
         forces = consecutive_forces(found, theta, recordings)
         own = np.zeros((len(posed.force), 2 * len(recordings)))
         for place, (block, force) in enumerate(zip(posed.blocks, forces, strict=True)):

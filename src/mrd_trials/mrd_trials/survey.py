@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnose import model_alone
-from mrd_diagnosis.effect_search import Foundation, around, beside
+from mrd_diagnosis.diagnose import fit_base
+from mrd_diagnosis.effect_search import BaseFit, refit_with_effects, score_effects
 from mrd_diagnosis.refit import Refit
-from mrd_diagnosis.weighting import Ground, with_effect
+from mrd_diagnosis.weighting import Weighting, with_effect
 from mrd_identification.problem import in_threads, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
@@ -51,20 +51,20 @@ def survey(runs: Sequence[Run], model: str, seed: int = 0) -> Survey:
     """
     effects = list(EFFECTS)
     rng = np.random.default_rng(seed)
-    ground, alone, _, _ = model_alone(find_model(model), None, in_threads(prepare_recording, runs), rng)
-    foundation = Foundation.of(ground, alone)
-    trials = around(ground, foundation, effects, len(effects))
+    weighting, alone, _, _ = fit_base(find_model(model), None, in_threads(prepare_recording, runs), rng)
+    base_fit = BaseFit.of(weighting, alone)
+    trials = refit_with_effects(weighting, base_fit, effects, len(effects))
     fits = {trial.effects[-1]: trial.refit for trial in trials}
     samples, total = len(alone.problem.force), float(alone.cost.sum())
     bic = {
         name: samples * np.log(fit.cost.sum() / total) + _added(fit, alone) * np.log(samples) for name, fit in fits.items()
     }
-    promised = {name: found.gain for name, found in zip(effects, beside(ground, foundation, effects), strict=True)}
-    alike = dict(zip(effects, in_threads(lambda name: _correlation(ground, alone, name), effects), strict=True))
+    promised = {name: found.gain for name, found in zip(effects, score_effects(weighting, base_fit, effects), strict=True)}
+    alike = dict(zip(effects, in_threads(lambda name: _correlation(weighting, alone, name), effects), strict=True))
     in_sample = {name: float(fit.cost.sum()) for name, fit in fits.items()}
     lot = [str(name) for name in rng.permutation(sorted(fits))]
-    floor = np.concatenate([noise.sigma for noise in ground.noises]) ** 2
-    gap = float(alone.plain.sum() - floor.sum())
+    floor = np.concatenate([noise.sigma for noise in weighting.noises]) ** 2
+    gap = float(alone.held_out_squares.sum() - floor.sum())
     return Survey(
         {
             "correlation": _ranked({name: -value for name, value in alike.items()}),
@@ -73,7 +73,10 @@ def survey(runs: Sequence[Run], model: str, seed: int = 0) -> Survey:
             "bic": _ranked(bic | {"": 0.0}),
             "random": tuple(lot),
         },
-        {name: float((alone.plain - fit.plain).sum()) / gap if gap > 0 else np.nan for name, fit in fits.items()},
+        {
+            name: float((alone.held_out_squares - fit.held_out_squares).sum()) / gap if gap > 0 else np.nan
+            for name, fit in fits.items()
+        },
     )
 
 
@@ -81,12 +84,12 @@ def _added(fit: Refit, alone: Refit) -> int:
     return len(fit.problem.free) - len(alone.problem.free)
 
 
-def _correlation(ground: Ground, alone: Refit, name: str) -> float:
+def _correlation(weighting: Weighting, alone: Refit, name: str) -> float:
     """Of the raw residual with the change that the effect makes at its typical size."""
     model, theta = with_effect(alone.problem.model, alone.theta, name)
     typical = {f"{name}.{key}": value for key, value in EFFECTS[name].typical.items()}
     changed = np.array([typical.get(key, value) for key, value in zip(model.names, theta, strict=True)])
-    problem = ground.problem(model, theta)
+    problem = weighting.problem(model, theta)
     change, error = problem.forces(changed) - problem.forces(theta), -problem.errors(theta)
     spread = float(np.std(change) * np.std(error))
     return abs(float(np.mean((change - change.mean()) * (error - error.mean())))) / spread if spread > 0 else 0.0

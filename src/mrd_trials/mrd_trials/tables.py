@@ -89,7 +89,7 @@ def overview(score: Score) -> Table:
         ("… effects in it", lambda part: part.sets.size),
         ("… first named is none of the group", lambda part: part.sets.named_wrong),
     ]
-    rows = tuple((name, *(text(of(part)) for part in score.parts.values())) for name, of in figures)
+    rows = tuple((name, *(text(of(part)) for part in score.folds.values())) for name, of in figures)
     note = (
         f"Detectable: signal to floor above {DETECTABLE:g}. Named: the first cause of a verdict `explained` or "
         "`ambiguous`; ranking: that, else the first candidate. Group, of detectable effects: those that close nine tenths "
@@ -97,7 +97,7 @@ def overview(score: Score) -> Table:
         "untestable; of detectable single effects. ≤: one-sided bound at 95 %. Spreads are median (quartiles). "
         f"{_seconds(score.seconds)}"
     )
-    return Table("Figures by excitation", ("", *score.parts), rows, note)
+    return Table("Figures by excitation", ("", *score.folds), rows, note)
 
 
 def baselines(score: Score) -> Table:
@@ -112,7 +112,7 @@ def which(score: Score) -> Table:
     """How often the cause is first, by kind of plant."""
     parts = [
         (f"{kind}, {name}", ranks)
-        for name, part in score.parts.items()
+        for name, part in score.folds.items()
         for kind, ranks in (("all", part.single), ("detectable", part.detectable), ("explained", part.explained))
         if ranks.named.of
     ]
@@ -124,7 +124,7 @@ def which(score: Score) -> Table:
 
 def coverage(score: Score) -> Table:
     """Coverage of the sizes' intervals by effect."""
-    rows = tuple((effect, text(rate)) for effect, rate in score.parts["rich"].coverage_of.items())
+    rows = tuple((effect, text(rate)) for effect, rate in score.folds["rich"].coverage_of.items())
     return Table(
         "Coverage of 95 % intervals", ("effect", "cover the true size"), rows, "Rightly named causes, rich excitation."
     )
@@ -132,7 +132,7 @@ def coverage(score: Score) -> Table:
 
 def reliability(score: Score) -> Table:
     """The curve behind the calibration error."""
-    rich = score.parts["rich"]
+    rich = score.folds["rich"]
     rows = [
         (name, f"{one.lower:.0%}–{one.lower + 0.1:.0%}", f"{one.mean:.0%}", text(one.right))
         for name, of in (("causes named", rich.calibration), ("and first candidates", rich.calibration_first))

@@ -86,7 +86,7 @@ def test_naming_and_ranking_are_told_apart():
             said("p2", "unknown_effect", candidates=[("backlash", 0.5), ("coil_lag", 0.2)]),
             said("p3", "unknown_effect", candidates=[("a", 0.5), ("b", 0.2), ("c", 0.1), ("backlash", 0.1)]),
         ],
-    ).parts["rich"]
+    ).folds["rich"]
     assert rich.detectable.named == Rate(1, 5)
     assert rich.detectable.ranked == Rate(2, 5)
     assert rich.detectable.ranked_three == Rate(3, 5)
@@ -97,7 +97,7 @@ def test_naming_and_ranking_are_told_apart():
 
 def test_a_cause_beside_something_unknown_can_be_wrong_but_does_not_make_the_answer_right():
     plants = [answer("a", "single", "backlash"), answer("n", "null")]
-    rich = judged(plants, [said(name, "unknown_effect", ("backlash", 1.0)) for name in "an"]).parts["rich"]
+    rich = judged(plants, [said(name, "unknown_effect", ("backlash", 1.0)) for name in "an"]).folds["rich"]
     assert rich.detectable.named == Rate(0, 1)
     assert rich.mistakes.null == Rate(1, 1)
     assert rich.calibration.count == 2
@@ -108,7 +108,7 @@ def test_groups_are_the_oracle_s_or_else_claimed():
     wrong = said("p", "explained", ("joint_play", 0.9))
 
     def found(submission, *insights):
-        return judged([single], [submission], insights).parts["rich"].detectable
+        return judged([single], [submission], insights).folds["rich"].detectable
 
     assert found(wrong).named_group == Rate(0, 1)
     claimed = said("p", "explained", ("joint_play", 0.9, {}, ("backlash",)))
@@ -134,11 +134,11 @@ def test_parts_of_the_plants():
     assert named["signal to floor", "1-3"] == Rate(0, 1)
     assert [value for by, value in named if by == "signal to floor"] == ["1-3", ">10"]
     assert [value for by, value in named if by == "rate"] == ["25 Hz", "500 Hz"]
-    assert found.parts["rich"].single.named == Rate(1, 3)
-    assert found.parts["rich"].detectable.named == Rate(1, 2)
-    assert list(found.parts) == ["rich", "sine"]
-    assert found.parts["sine"].sets.holds == Rate(0, 1)
-    assert found.parts["sine"].sets.named_wrong == Rate(1, 1)
+    assert found.folds["rich"].single.named == Rate(1, 3)
+    assert found.folds["rich"].detectable.named == Rate(1, 2)
+    assert list(found.folds) == ["rich", "sine"]
+    assert found.folds["sine"].sets.holds == Rate(0, 1)
+    assert found.folds["sine"].sets.named_wrong == Rate(1, 1)
 
 
 # Pairs
@@ -156,7 +156,7 @@ def test_pairs():
         ],
         [Insight("p2", alike={"backlash": ("backlash", "joint_play")})],
     )
-    pairs = found.parts["rich"].pairs
+    pairs = found.folds["rich"].pairs
     assert pairs.both == pairs.both_detectable == Rate(1, 4)
     assert pairs.both_group == Rate(2, 4)
     assert (pairs.precision, pairs.recall) == (Rate(4, 5), Rate(4, 8))
@@ -181,7 +181,7 @@ def test_one_name_does_not_stand_for_both_of_a_pair():
     alike = {"backlash": ("joint_play",), "coil_lag": ("joint_play",)}
     one = said("p", "explained", ("joint_play", 0.9))
     found = judged([answer("p", "pair", "backlash", "coil_lag")], [one], [Insight("p", alike=alike)])
-    assert found.parts["rich"].pairs.both_group.hits == 0
+    assert found.folds["rich"].pairs.both_group.hits == 0
 
 
 # Mistakes
@@ -210,7 +210,7 @@ def test_alarms_and_wrong_names():
             said("x2", "unknown_effect", ("pre_yield_hysteresis", 1.0)),
         ],
     )
-    mistakes = found.parts["rich"].mistakes
+    mistakes = found.folds["rich"].mistakes
     assert (mistakes.null, mistakes.null_fitted, mistakes.null_other) == (Rate(3, 6), Rate(2, 4), Rate(1, 2))
     assert mistakes.false_unknown == Rate(2, 4)
     assert mistakes.absent == Rate(1, 3)
@@ -225,7 +225,7 @@ def test_needless_unknowns_are_those_that_the_catalogue_could_have_solved():
         answer("d", "absent", "backlash", effects={"backlash": {}, "strange": {}}),
     ]
     found = judged(plants, [said(plant.plant, "unknown_effect") for plant in plants])
-    assert found.parts["rich"].mistakes.needless == Rate(1, 1)
+    assert found.folds["rich"].mistakes.needless == Rate(1, 1)
 
 
 def test_baselines_stand_beside_the_diagnosis():
@@ -276,7 +276,7 @@ def test_claims_are_causes_and_else_the_first_candidate():
             said("b", "unknown_effect", candidates=[("backlash", 0.7), ("coil_lag", 0.3)]),
             said("n", "no_gap", candidates=[("coil_lag", NAN)]),
         ],
-    ).parts["rich"]
+    ).folds["rich"]
     assert rich.calibration.count == 2
     assert rich.calibration.brier == pytest.approx((0.1**2 + 0.8**2) / 2)
     assert rich.calibration_first.count == 3
@@ -297,7 +297,7 @@ def test_intervals_count_where_the_cause_is_right_and_has_one():
             said(name, "explained", ("backlash", 0.9, own), ("joint_play", 0.9, {"joint_play.width": (1.0, 0.0, 2.0)}))
             for name, own in zip("abc", sizes, strict=True)
         ],
-    ).parts["rich"]
+    ).folds["rich"]
     assert found.coverage == Rate(1, 2)
     assert found.coverage_of == {"backlash": Rate(1, 2)}
 
@@ -314,7 +314,7 @@ def test_closure_is_relative_to_what_could_be_closed():
         Insight("c", closed=0.5),
         Insight("d"),
     ]
-    rich = judged(plants, submissions, insights).parts["rich"]
+    rich = judged(plants, submissions, insights).folds["rich"]
     assert rich.closure.values == pytest.approx((0.9, 0.5, 0.0))
     assert rich.closure.median == pytest.approx(0.5)
     assert rich.fresh.values == pytest.approx((0.2, 0.1))
@@ -348,7 +348,7 @@ def test_experiments_are_counted_in_pairs():
     plants[0] = replace(plants[0], excitation="sine")
     whole = judged(plants, [], insights)
     found = next(goal.measured for goal in whole.goals if isinstance(goal.measured, Experiment))
-    assert whole.parts["rich"].experiment.advised == Rate(2, 4)
+    assert whole.folds["rich"].experiment.advised == Rate(2, 4)
     assert (found.advised, found.random) == (Rate(3, 5), Rate(2, 5))
     assert (found.only_advised, found.only_random) == (2, 1)
     assert found.ratio == pytest.approx(1.5)
@@ -368,7 +368,7 @@ def test_sets_left_open():
                 said("p6", "explained", ("joint_play", 1.0), candidates=[("backlash", 0.0, {}, ("joint_play",))]),
             ],
         )
-        .parts["sine"]
+        .folds["sine"]
         .sets
     )
     assert sets.holds == Rate(5, 7)
@@ -445,8 +445,8 @@ def trial(seed=3, right=0.9, plants=120):
 def test_tables_hold_the_figures():
     found = judged(*trial())
     shown = tables(found)
-    assert text(found.parts["rich"].mistakes.null) in shown
-    assert text(found.parts["rich"].detectable.named_group) in shown
+    assert text(found.folds["rich"].mistakes.null) in shown
+    assert text(found.folds["rich"].detectable.named_group) in shown
     assert "| plant_007 | no submission |" in shown
     # Every table is whole: each line has as many cells as its header.
     for block in shown.split("### ")[1:]:
@@ -461,7 +461,7 @@ def test_a_page_and_tables_of_any_trial(tmp_path, kinds):
     found = judged(*([one for one in part if one.plant in kept] for part in parts))
     assert "nan" not in tables(found)
     page = write_score_report(found, tmp_path).read_text(encoding="utf-8")
-    assert text(found.parts["rich"].mistakes.null) in page
+    assert text(found.folds["rich"].mistakes.null) in page
     assert not re.search(r'(src|href)="(https?:)?//', page.rpartition("<h1>")[2])
     assert [path.name for path in tmp_path.iterdir()] == ["score.html"]
 
@@ -474,7 +474,7 @@ def test_failures_never_help():
             assert after.measured.hits <= before.measured.hits
         elif isinstance(before.measured, Rate) and np.isinf(before.least):
             assert after.measured.hits >= before.measured.hits
-    assert whole.parts["rich"].mistakes.null.value < broken.parts["rich"].mistakes.null.value
+    assert whole.folds["rich"].mistakes.null.value < broken.folds["rich"].mistakes.null.value
 
 
 def test_what_cannot_be_scored_is_refused():

@@ -12,7 +12,7 @@ from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Candidate, Diagnosis
 from mrd_diagnosis.report.page import write_gap_report
-from mrd_diagnosis.report.sentences import share
+from mrd_diagnosis.quantities import format_share
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
@@ -81,8 +81,8 @@ def work() -> None:
         print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.text)))}")
     if found.candidates:
         Console().print(table(found))
-    if found.advice:
-        print(f"next: {found.advice.text}")
+    if found.next_experiment:
+        print(f"next: {found.next_experiment.text}")
     for note in found.notes:
         print(f"note: {note}")
     print(page)
@@ -99,8 +99,8 @@ def table(found: Diagnosis) -> Table:
     for candidate in found.candidates[:MOST_ROWS]:
         ranking.add_row(
             escape(" + ".join(candidate.effects)),
-            share(candidate.probability),
-            share(candidate.closed),
+            format_share(candidate.probability),
+            format_share(candidate.closed_fraction),
             f"{candidate.nrmse:.4f}",
             f"{candidate.p_value:.3f}",
             escape(_remark(candidate)),
@@ -109,5 +109,5 @@ def table(found: Diagnosis) -> Table:
 
 
 def _remark(candidate: Candidate) -> str:
-    alike = f"like {', '.join(candidate.alike)}" if candidate.alike else ""
+    alike = f"like {', '.join(candidate.indistinguishable)}" if candidate.indistinguishable else ""
     return "; ".join(filter(None, (candidate.remark, alike)))

@@ -1,12 +1,7 @@
-"""What to record next, so that explanations that the recordings leave open are told apart.
-
-For each experiment of a library and each two explanations: how far the force that one predicts stays apart from whatever the
-other can predict once it is fitted to everything recorded so far and to that prediction (T-optimality: Hunter & Reiner 1965;
-Atkinson & Fedorov 1975).
-"""
+"""Separation: how well an experiment that is not recorded yet would tell explanations apart."""
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -15,130 +10,27 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr
 
-from mrd_diagnosis.diagnosis import Advice
-from mrd_diagnosis.experiment_design.candidates import RATE, library
-from mrd_diagnosis.refit import GapProblem, Refit, Scatter, whitening
-from mrd_diagnosis.report.sentences import name_of
-from mrd_diagnosis.statistics import CERTAIN, certainty, dispersion
-from mrd_diagnosis.weighting import Ground
+from mrd_diagnosis.refit import Refit
+from mrd_diagnosis.statistics import certainty, error_dispersion
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighting import RunScatter, WeightedProblem, Weighting, whitening
 from mrd_identification.least_squares import levenberg_marquardt
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.problem import Recording
 from mrd_runs import Run
 from mrd_runs.signals.motion import motion_errors
 from mrd_runs.signals.smoothed_run import exact_run
-from mrd_sim.effects import EFFECTS, STAGES
 from mrd_sim.models import SeriesSolutions
 from mrd_sim.path import Path, make_path
-from mrd_trajectory.experiment import format_experiment
 from mrd_trajectory.plan import Plan
-from mrd_trajectory.settings import GeneratorSettings, read_settings
 
 Array = NDArray[np.float64]
 Pair = tuple[str, str]
-
-ALLOWED_ERROR = 0.05
-"""Share of wrong choices between two explanations that an experiment may leave, to be worth its time."""
 
 EVALUATIONS = 3
 """Of a rival along each experiment: it starts near its optimum, and what it cannot learn in two steps is a difference."""
 
 DRAWS, AROUND = 4, 15
 """Runs with drawn errors from which their variance is learned, over so many samples around each one."""
-
-BENCH = read_settings(None)
-
-SENSORS: Mapping[tuple[str, ...], str] = {
-    ("load_cell_gain", "load_cell_drift"): "hang dead weights on the cell, and tare it with the rod free, before and after",
-    ("thermal_fade", "settling"): "record the damper's temperature too, and the same run cold, warm and after a rest",
-    ("backlash", "joint_play", "series_compliance"): "add a second displacement sensor, across the damper itself",
-    ("channel_delay", "force_sensor_lag"): "show all channels one event, such as a blow to the rod, and compare its times",
-    ("lvdt_nonlinearity", "servo_ripple"): "compare the position sensor with the motor's encoder, or with gauge blocks",
-    ("current_sensor_error",): "record the sensors without current, and the current through a shunt beside its sensor",
-    ("mains_hum", "channel_crosstalk"): "record with the load cell off the damper, at rest and while rod and current move",
-}
-"""What to measure beside the runs, by effect; the first that fits counts."""
-
-SENSORS_OF_STAGE = {
-    "drive": "add a displacement sensor on the rod, beside the one on the drive",
-    "magnetics": "add a search coil or a Hall sensor at the piston, which shows the flux",
-    "fluid": "record the damper's temperature and its gas pressure too",
-    "structure": "add a load cell at the damper's other end",
-    "sensing": "check the load cell and its amplifier with known forces",
-}
-"""The same for any other effect."""
-
-
-def advise(
-    rivals: Mapping[str, Refit],
-    ground: Ground,
-    rng: np.random.Generator | None = None,
-    *,
-    without: Refit | None = None,
-    bench: GeneratorSettings = BENCH,
-    progress: Callable[[float], None] = lambda _share: None,
-) -> Advice | None:
-    """Which experiment, or else which sensor, would tell explanations apart.
-
-    Parameters
-    ----------
-    rivals : mapping
-        Refits on the ground by what they explain the gap by: an effect's id, another form, "" for the model alone.
-    ground : Ground
-    rng : numpy Generator, optional
-        Of the errors that are drawn; the same each time without one.
-    without : Refit, optional
-        Without what the rivals explain the gap by. An experiment then must tell them apart by more than what a form that is
-        a little off leaves of the gap, as `mrd_diagnosis.statistics.probabilities` has it.
-    bench : GeneratorSettings, optional
-        Whose limits no experiment exceeds; default: the shipped bench.
-    progress : callable
-        Called with the share of the work that is done.
-
-    Returns
-    -------
-    Advice or None
-        None for fewer than two rivals. An experiment is advised where it tells at least one pair apart, with fewer wrong
-        choices than `ALLOWED_ERROR`: the one that does so for most pairs, and among those the one that separates them best.
-    """
-    if len(rivals) < 2:
-        return None
-    rng = rng or np.random.default_rng(0)
-    plans, done = library(bench), itertools.count(1)
-    foreseen = Foreseen.of(rivals, ground, rng, without)
-
-    def separations(each: tuple[Plan, np.random.Generator]) -> dict[Pair, Separation] | None:
-        found = foreseen.separations(each[0], bench.limits.force, each[1])
-        progress(next(done) / len(plans))
-        return found
-
-    distances_of = in_threads(separations, list(zip(plans, rng.spawn(len(plans)), strict=True)))
-    judged = [(planned, found) for planned, found in zip(plans, distances_of, strict=True) if found is not None]
-    if not judged:
-        pair = next(itertools.combinations(rivals, 2))
-        return Advice(
-            f"No run of the library is safe: each would exceed the bench's {bench.limits.force:g} N or another limit; "
-            f"{sensor(*(foreseen.rivals[name].effects for name in pair))}.",
-            between=pair,
-        )
-    planned, distances = max(judged, key=lambda each: _merit(*each))
-    errors = {pair: found.error_rate for pair, found in distances.items()}
-    told = {pair: errors[pair] for pair, found in distances.items() if found.tells}
-    left = max((pair for pair in errors if pair not in told), key=errors.__getitem__, default=None)
-    remedy = left and sensor(*(foreseen.rivals[name].effects for name in left))
-    if left and not told:
-        why = (
-            f"{_percent(errors[left])} wrong choices to expect even after the best one"
-            if errors[left] >= ALLOWED_ERROR
-            else "they differ by less than either may err in its form"
-        )
-        return Advice(f"No run of the library would tell {_listed(left)} apart ({why}); {remedy}.", between=left)
-    between = tuple(name for name in rivals if any(name in pair for pair in told))
-    worst = max(told.values())
-    experiment = replace(planned.experiment, rate=_rate(ground))
-    text = f"Record {experiment.name}, {experiment.description}: it tells {_listed(between)} apart"
-    if left:
-        text += f", but not {_listed(left)} from each other: {remedy}"
-    return Advice(f"{text} ({_percent(worst)} wrong choices to expect).", format_experiment(experiment), between, worst)
 
 
 @dataclass(frozen=True)
@@ -164,42 +56,7 @@ class Separation:
     @property
     def tells(self) -> bool:
         """Whether the run would be worth its time."""
-        return self.error_rate < ALLOWED_ERROR and self.certainty >= CERTAIN
-
-
-def sensor(one: Collection[str], other: Collection[str]) -> str:
-    """What to measure that tells explanations apart which no run does, given their effects."""
-    differing = [effect for effect in EFFECTS if (effect in one) != (effect in other)]
-    for effects, text in SENSORS.items():
-        if any(effect in effects for effect in differing):
-            return text
-    # Where cause becomes reading, the earliest stage decides.
-    first = min((EFFECTS[effect] for effect in differing), key=lambda effect: STAGES.index(effect.stage))
-    return f"{SENSORS_OF_STAGE[first.stage]} (for {name_of(first.id)}: {first.separated_by})"
-
-
-def _merit(planned: Plan, distances: Mapping[Pair, Separation]) -> tuple[int, float]:
-    """Pairs that a run tells apart; the smallest distance of these, or the largest of all, for every second of it."""
-    told = [found.squared for found in distances.values() if found.tells]
-    return len(told), (min(told) if told else max(found.squared for found in distances.values())) / planned.duration
-
-
-def _rate(ground: Ground) -> float:
-    """Hz: that of the recordings, so that all can be compared, unless it is a slow one."""
-    fastest = max(recording.run.rate for recording in ground.recordings)
-    return float(f"{np.clip(fastest, RATE, 2000.0):.3g}")
-
-
-def _listed(names: Sequence[str]) -> str:
-    said = [name_of(name) for name in names]
-    return ", ".join(said[:-1]) + f" and {said[-1]}"
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.2g} %" if error > 1e-4 else "below 0.01 %"
-
-
-# --- what is foreseen
+        return self.error_rate < THRESHOLDS.wrong_choices and self.certainty >= THRESHOLDS.named_probability
 
 
 @dataclass(frozen=True)
@@ -209,7 +66,7 @@ class Foreseen:
     Attributes
     ----------
     rivals : mapping
-    ground : Ground
+    weighting : Weighting
     noise : float
         N rms, of the force sensor and of what the best model misses.
     misreadings : tuple of ndarray (4, n)
@@ -220,27 +77,29 @@ class Foreseen:
     """
 
     rivals: Mapping[str, "_Rival"]
-    ground: Ground
+    weighting: Weighting
     noise: float
     misreadings: tuple[Array, ...]
     without: "_Rival | None" = None
 
     @classmethod
-    def of(cls, rivals: Mapping[str, Refit], ground: Ground, rng: np.random.Generator, without: Refit | None = None) -> Self:
+    def of(
+        cls, rivals: Mapping[str, Refit], weighting: Weighting, rng: np.random.Generator, without: Refit | None = None
+    ) -> Self:
         """With errors as they were in the runs so far."""
-        chosen = [ground.recordings[place].smoothed for place in rng.integers(0, len(ground.recordings), DRAWS)]
+        chosen = [weighting.recordings[place].smoothed for place in rng.integers(0, len(weighting.recordings), DRAWS)]
         drawn = []
         for smoothed in chosen:
             time = smoothed.run.time
             errors = motion_errors(time, smoothed.motion, rng, 1)
             drawn.append(np.stack([time - time[0], *(series[0] for series in errors)]))
-        of_force = float(np.mean([noise.force**2 for noise in ground.noises]))
+        of_force = float(np.mean([noise.force**2 for noise in weighting.noise]))
         return cls(
-            {name: _Rival.of(refit, ground.fixed) for name, refit in rivals.items()},
-            ground,
-            float(np.hypot(np.sqrt(of_force), ground.missing)),
+            {name: _Rival.of(refit, weighting.fixed) for name, refit in rivals.items()},
+            weighting,
+            float(np.hypot(np.sqrt(of_force), weighting.discrepancy)),
             tuple(drawn),
-            _Rival.of(without, ground.fixed) if without else None,
+            _Rival.of(without, weighting.fixed) if without else None,
         )
 
     def separations(self, planned: Plan, largest_force: float, rng: np.random.Generator) -> dict[Pair, Separation] | None:
@@ -266,7 +125,7 @@ class Foreseen:
             # Of a few draws: neighbours help, but must not wear down a peak.
             sigma = np.sqrt(self.noise**2 + np.maximum(variance, uniform_filter1d(variance, AROUND)))
             white = (errors + rng.normal(0.0, self.noise, errors.shape)) / sigma
-            together = max(self.ground.together, float(np.mean([dispersion(error) for error in white])))
+            together = max(self.weighting.error_correlation, float(np.mean([error_dispersion(error) for error in white])))
             imagined[name] = Recording(exact_run(run, at.acceleration), path, slice(0, len(run))), sigma, together
         gaps = {name: self._gap(self.without, *of) for name, of in imagined.items()} if self.without else {}
         found = {}
@@ -275,14 +134,16 @@ class Foreseen:
             for true, instead in ((one, other), (other, one)):
                 if not self.rivals[true].within(self.rivals[instead]):
                     squared = self.distance(*imagined[true], self.rivals[instead])
-                    ahead = self.rivals[instead].total - self.rivals[true].total + imagined[true][2] * squared
+                    ahead = (
+                        self.rivals[instead].held_out_cost - self.rivals[true].held_out_cost + imagined[true][2] * squared
+                    )
                     both.append(Separation(squared, certainty(ahead, gaps[true]) if gaps else 1.0))
             found[one, other] = Separation(min(of.squared for of in both), min(of.certainty for of in both))
         return found
 
     def _gap(self, without: "_Rival", imagined: Recording, sigma: Array, together: float) -> float:
         """Squared white error that would be left of all runs, this one included, without what is true."""
-        so_far = without.total - min(rival.total for rival in self.rivals.values())
+        so_far = without.held_out_cost - min(rival.held_out_cost for rival in self.rivals.values())
         return so_far + together * self.distance(imagined, sigma, together, without)
 
     def _misread(self, planned: Plan, drawn: Array, shift: float) -> Path:
@@ -306,8 +167,10 @@ class Foreseen:
         rival : _Rival
         """
         old = rival.problem
-        # As in `Ground.problem`.
-        scatter = Scatter(self.ground.scatter.gain / np.sqrt(together), self.ground.scatter.offset / np.sqrt(together))
+        # As in `Weighting.problem`.
+        scatter = RunScatter(
+            self.weighting.scatter.gain / np.sqrt(together), self.weighting.scatter.offset / np.sqrt(together)
+        )
         problem = _Afterwards(
             old.model,
             (imagined,),
@@ -327,28 +190,28 @@ class _Rival:
 
     Attributes
     ----------
-    problem : GapProblem
+    problem : WeightedProblem
         With all parameters free of which other runs may tell.
     unit : ndarray (free,)
         The optimum.
     root : ndarray (free, free)
         Root of the normal matrix there.
-    total : float
+    held_out_cost : float
         Squared white error that it leaves of these runs, unseen.
     states : dict
         What of the runs so far outlasts them, such as heat, by the bytes of the parameters.
     """
 
-    problem: GapProblem
+    problem: WeightedProblem
     unit: Array
     root: Array
-    total: float
+    held_out_cost: float
     states: dict[bytes, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, refit: Refit, fixed: Collection[str]) -> Self:
         """From a refit; ``fixed`` are the names of parameters that no run shall free."""
-        problem, unit, gram = refit.problem, refit.problem.unit(refit.theta), refit.grams.sum(axis=0)
+        problem, unit, gram = refit.problem, refit.problem.unit(refit.theta), refit.normal_matrices.sum(axis=0)
         model = problem.model
         free = tuple(i for i, p in enumerate(model.parameters) if p.free and p.name not in fixed)
         silent = sorted(set(free) - set(problem.free))
@@ -362,7 +225,7 @@ class _Rival:
             jacobian = problem.jacobian(unit)
             gram = jacobian.T @ jacobian
         values, vectors = np.linalg.eigh(gram)
-        return cls(problem, unit, np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, refit.total)
+        return cls(problem, unit, np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, refit.held_out_cost)
 
     @property
     def effects(self) -> frozenset[str]:
@@ -389,7 +252,7 @@ class _Rival:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Afterwards(GapProblem):
+class _Afterwards(WeightedProblem):
     """A rival fitted to an imagined run, held by the runs before."""
 
     rival: _Rival

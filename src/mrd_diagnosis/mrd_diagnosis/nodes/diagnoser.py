@@ -43,7 +43,7 @@ class Diagnoser(AnalysisNode):
         result.verdict = diagnosis.verdict
         result.causes = [cause.effect for cause in diagnosis.causes]
         result.probability = [cause.probability for cause in diagnosis.causes]
-        result.closed_fraction = diagnosis.closed.value
+        result.closed_fraction = diagnosis.gap.closed_fraction.value if diagnosis.gap else float("nan")
 
 
 def main() -> None:

@@ -9,9 +9,12 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from mrd_diagnosis.diagnosis import Diagnosis, Interval, Region, Trace
-from mrd_diagnosis.localisation import SIGNIFICANT, Map, maps
-from mrd_diagnosis.report.sentences import candidate_name, percent, with_effects
+from mrd_diagnosis.diagnosis import Diagnosis, Interval, Region, RunResidual
+from mrd_diagnosis.effect_names import candidate_title
+from mrd_diagnosis.excess_maps import Map, maps
+from mrd_diagnosis.quantities import format_error
+from mrd_diagnosis.sentences import corrected_label
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 
 Array = NDArray[np.float64]
@@ -25,19 +28,19 @@ MOST_SECONDS = 8.0
 
 def steps(diagnosis: Diagnosis) -> go.Figure:
     """How far: held-out error as handed in, refitted, with the effects, and of noise alone."""
-    floor, before = diagnosis.floor.value, diagnosis.before.value
-    flexible = np.sqrt(floor**2 + (1 - min(diagnosis.ceiling, 1.0)) * max(before**2 - floor**2, 0.0))
+    floor, before = diagnosis.gap.noise_floor.value, diagnosis.gap.before.value
+    flexible = np.sqrt(floor**2 + (1 - min(diagnosis.gap.explainable_fraction, 1.0)) * max(before**2 - floor**2, 0.0))
     rows = [
-        ("parameters as given", Interval(np.nan if diagnosis.unfitted is None else diagnosis.unfitted), MEASURED),
-        ("parameters refitted", diagnosis.before, MODELLED),
-        (with_effects(diagnosis), diagnosis.after if diagnosis.effects else Interval(np.nan), ACCENT),
+        ("parameters as given", Interval(np.nan if diagnosis.gap.as_given is None else diagnosis.gap.as_given), MEASURED),
+        ("parameters refitted", diagnosis.gap.before, MODELLED),
+        (corrected_label(diagnosis), diagnosis.gap.after if diagnosis.corrected.effects else Interval(np.nan), ACCENT),
         ("with a flexible function", Interval(float(flexible)), FLOOR),
-        ("noise alone", diagnosis.floor, FLOOR),
+        ("noise alone", diagnosis.gap.noise_floor, FLOOR),
     ]
     shown = [row for row in rows if np.isfinite(row[1].value)][::-1]
     figure = go.Figure(_bars([row[0] for row in shown], [row[1] for row in shown], [row[2] for row in shown]))
     longest = max(_reach(row[1]) for row in shown)
-    _label(figure, [(row[1], percent(row[1].value)) for row in shown], longest)
+    _label(figure, [(row[1], format_error(row[1].value)) for row in shown], longest)
     figure.update_xaxes(title_text="held-out error", tickformat=".3~p", range=[0, 1.2 * longest], nticks=6)
     return _rows(figure, len(shown))
 
@@ -63,12 +66,12 @@ def regions(diagnosis: Diagnosis) -> go.Figure:
 
 def most_telling(diagnosis: Diagnosis) -> list[Region]:
     """The regions that a person should look at: the most significant."""
-    return [region for region in diagnosis.where if region.q_value < SIGNIFICANT][:MOST_REGIONS]
+    return [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value][:MOST_REGIONS]
 
 
 def excess_maps(diagnosis: Diagnosis) -> list[tuple[str, go.Figure]]:
     """Title and picture of each map of the excess error, before above after; a spectrogram only of the run with most."""
-    traces = diagnosis.traces
+    traces = diagnosis.residuals
     before = _maps(traces, [trace.before for trace in traces])
     worst = max(traces, key=lambda trace: float(np.sum(trace.before**2 - trace.noise.sigma**2)))
     after = [*_maps(traces, [trace.after for trace in traces])[:-1], _maps([worst], [worst.after])[-1]]
@@ -76,11 +79,11 @@ def excess_maps(diagnosis: Diagnosis) -> list[tuple[str, go.Figure]]:
     noise = float(np.sqrt(np.mean(np.concatenate([trace.noise.sigma for trace in traces]) ** 2)))
     # Of white noise, one-sided.
     levels = {"N": noise, "N/√Hz": noise * float(np.sqrt(2.0 / worst.recording.run.rate))}
-    second = with_effects(diagnosis) if diagnosis.effects else ""
+    second = corrected_label(diagnosis) if diagnosis.corrected.effects else ""
     return [(one.title, _map_figure(one, other, second, levels[one.unit])) for one, other in pairs]
 
 
-def loops(trace: Trace, second: str) -> list[go.Figure]:
+def loops(trace: RunResidual, second: str) -> list[go.Figure]:
     """Force over velocity and over position where the effects tell most: measured, refitted, and the ``second``."""
     shown = window(trace, _loop_seconds(trace))
     moved = trace.recording.motion
@@ -97,7 +100,7 @@ def loops(trace: Trace, second: str) -> list[go.Figure]:
     return figures
 
 
-def errors(trace: Trace, second: str) -> go.Figure:
+def errors(trace: RunResidual, second: str) -> go.Figure:
     """Measured minus modelled force over time, refitted and the ``second``, within the noise's band; the current below."""
     shown = window(trace, MOST_SECONDS)
     run = trace.recording.run
@@ -146,8 +149,8 @@ def candidates(diagnosis: Diagnosis) -> go.Figure:
     colours = [
         ACCENT if causes.issuperset(c.effects) else DOUBTFUL if rivals.intersection(c.effects) else FLOOR for c in shown
     ]
-    names = [_wrapped(candidate_name(candidate)) for candidate in shown]
-    figure = go.Figure(_bars(names, [candidate.closed for candidate in shown], colours))
+    names = [_wrapped(candidate_title(candidate)) for candidate in shown]
+    figure = go.Figure(_bars(names, [candidate.closed_fraction for candidate in shown], colours))
     for name, candidate in zip(names, shown, strict=True):
         figure.add_annotation(
             x=1.0,
@@ -159,7 +162,7 @@ def candidates(diagnosis: Diagnosis) -> go.Figure:
             text=f"<b>{_probability(candidate.probability)}</b>",
             font={"size": 12},
         )
-    lowest = min([0.0, *(c.closed.lower - 0.03 for c in shown if c.closed.lower < 0)])
+    lowest = min([0.0, *(c.closed_fraction.lower - 0.03 for c in shown if c.closed_fraction.lower < 0)])
     figure.update_xaxes(
         title_text="share of the gap it closes",
         tickformat=".0%",
@@ -169,7 +172,7 @@ def candidates(diagnosis: Diagnosis) -> go.Figure:
     return _rows(figure, len(shown), top=28, title="probability")
 
 
-def telling(traces: Sequence[Trace]) -> Trace:
+def telling(traces: Sequence[RunResidual]) -> RunResidual:
     """The run in which the effects take away most error; without effects, that with the greatest excess."""
     gain = [float(np.sum(trace.before**2 - trace.after**2)) for trace in traces]
     if not np.any(gain):
@@ -177,7 +180,7 @@ def telling(traces: Sequence[Trace]) -> Trace:
     return traces[int(np.argmax(gain))]
 
 
-def window(trace: Trace, seconds: float) -> NDArray[np.intp]:
+def window(trace: RunResidual, seconds: float) -> NDArray[np.intp]:
     """Samples of the stretch in which the effects take away most error, thinned to what a screen shows."""
     gain = trace.before**2 - trace.after**2
     total = np.append(0.0, np.cumsum(gain if gain.any() else trace.before**2))
@@ -186,7 +189,7 @@ def window(trace: Trace, seconds: float) -> NDArray[np.intp]:
     return np.arange(first, first + length, -(-length // MOST_POINTS))
 
 
-def _loop_seconds(trace: Trace) -> float:
+def _loop_seconds(trace: RunResidual) -> float:
     """About twice to and fro: more loops hide each other."""
     run = trace.recording.run
     moved = trace.recording.motion.position
@@ -194,21 +197,21 @@ def _loop_seconds(trace: Trace) -> float:
     return float(np.clip(4 * np.ptp(moved) / travel * run.duration if travel else 1.0, 0.5, MOST_SECONDS))
 
 
-def _forces(trace: Trace, second: str) -> list[tuple[str, Array, str, float]]:
+def _forces(trace: RunResidual, second: str) -> list[tuple[str, Array, str, float]]:
     measured = trace.recording.run.force
     before, after = (measured - _on_run(trace, residual) for residual in (trace.before, trace.after))
     named = [("measured", measured, MEASURED, 4.0), ("model, refitted", before, MODELLED, 1.3)]
     return [*named, (second, after, ACCENT, 1.5)] if second else named
 
 
-def _on_run(trace: Trace, counted: Array) -> Array:
+def _on_run(trace: RunResidual, counted: Array) -> Array:
     """A series at the counted samples, at all samples of the run."""
     whole = np.full(len(trace.recording.run), np.nan)
     whole[trace.recording.counted] = counted
     return whole
 
 
-def _maps(traces: Sequence[Trace], residuals: Sequence[Array]) -> tuple[Map, ...]:
+def _maps(traces: Sequence[RunResidual], residuals: Sequence[Array]) -> tuple[Map, ...]:
     return maps([trace.recording for trace in traces], [trace.noise for trace in traces], residuals)
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Advice, Candidate, Cause, Diagnosis, Interval, Region, Trace, Value
-from mrd_diagnosis.report.sentences import of_effect
+from mrd_diagnosis.diagnosis import Advice, Candidate, Cause, Diagnosis, Interval, ParameterEstimate, Region, RunResidual
+from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
 from mrd_sim.effects import EFFECTS
 
@@ -21,7 +21,7 @@ SCHEMA = "mrd-gap/1"
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """Content of gap_report.json; floats that are not finite become null."""
     model = diagnosis.model
-    told = {trace.recording.run.name: _run(trace) for trace in diagnosis.traces}
+    told = {trace.recording.run.name: _run(trace) for trace in diagnosis.residuals}
     return {
         "schema": SCHEMA,
         "sentence": diagnosis.sentence,
@@ -36,13 +36,13 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "seed": diagnosis.seed,
         "elapsed_s": round(diagnosis.elapsed, 3),
         "gap": {
-            "noise_floor": _interval(diagnosis.floor),
-            "unfitted": _number(diagnosis.unfitted),
-            "before": _interval(diagnosis.before),
-            "after": _interval(diagnosis.after),
-            "closed_fraction": _interval(diagnosis.closed),
-            "ceiling": finite(diagnosis.ceiling),
-            "extrapolated": _interval(diagnosis.extrapolated) if diagnosis.extrapolated else None,
+            "noise_floor": _interval(diagnosis.gap.noise_floor),
+            "unfitted": _number(diagnosis.gap.as_given),
+            "before": _interval(diagnosis.gap.before),
+            "after": _interval(diagnosis.gap.after),
+            "closed_fraction": _interval(diagnosis.gap.closed_fraction),
+            "ceiling": finite(diagnosis.gap.explainable_fraction),
+            "extrapolated": _interval(diagnosis.gap.extrapolated) if diagnosis.gap.extrapolated else None,
         },
         "where": [_region(region) for region in diagnosis.where],
         "causes": [_cause(cause) for cause in diagnosis.causes],
@@ -57,20 +57,20 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         ],
         "nearest": _candidate(diagnosis.nearest) if diagnosis.nearest else None,
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
-        "untestable": [_candidate(candidate) for candidate in diagnosis.untestable],
+        "untestable": [{"effect": entry.effect, "why": entry.why} for entry in diagnosis.untestable],
         "forms": [
             {
-                "model": form.effects[0],
+                "model": form.name,
                 "nrmse": finite(form.nrmse),
-                "closed_fraction": finite(form.closed.value),
-                "ci95": _ends(form.closed),
+                "closed_fraction": finite(form.closed_fraction.value),
+                "ci95": _ends(form.closed_fraction),
             }
-            for form in diagnosis.forms
+            for form in diagnosis.alternative_models
         ],
-        "next_experiment": _advice(diagnosis.advice) if diagnosis.advice else None,
+        "next_experiment": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
         "corrected": {
-            "effects": list(diagnosis.effects),
-            "parameters": {name: finite(float(value)) for name, value in diagnosis.parameters.items()},
+            "effects": list(diagnosis.corrected.effects),
+            "parameters": {name: finite(float(value)) for name, value in diagnosis.corrected.parameters.items()},
         },
         "findings": [
             {
@@ -104,7 +104,7 @@ def read_gap_report(path: str | Path) -> Mapping[str, Any]:
     return content
 
 
-def _run(trace: Trace) -> dict[str, Any]:
+def _run(trace: RunResidual) -> dict[str, Any]:
     force = trace.recording.force
     spread = float(np.std(force)) or math.nan
 
@@ -123,7 +123,7 @@ def _run(trace: Trace) -> dict[str, Any]:
         "offset_N": finite(trace.offset),
         "gain": finite(trace.gain),
         "extrapolates": trace.extrapolates,
-        "in_parts": trace.in_parts,
+        "in_parts": trace.by_folds,
     }
 
 
@@ -146,9 +146,9 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "effect": cause.effect,
         "probability": finite(cause.probability),
         "stage": EFFECTS[cause.effect].stage if cause.effect in EFFECTS else None,
-        "parameters": _parameters(of_effect(cause.effect, cause.parameters)),
-        "closed_fraction": finite(cause.closed.value),
-        "ci95": _ends(cause.closed),
+        "parameters": _parameters(parameters_of_effect(cause.effect, cause.parameters)),
+        "closed_fraction": finite(cause.closed_fraction.value),
+        "ci95": _ends(cause.closed_fraction),
         "p_value": finite(cause.p_value),
     }
 
@@ -158,13 +158,13 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         "effects": list(candidate.effects),
         "probability": finite(candidate.probability),
         "nrmse": finite(candidate.nrmse),
-        "closed_fraction": finite(candidate.closed.value),
-        "ci95": _ends(candidate.closed),
+        "closed_fraction": finite(candidate.closed_fraction.value),
+        "ci95": _ends(candidate.closed_fraction),
         "p_value": finite(candidate.p_value),
         "parameters": _parameters(candidate.parameters),
-        "alike": list(candidate.alike),
+        "alike": list(candidate.indistinguishable),
         "remark": candidate.remark,
-        "smallest": candidate.smallest,
+        "smallest": candidate.smallest_detectable,
     }
 
 
@@ -177,7 +177,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
     }
 
 
-def _parameters(values: Mapping[str, Value]) -> dict[str, Any]:
+def _parameters(values: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
     return {name: {**_interval(value.value), "unit": value.unit, "remark": value.remark} for name, value in values.items()}
 
 

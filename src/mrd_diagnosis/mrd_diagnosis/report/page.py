@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Interval, Trace, Value
+from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Interval, ParameterEstimate, RunResidual
+from mrd_diagnosis.effect_names import candidate_title, effect_clause, effect_name, parameters_of_effect
+from mrd_diagnosis.quantities import format_error, format_quantity, format_share
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.gap_file import write_gap_file
-from mrd_diagnosis.report.sentences import candidate_name, clause, human, name_of, of_effect, percent, share, with_effects
+from mrd_diagnosis.sentences import corrected_label
 from mrd_identification.figures import html
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
@@ -59,10 +61,10 @@ def content(diagnosis: Diagnosis) -> dict[str, Any]:
 
 
 def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
-    second = with_effects(diagnosis) if diagnosis.effects else ""
+    second = corrected_label(diagnosis) if diagnosis.corrected.effects else ""
     found = figures.most_telling(diagnosis)
-    told = figures.telling(diagnosis.traces)
-    advice, near = diagnosis.advice, diagnosis.nearest
+    told = figures.telling(diagnosis.residuals)
+    advice, near = diagnosis.next_experiment, diagnosis.nearest
     together = "all together close" if near and len(near.effects) > 1 else "closes"
     return {
         "headline": _headline(diagnosis),
@@ -77,64 +79,67 @@ def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
         "tried": len(diagnosis.candidates),
         "most": figures.MOST_CANDIDATES,
         "causes": [
-            _cause(c.effect, f"{_chance(diagnosis, c)}, closes {share(c.closed)} of the gap", c.parameters)
+            _cause(c.effect, f"{_chance(diagnosis, c)}, closes {format_share(c.closed_fraction)} of the gap", c.parameters)
             for c in diagnosis.causes
         ],
         "nearest": [
-            _cause(effect, f"{together} {share(near.closed)} of the gap", near.parameters)
+            _cause(effect, f"{together} {format_share(near.closed_fraction)} of the gap", near.parameters)
             for effect in near.effects
             if effect not in [cause.effect for cause in diagnosis.causes]
         ]
         if near and diagnosis.verdict == "unknown_effect"
         else [],
-        "forms": [(f.effects[0], share(f.closed), f"{f.nrmse:.4f}") for f in diagnosis.forms],
-        "remarks": [(candidate_name(candidate), candidate.remark) for candidate in diagnosis.candidates if candidate.remark],
-        "alternatives": [
-            (name_of(a.effect), name_of(a.instead_of), share(a.probability), a.why) for a in diagnosis.alternatives
+        "forms": [(f.name, format_share(f.closed_fraction), f"{f.nrmse:.4f}") for f in diagnosis.alternative_models],
+        "remarks": [
+            (candidate_title(candidate), candidate.remark) for candidate in diagnosis.candidates if candidate.remark
         ],
-        "untestable": [(candidate_name(c), c.smallest or "–", c.remark) for c in _sorted(diagnosis.untestable)],
+        "alternatives": [
+            (effect_name(a.effect), effect_name(a.instead_of), format_share(a.probability), a.why)
+            for a in diagnosis.alternatives
+        ],
+        "untestable": sorted((EFFECTS[entry.effect].title, "–", entry.why) for entry in diagnosis.untestable),
         "advice": advice,
-        "advice_between": [name_of(one) for one in advice.between] if advice else [],
-        "error_rate": share(advice.error_rate) if advice and np.isfinite(advice.error_rate) else "",
-        "runs": [_run(diagnosis, place) for place in range(len(diagnosis.traces))],
+        "advice_between": [effect_name(one) for one in advice.between] if advice else [],
+        "error_rate": format_share(advice.error_rate) if advice and np.isfinite(advice.error_rate) else "",
+        "runs": [_run(diagnosis, place) for place in range(len(diagnosis.residuals))],
     }
 
 
 def _headline(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Value, name and interval of each number of the strip."""
-    rows = [("before: refitted, no effect", diagnosis.before)]
-    if diagnosis.effects:
-        rows.append((f"after: {with_effects(diagnosis)}", diagnosis.after))
-    rows.append(("noise alone", diagnosis.floor))
-    strip = [(percent(interval.value), name, _ends(interval)) for name, interval in rows if np.isfinite(interval.value)]
-    if diagnosis.effects and np.isfinite(diagnosis.closed.value):
-        ends = share(diagnosis.closed).partition("(")[2].rstrip(")")
-        strip.append((share(diagnosis.closed.value), "of the gap closed", ends and f"{ends} %"))
+    """ParameterEstimate, name and interval of each number of the strip."""
+    rows = [("before: refitted, no effect", diagnosis.gap.before)]
+    if diagnosis.corrected.effects:
+        rows.append((f"after: {corrected_label(diagnosis)}", diagnosis.gap.after))
+    rows.append(("noise alone", diagnosis.gap.noise_floor))
+    strip = [(format_error(interval.value), name, _ends(interval)) for name, interval in rows if np.isfinite(interval.value)]
+    if diagnosis.corrected.effects and np.isfinite(diagnosis.gap.closed_fraction.value):
+        ends = format_share(diagnosis.gap.closed_fraction).partition("(")[2].rstrip(")")
+        strip.append((format_share(diagnosis.gap.closed_fraction.value), "of the gap closed", ends and f"{ends} %"))
     return strip
 
 
 def _how_far(diagnosis: Diagnosis) -> list[str]:
     """What the steps from as given to noise mean, in words."""
     said = []
-    if diagnosis.unfitted is not None and diagnosis.unfitted > 0:
-        fitted = 1 - (diagnosis.before.value / diagnosis.unfitted) ** 2
-        said.append(f"Refitting the parameters alone takes away {share(max(fitted, 0.0))} of the squared error.")
-    if diagnosis.effects and np.isfinite(diagnosis.closed.value):
-        said.append(f"Of what is left above the noise, {_what(diagnosis)} {share(diagnosis.closed)}.")
-    if np.isfinite(diagnosis.ceiling) and diagnosis.verdict != "no_gap":
+    if diagnosis.gap.as_given is not None and diagnosis.gap.as_given > 0:
+        fitted = 1 - (diagnosis.gap.before.value / diagnosis.gap.as_given) ** 2
+        said.append(f"Refitting the parameters alone takes away {format_share(max(fitted, 0.0))} of the squared error.")
+    if diagnosis.corrected.effects and np.isfinite(diagnosis.gap.closed_fraction.value):
+        said.append(f"Of what is left above the noise, {_what(diagnosis)} {format_share(diagnosis.gap.closed_fraction)}.")
+    if np.isfinite(diagnosis.gap.explainable_fraction) and diagnosis.verdict != "no_gap":
         said.append(
-            f"A flexible function of motion and current closes {share(diagnosis.ceiling)}: at least that can be explained."
+            f"A flexible function of motion and current closes {format_share(diagnosis.gap.explainable_fraction)}: at least that can be explained."
         )
-    if diagnosis.extrapolated is not None:
-        said.append(f"On the runs that go beyond the others, {_what(diagnosis)} {share(diagnosis.extrapolated)}.")
-    elif diagnosis.effects:
+    if diagnosis.gap.extrapolated is not None:
+        said.append(f"On the runs that go beyond the others, {_what(diagnosis)} {format_share(diagnosis.gap.extrapolated)}.")
+    elif diagnosis.corrected.effects:
         said.append("No run goes beyond the others: how the answer carries over to other motions was not seen.")
     return said
 
 
 def _what(diagnosis: Diagnosis) -> str:
     """What the closed share is due to."""
-    name = with_effects(diagnosis).removeprefix("with ")
+    name = corrected_label(diagnosis).removeprefix("with ")
     return f"{name} close{'s' * (len(diagnosis.causes) <= 1 or diagnosis.verdict != 'explained')}"
 
 
@@ -142,27 +147,32 @@ def _chance(diagnosis: Diagnosis, cause: Cause) -> str:
     """How sure a cause is; what a model lacks by construction has no rivals, whatever else is missing."""
     if diagnosis.verdict == "unknown_effect":
         return "the model lacks it by construction"
-    return f"probability {share(cause.probability)}"
+    return f"probability {format_share(cause.probability)}"
 
 
-def _cause(effect: str, facts: str, parameters: Mapping[str, Value]) -> dict[str, Any]:
-    own = of_effect(effect, parameters)
+def _cause(effect: str, facts: str, parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
+    own = parameters_of_effect(effect, parameters)
     declared = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
-    text = clause(effect, parameters)
+    text = effect_clause(effect, parameters)
     return {
         "id": effect,
         "text": text[:1].upper() + text[1:],
         "stage": EFFECTS[effect].stage if effect in EFFECTS else "",
         "facts": facts,
         "parameters": [
-            (name, human(value.value, value.unit), declared[name].meaning if name in declared else "", value.remark)
+            (
+                name,
+                format_quantity(value.value, value.unit),
+                declared[name].meaning if name in declared else "",
+                value.remark,
+            )
             for name, value in own.items()
         ],
     }
 
 
 def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
-    trace = diagnosis.traces[place]
+    trace = diagnosis.residuals[place]
     spread = float(np.std(trace.recording.force)) or np.nan
     return {
         "name": trace.recording.run.name,
@@ -178,18 +188,22 @@ def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
     }
 
 
-def _judged(trace: Trace) -> str:
+def _judged(trace: RunResidual) -> str:
     if trace.held_out:
         return "held out"
-    return "by its parts" if trace.in_parts else "left out"
+    return "by its parts" if trace.by_folds else "left out"
 
 
 def _sorted(candidates: Iterable[Candidate]) -> list[Candidate]:
-    return sorted(candidates, key=candidate_name)
+    return sorted(candidates, key=candidate_title)
 
 
 def _ends(interval: Interval) -> str:
-    return f"{percent(interval.lower)} to {percent(interval.upper)}" if np.isfinite(interval.lower + interval.upper) else ""
+    return (
+        f"{format_error(interval.lower)} to {format_error(interval.upper)}"
+        if np.isfinite(interval.lower + interval.upper)
+        else ""
+    )
 
 
 __all__ = ["content", "write_gap_report"]

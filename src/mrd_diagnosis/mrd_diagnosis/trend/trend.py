@@ -12,7 +12,8 @@ from scipy.special import stdtrit
 
 from mrd_base import InputError
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.report.sentences import human, share
+from mrd_diagnosis.quantities import format_quantity as human
+from mrd_diagnosis.quantities import format_share as share
 from mrd_diagnosis.trend.change_point import FEWEST_DATES, FEWEST_FOR_CHANGE, Growth, growth
 from mrd_identification.identify import Method, search_and_fit
 from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt

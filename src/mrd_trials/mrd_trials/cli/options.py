@@ -59,7 +59,7 @@ def progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
         def show(done: int, of: int) -> None:
             nonlocal told
-            bar.total = of
+            bar.held_out_cost = of
             bar.update(done - bar.n)
             if bar.disable and of and (done == of or done / of >= told + 0.1):
                 told = done / of

@@ -1,0 +1,198 @@
+"""Explanation: causes, candidates and alternatives, with their probabilities, from a model comparison."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_diagnosis.base_fit import BaseFit
+from mrd_diagnosis.closure import closed_fraction_between
+from mrd_diagnosis.decision import Probabilities
+from mrd_diagnosis.detectability import detectable_sizes
+from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, UntestableEffect
+from mrd_diagnosis.effect_search import EffectFit, detection_threshold, tolerated_excess
+from mrd_diagnosis.experiment_design.advice import advise
+from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison
+from mrd_diagnosis.null_distribution import p_value
+from mrd_diagnosis.quantities import format_quantity
+from mrd_diagnosis.refit import Refit
+from mrd_diagnosis.statistics import effect_parameters, probabilities
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_identification.problem import in_threads
+from mrd_sim.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+MOST_EXPLANATIONS_TO_SEPARATE = 4
+"""Explanations that the next experiment is designed to separate."""
+
+
+def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Generator) -> Probabilities:
+    """Return the probability of every alternative to each cause.
+
+    The excess of the best model beyond what an explained gap may leave belongs to something else, so that the probabilities
+    sum to less than one there.
+    """
+    excess = comparison.best.chi_square - 1.0
+    explained = min(1.0, tolerated_excess(comparison.base) / max(excess, 1e-9))
+    return {
+        effect: dict(zip(others, explained * probabilities(list(others.values()), rng), strict=True))
+        for effect, others in comparison.alternatives.items()
+    }
+
+
+def name_causes(
+    comparison: ModelComparison,
+    effects: Sequence[str],
+    p_values: Sequence[float],
+    chances: Probabilities,
+    rng: np.random.Generator,
+) -> tuple[Cause, ...]:
+    """Return the first ``effects`` of the comparison as causes; first the one that is likely to close most.
+
+    Each has the share of the gap that it adds to those before it. Their sizes are those without the effects that were chosen
+    after them.
+    """
+    steps = [comparison.base, *comparison.chain]
+    parameters = effect_parameters(steps[len(effects)])
+    causes = [
+        Cause(
+            effect,
+            float(chances[effect][effect]),
+            p_values[index],
+            closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
+            {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
+        )
+        for index, effect in enumerate(effects)
+    ]
+    return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))
+
+
+def list_alternatives(chances: Probabilities) -> tuple[Alternative, ...]:
+    """Return the explanations that are likely enough to be listed beside a cause."""
+    return tuple(
+        Alternative(other, effect, float(chance), "predicts held-out data nearly as well")
+        for effect, chances_of_others in chances.items()
+        for other, chance in sorted(chances_of_others.items(), key=lambda item: -item[1])
+        if other not in (NO_EFFECT, effect) and chance >= THRESHOLDS.listed_probability
+    )
+
+
+def list_candidates(
+    comparison: ModelComparison,
+    singles: Sequence[EffectFit],
+    null_gains: Array,
+    chances: Probabilities,
+    rng: np.random.Generator,
+) -> tuple[tuple[Candidate, ...], tuple[UntestableEffect, ...]]:
+    """Return every effect that was tried by itself and the chosen ones together, best first; and those that cannot be
+    tested.
+    """
+    variance = _force_variance(comparison)
+    ranked = sorted(singles, key=lambda fit: fit.refit.held_out_cost)
+    needed = max(
+        THRESHOLDS.least_gain * comparison.weighting.samples, float(np.quantile(null_gains, 1.0 - THRESHOLDS.p_value))
+    )
+    lead_gain = ranked[0].held_out_gain if ranked else 0.0
+    only = comparison.effects[0] if len(comparison.effects) == 1 else None
+    chances_of_lead = chances[only] if only else {}
+    in_place_of_lead = comparison.alternatives[only] if only else {}
+    detectable = _detectable(comparison, [fit.effects[0] for fit in ranked if fit.effects[0] not in comparison.effects])
+    refits = [in_place_of_lead.get(fit.effects[0], fit.refit) for fit in ranked]
+    candidates, untestable = [], []
+    for fit, refit, parameters in zip(ranked, refits, in_threads(effect_parameters, refits), strict=True):
+        effect = fit.effects[0]
+        smallest, remark = detectable.get(effect, ("", ""))
+        closed = closed_fraction_between(comparison.base, refit, comparison, rng)
+        if remark and fit.gain < needed:
+            untestable.append(UntestableEffect(effect, remark))
+            continue
+        indistinguishable = (
+            fit is not ranked[0] and lead_gain > needed and fit.held_out_gain >= THRESHOLDS.indistinguishable * lead_gain
+        )
+        candidates.append(
+            Candidate(
+                fit.effects,
+                _nrmse(refit, variance),
+                closed,
+                p_value(fit.gain, null_gains),
+                float(chances[effect][effect] if effect in chances else chances_of_lead.get(effect, 0.0)),
+                parameters,
+                ranked[0].effects if indistinguishable else (),
+                smallest_detectable=smallest,
+            )
+        )
+    if len(comparison.effects) > 1:
+        candidates.insert(0, _chosen_together(comparison, candidates, variance, chances, rng))
+    return tuple(candidates), tuple(untestable)
+
+
+def _detectable(comparison: ModelComparison, effects: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return the smallest detectable size of each effect in words, and why it cannot be tested; each empty where it does
+    not apply.
+    """
+    weighting, best = comparison.weighting, comparison.best
+    threshold = detection_threshold(weighting, comparison.base, best)
+    described = {}
+    for detectability in detectable_sizes(weighting, BaseFit.linearise(weighting, best), effects, threshold):
+        effect, smallest = detectability.effect, ""
+        if np.isfinite(detectability.smallest_size):
+            smallest = format_quantity(detectability.smallest_size, EFFECTS[effect].parameters[0].unit)
+        described[effect] = smallest, detectability.remark
+    return described
+
+
+def _chosen_together(
+    comparison: ModelComparison,
+    candidates: Sequence[Candidate],
+    variance: float,
+    chances: Probabilities,
+    rng: np.random.Generator,
+) -> Candidate:
+    """Return the chosen effects together as one candidate."""
+    effects = comparison.effects
+    return Candidate(
+        effects,
+        _nrmse(comparison.best, variance),
+        closed_fraction_between(comparison.base, comparison.best, comparison, rng),
+        min(candidate.p_value for candidate in candidates if candidate.effects[0] in effects),
+        float(np.prod([chances[effect][effect] for effect in effects])),
+        effect_parameters(comparison.best),
+    )
+
+
+def list_alternative_models(
+    comparison: ModelComparison, refits: Mapping[str, Refit], rng: np.random.Generator
+) -> tuple[AlternativeModel, ...]:
+    """Return other damper models in place of effects, best first."""
+    variance = _force_variance(comparison)
+    ranked = sorted(refits.items(), key=lambda item: item[1].held_out_cost)
+    return tuple(
+        AlternativeModel(name, _nrmse(refit, variance), closed_fraction_between(comparison.base, refit, comparison, rng))
+        for name, refit in ranked
+    )
+
+
+def advise_next(comparison: ModelComparison, chances: Probabilities) -> Advice | None:
+    """Advise what to record to tell the least certain cause from its alternatives; None where all causes are certain."""
+    uncertain = [effect for effect in comparison.effects if chances[effect][effect] < THRESHOLDS.named_probability]
+    if not uncertain:
+        return None
+    effect = min(uncertain, key=lambda name: chances[name][name])
+    ranked = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])
+    ranked = ranked[:MOST_EXPLANATIONS_TO_SEPARATE]
+    # An experiment that rules out what is unlikely anyway leaves the question open.
+    names = [name for name in ranked if name in ranked[:2] or chances[effect][name] >= THRESHOLDS.listed_probability]
+    if len(names) < 2:
+        names.append(NO_EFFECT)
+    alternatives = comparison.alternatives[effect]
+    refits = {name: alternatives[name] for name in names}
+    return advise(refits, comparison.weighting, without=alternatives[NO_EFFECT])
+
+
+def _force_variance(comparison: ModelComparison) -> float:
+    return float(np.var(np.concatenate([recording.force for recording in comparison.weighting.recordings])))
+
+
+def _nrmse(refit: Refit, variance: float) -> float:
+    return float(np.sqrt(refit.held_out_squares.sum() / len(refit.problem.force) / variance))

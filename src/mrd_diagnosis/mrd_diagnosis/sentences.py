@@ -1,0 +1,135 @@
+"""The verdict in one or two sentences: what was found, how sure it is, and how much of the gap it removes."""
+
+import math
+from collections.abc import Sequence
+
+import yaml
+
+from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, Diagnosis, Finding, Gap, Region
+from mrd_diagnosis.effect_names import effect_clause, effect_names
+from mrd_diagnosis.quantities import capitalised, format_error, format_share, join_words
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_sim.models import MODELS
+
+
+def fault_sentence(findings: Sequence[Finding]) -> str:
+    """Return the verdict on faulty recordings: the first fault, and how many more there are."""
+    faults = [finding for finding in findings if finding.severity == "fault"]
+    place = ", ".join(part for part in (faults[0].run and f"run {faults[0].run}", faults[0].channel) if part)
+    more = f" ({len(faults) - 1} more {'problem' if len(faults) == 2 else 'problems'} below.)" if len(faults) > 1 else ""
+    return f"Data problem{f' ({place})' if place else ''}: {faults[0].text.rstrip('.')}.{more}"
+
+
+def no_gap_sentence(gap: Gap) -> str:
+    """Return the verdict that noise explains the error."""
+    before, noise = format_error(gap.before.value), format_error(gap.noise_floor.value)
+    if gap.as_given is not None and gap.as_given > THRESHOLDS.notable_refit * gap.before.value:
+        return (
+            f"The parameters caused the gap. With refitted parameters, the error falls from {format_error(gap.as_given)} to "
+            f"{before} of the force's standard deviation; noise explains that ({noise})."
+        )
+    return f"No gap beyond the noise. The model's error is {before} of the force's standard deviation, the noise is {noise}."
+
+
+def explained_sentence(causes: Sequence[Cause], gap: Gap) -> str:
+    """Return the verdict that names the causes."""
+    return f"{_clauses(causes)} ({_certainty(causes)}). {_removal(causes, gap)}."
+
+
+def ambiguous_sentence(causes: Sequence[Cause], alternatives: Sequence[Alternative], gap: Gap, advice: Advice | None) -> str:
+    """Return the verdict that several explanations fit nearly as well."""
+    doubted = {alternative.instead_of for alternative in alternatives}
+    certain = [cause for cause in causes if cause.effect not in doubted]
+    uncertain = [cause.effect for cause in causes if cause.effect in doubted]
+    options = list(dict.fromkeys([*uncertain, *(alternative.effect for alternative in alternatives)]))
+    if not options:
+        return f"Probably {_clauses(causes, capital=False)} ({_certainty(causes)}). {_removal(causes, gap)}."
+    cannot = f"these runs cannot tell {effect_names(options)} apart."
+    text = f"{_clauses(certain)}. Beyond that, {cannot}" if certain else capitalised(cannot)
+    if math.isfinite(gap.closed_fraction.value):
+        text += f" The most likely explanation removes {format_share(gap.closed_fraction.value)} of the explainable gap."
+    if advice is not None:
+        experiment = experiment_name(advice.experiment)
+        text += f" Record the experiment “{experiment}” to separate them." if experiment else f" {advice.text}"
+    return text
+
+
+def unknown_effect_sentence(
+    causes: Sequence[Cause],
+    where: Sequence[Region],
+    nearest: Candidate | None,
+    alternative_models: Sequence[AlternativeModel],
+) -> str:
+    """Return the verdict that no catalogued effect explains the gap, with the best clues."""
+    sentences = ["No catalogued effect explains the gap."]
+    if causes:
+        closed = format_share(sum(cause.closed_fraction.value for cause in causes))
+        sentences = [f"{_clauses(causes)}; this removes {closed} of the gap.", "No catalogued effect explains the rest."]
+    places = [region for region in where if region.axis != "run"] or list(where)
+    if places:
+        share = places[0].share.value
+        part = "Most of the error" if share > 0.5 else "The largest part of the error"
+        sentences.append(f"{part} ({format_share(share)}) occurs {_at(places[0].label)}.")
+    named = {cause.effect for cause in causes}
+    reached = nearest.closed_fraction.value if nearest is not None else 0.0
+    needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
+    if alternative_models and alternative_models[0].closed_fraction.value > needed:
+        model = alternative_models[0]
+        sentences.append(f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next.")
+    elif nearest is not None and not named.issuperset(nearest.effects):
+        names = effect_names([effect for effect in nearest.effects if effect not in named])
+        verb = "comes" if len(nearest.effects) - len(named.intersection(nearest.effects)) == 1 else "come"
+        removes = "in total removes" if named else "would remove"
+        sentences.append(f"{capitalised(names)} {verb} nearest: this {removes} {format_share(reached)} of the gap.")
+    return " ".join(sentences)
+
+
+def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
+    """Return the command that follows from a verdict; empty where none does. ``folder`` is the folder of the report."""
+    model, advice = diagnosis.alternative_models[:1], diagnosis.next_experiment
+    if diagnosis.verdict == "explained":
+        return f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
+    if diagnosis.verdict == "ambiguous" and advice is not None and advice.experiment:
+        return f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml"
+    if diagnosis.verdict == "unknown_effect" and model and model[0].name in MODELS:
+        return f"ros2 run mrd_diagnosis diagnose RUN... --model {model[0].name} --output DIR"
+    return ""
+
+
+def corrected_label(diagnosis: Diagnosis) -> str:
+    """Return what the errors and pictures after the correction are with, such as "with the cause"."""
+    if diagnosis.verdict == "explained":
+        return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
+    if diagnosis.verdict == "ambiguous":
+        return "with the most likely cause"
+    single = diagnosis.corrected is not None and len(diagnosis.corrected.effects) == 1
+    return "with the nearest effect" if single else "with the nearest effects"
+
+
+def experiment_name(text: str) -> str:
+    """Return the name that an experiment.yaml gives itself; empty without an experiment."""
+    content = yaml.safe_load(text)
+    return str(content.get("name") or "next_experiment") if isinstance(content, dict) else ""
+
+
+def _clauses(causes: Sequence[Cause], capital: bool = True) -> str:
+    text = join_words([effect_clause(cause.effect, cause.parameters) for cause in causes])
+    return capitalised(text) if capital else text
+
+
+def _certainty(causes: Sequence[Cause]) -> str:
+    least = min((cause.probability for cause in causes), default=math.nan)
+    return f"probability {format_share(least)}" if len(causes) == 1 else f"probability at least {format_share(least)}"
+
+
+def _removal(causes: Sequence[Cause], gap: Gap) -> str:
+    adding = {1: "this effect", 2: "both effects"}.get(len(causes), "these effects")
+    return f"Adding {adding} removes {format_share(gap.closed_fraction.value)} of the explainable gap"
+
+
+def _at(label: str) -> str:
+    """Return the label of a region after "occurs"."""
+    first = label.partition(" ")[0]
+    if first in ("at", "in", "while", "within", "above", "below", "after", "between", "more", "up"):
+        return label
+    return f"{'in' if first in ('run', 'the') else 'at'} {label}"
