@@ -1,29 +1,7 @@
-from setuptools import find_packages, setup
+import sys
+from pathlib import Path
 
-package = "mrd_diagnosis"
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "setup"))
+from ros_package import setup_ros_package  # noqa: E402
 
-setup(
-    name=package,
-    version="0.1.0",
-    description="Diagnosis of the gap between simulator and recordings",
-    maintainer="The bench's maintainers",
-    maintainer_email="maintainers@example.org",
-    license="Apache-2.0",
-    packages=find_packages(exclude=["test"]),
-    package_data={package: ["py.typed", "**/*.json", "**/*.html", "**/*.j2"]},
-    data_files=[
-        ("share/ament_index/resource_index/packages", ["resource/" + package]),
-        ("share/" + package, ["package.xml"]),
-    ],
-    install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
-    zip_safe=True,
-    entry_points={
-        "console_scripts": [
-            "diagnoser = mrd_diagnosis.nodes.diagnoser:main",
-            "diagnose = mrd_diagnosis.cli.diagnose:main",
-            "apply = mrd_diagnosis.cli.apply:main",
-            "trend = mrd_diagnosis.cli.trend:main",
-        ]
-    },
-)
+setup_ros_package()

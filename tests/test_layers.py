@@ -1,4 +1,4 @@
-"""The rules of the house that a reader cannot see from one file: who may import whom, and where ROS ends."""
+"""Rules about the whole source tree: which package may import which, and where ROS is allowed."""
 
 import ast
 import importlib.metadata
@@ -16,7 +16,7 @@ from ament_index_python import get_package_prefix
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
 
-FLOORS = {
+BELOW = {
     "mrd_base": set(),
     "mrd_trajectory": {"mrd_base"},
     "mrd_runs": {"mrd_base"},
@@ -78,7 +78,7 @@ for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
 
 
 def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and full name of every module that a syntax tree imports, wherever in it."""
+    """Yield line and full name of every module that a syntax tree imports, anywhere in it."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
@@ -89,7 +89,7 @@ def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
 
 
 def at_import(tree: ast.Module) -> ast.Module:
-    """What runs when the module is imported: everything but the bodies of functions."""
+    """Return what runs when the module is imported: everything but the bodies of functions."""
 
     class WithoutFunctions(ast.NodeTransformer):
         def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
@@ -107,15 +107,15 @@ def in_nodes(file: Path) -> bool:
     return "nodes" in file.relative_to(SOURCES).parts
 
 
-def test_every_package_has_its_floor():
+def test_every_package_has_a_layer():
     packages = {file.parent.name for file in SOURCES.glob("*/package.xml")}
-    assert packages == {*FLOORS, "mrd_interfaces"}
-    assert FLOORS.keys() == EXECUTABLES.keys()
+    assert packages == {*BELOW, "mrd_interfaces"}
+    assert BELOW.keys() == EXECUTABLES.keys()
 
 
-@pytest.mark.parametrize("package", FLOORS)
-def test_a_package_imports_only_from_the_floors_below(package):
-    allowed = FLOORS[package] | {package, "mrd_interfaces"}
+@pytest.mark.parametrize("package", BELOW)
+def test_a_package_imports_only_from_the_layers_below(package):
+    allowed = BELOW[package] | {package, "mrd_interfaces"}
     wrong = [
         f"{file}:{line} imports {name}"
         for file, tree in modules(package)
@@ -125,7 +125,7 @@ def test_a_package_imports_only_from_the_floors_below(package):
     assert not wrong
 
 
-@pytest.mark.parametrize("package", FLOORS)
+@pytest.mark.parametrize("package", BELOW)
 def test_ros_and_messages_are_known_to_nodes_only(package):
     wrong = [
         f"{file}:{line} imports {name}"
@@ -136,7 +136,7 @@ def test_ros_and_messages_are_known_to_nodes_only(package):
     assert not wrong
 
 
-@pytest.mark.parametrize("package", FLOORS)
+@pytest.mark.parametrize("package", BELOW)
 def test_the_daq_library_is_optional(package):
     wrong = [
         f"{file}:{line}"
@@ -147,13 +147,13 @@ def test_the_daq_library_is_optional(package):
     assert not wrong
 
 
-@pytest.mark.parametrize("package", FLOORS)
+@pytest.mark.parametrize("package", BELOW)
 def test_the_core_works_where_ros_is_absent(package):
     """From the sources, with no variable of ROS set: as in a notebook."""
     environment = {
         "PATH": os.environ["PATH"],
         "HOME": os.environ.get("HOME", "/"),
-        "PYTHONPATH": os.pathsep.join(str(SOURCES / name) for name in [package, *FLOORS[package]]),
+        "PYTHONPATH": os.pathsep.join(str(SOURCES / name) for name in [package, *BELOW[package]]),
     }
     core = subprocess.run(
         [sys.executable, "-c", IMPORT_WITHOUT_ROS, package], env=environment, capture_output=True, text=True
@@ -185,7 +185,7 @@ def test_runs_are_read_identified_and_compared_in_a_notebook_without_ros(tmp_pat
         force = 90.0 * np.tanh(velocity / 0.002) + 1500.0 * velocity
         table = np.stack([time, position, np.zeros_like(time), force], axis=1)
         np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header="time_s,position_m,current_A,force_N", comments="")
-    below = FLOORS["mrd_identification"]
+    below = BELOW["mrd_identification"]
     environment = {
         "PATH": os.environ["PATH"],
         "HOME": os.environ.get("HOME", "/"),
@@ -213,7 +213,7 @@ def test_every_executable_stands_where_ros2_run_finds_it(package):
         assert callable(point.load())
 
 
-@pytest.mark.parametrize("package", FLOORS)
+@pytest.mark.parametrize("package", BELOW)
 def test_what_the_sources_import_is_declared(package):
     """`colcon build` orders packages by package.xml, rosdep installs by it, pip by setup/requirements.in."""
     declared = (SOURCES / package / "package.xml").read_text(encoding="utf-8")

@@ -1,0 +1,43 @@
+"""Builds every ROS package alike: package.xml describes it, its modules with a `main` are its executables."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+
+def setup_ros_package() -> None:
+    """Set up the package in the current folder, called from its setup.py by colcon or pip."""
+    description = ElementTree.parse("package.xml").getroot()
+    name = description.findtext("name", "")
+    maintainer = description.find("maintainer")
+    # `ros2 run` looks for executables in lib/<package>.
+    scripts = f"$base/lib/{name}"
+    setup(
+        name=name,
+        version=description.findtext("version"),
+        description=description.findtext("description"),
+        maintainer=maintainer.text if maintainer is not None else "",
+        maintainer_email=maintainer.get("email") if maintainer is not None else "",
+        license=description.findtext("license"),
+        packages=find_packages(exclude=["test"]),
+        package_data={name: ["py.typed", "**/*.json", "**/*.html", "**/*.j2", "**/*.c"]},
+        data_files=[
+            ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
+            (f"share/{name}", ["package.xml"]),
+        ],
+        install_requires=["setuptools"],
+        zip_safe=True,
+        entry_points={"console_scripts": [f"{module.rpartition('.')[2]} = {module}:main" for module in executables(name)]},
+        options={"develop": {"script_dir": scripts}, "install": {"install_scripts": scripts}},
+    )
+
+
+def executables(package: str) -> Iterator[str]:
+    """Yield the modules in nodes/ and cli/ of a package that define `main`."""
+    for folder in ("nodes", "cli"):
+        for file in sorted(Path(package, folder).glob("*.py")):
+            if re.search(r"^def main\(", file.read_text(encoding="utf-8"), re.MULTILINE):
+                yield f"{package}.{folder}.{file.stem}"
