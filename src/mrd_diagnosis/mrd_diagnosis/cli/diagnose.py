@@ -11,8 +11,8 @@ from tqdm import tqdm
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Candidate, Diagnosis
-from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.quantities import format_share
+from mrd_diagnosis.report.page import write_gap_report
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
