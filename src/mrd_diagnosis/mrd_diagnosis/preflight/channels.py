@@ -15,24 +15,18 @@ Indices = NDArray[np.intp]
 NOISY_TURNING_SHARE = 0.1
 """Share of samples that are local extremes, from which a channel counts as noisy. White noise has 2/3. With less, equal
 readings in a row are nothing unusual."""
-
 LOW_RATE = 100.0
 """Sample rate in Hz below which a run counts as slowly sampled. Coil and particles follow the current within 3 to 15 ms, and
 at least one sample has to fall into that time."""
-
 RATE_TOLERANCE = 0.01
 """Relative difference of sample rates that still count as equal. Crystal clocks agree within 100 ppm, so a larger difference
 is another setting."""
-
 MOVING_STROKE = 1e-3
 """Stroke in m from which the force of a damper has to respond: several yield travels."""
-
 FEW_STROKES = 3
 """Up to this number of strokes, the force may follow the initial state or the current more than the motion."""
-
 PRE_YIELD_STROKE = 2e-3
 """Stroke in m below which a damper may stay in its pre-yield loop: yield travel (0.1 to 1 mm) and lost motion."""
-
 _NOISE_BLOCK = 50
 """Samples over which the local noise is estimated: enough for a median, short against a plateau."""
 

@@ -9,16 +9,12 @@ from mrd_diagnosis.preflight.channels import LOW_RATE, RATE_TOLERANCE, CheckedRu
 
 GAP_INTERVALS = 1.5
 """Interval, in median intervals, from which at least one sample is missing."""
-
 BUNCHED_INTERVALS = 0.1
 """Interval, in median intervals, below which two samples are hardly two readings."""
-
 USELESS_LOSS = 0.1
 """Share of missing or held samples from which a run is useless: the hysteretic state moves on in the gaps."""
-
 NOTABLE_JITTER = 0.02
 """Rms deviation of the intervals, in median intervals, from which a remark is made."""
-
 UNSTEERED_JITTER = 0.2
 """Rms deviation of the intervals, in median intervals, from which no hardware clock can have steered the sampling."""
 

@@ -14,7 +14,6 @@ Array = NDArray[np.float64]
 
 FEWEST_REVERSALS = 10
 """Reversals in all runs together, below which hysteresis loops cannot be told from drift."""
-
 ONE_SPEED_RATIO = 1.5
 """Ratio of the peak speeds of strokes (95 % to 5 % quantile) below which they count as one speed. Within it, speed and
 frequency do not separate effects."""

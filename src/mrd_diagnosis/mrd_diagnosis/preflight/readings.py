@@ -16,48 +16,34 @@ Indices = NDArray[np.intp]
 
 COINCIDENCE_PROBABILITY = 1e-6
 """Probability below which equal readings in a row are no coincidence: far below one such case in all runs of a bench."""
-
 SHORTEST_HOLD = 4
 """Samples; fewer equal readings in a row are always taken for a coincidence."""
-
 LONGEST_REFRESH = 20
 """Samples; a channel that is refreshed more slowly than this is found as held readings."""
-
 USELESS_CLIPPING = 0.01
 """Share of clipped samples from which force or position are useless: saturation would be taken for physics."""
-
 REVERSED_FORCE = 0.15
 """Share of the usual force range, from inward to outward motion. If the force goes this far to both sides of its middle
 while the position rests at its extreme, the rod did turn, and the position was clipped."""
-
 COARSE_ROUNDING = 0.01
 """Rms rounding error over the standard deviation of the channel that is as large as the noise of a fair sensor."""
-
 USELESS_ROUNDING = 0.1
 """Rms rounding error over the standard deviation of the channel from which a needed channel is useless."""
-
 SAMPLED_CURRENT_CHANGES = 0.1
 """Share of samples at which the current changes. A current that changes less often is a command in steps, for which the
 size of a step tells nothing about the converter."""
-
 SPIKE_NOISE = 20.0
 """Distance of a position from its neighbours, in standard deviations of the noise, that no rod reaches."""
-
 SPIKE_ACCELERATION = 300.0
 """Acceleration in m/s² that no rod reaches; the drive of the bench reaches 10 m/s²."""
-
 TOP_BAND = 0.8
 """Frequency over the Nyquist frequency from which the power of a well-sampled signal has fallen off."""
-
 ALIASED_POWER = 0.01
 """Share of power in the top band, small noise not counted, from which signals may be folded there."""
-
 SWITCHED_SPAN = 0.1
 """Span of a current in A from which switching between samples is looked for."""
-
 SWITCHED_STEP = 0.25
 """Change of the current from one sample to the next, over its span, that counts as switching."""
-
 SWITCHED_SHARE = 0.2
 """Share of samples at which the current switches, from which it switches faster than it is sampled."""
 

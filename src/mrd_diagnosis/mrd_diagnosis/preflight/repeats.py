@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +14,13 @@ Array = NDArray[np.float64]
 
 SAME_MOTION = 0.999
 """Correlation of the positions from which two runs have the same motion."""
-
 DIFFERENT_REPEAT = 0.05
 """Relative difference of gain or offset between repeats that is worth a remark: the scatter from run to run is 1 to 2 %."""
-
 NO_REPEAT = 0.2
 """Relative difference of gain or offset from which a run is no repeat of another."""
-
 DIFFERENT_SHAPE = 0.1
 """Rms difference of the forces after gain and offset are fitted, over their standard deviation: five times what scatter
 from run to run leaves."""
-
 SHAPE_OVER_MOTION = 3.0
 """Difference in shape over the relative difference of the velocities that the motion explains. Most of the force turns
 within a short way after a reversal, so a motion that differs by a few per cent changes the force by more."""
@@ -107,68 +102,23 @@ def _current_difference(first: CheckedRun, second: CheckedRun, shift: int) -> tu
     return difference, difference <= 0.1 * span + 4 * noise
 
 
-@dataclass(frozen=True)
-class RepeatDifference:
-    """How the force of a run differs from that of its repeat.
-
-    Attributes
-    ----------
-    gain : float
-        Force of the repeat over that of the run.
-    offset : float
-        Force of the repeat minus that of the run in N.
-    shape : float
-        Rms difference in N that is left after gain and offset.
-    motion : float
-        Rms difference of the velocities over their standard deviation.
-    deviation : float
-        Standard deviation of the force in N.
-    """
-
-    gain: float
-    offset: float
-    shape: float
-    motion: float
-    deviation: float
-
-
-def _difference_of_repeat(first: CheckedRun, second: CheckedRun, shift: int) -> RepeatDifference:
-    force, repeated_force = overlap(first.run.force, second.run.force, shift)
-    # Align the runs within a sample: at reversals, the force changes much from one sample to the next.
-    position, repeated_position = overlap(first.run.position, second.run.position, shift)
-    slope = np.gradient(position)
-    lateness = -float(
-        np.clip(slope @ (repeated_position - repeated_position.mean() - position + position.mean()) / (slope @ slope), -1, 1)
-    )
-    index = np.arange(len(repeated_force), dtype=float)
-    inner = slice(2, -2)
-    repeated_force = np.interp(index + lateness, index, repeated_force)[inner]
-    force = force[inner]
-    velocity, repeated_velocity = overlap(first.run.velocity, second.run.velocity, shift)
-    change = (np.interp(index + lateness, index, repeated_velocity) - velocity)[inner]
-    gain, offset = np.polyfit(force - force.mean(), repeated_force, 1)
-    return RepeatDifference(
-        gain=float(gain),
-        offset=float(offset - force.mean()),
-        shape=float(np.std(repeated_force - np.polyval([gain, repeated_force.mean()], force - force.mean()))),
-        motion=float(np.std(change) / np.std(velocity)),
-        deviation=float(np.std(force)),
-    )
-
-
 def _check_force_of_repeat(first: CheckedRun, second: CheckedRun, shift: int) -> Iterator[Finding]:
     """Find differences of the forces of two runs with the same motion and current."""
-    difference = _difference_of_repeat(first, second, shift)
-    gain, offset, deviation = difference.gain, difference.offset, difference.deviation
+    force, repeated_force, motion_difference = _align_within_a_sample(first, second, shift)
+    deviation = float(np.std(force))
+    gain, offset = np.polyfit(force - force.mean(), repeated_force, 1)
+    offset -= force.mean()
+    # What is left after gain and offset is a difference in shape.
+    shape = float(np.std(repeated_force - np.polyval([gain, repeated_force.mean()], force - force.mean())))
     noise = float(np.hypot(first.channels["force"].noise, second.channels["force"].noise))
-    reshaped = difference.shape > max(DIFFERENT_SHAPE, SHAPE_OVER_MOTION * difference.motion) * deviation
+    reshaped = shape > max(DIFFERENT_SHAPE, SHAPE_OVER_MOTION * motion_difference) * deviation
     differences = []
     if abs(gain - 1) > DIFFERENT_REPEAT:
         differences.append(f"it is {gain:.3g} times as large")
     if abs(offset) > max(DIFFERENT_REPEAT * deviation, 5 * noise):
         differences.append(f"it is {offset:.3g} N higher")
-    if reshaped and difference.shape > 6 * noise:
-        differences.append(f"its shape differs by {difference.shape:.3g} N rms")
+    if reshaped and shape > 6 * noise:
+        differences.append(f"its shape differs by {shape:.3g} N rms")
     if differences:
         large = abs(gain - 1) > NO_REPEAT or abs(offset) > NO_REPEAT * deviation or reshaped
         yield second.finding(
@@ -179,3 +129,21 @@ def _check_force_of_repeat(first: CheckedRun, second: CheckedRun, shift: int) ->
             f"expected the same force within a few per cent (the noise is {noise:.2g} N). Check what changed between the "
             "runs, such as temperature, mounting or gain.",
         )
+
+
+def _align_within_a_sample(first: CheckedRun, second: CheckedRun, shift: int) -> tuple[Array, Array, float]:
+    """Return the forces of a run and of its repeat at the same positions, and the relative difference of the velocities.
+
+    Alignment to whole samples is not enough: at reversals, the force changes much from one sample to the next.
+    """
+    position, repeated_position = overlap(first.run.position, second.run.position, shift)
+    slope = np.gradient(position)
+    ahead = repeated_position - repeated_position.mean() - position + position.mean()
+    lateness = -float(np.clip(slope @ ahead / (slope @ slope), -1, 1))
+    force, repeated_force = overlap(first.run.force, second.run.force, shift)
+    velocity, repeated_velocity = overlap(first.run.velocity, second.run.velocity, shift)
+    index = np.arange(len(force), dtype=float)
+    inner = slice(2, -2)
+    change = (np.interp(index + lateness, index, repeated_velocity) - velocity)[inner]
+    repeated_force = np.interp(index + lateness, index, repeated_force)[inner]
+    return force[inner], repeated_force, float(np.std(change) / np.std(velocity))

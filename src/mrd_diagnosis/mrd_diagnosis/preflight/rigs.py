@@ -12,22 +12,16 @@ Array = NDArray[np.float64]
 
 LARGEST_RATIO = 2.4
 """Largest ratio of forces at the same speed and current that scatter, heat or remanence explain."""
-
 ADDED_FORCE = 30.0
 """Force in N that is added to both forces before they are compared: remanence may double a small off-state force."""
-
 UNIT_RATIOS = {1e3: "kN against N", 9.80665: "kgf against N", 4.44822: "lbf against N"}
 """Ratios of forces that a wrong unit explains."""
-
 CELL_SHARE = 0.02
 """Share of the samples of a run from which a cell of speed and current holds a steady force and not a transition."""
-
 CELL_SAMPLES = 20
 """Samples from which the median force of a cell is reliable."""
-
 SPEED_EDGES = np.array([0.02, 0.04, 0.08, 0.16, 0.32, 0.64])
 """Edges in m/s of the cells, above the speeds at which hysteresis rules the force."""
-
 CURRENT_EDGES = np.array([-np.inf, *np.arange(0.05, 3.0, 0.1), np.inf])
 """Edges in A of the cells, around multiples of 0.1 A, which are the usual setpoints."""
 

@@ -14,31 +14,23 @@ Array = NDArray[np.float64]
 
 LARGEST_STROKE = 0.5
 """Span of the position in m from which it is likely recorded in mm."""
-
 LARGEST_CURRENT = 10.0
 """Current in A from which it is likely recorded in mA; small MR dampers take up to 5 A."""
-
 SMALLEST_FORCE, LARGEST_FORCE = 5.0, 1e5
 """Span of the force in N outside of which it is likely recorded in another unit; small MR dampers have some tens of N
 without current."""
-
 UNRELATED_CORRELATION = 0.1
 """Correlation of force and velocity, at the best delay, below which the force does not respond to the motion."""
-
 ALLOWED_LAG = 2e-3
 """Lag in s between position and accelerometer; the filters of usual sensors (100 Hz and more) differ by less."""
-
 LONGEST_LAG = 0.25
 """Longest lag in s that is looked for; beyond it, periodic motions become ambiguous."""
-
 AVERAGING_TIME = 0.02
 """Time in s over which position and accelerometer are averaged before they are compared: 8 µm of noise in the position then
 are 0.05 m/s² in its second difference."""
-
 ACCELEROMETER_GAIN = (0.8, 1.25)
 """Gain of an accelerometer against the position, as in `mrd_runs.signals.motion`. Outside, it does not measure the rod's
 acceleration in m/s²."""
-
 WRONG_SIGN_WORK = -0.2
 """Work done on the damper over the largest work of the same forces, below which a sign is wrong. The work on a damper is
 positive at every usual delay."""
