@@ -61,42 +61,32 @@ def _check_reversals(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
         yield checked.finding("coverage", "limitation", "position", text)
     reversals = _reversals(runs)
     if all(len(checked.stroke_starts) < 3 for checked in runs):
-        yield Finding(
-            "coverage",
-            "fault",
-            "no run holds a stroke to and fro: expected at least one loop of force over position. Record longer runs.",
-            channel="position",
-        )
+        text = "no run holds a stroke to and fro: expected at least one loop of force over position. Record longer runs."
+        yield Finding("coverage", "fault", text, channel="position")
     elif reversals < FEWEST_REVERSALS:
-        yield Finding(
-            "coverage",
-            "limitation",
+        text = (
             f"{counted(reversals, 'reversal')} in all runs, expected at least {FEWEST_REVERSALS}: effects at reversals "
-            "(hysteresis, play, compliance) rest on too few data. Record longer runs.",
-            channel="position",
+            "(hysteresis, play, compliance) rest on too few data. Record longer runs."
         )
+        yield Finding("coverage", "limitation", text, channel="position")
 
 
 def _check_strokes_and_speeds(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
     stroke = max(checked.stroke for checked in runs)
     if stroke < PRE_YIELD_STROKE:
-        yield Finding(
-            "coverage",
-            "limitation",
+        text = (
             f"no stroke is longer than {milli(stroke)} mm: expected at least {milli(PRE_YIELD_STROKE)} mm. The damper may "
-            "never leave its pre-yield loop. Record longer strokes.",
-            channel="position",
+            "never leave its pre-yield loop. Record longer strokes."
         )
+        yield Finding("coverage", "limitation", text, channel="position")
     peaks, frequencies = _peaks_and_frequencies(runs)
     if _are_alike(peaks):
         speed = "speed or frequency" if _are_alike(frequencies) else "speed"
-        yield Finding(
-            "coverage",
-            "limitation",
+        text = (
             f"all strokes peak at one speed ({milli(float(np.median(peaks)))} mm/s): effects that grow with {speed} cannot "
-            "be told from effects that do not. Record other speeds.",
-            channel="position",
+            "be told from effects that do not. Record other speeds."
         )
+        yield Finding("coverage", "limitation", text, channel="position")
 
 
 def _summary(runs: Sequence[CheckedRun]) -> Finding:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from mrd_diagnosis.diagnosis import Finding
+from mrd_diagnosis.diagnosis import Finding, Severity
 from mrd_diagnosis.preflight.channels import Channel, CheckedRun, counted, milli
 from mrd_diagnosis.preflight.clock import USELESS_LOSS
 
@@ -28,7 +28,8 @@ while the position rests at its extreme, the rod did turn, and the position was 
 COARSE_ROUNDING = 0.01
 """Rms rounding error over the standard deviation of the channel that is as large as the noise of a fair sensor."""
 USELESS_ROUNDING = 0.1
-"""Rms rounding error over the standard deviation of the channel from which a needed channel is useless."""
+"""Rms rounding error over the standard deviation of the channel from which force or position are useless: one step is
+a third of the standard deviation."""
 SAMPLED_CURRENT_CHANGES = 0.1
 """Share of samples at which the current changes. A current that changes less often is a command in steps, for which the
 size of a step tells nothing about the converter."""
@@ -39,13 +40,13 @@ SPIKE_ACCELERATION = 300.0
 TOP_BAND = 0.8
 """Frequency over the Nyquist frequency from which the power of a well-sampled signal has fallen off."""
 ALIASED_POWER = 0.01
-"""Share of power in the top band, small noise not counted, from which signals may be folded there."""
+"""Share of power in the top band, small noise not counted, from which signals may be folded there: 10 % of the rms value."""
 SWITCHED_SPAN = 0.1
-"""Span of a current in A from which switching between samples is looked for."""
+"""Span of a current in A from which switching between samples is looked for; noise and ripple span less."""
 SWITCHED_STEP = 0.25
-"""Change of the current from one sample to the next, over its span, that counts as switching."""
+"""Change of the current from one sample to the next, over its span, that counts as switching; noise changes it by less."""
 SWITCHED_SHARE = 0.2
-"""Share of samples at which the current switches, from which it switches faster than it is sampled."""
+"""Share of samples at which the current switches, from which fewer than five samples show the response to a switch."""
 
 
 def true_segments(mask: Mask) -> tuple[Indices, Indices]:
@@ -74,14 +75,12 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
         refresh_period = _refresh_period(channel, length) if channel.name != "current" else 0
         if refresh_period:
             rate = checked.run.rate / refresh_period
-            yield checked.finding(
-                "clock",
-                "limitation",
-                channel.name,
+            text = (
                 f"the {channel.name} is refreshed at {rate:.3g} Hz only: each reading stays the same for {refresh_period} "
                 f"samples, expected a new reading at the sample rate of {checked.run.rate:.4g} Hz. Raise the rate of the "
-                f"sensor, or record at {rate:.3g} Hz.",
+                f"sensor, or record at {rate:.3g} Hz."
             )
+            yield checked.finding("clock", "limitation", channel.name, text)
             continue
         if channel.name == "position":
             held = _followed_by_a_jump(channel, first, last)
@@ -91,14 +90,12 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
         if count:
             share = count / len(values)
             useless = share > USELESS_LOSS and channel.name in ("position", "force")
-            yield checked.finding(
-                "gap",
-                "fault" if useless else "limitation",
-                channel.name,
+            text = (
                 f"the {channel.name} repeats the reading before in {count} samples ({100 * share:.2g} %): up to "
                 f"{length[held].max()} readings in a row are equal, expected changing readings. Check the connection of the "
-                f"channel{' and record the run again' if useless else ''}.",
+                f"channel{' and record the run again' if useless else ''}."
             )
+            yield checked.finding("gap", "fault" if useless else "limitation", channel.name, text)
 
 
 def _refresh_period(channel: Channel, length: Indices) -> int:
@@ -150,14 +147,12 @@ def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
     # At a corner of the motion, a position is about the travel between two samples away from its neighbours.
     count = int(np.sum(distance > least + 3 * checked.top_speed * interval))
     if count:
-        yield checked.finding(
-            "gap",
-            "limitation",
-            "position",
+        text = (
             f"the position jumps in {counted(count, 'sample')}: it leaves its neighbours by up to {milli(distance.max())} "
             "mm and comes back, which no rod does. A damper model would respond to these jumps. Check the connection of the "
-            "position sensor, and remove these samples.",
+            "position sensor, and remove these samples."
         )
+        yield checked.finding("gap", "limitation", "position", text)
 
 
 def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
@@ -172,14 +167,12 @@ def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
                 continue
             share = clipped / len(checked.run)
             useless = share > USELESS_CLIPPING and channel.name in ("position", "force")
-            yield checked.finding(
-                "clipping",
-                "fault" if useless else "limitation",
-                channel.name,
+            text = (
                 f"the {channel.name} is clipped at its {side} reading, {limit:.4g} {channel.unit}: {clipped} samples "
                 f"({100 * share:.2g} %) stay there, expected noise as in the other samples. The signal exceeds the range of "
-                f"its sensor or converter. Widen that range{' and record the run again' if useless else ''}.",
+                f"its sensor or converter. Widen that range{' and record the run again' if useless else ''}."
             )
+            yield checked.finding("clipping", "fault" if useless else "limitation", channel.name, text)
 
 
 def _clipped_samples(checked: CheckedRun, channel: Channel, limit: float) -> int:
@@ -227,23 +220,24 @@ def check_quantisation(checked: CheckedRun) -> Iterator[Finding]:
         step, deviation = channel.quantisation_step, float(np.std(channel.values))
         if not step or not deviation:
             continue
-        changes = np.mean(np.diff(channel.values) != 0)
-        if channel.name == "current" and (not checked.current_varies or changes < SAMPLED_CURRENT_CHANGES):
+        if channel.name == "current" and not checked.current_varies:
+            continue
+        if channel.name == "current" and np.mean(np.diff(channel.values) != 0) < SAMPLED_CURRENT_CHANGES:
             continue
         if channel.name == "position" and not checked.stroke:
             continue
         rounding = step / np.sqrt(12.0) / deviation
         if rounding < COARSE_ROUNDING:
             continue
-        needed = channel.name in ("position", "force")
-        yield checked.finding(
-            "quantisation",
-            "fault" if needed and rounding > USELESS_ROUNDING else "limitation" if needed else "remark",
-            channel.name,
+        severity: Severity = "remark"
+        if channel.name in ("position", "force"):
+            severity = "fault" if rounding > USELESS_ROUNDING else "limitation"
+        text = (
             f"the {channel.name} is read in coarse steps of {step:.3g} {channel.unit}, {np.ptp(channel.values) / step:.0f} "
             f"over its span: the rounding error is {100 * rounding:.2g} % of the standard deviation, expected below "
-            f"{100 * COARSE_ROUNDING:g} %. Use a smaller range of the converter.",
+            f"{100 * COARSE_ROUNDING:g} %. Use a smaller range of the converter."
         )
+        yield checked.finding("quantisation", severity, channel.name, text)
 
 
 def check_aliasing(checked: CheckedRun) -> Iterator[Finding]:
@@ -258,22 +252,18 @@ def check_aliasing(checked: CheckedRun) -> Iterator[Finding]:
         white = 2 * noise**2 if noise < 0.1 * np.std(values) else 0.0
         share = float(np.sum(density[int(TOP_BAND * len(density)) :] - white) / density.sum())
         if share > ALIASED_POWER:
-            yield checked.finding(
-                "aliasing",
-                "limitation",
-                name,
+            text = (
                 f"the {name} has {100 * share:.2g} % of its power between {0.5 * TOP_BAND * checked.run.rate:.3g} Hz and "
                 f"half the sample rate: expected below {100 * ALIASED_POWER:g} %. This is noise, or a faster signal that is "
-                "folded into this band. Sample faster, or filter before sampling.",
+                "folded into this band. Sample faster, or filter before sampling."
             )
+            yield checked.finding("aliasing", "limitation", name, text)
     current = checked.run.current
     span = float(np.subtract(*np.quantile(current, [0.99, 0.01])))
     share = float(np.mean(np.abs(np.diff(current)) > SWITCHED_STEP * span)) if span > SWITCHED_SPAN else 0.0
     if share > SWITCHED_SHARE:
-        yield checked.finding(
-            "aliasing",
-            "limitation",
-            "current",
+        text = (
             f"the current switches faster than it is sampled: it switches every {1 / share:.2g} samples, expected at least "
-            f"{1 / SWITCHED_SHARE:g} samples between two switches. Sample faster, or switch more slowly.",
+            f"{1 / SWITCHED_SHARE:g} samples between two switches. Sample faster, or switch more slowly."
         )
+        yield checked.finding("aliasing", "limitation", "current", text)

@@ -36,14 +36,12 @@ def check_duplicates(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
         other_noise = (channel.is_noisy for name, channel in first.channels.items() if name != "force")
         digitised = first.channels["position"].quantisation_step > 0
         recorded = first.channels["force"].is_noisy and (digitised or any(other_noise))
-        yield second.finding(
-            "repeat",
-            "fault" if recorded else "limitation",
-            "force",
+        text = (
             f"this run has the same force as {first.run.name}: {equal} samples are equal to the last digit, expected "
             "different noise. "
-            + ("Give each recording once." if recorded else "Without noise, the second run adds nothing. Leave it out."),
+            + ("Give each recording once." if recorded else "Without noise, the second run adds nothing. Leave it out.")
         )
+        yield second.finding("repeat", "fault" if recorded else "limitation", "force", text)
 
 
 def _equal_samples(first: Array, second: Array) -> int:
@@ -71,26 +69,22 @@ def check_repeats(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
             correlation, shift = best_shift(first.run.position, second.run.position)
         if correlation < SAME_MOTION:
             if same_experiment:
-                yield second.finding(
-                    "repeat",
-                    "limitation",
-                    "position",
+                text = (
                     f"this run names the experiment of {first.run.name} but moves differently: the correlation of the "
                     f"positions is {correlation:.3f}, expected {SAME_MOTION:g}, and the strokes are {milli(second.stroke)} "
-                    f"and {milli(first.stroke)} mm. It is no repeat. Check the servo.",
+                    f"and {milli(first.stroke)} mm. It is no repeat. Check the servo."
                 )
+                yield second.finding("repeat", "limitation", "position", text)
             continue
         difference, same_current = _current_difference(first, second, shift)
         if same_current:
             yield from _check_force_of_repeat(first, second, shift)
         elif same_experiment:
-            yield second.finding(
-                "repeat",
-                "limitation",
-                "current",
+            text = (
                 f"this run names the experiment of {first.run.name} and moves like it but has another current: the "
-                f"difference is {difference:.2g} A rms, expected noise only. It is no repeat. Check the supply of the coil.",
+                f"difference is {difference:.2g} A rms, expected noise only. It is no repeat. Check the supply of the coil."
             )
+            yield second.finding("repeat", "limitation", "current", text)
 
 
 def _current_difference(first: CheckedRun, second: CheckedRun, shift: int) -> tuple[float, bool]:
@@ -121,14 +115,12 @@ def _check_force_of_repeat(first: CheckedRun, second: CheckedRun, shift: int) ->
         differences.append(f"its shape differs by {shape:.3g} N rms")
     if differences:
         large = abs(gain - 1) > NO_REPEAT or abs(offset) > NO_REPEAT * deviation or reshaped
-        yield second.finding(
-            "repeat",
-            "limitation" if large else "remark",
-            "force",
+        text = (
             f"the force differs from {first.run.name}, which has the same motion and current: {' and '.join(differences)}, "
             f"expected the same force within a few per cent (the noise is {noise:.2g} N). Check what changed between the "
-            "runs, such as temperature, mounting or gain.",
+            "runs, such as temperature, mounting or gain."
         )
+        yield second.finding("repeat", "limitation" if large else "remark", "force", text)
 
 
 def _align_within_a_sample(first: CheckedRun, second: CheckedRun, shift: int) -> tuple[Array, Array, float]:

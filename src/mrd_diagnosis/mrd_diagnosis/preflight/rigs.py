@@ -40,14 +40,12 @@ def check_rigs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
             return
         factor = max(ratio, 1 / max(ratio, 1e-9))
         unit = next((f" ({text})" for known, text in UNIT_RATIOS.items() if 0.8 < factor / known < 1.25), "")
-        yield moving.pop(worst).finding(
-            "rig",
-            "fault",
-            "force",
+        text = (
             f"the force is {ratio:.3g} times that of the other runs at the same speed and current: expected within a factor "
             f"of {LARGEST_RATIO:g}. Check whether this run has another damper, load cell or unit{unit}. Diagnose each rig "
-            "separately.",
+            "separately."
         )
+        yield moving.pop(worst).finding("rig", "fault", "force", text)
         forces.pop(worst)
 
 

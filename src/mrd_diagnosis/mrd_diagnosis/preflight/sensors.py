@@ -41,30 +41,22 @@ def check_units(checked: CheckedRun) -> Iterator[Finding]:
     run = checked.run
     span, current, force = float(np.ptp(run.position)), float(np.abs(run.current).max()), float(np.ptp(run.force))
     if span > LARGEST_STROKE:
-        yield checked.finding(
-            "rig",
-            "fault",
-            "position",
-            f"the position spans {span:.3g} m: expected at most {LARGEST_STROKE:g} m. If it is in mm, convert it to m.",
-        )
+        text = f"the position spans {span:.3g} m: expected at most {LARGEST_STROKE:g} m. If it is in mm, convert it to m."
+        yield checked.finding("rig", "fault", "position", text)
     if current > LARGEST_CURRENT:
-        yield checked.finding(
-            "rig",
-            "fault",
-            "current",
-            f"the current reaches {current:.3g} A: expected at most {LARGEST_CURRENT:g} A. If it is in mA, convert it to A.",
+        text = (
+            f"the current reaches {current:.3g} A: expected at most {LARGEST_CURRENT:g} A. If it is in mA, convert it to A."
         )
+        yield checked.finding("rig", "fault", "current", text)
     # A force that never changes is reported as a dead channel.
-    alive = force > 2 * checked.channels["force"].quantisation_step
-    if force > LARGEST_FORCE or (checked.stroke > MOVING_STROKE and alive and force < SMALLEST_FORCE):
+    changes = force > 2 * checked.channels["force"].quantisation_step
+    if force > LARGEST_FORCE or (checked.stroke > MOVING_STROKE and changes and force < SMALLEST_FORCE):
         unit = "kN or V" if force < SMALLEST_FORCE else "mN"
-        yield checked.finding(
-            "rig",
-            "fault",
-            "force",
+        text = (
             f"the force spans {force:.3g} N: expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N. If it is in {unit}, "
-            "convert it to N.",
+            "convert it to N."
         )
+        yield checked.finding("rig", "fault", "force", text)
 
 
 def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:
@@ -78,36 +70,30 @@ def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:
     if acceleration is None or checked.stroke <= MOVING_STROKE:
         return
     if np.ptp(acceleration.values) <= 2 * acceleration.quantisation_step:
-        yield checked.finding(
-            "dead_channel",
-            "remark",
-            "acceleration",
+        text = (
             "the acceleration is constant while the rod moves: expected the acceleration of the rod. The channel tells "
-            "nothing. Check the accelerometer.",
+            "nothing. Check the accelerometer."
         )
+        yield checked.finding("dead_channel", "remark", "acceleration", text)
 
 
 def _check_dead_force(checked: CheckedRun) -> Iterator[Finding]:
     run = checked.run
     if np.ptp(run.force) <= 2 * checked.channels["force"].quantisation_step:
-        yield checked.finding(
-            "dead_channel",
-            "fault",
-            "force",
+        text = (
             f"the force stays at {run.force[0]:.4g} N while the rod moves over {milli(checked.stroke)} mm: expected the "
-            "force of a damper. Check the load cell and its channel.",
+            "force of a damper. Check the load cell and its channel."
         )
+        yield checked.finding("dead_channel", "fault", "force", text)
     elif len(checked.stroke_starts) > FEW_STROKES:
         correlation = float(np.abs(cross_correlation(run.velocity, signal.detrend(run.force))[1]).max())
         if correlation < UNRELATED_CORRELATION:
-            yield checked.finding(
-                "dead_channel",
-                "fault",
-                "force",
+            text = (
                 f"the force does not respond to the motion: its correlation with the velocity is at most {correlation:.2g} "
                 f"at any delay, expected above {UNRELATED_CORRELATION:g}. Check the load cell and its channel, and whether "
-                "the damper is mounted.",
+                "the damper is mounted."
             )
+            yield checked.finding("dead_channel", "fault", "force", text)
 
 
 def _check_dead_position(checked: CheckedRun) -> Iterator[Finding]:
@@ -119,13 +105,11 @@ def _check_dead_position(checked: CheckedRun) -> Iterator[Finding]:
     if high - low > max(10 * checked.channels["force"].noise, SMALLEST_FORCE) and swings:
         # Steps of the current change the force on a resting rod as well.
         by_current = checked.current_varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
-        yield checked.finding(
-            "dead_channel",
-            "limitation" if by_current else "fault",
-            "position",
+        text = (
             f"the position rests at {milli(run.position[0])} mm while the force swings over {high - low:.3g} N: expected "
-            "the motion that causes this force. Check the position sensor.",
+            "the motion that causes this force. Check the position sensor."
         )
+        yield checked.finding("dead_channel", "limitation" if by_current else "fault", "position", text)
 
 
 def check_accelerometer(checked: CheckedRun) -> Iterator[Finding]:
@@ -149,14 +133,12 @@ def check_accelerometer(checked: CheckedRun) -> Iterator[Finding]:
     reach = min(len(expected) // 4, round(LONGEST_LAG * run.rate))
     shifts, correlation = cross_correlation(expected, measured, reach)
     if correlation[reach] < -0.9 or correlation.max() < 0.5:
-        yield checked.finding(
-            "rig",
-            "limitation",
-            "acceleration",
+        text = (
             "the acceleration does not follow the motion: its correlation with the acceleration of the position is "
             f"{correlation[reach]:.2g}, expected 1. Check that the accelerometer sits on the rod and is positive where the "
-            "velocity of extension grows.",
+            "velocity of extension grows."
         )
+        yield checked.finding("rig", "limitation", "acceleration", text)
         return
     # A periodic motion allows several lags: take the smallest.
     near = shifts[correlation > correlation.max() - 0.01]
@@ -165,23 +147,19 @@ def check_accelerometer(checked: CheckedRun) -> Iterator[Finding]:
     lag, error = (shift + lag) * interval, error * interval
     if not ACCELEROMETER_GAIN[0] < gain < ACCELEROMETER_GAIN[1] and correlation.max() > 0.95:
         advice = "It is probably in g: convert it to m/s²" if 0.08 < gain < 0.125 else "Check its place and its unit, m/s²"
-        yield checked.finding(
-            "rig",
-            "limitation",
-            "acceleration",
+        text = (
             f"the acceleration is {gain:.3g} times the acceleration of the position: expected {ACCELEROMETER_GAIN[0]:g} to "
-            f"{ACCELEROMETER_GAIN[1]:g}. {advice}.",
+            f"{ACCELEROMETER_GAIN[1]:g}. {advice}."
         )
+        yield checked.finding("rig", "limitation", "acceleration", text)
     if abs(lag) > ALLOWED_LAG + 2 * error and abs(lag) > 4 * error:
         late, early = ("acceleration", "position") if lag > 0 else ("position", "acceleration")
-        yield checked.finding(
-            "lag",
-            "limitation",
-            late,
+        text = (
             f"the {late} lags the {early} by {milli(abs(lag))} ± {milli(1.96 * error)} ms: expected less than "
             f"{milli(ALLOWED_LAG)} ms. A velocity computed from both is wrong. Sample all channels at the same time, with "
-            "the same filters.",
+            "the same filters."
         )
+        yield checked.finding("lag", "limitation", late, text)
 
 
 def _averaged_accelerations(acceleration: Array, position: Array, width: int, interval: float) -> tuple[Array, Array]:

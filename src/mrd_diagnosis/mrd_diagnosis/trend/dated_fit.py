@@ -58,22 +58,19 @@ class DatedProblem(Problem):
         parameters = (*self.model.parameters, *[self.model.parameters[self.followed]] * self.dates)
         return tuple(parameters[index] for index in self.free)
 
-    def modelled(self, theta: Array, index: int) -> Array:
-        """Return the modelled force in N at the counted samples of one recording."""
-        return self._modelled(theta, index, None)
-
-    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force in N over all counted samples.
+    def modelled(self, theta: Array, index: int, solutions: SeriesSolutions | None = None) -> Array:
+        """Return the modelled force in N at the counted samples of one recording.
 
         ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
         """
-        return np.concatenate([self._modelled(theta, index, solutions) for index in range(len(self.recordings))])
-
-    def _modelled(self, theta: Array, index: int, solutions: SeriesSolutions | None) -> Array:
         theta_of_run = theta[: len(self.model.parameters)].copy()
         theta_of_run[self.followed] = theta[len(theta_of_run) + self.date_index[index]]
         recording = self.recordings[index]
         return self.model.force(theta_of_run, recording.path, solutions=solutions)[recording.counted]
+
+    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
+        """Return the modelled force in N over all counted samples."""
+        return np.concatenate([self.modelled(theta, index, solutions) for index in range(len(self.recordings))])
 
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return exact derivatives (samples, indices) of the residuals by the unit coordinates, all or some of them."""
