@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
+NEEDED_CHANNELS = ("position", "force")
+"""Channels without which a run is useless."""
 COINCIDENCE_PROBABILITY = 1e-6
 """Probability below which equal readings in a row are no coincidence: far below one such case in all runs of a bench."""
 SHORTEST_HOLD = 4
@@ -89,7 +91,7 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
         count = int(length[held].sum() - held.sum())
         if count:
             share = count / len(values)
-            useless = share > USELESS_LOSS and channel.name in ("position", "force")
+            useless = share > USELESS_LOSS and channel.name in NEEDED_CHANNELS
             text = (
                 f"the {channel.name} repeats the reading before in {count} samples ({100 * share:.2g} %): up to "
                 f"{length[held].max()} readings in a row are equal, expected changing readings. Check the connection of the "
@@ -105,6 +107,7 @@ def _refresh_period(channel: Channel, length: Indices) -> int:
         return 0
     usual = int(np.bincount(short).argmax())
     changes = np.abs(np.diff(channel.values))
+    # Noise within one step and a slow signal also repeat readings, but not with large changes at regular intervals.
     has_large_changes = np.median(changes[changes > 0]) > 3 * channel.quantisation_step
     is_regular = np.mean(length == usual) > 0.6 and usual * np.sum(short == usual) > 0.4 * len(channel.values)
     return usual if has_large_changes and is_regular else 0
@@ -133,6 +136,7 @@ def _followed_by_a_jump(channel: Channel, first: Indices, last: Indices) -> Mask
     start, end = np.where(inside, first, 3), np.where(inside, last, 3)
     slope = (values[start] - values[start - 3]) / 3
     jump = values[end + 1] - values[end]
+    # The slope is estimated from three samples, so the jump may differ from the missed motion by half.
     made_up = jump / np.where(slope == 0, np.inf, slope * (end - start + 1))
     return np.asarray(inside & (np.abs(jump) > least) & (made_up > 0.6) & (made_up < 1.7))
 
@@ -166,7 +170,7 @@ def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
             if not clipped:
                 continue
             share = clipped / len(checked.run)
-            useless = share > USELESS_CLIPPING and channel.name in ("position", "force")
+            useless = share > USELESS_CLIPPING and channel.name in NEEDED_CHANNELS
             text = (
                 f"the {channel.name} is clipped at its {side} reading, {limit:.4g} {channel.unit}: {clipped} samples "
                 f"({100 * share:.2g} %) stay there, expected noise as in the other samples. The signal exceeds the range of "
@@ -230,7 +234,7 @@ def check_quantisation(checked: CheckedRun) -> Iterator[Finding]:
         if rounding < COARSE_ROUNDING:
             continue
         severity: Severity = "remark"
-        if channel.name in ("position", "force"):
+        if channel.name in NEEDED_CHANNELS:
             severity = "fault" if rounding > USELESS_ROUNDING else "limitation"
         text = (
             f"the {channel.name} is read in coarse steps of {step:.3g} {channel.unit}, {np.ptp(channel.values) / step:.0f} "
@@ -242,7 +246,7 @@ def check_quantisation(checked: CheckedRun) -> Iterator[Finding]:
 
 def check_aliasing(checked: CheckedRun) -> Iterator[Finding]:
     """Find signals that change faster than they are sampled."""
-    for name in ("position", "force"):
+    for name in NEEDED_CHANNELS:
         values = checked.channels[name].values
         if not (checked.stroke if name == "position" else np.ptp(values)):
             continue

@@ -103,7 +103,7 @@ def _check_dead_position(checked: CheckedRun) -> Iterator[Finding]:
     sides = np.sign(from_middle)[np.abs(from_middle) > 0.25 * (high - low)]
     swings = np.count_nonzero(np.diff(sides)) > FEW_STROKES
     if high - low > max(10 * checked.channels["force"].noise, SMALLEST_FORCE) and swings:
-        # Steps of the current change the force on a resting rod as well.
+        # Steps of the current change the force on a resting rod as well: they then explain most of its variance.
         by_current = checked.current_varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
         text = (
             f"the position rests at {milli(run.position[0])} mm while the force swings over {high - low:.3g} N: expected "
@@ -127,11 +127,12 @@ def check_accelerometer(checked: CheckedRun) -> Iterator[Finding]:
     width = max(1, round(AVERAGING_TIME * run.rate))
     measured, expected = _averaged_accelerations(run.acceleration, run.position, width, interval)
     # A second difference has sqrt(6) = 2.45 times the noise of the position.
-    noise = 2.45 * checked.channels["position"].noise / (width * interval) ** 2
-    if len(expected) < 10 * width or np.std(expected) < 5 * noise:
+    noise = checked.channels["position"].noise
+    if len(expected) < 10 * width or np.std(expected) < 5 * 2.45 * noise / (width * interval) ** 2:
         return
     reach = min(len(expected) // 4, round(LONGEST_LAG * run.rate))
     shifts, correlation = cross_correlation(expected, measured, reach)
+    # A turned accelerometer has a correlation near -1 without a shift; another signal has a small one at every shift.
     if correlation[reach] < -0.9 or correlation.max() < 0.5:
         text = (
             "the acceleration does not follow the motion: its correlation with the acceleration of the position is "

@@ -88,7 +88,7 @@ def trend(
     parameters : mapping, optional
         Parameters to start from; without them, the model is identified first.
     calendar : Calendar, optional
-        Dates of the runs; by default those of `make_calendar`.
+        Dates of the runs; default: `make_calendar`.
     limit : float, optional
         Value in SI units; the time at which the parameter reaches it is predicted.
     seed : int
@@ -98,7 +98,7 @@ def trend(
     Raises
     ------
     InputError
-        For unknown names, fewer than three dates, a limit that is not finite, or a parameter that does not affect the force.
+        For unknown names, too few dates, a limit that is not finite, or a parameter that does not affect the force.
     """
     began = time.monotonic()
     if limit is not None and not np.isfinite(limit):
@@ -114,14 +114,19 @@ def trend(
     notes = fit.notes
     if dates < FEWEST_DATES_FOR_CHANGE:
         notes += (f"no change point was looked for: this needs at least {FEWEST_DATES_FOR_CHANGE} dates",)
-    half_widths = 1.96 * np.sqrt(np.diag(fit.covariance))
-    values = tuple(
-        Interval(float(value), float(value - half), float(value + half)) if half > 0 else Interval(float(value))
-        for value, half in zip(fit.values, half_widths, strict=True)
-    )
+    values = _intervals(fit)
     sentence = describe_trend(follow, fit.parameter.unit, calendar, values, line, limit)
     progress("done", 1.0)
     return Trend(tuple(runs), calendar, fit, values, line, limit, sentence, notes, seed, time.monotonic() - began)
+
+
+def _intervals(fit: DatedFit) -> tuple[Interval, ...]:
+    """Return the value at each date with its 95 % interval, where its error is known."""
+    half_widths = 1.96 * np.sqrt(np.diag(fit.covariance))
+    return tuple(
+        Interval(float(value), float(value - half), float(value + half)) if half > 0 else Interval(float(value))
+        for value, half in zip(fit.values, half_widths, strict=True)
+    )
 
 
 def _add_effects(model: DamperModel, follow: str, effects: Sequence[str]) -> DamperModel:
