@@ -274,9 +274,9 @@ def _estimate_values(problem: DatedProblem, unit: Array) -> tuple[Array, Array, 
     residuals, jacobian = problem.residuals(theta), problem.jacobian(unit)
     norm = np.linalg.norm(jacobian, axis=0)
     is_dated = np.arange(len(unit)) >= len(unit) - dates
-    if (norm[is_dated] == 0).any():
-        name = problem.model.names[problem.followed]
-        raise InputError(f"{name}: the force of some date does not depend on it; follow another, or leave that date out")
+    if len(unaffected := np.flatnonzero(norm[is_dated] == 0)):
+        name, date = problem.model.names[problem.followed], unaffected[0] + 1
+        raise InputError(f"{name}: the force at date {date} does not depend on it; follow another, or leave that date out")
     on_bound = (unit < BOUND_TOLERANCE) | (unit > 1 - BOUND_TOLERANCE)
     estimated = (norm > 0) & (is_dated | ~on_bound)
     scaled = jacobian[:, estimated] / norm[estimated]
