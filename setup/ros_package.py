@@ -24,10 +24,7 @@ def setup_ros_package() -> None:
         license=description.findtext("license"),
         packages=find_packages(exclude=["test"]),
         package_data={name: ["py.typed", "**/*.json", "**/*.html", "**/*.j2", "**/*.c"]},
-        data_files=[
-            ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
-            (f"share/{name}", ["package.xml"]),
-        ],
+        data_files=[("share/ament_index/resource_index/packages", [f"resource/{name}"]), (f"share/{name}", ["package.xml"])],
         install_requires=["setuptools"],
         zip_safe=True,
         entry_points={"console_scripts": [f"{module.rpartition('.')[2]} = {module}:main" for module in executables(name)]},

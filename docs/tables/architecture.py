@@ -1,7 +1,7 @@
 """Draws the diagrams of docs/architecture.md from the sources: packages with their imports, nodes with their topics.
 
-    python docs/tables/architecture.py            # writes them into the page
-    python docs/tables/architecture.py --check    # fails where the page is not up to date
+python docs/tables/architecture.py            # writes them into the page
+python docs/tables/architecture.py --check    # fails where the page is not up to date
 """
 
 import argparse

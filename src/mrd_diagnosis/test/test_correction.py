@@ -1,4 +1,4 @@
-"""A diagnosis goes into the simulator, whole and honestly."""
+"""apply puts all of a diagnosis into the simulator, and says what is not proven."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from mrd_base import InputError
 from mrd_diagnosis.cli import apply as apply_tool
 from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.cli import trend as trend_tool
-from mrd_diagnosis.cli.apply import arguments_of_identify
+from mrd_diagnosis.cli.apply import identify_arguments
 from mrd_diagnosis.correction import Correction, correction, write_plant
 from mrd_identification.cli import identify as identify_tool
 from mrd_runs import Run, read_run
@@ -25,7 +25,7 @@ from mrd_sim.simulate import write_csv
 
 SHIPPED = Path(__file__).parents[3] / "config" / "plant.yaml"
 
-OWN = """
+USER_EFFECT = """
 from numba import njit
 from mrd_sim.effects import Effect
 from mrd_sim.parameter import Parameter
@@ -43,17 +43,17 @@ EFFECT = Effect(
 """
 
 
-def diagnosed(model="bouc_wen", laws=None, effects=(), seed=0, **more):
-    """What a diagnosis may have come to: any values within the bounds."""
-    found = find_model(model, laws, effects)
+def diagnosed(model="bouc_wen", laws=None, effects=(), seed=0):
+    """Return a model with effects, random parameters within their bounds, and these parameters by name."""
+    built = find_model(model, laws, effects)
     random = np.random.default_rng(seed)
-    theta = np.array([random.uniform(p.lower, p.upper) if p.free else p.default for p in found.parameters])
-    return found, theta, dict(zip(found.names, map(float, theta), strict=True))
+    theta = np.array([random.uniform(p.lower, p.upper) if p.free else p.default for p in built.parameters])
+    return built, theta, dict(zip(built.names, map(float, theta), strict=True))
 
 
 def corrected(model, effects, verdict="explained", laws=None, **more):
-    found, theta, values = diagnosed(model, laws, effects)
-    return found, theta, correction(verdict, model, found.laws, values, effects, **more)
+    built, theta, values = diagnosed(model, laws, effects)
+    return built, theta, correction(verdict, model, built.laws, values, effects, **more)
 
 
 @given(
@@ -63,11 +63,11 @@ def corrected(model, effects, verdict="explained", laws=None, **more):
 )
 @settings(max_examples=25, deadline=None)
 def test_the_written_simulator_is_the_diagnosed_one(tmp_path_factory, model, effects, law):
-    found, theta, made = corrected(model, effects, laws=law)
+    built, theta, made = corrected(model, effects, laws=law)
     output = write_plant(made, SHIPPED, tmp_path_factory.mktemp("apply") / "plant.yaml")
     damper = read_damper(output).build()
-    assert damper.model.names == found.names
-    assert damper.model.laws == found.laws
+    assert damper.model.names == built.names
+    assert damper.model.laws == built.laws
     assert np.array_equal(damper.theta, theta)
 
 
@@ -92,7 +92,9 @@ def test_everything_else_of_the_file_stays(tmp_path):
         name, marked, comment = line.partition("#")
         assert (comment if marked else line) in written, line
         assert name.split(":")[0] in written
-    assert written.splitlines()[0] == "# The damper below is bouc_wen with coil_lag, gas_spring, as diagnosed."
+    assert written.splitlines()[0] == (
+        "# The damper is bouc_wen with refitted parameters and the effects coil_lag, gas_spring: this explains the gap."
+    )
     again = write_plant(made, tmp_path / "plant.yaml", tmp_path / "again.yaml").read_text()
     assert again == f"{written.splitlines()[0]}\n{written}"
 
@@ -109,10 +111,10 @@ def test_everything_else_of_the_file_stays(tmp_path):
 )
 def test_other_ways_to_write_a_plant(tmp_path, text):
     (tmp_path / "plant.yaml").write_text(text)
-    found, theta, made = corrected("bouc_wen", ["coil_lag"])
+    built, theta, made = corrected("bouc_wen", ["coil_lag"])
     output = write_plant(made, tmp_path / "plant.yaml", tmp_path / "corrected.yaml")
     damper = read_damper(output).build()
-    assert damper.model.names == found.names
+    assert damper.model.names == built.names
     assert np.array_equal(damper.theta, theta)
     assert read_damper(output).stroke == read_damper(tmp_path / "plant.yaml").stroke
 
@@ -120,10 +122,10 @@ def test_other_ways_to_write_a_plant(tmp_path, text):
 def test_no_gap_applies_the_parameters_alone():
     _, _, made = corrected("bouc_wen", [], "no_gap")
     assert made.effects == {}
-    assert "no effect is missing" in made.remark
+    assert made.remark.endswith("the diagnosis found no missing effect.")
 
 
-def test_what_is_not_proven_needs_to_be_wanted():
+def test_what_is_not_proven_needs_anyway():
     for verdict in ("ambiguous", "unknown_effect"):
         with pytest.raises(InputError, match=rf"^gap\.json: the verdict is {verdict}, so coil_lag is not proven; .*--any"):
             corrected("bouc_wen", ["coil_lag"], verdict, where="gap.json")
@@ -132,49 +134,49 @@ def test_what_is_not_proven_needs_to_be_wanted():
         assert "NOT proven" in made.remark
     with pytest.raises(InputError, match="recordings are faulty"):
         corrected("bouc_wen", [], "data_fault", anyway=True)
-    with pytest.raises(InputError, match="the verdict is unknown_effect and no effect comes near; apply the refitted"):
+    with pytest.raises(InputError, match=r"the verdict is unknown_effect, so no effect is known .*; .*--anyway"):
         corrected("bouc_wen", [], "unknown_effect")
     _, _, made = corrected("bouc_wen", [], "unknown_effect", anyway=True)
     assert made.effects == {}
-    assert made.remark == "bouc_wen with its parameters refitted: what is missing is NOT known"
+    assert made.remark == "The damper is bouc_wen with refitted parameters: an effect is missing that is NOT known."
 
 
 @pytest.fixture
-def own_effects(tmp_path):
-    """Folder with an effect of one's own, which is forgotten afterwards."""
+def user_effects(tmp_path):
+    """Return a folder with an effect of the user, and remove the effect from the catalogue afterwards."""
     (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "spring.py").write_text(OWN)
+    (tmp_path / "own" / "spring.py").write_text(USER_EFFECT)
     before = dict(EFFECTS)
     yield tmp_path / "own"
     EFFECTS.clear()
     EFFECTS.update(before)
 
 
-def test_effects_of_ones_own_go_with_their_folder(tmp_path, own_effects):
+def test_effects_of_the_user_go_with_their_folder(tmp_path, user_effects):
     laws = find_model("bingham").laws
-    made = Correction("bingham", laws, {}, {"own_spring": {"rate": 500.0}}, "-", str(own_effects))
-    load_effects(own_effects)
+    made = Correction("bingham", laws, {}, {"own_spring": {"rate": 500.0}}, "-", str(user_effects))
+    load_effects(user_effects)
     output = write_plant(made, SHIPPED, tmp_path / "plant.yaml")
     del EFFECTS["own_spring"]
     assert read_damper(output).build().theta[-1] == 500.0
-    assert arguments_of_identify(made) == f"--model bingham --effects-folder {own_effects} --effect own_spring"
+    assert identify_arguments(made) == f"--model bingham --effects-folder {user_effects} --effect own_spring"
 
 
-def test_effects_of_ones_own_are_identified(tmp_path, own_effects, monkeypatch):
+def test_effects_of_the_user_are_identified(tmp_path, user_effects, monkeypatch):
     time = np.arange(1000) / 250
     x, v, a = (9e-3 * w * np.sin(4 * time + phase) for w, phase in ((1, 0), (4, np.pi / 2), (16, np.pi)))
     damper = find_model("bingham")
     force = damper.force(damper.vector({"coil_lag": 0.0}), make_path(time, x, v, a, np.full(1000, 0.2))) + 800.0 * x
     write_csv(Run("a", time, x, v, np.full(1000, 0.2), force), str(tmp_path / "a.csv"))
     arguments = [str(tmp_path / "a.csv"), "--model", "bingham", "--generations", "3", "--no-profile"]
-    folder = ["--effects-folder", str(own_effects), "--effect", "own_spring", "--output", str(tmp_path / "fit")]
+    folder = ["--effects-folder", str(user_effects), "--effect", "own_spring", "--output", str(tmp_path / "fit")]
     monkeypatch.setattr("sys.argv", ["identify", *arguments, *folder, "--scheduler", "tcp://nowhere:1"])
     with pytest.raises(InputError, match="do not know the effects of --effects-folder"):
         identify_tool.work()
     monkeypatch.setattr("sys.argv", ["identify", *arguments, *folder])
     identify_tool.work()
-    found = json.loads((tmp_path / "fit" / "fit.json").read_text())
-    assert found["parameters"]["own_spring.rate"]["value"] == pytest.approx(800.0, rel=0.02)
+    stored = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    assert stored["parameters"]["own_spring.rate"]["value"] == pytest.approx(800.0, rel=0.02)
 
 
 def test_unusable_files_are_refused_in_one_line(tmp_path):
@@ -189,7 +191,7 @@ def test_unusable_files_are_refused_in_one_line(tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         write_plant(made, SHIPPED, tmp_path / "nowhere" / "out.yaml")
     (tmp_path / "elsewhere.yaml").write_text("/bench/plant: {ros__parameters: {seed: 1}}")
-    with pytest.raises(InputError, match=r"elsewhere\.yaml: found /bench/plant, none of them the plant"):
+    with pytest.raises(InputError, match=r"elsewhere\.yaml: found the sections /bench/plant, expected plant or"):
         write_plant(made, tmp_path / "elsewhere.yaml", tmp_path / "new.yaml")
     (tmp_path / "other.yaml").write_text("damper: {model: bingham}")
     with pytest.raises(InputError, match="expected a parameter file"):
@@ -197,27 +199,27 @@ def test_unusable_files_are_refused_in_one_line(tmp_path):
 
 
 def test_the_tool_from_report_to_simulation(recorded, tmp_path, monkeypatch, capsys):
-    """diagnose, apply, simulate: what was recorded comes out again."""
+    """diagnose, apply and simulate in turn give the recorded force again."""
 
-    def called(tool, *arguments):
+    def call(tool, *arguments):
         monkeypatch.setattr("sys.argv", [tool.__name__, *map(str, arguments)])
         tool.main()
         return capsys.readouterr().out
 
-    said = called(
+    printed = call(
         diagnose_tool, *recorded, "--model", "bingham", "--effects", "force_sensor_lag,gas_spring", "--output", tmp_path
     )
     report = tmp_path / "gap_report.json"
     sentence = json.loads(report.read_text())["sentence"]
-    assert said.startswith(sentence)
-    assert "force_sensor_lag" in said.removeprefix(sentence)
-    assert said.rstrip().endswith(str(report))
-    said = called(apply_tool, report, "--plant", SHIPPED, "--output", tmp_path / "plant.yaml")
-    assert "bingham with force_sensor_lag, as diagnosed" in said
-    assert "identify RUN... --model bingham --effect force_sensor_lag --output" in said
-    called(simulate_tool, recorded[0], "--plant", tmp_path / "plant.yaml", "--output", tmp_path / "again.csv")
+    assert printed.startswith(sentence)
+    assert "force_sensor_lag" in printed.removeprefix(sentence)
+    assert printed.rstrip().endswith(str(report))
+    printed = call(apply_tool, report, "--plant", SHIPPED, "--output", tmp_path / "plant.yaml")
+    assert "bingham with refitted parameters and the effect force_sensor_lag: this explains the gap." in printed
+    assert "identify RUN... --model bingham --effect force_sensor_lag --output" in printed
+    call(simulate_tool, recorded[0], "--plant", tmp_path / "plant.yaml", "--output", tmp_path / "again.csv")
     measured, again = read_run(recorded[0]).force, read_run(tmp_path / "again.csv").force
     assert np.sqrt(np.mean((measured - again)[100:] ** 2)) < 2.0
-    said = called(trend_tool, *recorded, "--report", report, "--output", tmp_path)
-    # 20 ms; what made these runs had no vertices between their samples, 4 ms apart.
-    assert said.startswith("force_sensor_lag.lag shows no trend from run 1 to run 3: 20.1 ms")
+    printed = call(trend_tool, *recorded, "--report", report, "--output", tmp_path)
+    # The true lag is 20 ms; the runs were made without vertices between their samples, which are 4 ms apart.
+    assert printed.startswith("force_sensor_lag.lag shows no trend from run 1 to run 3: its mean is 20.1 ms")

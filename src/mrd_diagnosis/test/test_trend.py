@@ -1,8 +1,8 @@
-"""A parameter followed over dated runs: what grows is said to grow, what does not is not."""
+"""A parameter that grows over dated runs has a trend, and a steady one has none."""
 
 import json
-import subprocess
 import sys
+from dataclasses import replace
 
 import jsonschema
 import numpy as np
@@ -10,9 +10,11 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis.cli import trend as tool
-from mrd_diagnosis.trend.change_point import growth
-from mrd_diagnosis.trend.trend import DatedProblem, calendar_of, trend
+from mrd_diagnosis.trend.calendar import make_calendar
+from mrd_diagnosis.trend.dated_fit import make_dated_problem
+from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import to_json, write_trend
+from mrd_diagnosis.trend.trend_line import fit_trend_line
 from mrd_identification.json_file import read_schema
 from mrd_identification.problem import make_problem, prepare_recording
 from mrd_runs import Run
@@ -25,7 +27,7 @@ MODEL = {"yield_force": 100.0, "yield_force_per_A": 800.0, "viscous": 1000.0, "v
 
 
 def series(values, follow, *, seed=0, seconds=2.0, rate=200.0, scatter=0.0, effects=()):
-    """Short runs of a Bingham model, one for each value of a parameter; load cell zeroed anew each time."""
+    """Return short runs of a Bingham model, one for each value of a parameter, each with its own offset of the load cell."""
     random = np.random.default_rng(seed)
     model = find_model("bingham", effects=effects)
     time = np.arange(int(rate * seconds)) / rate
@@ -48,7 +50,7 @@ def series(values, follow, *, seed=0, seconds=2.0, rate=200.0, scatter=0.0, effe
 def followed(values, follow="yield_force", **options):
     limit = options.pop("limit", None)
     runs = series(values, follow, **options)
-    return trend(runs, "bingham", follow, parameters=MODEL, calendar=calendar_of(runs, DATES[: len(runs)]), limit=limit)
+    return trend(runs, "bingham", follow, parameters=MODEL, calendar=make_calendar(runs, DATES[: len(runs)]), limit=limit)
 
 
 @pytest.fixture(scope="module")
@@ -56,71 +58,63 @@ def growing():
     return followed(100.0 + 5.0 * np.arange(10), scatter=1.0, limit=200.0)
 
 
-def test_what_grows_is_said_to_grow(growing):
+def test_a_growing_parameter_has_a_trend(growing):
     # 5 N a month.
-    assert growing.growth.slope.lower < 5 / 30.4 < growing.growth.slope.upper
-    assert growing.growth.slope.upper - growing.growth.slope.lower < 0.05
-    assert growing.growth.change is None
-    assert growing.growth.scatter == pytest.approx(1.0, abs=0.6)
+    assert growing.line.slope.lower < 5 / 30.4 < growing.line.slope.upper
+    assert growing.line.slope.upper - growing.line.slope.lower < 0.05
+    assert growing.line.change is None
+    assert growing.line.scatter == pytest.approx(1.0, abs=0.6)
     for month, value in enumerate(growing.values):
         assert value.value == pytest.approx(100 + 5 * month, abs=4.0)
         assert 0 < value.upper - value.lower < 2.0
     # 20 months after the start.
-    assert growing.reached.lower < 20 * 30.4 < growing.reached.upper
+    assert growing.crossing.lower < 20 * 30.4 < growing.crossing.upper
     assert growing.sentence.startswith("yield_force grows by ")
-    assert "it reaches 200 N about 2025-" in growing.sentence
-    assert growing.common["viscous"] == pytest.approx(1000.0, rel=0.02)
+    assert "It reaches 200 N at about 2025-" in growing.sentence
+    assert growing.fit.common_parameters["viscous"] == pytest.approx(1000.0, rel=0.02)
 
 
-def test_what_stays_is_not_said_to_grow():
+def test_a_steady_parameter_has_no_trend():
     found = followed(np.full(10, 100.0), scatter=1.0, limit=200.0)
-    assert found.growth.slope.lower < 0 < found.growth.slope.upper
-    assert found.growth.change is None
-    assert found.reached is None
+    assert found.line.slope.lower < 0 < found.line.slope.upper
+    assert found.line.change is None
+    assert found.crossing is None
     assert "shows no trend" in found.sentence
     assert "no change point" in found.sentence
-    assert "cannot be told" in found.sentence
+    assert "cannot be predicted" in found.sentence
     assert found.notes == ()
 
 
-def test_a_step_is_found_where_it_is():
+def test_a_step_is_located():
     found = followed(100.0 + 30.0 * (np.arange(10) >= 6), scatter=1.0)
-    assert (found.growth.change.kind, found.growth.change.after) == ("step", 6)
-    assert found.growth.change.size.value == pytest.approx(30.0, abs=3.0)
-    assert "it jumps by " in found.sentence
+    assert (found.line.change.kind, found.line.change.after) == ("step", 6)
+    assert found.line.change_size.value == pytest.approx(30.0, abs=3.0)
+    assert "It jumps by " in found.sentence
     assert "between 2024-06-01 and 2024-07-01" in found.sentence
 
 
-def test_an_effect_is_followed_from_nothing_on():
+def test_an_effect_is_followed_from_size_zero():
     found = followed(np.maximum(0.0, 3e-3 * (np.arange(10) - 4)), "force_sensor_lag.lag", effects=["force_sensor_lag"])
-    assert (found.growth.change.kind, found.growth.change.before) == ("bend", 4)
-    assert [effect.id for effect in found.model.effects] == ["force_sensor_lag"]
-    assert found.growth.slope.value == pytest.approx(3e-3 / 30.4, rel=0.02)
+    assert (found.line.change.kind, found.line.change.before) == ("bend", 4)
+    assert [effect.id for effect in found.fit.model.effects] == ["force_sensor_lag"]
+    assert found.line.slope.value == pytest.approx(3e-3 / 30.4, rel=0.02)
     # A value on the bound does not bend the line, nor does its interval end there.
     assert all(value.lower < 0 < value.upper or value.value == pytest.approx(0, abs=1e-4) for value in found.values[:5])
     assert any("on its bound" in note for note in found.notes)
 
 
-def test_a_parameter_that_explains_the_dates_better_is_told():
+def test_a_parameter_that_explains_the_dates_better_is_noted():
     runs = series(1000.0 + 50.0 * np.arange(6), "viscous")
     (note,) = trend(runs, "bingham", "yield_force", parameters=MODEL).notes
-    assert note.startswith("what changes from date to date looks more like viscous")
+    assert note.startswith("viscous explains the change from date to date better than yield_force")
     assert trend(runs, "bingham", "viscous", parameters=MODEL).notes == ()
 
 
 def test_derivatives_of_dates_are_exact():
     runs = series([100.0, 110.0, 120.0, 130.0], "yield_force")
     problem, _ = make_problem(find_model("bingham"), [prepare_recording(run) for run in runs], offsets=True)
-    count = len(problem.base)
-    dated = DatedProblem(
-        problem.model,
-        problem.recordings,
-        (*problem.free[1:], count, count + 1, count + 2),
-        np.concatenate([problem.base, [100.0, 105.0, 120.0]]),
-        True,
-        followed=0,
-        place=(0, 1, 1, 2),
-    )
+    dated = make_dated_problem(problem, followed=0, date_index=(0, 1, 1, 2))
+    dated = replace(dated, base=np.concatenate([problem.base, [100.0, 105.0, 120.0]]))
     unit = dated.unit(dated.base)
     exact = dated.jacobian(unit)
     for index in range(len(unit)):
@@ -131,8 +125,8 @@ def test_derivatives_of_dates_are_exact():
     assert np.array_equal(dated.jacobian(unit, [0, len(unit) - 1]), exact[:, [0, -1]])
 
 
-def test_alarms_are_as_rare_as_they_should_be():
-    """Of steady values with errors of their own, errors that all share, and scatter."""
+def test_false_alarms_are_as_rare_as_stated():
+    """The values are steady, with independent errors, a common error, and scatter."""
     random = np.random.default_rng(5)
     trends = changes = 0
     for _ in range(300):
@@ -141,27 +135,27 @@ def test_alarms_are_as_rare_as_they_should_be():
         sigma = random.uniform(0.5, 2.0, dates)
         values = 50 + sigma * random.standard_normal(dates) + 3 * random.standard_normal()
         values += random.choice([0.0, 2.0]) * random.standard_normal(dates)
-        found = growth(times, values, np.diag(sigma**2) + 9.0)
+        found = fit_trend_line(times, values, np.diag(sigma**2) + 9.0)
         trends += not found.slope.lower < 0 < found.slope.upper
         changes += found.change is not None
     assert trends < 30
     assert changes < 15
 
 
-def test_the_limit_lies_in_its_interval():
+def test_the_interval_of_the_crossing_covers():
     random = np.random.default_rng(6)
     within = 0
     for _ in range(200):
         times = np.arange(10.0)
         values = 2.0 * times + random.standard_normal(10)
-        reached = growth(times, values, np.eye(10)).reaches(40.0)
+        reached = fit_trend_line(times, values, np.eye(10)).crossing(40.0)
         within += reached is not None and reached.lower < 20.0 < reached.upper
     assert 178 <= within <= 199
-    assert growth(times, -2.0 * times, np.eye(10)).reaches(40.0) is None
+    assert fit_trend_line(times, -2.0 * times, np.eye(10)).crossing(40.0) is None
 
 
-def test_values_without_any_error_are_a_line():
-    found = growth(np.arange(5.0), 3.0 + 2.0 * np.arange(5.0), np.zeros((5, 5)))
+def test_values_without_errors_are_on_the_line():
+    found = fit_trend_line(np.arange(5.0), 3.0 + 2.0 * np.arange(5.0), np.zeros((5, 5)))
     assert found.slope.value == pytest.approx(2.0)
     assert found.scatter == pytest.approx(0.0, abs=1e-6)
     assert np.isnan(found.p_change)
@@ -172,7 +166,7 @@ def test_twenty_steady_dampers_raise_two_alarms_at_most():
     alarms = 0
     for seed in range(20):
         found = followed(np.full(8, 100.0), scatter=2.0, seed=100 + seed)
-        alarms += found.growth.change is not None or not found.growth.slope.lower < 0 < found.growth.slope.upper
+        alarms += found.line.change is not None or not found.line.slope.lower < 0 < found.line.slope.upper
     assert alarms <= 2
 
 
@@ -182,21 +176,21 @@ def test_dates_come_from_the_recordings_or_the_order():
         return [Run(f"r{i}", np.arange(10.0), empty, empty, empty, empty, info={"started": s}) for i, s in enumerate(starts)]
 
     days = recorded(*(f"2024-03-0{day}T08:30:00+00:00" for day in (5, 1, 3, 1)))
-    calendar = calendar_of(days)
-    assert calendar.basis == "recorded"
+    calendar = make_calendar(days)
+    assert calendar.source == "recorded"
     assert calendar.labels == ("2024-03-01", "2024-03-03", "2024-03-05")
-    assert calendar.place == (2, 0, 1, 0)
+    assert calendar.date_index == (2, 0, 1, 0)
     assert list(calendar.times) == [0.0, 2.0, 4.0]
     assert calendar.label(31.0) == "2024-04-01"
-    hours = calendar_of(recorded(*(f"2024-03-01T{hour:02d}:00:00+00:00" for hour in (8, 9, 11))))
+    hours = make_calendar(recorded(*(f"2024-03-01T{hour:02d}:00:00+00:00" for hour in (8, 9, 11))))
     assert np.allclose(hours.times * 24, [0, 1, 3])
     assert hours.labels[1] == "2024-03-01 09:00:00"
-    assert calendar_of(recorded("2024-03-01", "", "2024-03-02")).basis == "order"
-    assert calendar_of(days, ["2024-01-01"] * 4).basis == "given"
+    assert make_calendar(recorded("2024-03-01", "", "2024-03-02")).source == "order"
+    assert make_calendar(days, ["2024-01-01"] * 4).source == "given"
     with pytest.raises(InputError, match="3 dates for 4 runs"):
-        calendar_of(days, ["2024-01-01"] * 3)
-    with pytest.raises(InputError, match="'monday' is no date, expected one as 2024-05-31"):
-        calendar_of(days, ["monday"] * 4)
+        make_calendar(days, ["2024-01-01"] * 3)
+    with pytest.raises(InputError, match="'monday' is no date, expected a date such as 2024-05-31"):
+        make_calendar(days, ["monday"] * 4)
 
 
 def test_unusable_input_is_refused_in_one_line():
@@ -214,7 +208,7 @@ def test_unusable_input_is_refused_in_one_line():
     with pytest.raises(InputError, match="2 dates, expected at least 3"):
         trend(runs[:2], "bingham", "yield_force", parameters=MODEL)
     still = [Run(r.name, r.time, r.position, r.velocity, 0 * r.current, r.force) for r in runs]
-    with pytest.raises(InputError, match="yield_force_per_A: these runs say nothing of it"):
+    with pytest.raises(InputError, match="yield_force_per_A: the force of these runs does not depend on it"):
         trend(still, "bingham", "yield_force_per_A", parameters=MODEL)
 
 
@@ -226,11 +220,11 @@ def test_files_fit_their_schema(growing, tmp_path):
     stored = json.loads((tmp_path / "trend.json").read_text())
     jsonschema.validate(stored, read_schema("mrd_diagnosis", "trend"))
     assert stored["slope"]["unit"] == "N/day"
-    assert stored["limit"]["reached"]["label"].startswith("2025-")
+    assert stored["limit"]["crossing"]["label"].startswith("2025-")
     assert [date["runs"][0]["name"] for date in stored["dates"]][:2] == ["run1", "run2"]
     with_change = to_json(followed(100.0 + 30.0 * (np.arange(10) >= 6), scatter=1.0))
     jsonschema.validate(with_change, read_schema("mrd_diagnosis", "trend"))
-    assert with_change["change_point"]["found"]["between"] == ["2024-06-01", "2024-07-01"]
+    assert with_change["change_point"]["detected"]["between"] == ["2024-06-01", "2024-07-01"]
     assert with_change["limit"] is None
 
 
@@ -240,35 +234,22 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
         paths.append(str(tmp_path / f"{run.name}.csv"))
         write_csv(run, paths[-1])
 
-    def called(*arguments):
+    def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["trend", *paths, "--output", str(tmp_path / "out"), *arguments])
-        with pytest.raises(SystemExit) as left:
-            tool.main()
-        return left.value.code, capsys.readouterr().err
+        tool.main()
+        return capsys.readouterr().out
 
-    assert called("--model", "bingham") == (2, "error: nothing to follow: name an --effect or a --parameter\n")
-    assert called("--parameter", "yield_force")[1].startswith("error: --model is missing")
-    assert called("--model", "bingham", "--effect", "ghost")[1].startswith("error: unknown effect ghost")
-    assert called("--model", "bingham", "--parameter", "viscous", "--dates", "2024-01-01")[0] == 2
-    done = subprocess.run(
-        [
-            "ros2",
-            "run",
-            "mrd_diagnosis",
-            "trend",
-            *paths,
-            "--model",
-            "bingham",
-            "--parameter",
-            "yield_force",
-            "--limit",
-            "150",
-            "--output",
-            str(tmp_path / "out"),
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("yield_force grows by ")
-    assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["reached"]["label"] == "run 6"
+    def refusal(*arguments):
+        with pytest.raises(SystemExit) as stopped:
+            call(*arguments)
+        assert stopped.value.code == 2
+        return capsys.readouterr().err
+
+    expected = "error: no parameter to follow: expected --effect EFFECT or --parameter NAME\n"
+    assert refusal("--model", "bingham") == expected
+    assert refusal("--parameter", "yield_force").startswith("error: --model is missing")
+    assert refusal("--model", "bingham", "--effect", "ghost").startswith("error: unknown effect ghost")
+    refusal("--model", "bingham", "--parameter", "viscous", "--dates", "2024-01-01")
+    printed = call("--model", "bingham", "--parameter", "yield_force", "--limit", "150")
+    assert printed.startswith("yield_force grows by ")
+    assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["crossing"]["label"] == "run 6"

@@ -1,4 +1,4 @@
-"""Put a diagnosis into the simulator."""
+"""Write the simulated bench with the damper that a diagnosis found."""
 
 import argparse
 
@@ -15,15 +15,18 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, correct, say what was written and how to use it."""
+    """Parse the arguments, write the plant file, and print how to use it."""
     parser = argparse.ArgumentParser(
         prog="apply",
-        description="Write the simulated bench with the damper as a diagnosis found it, missing effects included.",
+        description="Write a plant.yaml of the simulated bench with the damper that a diagnosis found: with its refitted "
+        "parameters and its missing effects.",
     )
-    parser.add_argument("report", metavar="GAP_REPORT.json", help="as diagnose writes it")
-    parser.add_argument("--plant", required=True, metavar="PLANT.yaml", help="the bench as it was; only its damper changes")
-    parser.add_argument("--output", required=True, metavar="PLANT.yaml", help="must not exist")
-    parser.add_argument("--anyway", action="store_true", help="also where the effect is not proven")
+    parser.add_argument("report", metavar="GAP_REPORT.json", help="file that diagnose wrote")
+    parser.add_argument(
+        "--plant", required=True, metavar="PLANT.yaml", help="plant file to start from; only its damper changes"
+    )
+    parser.add_argument("--output", required=True, metavar="PLANT.yaml", help="plant file to write; must not exist yet")
+    parser.add_argument("--anyway", action="store_true", help="apply the diagnosis even if it does not prove an effect")
     add_effects_folder(parser)
     arguments = parser.parse_args()
     report = read_gap_report(arguments.report)
@@ -39,12 +42,13 @@ def work() -> None:
     )
     output = write_plant(corrected, arguments.plant, arguments.output)
     print(f"{output}: {corrected.remark}")
-    print(f"simulate it: ros2 run mrd_sim simulate EXPERIMENT.yaml --plant {output} --output FILE.csv")
-    print(f"fit it anew: ros2 run mrd_identification identify RUN... {arguments_of_identify(corrected)} --output DIR")
+    print(f"Next, simulate this bench: ros2 run mrd_sim simulate EXPERIMENT.yaml --plant {output} --output FILE.csv")
+    identify = f"ros2 run mrd_identification identify RUN... {identify_arguments(corrected)} --output DIR"
+    print(f"Or fit this model to new runs: {identify}")
 
 
-def arguments_of_identify(corrected: Correction) -> str:
-    """Which model with which laws and effects, as identify takes it."""
+def identify_arguments(corrected: Correction) -> str:
+    """Return the arguments of identify for the same model with the same laws and effects."""
     laws = ",".join(f"{name}={law}" for name, law in corrected.laws.items())
     law = f" --law {laws}" if corrected.laws != find_model(corrected.model).laws else ""
     folder = f" --effects-folder {corrected.effects_folder}" if corrected.effects_folder else ""

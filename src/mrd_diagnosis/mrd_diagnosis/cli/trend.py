@@ -8,7 +8,8 @@ from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.report.gap_file import read_gap_report
-from mrd_diagnosis.trend.trend import calendar_of, trend
+from mrd_diagnosis.trend.calendar import make_calendar
+from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import write_trend
 from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_identification.json_file import make_folder
@@ -25,38 +26,11 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, follow, write, report."""
-    parser = argparse.ArgumentParser(
-        prog="trend",
-        description="Follow a parameter over dated runs: its trend, a change point if there is one, and when it reaches a "
-        "limit; writes trend.json and trend.html.",
-    )
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
-    parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: that of the report or the fit")
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--effect", metavar="EFFECT[.PARAMETER]", help="follow an effect: its first parameter, or another")
-    what.add_argument("--parameter", metavar="NAME", help="follow a parameter of the model, such as yield_force")
-    source = parser.add_mutually_exclusive_group()
-    source.add_argument(
-        "--report", metavar="GAP_REPORT.json", help="model and effects as a diagnosis found them; follows the first"
-    )
-    source.add_argument("--parameters", metavar="FIT.json", help="fitted model to start from, instead of a search")
-    parser.add_argument(
-        "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
-    )
-    add_effects_folder(parser)
-    parser.add_argument(
-        "--dates", default="", metavar="DATE,...", help="one for each run, such as 2024-05-31; default: the recordings' own"
-    )
-    parser.add_argument("--limit", type=float, metavar="VALUE", help="in SI; tells when the trend reaches it")
-    parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
-    parser.add_argument("--output", required=True, metavar="DIR", help="where trend.json and trend.html go")
-    arguments = parser.parse_args()
-    if arguments.seed < 0:
-        raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
+    """Parse the arguments, compute the trend, write the files and print the result."""
+    arguments = _parse_arguments()
     start = _start(arguments)
     runs = read_runs(arguments.runs)
-    calendar = calendar_of(runs, [date for date in arguments.dates.split(",") if date])
+    calendar = make_calendar(runs, [date for date in arguments.dates.split(",") if date])
     folder = make_folder(arguments.output)
     with tqdm(total=100, desc="trend", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
@@ -64,16 +38,55 @@ def work() -> None:
             bar.set_description_str(stage, refresh=False)
             bar.update(int(100 * fraction) - bar.n)
 
-        found = trend(runs, calendar=calendar, limit=arguments.limit, seed=arguments.seed, progress=progress, **start)
-    page = write_trend(found, folder)
-    print(found.sentence)
-    for note in found.notes:
+        result = trend(runs, calendar=calendar, limit=arguments.limit, seed=arguments.seed, progress=progress, **start)
+    page = write_trend(result, folder)
+    print(result.sentence)
+    for note in result.notes:
         print(f"note: {note}")
     print(page)
 
 
+def _parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="trend",
+        description="Follow a parameter over dated runs: find its trend and a change point, and predict when it reaches a "
+        "limit. Writes trend.json and trend.html.",
+    )
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV file")
+    parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: the model of --report or --parameters")
+    followed = parser.add_mutually_exclusive_group()
+    followed.add_argument(
+        "--effect", metavar="EFFECT[.PARAMETER]", help="follow a parameter of an effect; default: its first parameter"
+    )
+    followed.add_argument("--parameter", metavar="NAME", help="follow a parameter of the model, such as yield_force")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--report",
+        metavar="GAP_REPORT.json",
+        help="start from the model and the effects of a diagnosis, and follow the first",
+    )
+    source.add_argument("--parameters", metavar="FIT.json", help="start from a fitted model; default: identify it first")
+    parser.add_argument(
+        "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
+    )
+    add_effects_folder(parser)
+    parser.add_argument(
+        "--dates",
+        default="",
+        metavar="DATE,...",
+        help="one date for each run, such as 2024-05-31; default: the recorded dates",
+    )
+    parser.add_argument("--limit", type=float, metavar="VALUE", help="predict when the parameter reaches this value, in SI")
+    parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same result (default %(default)s)")
+    parser.add_argument("--output", required=True, metavar="DIR", help="folder for trend.json and trend.html")
+    arguments = parser.parse_args()
+    if arguments.seed < 0:
+        raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
+    return arguments
+
+
 def _start(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Model, laws, effects, parameters and what to follow, from the arguments and the file that they name."""
+    """Return model, laws, effects, parameters and the parameter to follow, as `trend` takes them."""
     laws = parse_laws(arguments.law, "--law")
     source, follow = arguments.report or arguments.parameters, arguments.effect
     stored = None
@@ -90,15 +103,17 @@ def _start(arguments: argparse.Namespace) -> dict[str, Any]:
         effect, _, name = follow.partition(".")
         follow = f"{effect}.{name or find_effects([effect])[0].parameters[0].name}"
     else:
-        raise InputError("nothing to follow: name an --effect or a --parameter")
+        raise InputError("no parameter to follow: expected --effect EFFECT or --parameter NAME")
     if stored is None:
         if not arguments.model:
-            raise InputError("--model is missing, expected one, or a --report or --parameters of one")
+            raise InputError("--model is missing: expected it, or a --report or --parameters file that names the model")
         return {"model": arguments.model, "follow": follow, "laws": laws}
     if arguments.model not in (None, stored.model):
-        raise InputError(f"--model {arguments.model}: {source} is of {stored.model}, expected the same")
+        raise InputError(
+            f"--model is {arguments.model} but {source} has {stored.model}: expected the same; leave --model out"
+        )
     if laws:
-        raise InputError(f"--law {arguments.law}: {source} has current laws of its own; leave it out")
+        raise InputError(f"--law is {arguments.law} but {source} has its own current laws: leave --law out")
     return {
         "model": stored.model,
         "follow": follow,

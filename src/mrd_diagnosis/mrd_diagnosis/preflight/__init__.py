@@ -1,51 +1,65 @@
-"""What is wrong with the recordings, before physics is blamed.
+"""Preflight: what is wrong with the recordings, checked before any physics is blamed for the gap.
 
-What a delay of the force against the motion means, no look at the data can say: it is an effect to be tried, not a fault.
+A delay of the force against the motion is not checked here. The recordings cannot tell whether it is a fault of the
+measurement or an effect of the damper, so the diagnosis tries it as an effect.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 
 from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import View
-from mrd_diagnosis.preflight.clock import clock, rates
-from mrd_diagnosis.preflight.excitation import coverage
-from mrd_diagnosis.preflight.readings import aliasing, clipping, holds, quantisation, spikes
-from mrd_diagnosis.preflight.repeats import duplicates, repeats
-from mrd_diagnosis.preflight.rigs import rigs
-from mrd_diagnosis.preflight.sensors import accelerometer, dead, signs, units
+from mrd_diagnosis.preflight.channels import CheckedRun
+from mrd_diagnosis.preflight.clock import check_clock, check_sample_rates
+from mrd_diagnosis.preflight.excitation import check_excitation
+from mrd_diagnosis.preflight.readings import (
+    check_aliasing,
+    check_clipping,
+    check_held_readings,
+    check_quantisation,
+    check_spikes,
+)
+from mrd_diagnosis.preflight.repeats import check_duplicates, check_repeats
+from mrd_diagnosis.preflight.rigs import check_rigs
+from mrd_diagnosis.preflight.sensors import check_accelerometer, check_dead_channels, check_signs, check_units
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
-OF_A_RUN: tuple[Callable[[View], Iterator[Finding]], ...] = (
-    units,
-    dead,
-    clock,
-    holds,
-    spikes,
-    clipping,
-    quantisation,
-    aliasing,
-    accelerometer,
+CHECKS_OF_SINGLE_RUNS: tuple[Callable[[CheckedRun], Iterator[Finding]], ...] = (
+    check_units,
+    check_dead_channels,
+    check_clock,
+    check_held_readings,
+    check_spikes,
+    check_clipping,
+    check_quantisation,
+    check_aliasing,
+    check_accelerometer,
 )
-OF_ALL_RUNS: tuple[Callable[[Sequence[View]], Iterator[Finding]], ...] = (rates, signs, rigs, duplicates, repeats)
+CHECKS_ACROSS_RUNS: tuple[Callable[[Sequence[CheckedRun]], Iterator[Finding]], ...] = (
+    check_sample_rates,
+    check_signs,
+    check_rigs,
+    check_duplicates,
+    check_repeats,
+)
+SEVERITIES = ("fault", "limitation", "remark")
 
 
 def preflight(runs: Sequence[Run], model: DamperModel | None = None) -> tuple[Finding, ...]:
-    """Look for what is wrong with recordings, and for what they cannot tell.
+    """Check recordings for defects, and for excitation that is missing.
 
     Parameters
     ----------
     runs : sequence of Run
     model : DamperModel, optional
-        Whose parameters are to be identified from them.
+        Model whose parameters are to be identified from the runs.
 
     Returns
     -------
     tuple of Finding
-        Faults, limitations, remarks, in this order.
+        Faults first, then limitations, then remarks.
     """
-    views = [View(run) for run in runs]
-    found = [finding for view in views for check in OF_A_RUN for finding in check(view)]
-    found += [finding for check in OF_ALL_RUNS for finding in check(views)]
-    found += coverage(views, model)
-    return tuple(sorted(found, key=lambda finding: ("fault", "limitation", "remark").index(finding.severity)))
+    checked_runs = [CheckedRun(run) for run in runs]
+    findings = [finding for checked in checked_runs for check in CHECKS_OF_SINGLE_RUNS for finding in check(checked)]
+    findings += [finding for check in CHECKS_ACROSS_RUNS for finding in check(checked_runs)]
+    findings += check_excitation(checked_runs, model)
+    return tuple(sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)))

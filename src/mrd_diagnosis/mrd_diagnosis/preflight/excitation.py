@@ -1,4 +1,4 @@
-"""What the motion and the current of the runs let be seen."""
+"""Checks of the excitation: what the motion and the current of the runs let a diagnosis see."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,110 +6,123 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import MOVED, SHORT_STROKE, View, milli
+from mrd_diagnosis.preflight.channels import MOVING_STROKE, PRE_YIELD_STROKE, CheckedRun, counted, milli
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
 
 FEWEST_REVERSALS = 10
-"""Of all runs together: before, loops cannot be told from drift."""
-ONE_SPEED = 1.5
-"""Ratio of the peak speeds of strokes; within it, speed and frequency do not separate effects."""
+"""Reversals in all runs together, below which hysteresis loops cannot be told from drift."""
+ONE_SPEED_RATIO = 1.5
+"""Ratio of the peak speeds of strokes (95 % to 5 % quantile) below which they count as one speed. Within it, speed and
+frequency do not separate effects."""
 
 
-def coverage(views: Sequence[View], model: DamperModel | None) -> Iterator[Finding]:
-    """Currents, strokes, reversals and speeds that are lacking, and what there is."""
-    current = np.array([[view.run.current.min(), view.run.current.max(), view.run.current.mean()] for view in views])
-    changing = [view for view in views if view.varies]
-    dependent = f", nor how {model.id} depends on the current" if model is not None and model.laws else ""
-    if not changing and np.ptp(current[:, 2]) < max(0.01, 0.02 * float(np.abs(current).max())):
-        yield Finding(
-            "coverage",
-            "limitation",
-            f"the current never changes ({current[:, 2].mean():.3g} A): effects of the magnetics stage cannot be tested"
-            f"{dependent}; record runs with steps of the current",
-            channel="current",
+def check_excitation(runs: Sequence[CheckedRun], model: DamperModel | None) -> Iterator[Finding]:
+    """Find currents, strokes, reversals and speeds that the runs lack, and sum up what the runs have."""
+    yield from _check_currents(runs, model)
+    yield from _check_reversals(runs)
+    yield from _check_strokes_and_speeds(runs)
+    yield _summary(runs)
+
+
+def _check_currents(runs: Sequence[CheckedRun], model: DamperModel | None) -> Iterator[Finding]:
+    if any(checked.current_varies for checked in runs):
+        return
+    means = np.array([checked.run.current.mean() for checked in runs])
+    largest = max(float(np.abs(checked.run.current).max()) for checked in runs)
+    if np.ptp(means) < max(0.01, 0.02 * largest):
+        dependence = f", and neither can how {model.id} depends on the current" if model is not None and model.laws else ""
+        text = (
+            f"the current never changes ({means.mean():.3g} A): effects of the magnetics stage cannot be tested{dependence}."
+            " Record runs with steps of the current."
         )
-    elif not changing:
-        yield Finding(
-            "coverage",
-            "limitation",
-            "the current is constant within every run: how the force follows a change of it (lag, hysteresis) cannot be "
-            "tested; record a run with steps of the current",
-            channel="current",
+    else:
+        text = (
+            "the current is constant within every run: the lag and the hysteresis of the force behind a change of the "
+            "current cannot be tested. Record a run with steps of the current."
         )
-    reversals = sum(len(view.strokes) - 1 for view in views)
-    for view in views:
-        if view.stroke < MOVED / 10:
-            yield view.finding("coverage", "limitation", "position", "the rod rests: says nothing of the damper in motion")
-        elif len(view.strokes) < 3:
-            yield view.finding(
-                "coverage",
-                "limitation",
-                "position",
-                f"is shorter than one stroke to and fro ({len(view.strokes) - 1} reversals): no loop; record longer",
+    yield Finding("coverage", "limitation", text, channel="current")
+
+
+def _check_reversals(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
+    for checked in runs:
+        reversals = len(checked.stroke_starts) - 1
+        if checked.stroke < MOVING_STROKE / 10:
+            text = "the rod rests: this run says nothing about the damper in motion. Record it with motion, or leave it out."
+        elif reversals < 2:
+            text = (
+                f"the run is shorter than one stroke to and fro: it has {counted(reversals, 'reversal')}, expected at "
+                "least 2. It holds no loop of force over position. Record a longer run."
             )
-    if all(len(view.strokes) < 3 for view in views):
-        yield Finding(
-            "coverage",
-            "fault",
-            "no run holds a stroke to and fro: there is no loop to compare; record longer",
-            channel="position",
-        )
+        else:
+            continue
+        yield checked.finding("coverage", "limitation", "position", text)
+    reversals = _reversals(runs)
+    if all(len(checked.stroke_starts) < 3 for checked in runs):
+        text = "no run holds a stroke to and fro: expected at least one loop of force over position. Record longer runs."
+        yield Finding("coverage", "fault", text, channel="position")
     elif reversals < FEWEST_REVERSALS:
-        yield Finding(
-            "coverage",
-            "limitation",
-            f"{reversals} reversals in all runs, expected {FEWEST_REVERSALS} at least: effects at reversals (hysteresis, "
-            "play, compliance) rest on too little; record longer",
-            channel="position",
+        text = (
+            f"{counted(reversals, 'reversal')} in all runs, expected at least {FEWEST_REVERSALS}: effects at reversals "
+            "(hysteresis, play, compliance) rest on too few data. Record longer runs."
         )
-    stroke = max(view.stroke for view in views)
-    if stroke < SHORT_STROKE:
-        yield Finding(
-            "coverage",
-            "limitation",
-            f"no stroke is longer than {milli(stroke)} mm, expected {milli(SHORT_STROKE)} mm at least: the damper may "
-            "never leave its pre-yield loop; record longer strokes",
-            channel="position",
+        yield Finding("coverage", "limitation", text, channel="position")
+
+
+def _check_strokes_and_speeds(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
+    stroke = max(checked.stroke for checked in runs)
+    if stroke < PRE_YIELD_STROKE:
+        text = (
+            f"no stroke is longer than {milli(stroke)} mm: expected at least {milli(PRE_YIELD_STROKE)} mm. The damper may "
+            "never leave its pre-yield loop. Record longer strokes."
         )
-    peaks, frequencies = _peaks_and_frequencies(views)
-    if _alike(peaks):
-        several = not _alike(frequencies)
-        yield Finding(
-            "coverage",
-            "limitation",
-            f"all strokes peak at one speed ({milli(float(np.median(peaks)))} mm/s): what grows with "
-            f"{'it' if several else 'it, or with frequency,'} cannot be told from what does not; record other speeds",
-            channel="position",
+        yield Finding("coverage", "limitation", text, channel="position")
+    peaks, frequencies = _peaks_and_frequencies(runs)
+    if _are_alike(peaks):
+        speed = "speed or frequency" if _are_alike(frequencies) else "speed"
+        text = (
+            f"all strokes peak at one speed ({milli(float(np.median(peaks)))} mm/s): effects that grow with {speed} cannot "
+            "be told from effects that do not. Record other speeds."
         )
-    lowest = min(float(view.run.position.min()) for view in views)
-    highest = max(float(view.run.position.max()) for view in views)
-    at = f" at {frequencies.min():.2g} to {frequencies.max():.2g} Hz" if len(frequencies) else ""
-    yield Finding(
+        yield Finding("coverage", "limitation", text, channel="position")
+
+
+def _summary(runs: Sequence[CheckedRun]) -> Finding:
+    current = np.array([[checked.run.current.min(), checked.run.current.max()] for checked in runs])
+    lowest = min(float(checked.run.position.min()) for checked in runs)
+    highest = max(float(checked.run.position.max()) for checked in runs)
+    _, frequencies = _peaks_and_frequencies(runs)
+    band = f" at {frequencies.min():.2g} to {frequencies.max():.2g} Hz" if len(frequencies) else ""
+    return Finding(
         "coverage",
         "remark",
-        f"{len(views)} runs, {sum(view.run.duration for view in views):.4g} s: position {milli(lowest)} to "
-        f"{milli(highest)} mm, speed up to {milli(max(view.speed for view in views))} mm/s, current {current.min():.3g} "
-        f"to {current.max():.3g} A, {reversals} reversals{at}",
+        f"{counted(len(runs), 'run')}, {sum(checked.run.duration for checked in runs):.4g} s: position "
+        f"{milli(lowest)} to {milli(highest)} mm, speed up to {milli(max(checked.top_speed for checked in runs))} mm/s, "
+        f"current {current.min():.3g} to {current.max():.3g} A, {counted(_reversals(runs), 'reversal')}{band}.",
     )
 
 
 def one_speed(runs: Sequence[Run]) -> bool:
-    """Whether all full strokes peak at about the same speed."""
-    return _alike(_peaks_and_frequencies([View(run) for run in runs])[0])
+    """Whether all full strokes of the runs have about the same peak speed."""
+    return _are_alike(_peaks_and_frequencies([CheckedRun(run) for run in runs])[0])
 
 
-def _alike(values: Array) -> bool:
-    return bool(len(values) and np.quantile(values, 0.95) < ONE_SPEED * np.quantile(values, 0.05))
+def _reversals(runs: Sequence[CheckedRun]) -> int:
+    return sum(len(checked.stroke_starts) - 1 for checked in runs)
 
 
-def _peaks_and_frequencies(views: Sequence[View]) -> tuple[Array, Array]:
-    """Peak speed in m/s and frequency in Hz of every full stroke."""
+def _are_alike(values: Array) -> bool:
+    return bool(len(values) and np.quantile(values, 0.95) < ONE_SPEED_RATIO * np.quantile(values, 0.05))
+
+
+def _peaks_and_frequencies(runs: Sequence[CheckedRun]) -> tuple[Array, Array]:
+    """Return the peak speed in m/s and the frequency in Hz of every full stroke."""
     peaks, frequencies = [np.empty(0)], [np.empty(0)]
-    for view in views:
-        if len(view.strokes) > 2:
-            peaks.append(np.maximum.reduceat(np.abs(view.run.velocity), view.strokes)[1:-1])
-            frequencies.append(0.5 / np.diff(view.run.time[view.strokes])[1:])
+    for checked in runs:
+        starts = checked.stroke_starts
+        if len(starts) > 2:
+            peaks.append(np.maximum.reduceat(np.abs(checked.run.velocity), starts)[1:-1])
+            frequencies.append(0.5 / np.diff(checked.run.time[starts])[1:])
     return np.concatenate(peaks), np.concatenate(frequencies)

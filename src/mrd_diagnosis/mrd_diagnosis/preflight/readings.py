@@ -1,4 +1,4 @@
-"""Readings of one channel: held, spiked, clipped, coarse, folded."""
+"""Checks of the readings of single channels: held, jumping, clipped, coarse and aliased readings."""
 
 from collections.abc import Iterator
 
@@ -6,242 +6,268 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import Channel, View, equal_neighbours, milli, stretches
-from mrd_diagnosis.preflight.clock import LOST
+from mrd_diagnosis.diagnosis import Finding, Severity
+from mrd_diagnosis.preflight.channels import Channel, CheckedRun, counted, milli
+from mrd_diagnosis.preflight.clock import USELESS_LOSS
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-CHANCE = 1e-6
-"""Probability below which equal readings in a row are no coincidence."""
-HELD = 4
-"""Samples; fewer equal ones in a row are left to coincidence."""
-CLIPPED = 0.01
-"""Share of clipped samples above which force or position are useless: saturation would be found as physics."""
-REVERSED = 0.15
-"""Of the usual force's way from in to out; where it goes this far to both sides of its middle while the position rests at
-its extreme, the rod did turn, and the position was clipped."""
-COARSE = (0.01, 0.1)
-"""Rms of the rounding error over the channel's standard deviation: as large as the noise of a fair sensor; useless."""
-COMMANDED = 0.1
-"""Share of samples at which a current changes; one that changes less often is a command in steps, not a coarse reading."""
-SPIKE = 20.0
-"""Noise standard deviations by which a single position leaves its neighbours; no rod does so."""
-FASTEST_JUMP = 300.0
-"""m/s²; nor with less than this acceleration within one sample (the bench's drive: 10 m/s²)."""
+NEEDED_CHANNELS = ("position", "force")
+"""Channels without which a run is useless."""
+COINCIDENCE_PROBABILITY = 1e-6
+"""Probability below which equal readings in a row are no coincidence: far below one such case in all runs of a bench."""
+SHORTEST_HOLD = 4
+"""Samples; fewer equal readings in a row are always taken for a coincidence."""
+LONGEST_REFRESH = 20
+"""Samples; a channel that is refreshed more slowly than this is found as held readings."""
+USELESS_CLIPPING = 0.01
+"""Share of clipped samples from which force or position are useless: saturation would be taken for physics."""
+REVERSED_FORCE = 0.15
+"""Share of the usual force range, from inward to outward motion. If the force goes this far to both sides of its middle
+while the position rests at its extreme, the rod did turn, and the position was clipped."""
+COARSE_ROUNDING = 0.01
+"""Rms rounding error over the standard deviation of the channel that is as large as the noise of a fair sensor."""
+USELESS_ROUNDING = 0.1
+"""Rms rounding error over the standard deviation of the channel from which force or position are useless: one step is
+a third of the standard deviation."""
+SAMPLED_CURRENT_CHANGES = 0.1
+"""Share of samples at which the current changes. A current that changes less often is a command in steps, for which the
+size of a step tells nothing about the converter."""
+SPIKE_NOISE = 20.0
+"""Distance of a position from its neighbours, in standard deviations of the noise, that no rod reaches."""
+SPIKE_ACCELERATION = 300.0
+"""Acceleration in m/s² that no rod reaches; the drive of the bench reaches 10 m/s²."""
 TOP_BAND = 0.8
-"""Nyquist frequencies from which on the power should have fallen off."""
-ALIASED = 0.01
-"""Share of power above it, small noise not counted."""
-SWITCHED = (0.1, 0.25, 0.2)
-"""A current that spans more than this (A) and changes by this share of its span at more than this share of the samples
-switches faster than it is sampled."""
+"""Frequency over the Nyquist frequency from which the power of a well-sampled signal has fallen off."""
+ALIASED_POWER = 0.01
+"""Share of power in the top band, small noise not counted, from which signals may be folded there: 10 % of the rms value."""
+SWITCHED_SPAN = 0.1
+"""Span of a current in A from which switching between samples is looked for; noise and ripple span less."""
+SWITCHED_STEP = 0.25
+"""Change of the current from one sample to the next, over its span, that counts as switching; noise changes it by less."""
+SWITCHED_SHARE = 0.2
+"""Share of samples at which the current switches, from which fewer than five samples show the response to a switch."""
 
 
-def holds(view: View) -> Iterator[Finding]:
-    """Readings that stay while they cannot."""
-    for channel in view.channels.values():
+def true_segments(mask: Mask) -> tuple[Indices, Indices]:
+    """Return the first and the last index of each segment in which a mask is true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return edges[::2], edges[1::2] - 1
+
+
+def equal_segments(values: Array) -> tuple[Indices, Indices]:
+    """Return the first and the last index of each segment of equal readings."""
+    first, last = true_segments(np.diff(values) == 0)
+    return first, last + 1
+
+
+def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
+    """Find readings that stay the same where the signal changes."""
+    for channel in checked.channels.values():
         values = channel.values
-        first, last = equal_neighbours(values)
-        if view.slow and channel.name != "position":
-            continue  # a plateau may be as short as this
+        first, last = equal_segments(values)
+        # In a slowly sampled run, a plateau may be as short as a hold.
+        if checked.is_slowly_sampled and channel.name != "position":
+            continue
         if not len(first) or np.ptp(values) == 0:
             continue
         length = last - first + 1
-        refreshed = _refreshed_every(channel, length) if channel.name != "current" else 0
-        if refreshed:
-            rate = view.run.rate / refreshed
-            yield view.finding(
-                "clock",
-                "limitation",
-                channel.name,
-                f"stays the same for {refreshed} samples at a time: it is refreshed at {rate:.3g} Hz, expected "
-                f"{view.run.rate:.4g} Hz like the samples; set the sensor's own rate or record at {rate:.3g} Hz",
+        refresh_period = _refresh_period(channel, length) if channel.name != "current" else 0
+        if refresh_period:
+            rate = checked.run.rate / refresh_period
+            text = (
+                f"the {channel.name} is refreshed at {rate:.3g} Hz only: each reading stays the same for {refresh_period} "
+                f"samples, expected a new reading at the sample rate of {checked.run.rate:.4g} Hz. Raise the rate of the "
+                f"sensor, or record at {rate:.3g} Hz."
             )
+            yield checked.finding("clock", "limitation", channel.name, text)
             continue
-        held = _jumps(channel, first, last) if channel.name == "position" else _unlikely(channel, first, last)
+        if channel.name == "position":
+            held = _followed_by_a_jump(channel, first, last)
+        else:
+            held = _longer_than_coincidence(channel, first, last)
         count = int(length[held].sum() - held.sum())
         if count:
             share = count / len(values)
-            useless = share > LOST and channel.name in ("position", "force")
-            yield view.finding(
-                "gap",
-                "fault" if useless else "limitation",
-                channel.name,
-                f"{count} samples ({100 * share:.2g} %) repeat the one before, up to {length[held].max()} in a row, where "
-                f"readings change; expected a new reading each: look at the channel's connection"
-                f"{' and record it again' if useless else ''}",
+            useless = share > USELESS_LOSS and channel.name in NEEDED_CHANNELS
+            text = (
+                f"the {channel.name} repeats the reading before in {count} samples ({100 * share:.2g} %): up to "
+                f"{length[held].max()} readings in a row are equal, expected changing readings. Check the connection of the "
+                f"channel{' and record the run again' if useless else ''}."
             )
+            yield checked.finding("gap", "fault" if useless else "limitation", channel.name, text)
 
 
-def _refreshed_every(channel: Channel, length: Indices) -> int:
-    """Samples between new readings of a channel whose readings all stay equally long; 0 for others."""
-    short = length[length <= 20]
+def _refresh_period(channel: Channel, length: Indices) -> int:
+    """Samples between new readings, if all readings of a channel stay equally long; otherwise 0."""
+    short = length[length <= LONGEST_REFRESH]
     if len(short) < max(20, len(channel.values) / 40):
         return 0
     usual = int(np.bincount(short).argmax())
     changes = np.abs(np.diff(channel.values))
-    large = np.median(changes[changes > 0]) > 3 * channel.step
-    regular = np.mean(np.abs(length - usual) <= 0) > 0.6 and usual * np.sum(short == usual) > 0.4 * len(channel.values)
-    return usual if large and regular else 0
+    # Noise within one step and a slow signal also repeat readings, but not with large changes at regular intervals.
+    has_large_changes = np.median(changes[changes > 0]) > 3 * channel.quantisation_step
+    is_regular = np.mean(length == usual) > 0.6 and usual * np.sum(short == usual) > 0.4 * len(channel.values)
+    return usual if has_large_changes and is_regular else 0
 
 
-def _unlikely(channel: Channel, first: Indices, last: Indices) -> Mask:
-    """Which equal readings are longer than the noise of the channel would let them be."""
-    if not channel.noisy or channel.quiet <= 2 * channel.step:
+def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) -> Mask:
+    """Which segments of equal readings are longer than the noise of the channel allows."""
+    step = channel.quantisation_step
+    if not channel.is_noisy or channel.lowest_noise <= 2 * step:
         return np.zeros(len(first), dtype=bool)
     values = channel.values
-    # Two normal readings fall on one step with this probability at most.
-    equal = max(channel.step / (2 * np.sqrt(np.pi) * channel.quiet), 1e-3)
-    long = last - first + 1 > max(HELD, 1 + np.log(CHANCE / len(values)) / np.log(equal))
-    # On a plateau readings change by a step or two, and at the ends of the range it is clipping.
-    entry = np.abs(values[first] - values[np.maximum(first - 1, 0)])
-    away = np.abs(values[np.minimum(last + 1, len(values) - 1)] - values[last])
+    # Two normal readings round to the same step with at most this probability.
+    equal = max(step / (2 * np.sqrt(np.pi) * channel.lowest_noise), 1e-3)
+    long = last - first + 1 > max(SHORTEST_HOLD, 1 + np.log(COINCIDENCE_PROBABILITY / len(values)) / np.log(equal))
+    # On a plateau, readings change by one or two steps; at the ends of the range, equal readings are clipping.
+    before = np.abs(values[first] - values[np.maximum(first - 1, 0)])
+    after = np.abs(values[np.minimum(last + 1, len(values) - 1)] - values[last])
     inner = (values[first] != values.max()) & (values[first] != values.min())
-    return np.asarray(long & inner & (np.maximum(entry, away) > 2.5 * channel.step))
+    return np.asarray(long & inner & (np.maximum(before, after) > 2.5 * step))
 
 
-def _jumps(channel: Channel, first: Indices, last: Indices) -> Mask:
-    """Which equal readings amid motion are followed by the jump that makes up for them."""
-    values, least = channel.values, max(5 * channel.step, 8 * channel.noise)
+def _followed_by_a_jump(channel: Channel, first: Indices, last: Indices) -> Mask:
+    """Which segments of equal readings during motion end with a jump that makes up for the motion."""
+    values, least = channel.values, max(5 * channel.quantisation_step, 8 * channel.noise)
     inside = (first >= 3) & (last < len(values) - 1) & (last - first + 1 >= 3)
     start, end = np.where(inside, first, 3), np.where(inside, last, 3)
     slope = (values[start] - values[start - 3]) / 3
-    made_up = (values[end + 1] - values[end]) / np.where(slope == 0, np.inf, slope * (end - start + 1))
-    return np.asarray(inside & (np.abs(values[end + 1] - values[end]) > least) & (made_up > 0.6) & (made_up < 1.7))
+    jump = values[end + 1] - values[end]
+    # The slope is estimated from three samples, so the jump may differ from the missed motion by half.
+    made_up = jump / np.where(slope == 0, np.inf, slope * (end - start + 1))
+    return np.asarray(inside & (np.abs(jump) > least) & (made_up > 0.6) & (made_up < 1.7))
 
 
-def spikes(view: View) -> Iterator[Finding]:
-    """Positions that leave their neighbours as no rod does."""
-    channel = view.channels["position"]
+def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
+    """Find single positions that are farther from their neighbours than any rod moves."""
+    channel, interval = checked.channels["position"], checked.sampling_interval
     values = channel.values
-    around = np.median(np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]]), axis=0)
-    away = np.abs(values[2:-2] - around)
-    least = max(SPIKE * channel.noise, 5 * channel.step, FASTEST_JUMP * view.interval**2)
-    # A corner of the motion leaves its neighbours by about the way between two samples.
-    count = int(np.sum(away > least + 3 * view.speed * view.interval))
+    neighbours = np.median(np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]]), axis=0)
+    distance = np.abs(values[2:-2] - neighbours)
+    least = max(SPIKE_NOISE * channel.noise, 5 * channel.quantisation_step, SPIKE_ACCELERATION * interval**2)
+    # At a corner of the motion, a position is about the travel between two samples away from its neighbours.
+    count = int(np.sum(distance > least + 3 * checked.top_speed * interval))
     if count:
-        yield view.finding(
-            "gap",
-            "limitation",
-            "position",
-            f"{count} samples jump away from their neighbours and back, by up to {milli(away.max())} mm, as no rod does; "
-            "the damper's hysteresis would follow them: look at the sensor's connection, remove these samples",
+        text = (
+            f"the position jumps in {counted(count, 'sample')}: it leaves its neighbours by up to {milli(distance.max())} "
+            "mm and comes back, which no rod does. A damper model would respond to these jumps. Check the connection of the "
+            "position sensor, and remove these samples."
         )
+        yield checked.finding("gap", "limitation", "position", text)
 
 
-def clipping(view: View) -> Iterator[Finding]:
-    """Readings cut off at the end of a range."""
-    for channel in view.channels.values():
-        for side, top in (("highest", channel.values.max()), ("lowest", channel.values.min())):
-            if channel.name == "current" and abs(top) < 0.02:
-                continue  # a supply that is off reads about zero
-            clipped = _flat_top(view, channel, float(top))
-            share = clipped / len(view.run)
+def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
+    """Find readings that are cut off at the end of a range."""
+    for channel in checked.channels.values():
+        for side, limit in (("highest", channel.values.max()), ("lowest", channel.values.min())):
+            # A supply that is off reads about zero.
+            if channel.name == "current" and abs(limit) < 0.02:
+                continue
+            clipped = _clipped_samples(checked, channel, float(limit))
             if not clipped:
                 continue
-            useless = share > CLIPPED and channel.name in ("position", "force")
-            yield view.finding(
-                "clipping",
-                "fault" if useless else "limitation",
-                channel.name,
-                f"{clipped} samples ({100 * share:.2g} %) stay at the {side} reading, {top:.4g} {channel.unit}, where "
-                "others scatter: it is beyond the range of its sensor or converter; widen that range"
-                + (" and record it again" if useless else ""),
+            share = clipped / len(checked.run)
+            useless = share > USELESS_CLIPPING and channel.name in NEEDED_CHANNELS
+            text = (
+                f"the {channel.name} is clipped at its {side} reading, {limit:.4g} {channel.unit}: {clipped} samples "
+                f"({100 * share:.2g} %) stay there, expected noise as in the other samples. The signal exceeds the range of "
+                f"its sensor or converter. Widen that range{' and record the run again' if useless else ''}."
             )
+            yield checked.finding("clipping", "fault" if useless else "limitation", channel.name, text)
 
 
-def _flat_top(view: View, channel: Channel, top: float) -> int:
-    """Samples in a flat top that no other level shares; 0 without one."""
-    # Behind a clipped amplifier the converter's own noise is left, a few of its steps.
-    band = 0.0 if view.slow else min(4 * channel.step, 0.25 * channel.loud)
-    first, last = stretches(np.abs(channel.values - top) <= band)
+def _clipped_samples(checked: CheckedRun, channel: Channel, limit: float) -> int:
+    """Number of samples in a flat part at ``limit`` that no other level has; 0 without one."""
+    # If an amplifier clips, the noise of the converter behind it is left: a few steps.
+    band = 0.0 if checked.is_slowly_sampled else min(4 * channel.quantisation_step, 0.25 * channel.highest_noise)
+    first, last = true_segments(np.abs(channel.values - limit) <= band)
     length = last - first + 1
     if channel.name == "position":
-        return _clipped_turns(view, first, last)
-    if not channel.noisy:
+        return _clipped_turns(checked, first, last)
+    if not channel.is_noisy:
         return 0
-    elsewhere = np.subtract(*equal_neighbours(channel.values)[::-1]) + 1
-    at_top = np.abs(channel.values[equal_neighbours(channel.values)[0]] - top) <= band
-    other = int(max(elsewhere[~at_top & (elsewhere > 0)], default=1))
-    long = length >= max(HELD, 2 * other)
-    return int(length[long].sum()) if long.sum() >= 2 or length[long].sum() >= 5 * HELD else 0
+    first_equal, last_equal = equal_segments(channel.values)
+    elsewhere = (last_equal - first_equal + 1)[np.abs(channel.values[first_equal] - limit) > band]
+    long = length >= max(SHORTEST_HOLD, 2 * int(max(elsewhere, default=1)))
+    return int(length[long].sum()) if long.sum() >= 2 or length[long].sum() >= 5 * SHORTEST_HOLD else 0
 
 
-def _clipped_turns(view: View, first: Indices, last: Indices) -> int:
-    """Samples of a position that stands still at its extreme while the force reverses, so that the rod did."""
-    position, force = view.channels["position"], view.run.force
-    # A turn comes to rest gradually, over steps not much larger than those of the digits.
+def _clipped_turns(checked: CheckedRun, first: Indices, last: Indices) -> int:
+    """Number of samples in which the position rests at its extreme while the force shows that the rod turned."""
+    position, force = checked.channels["position"], checked.run.force
+    # A true turn comes to rest gradually, over steps not much larger than the quantisation step.
     entry = np.abs(position.values[first] - position.values[first - 1])
-    kept = (first > 0) & (last - first >= HELD) & (entry > np.maximum(4 * position.step, 4 * position.noise))
+    sudden = entry > np.maximum(4 * position.quantisation_step, 4 * position.noise)
+    kept = (first > 0) & (last - first >= SHORTEST_HOLD) & sudden
     first, last = first[kept], last[kept]
     if len(first) < 2:
         return 0
-    moving = np.abs(view.run.velocity) > 0.2 * view.speed
-    low, high = (np.median(force[moving & way]) for way in (view.run.velocity < 0, view.run.velocity > 0))
+    velocity = checked.run.velocity
+    moving = np.abs(velocity) > 0.2 * checked.top_speed
+    low, high = (np.median(force[moving & direction]) for direction in (velocity < 0, velocity > 0))
     outwards = 1 if position.values[first[0]] > np.median(position.values) else -1
     before, after = (
-        outwards * float(np.median(force[at]) - 0.5 * (low + high)) for at in (first - 1, first + 4 * (last - first) // 5)
+        outwards * float(np.median(force[index]) - 0.5 * (low + high))
+        for index in (first - 1, first + 4 * (last - first) // 5)
     )
-    if min(before, -after) < REVERSED * (high - low):
+    if min(before, -after) < REVERSED_FORCE * (high - low):
         return 0
     return int(np.sum(last - first + 1))
 
 
-def quantisation(view: View) -> Iterator[Finding]:
-    """Readings in steps that are coarse beside what they measure."""
-    for channel in view.channels.values():
-        spread = float(np.std(channel.values))
-        if not channel.step or not spread:
+def check_quantisation(checked: CheckedRun) -> Iterator[Finding]:
+    """Find channels whose quantisation step is coarse against the signal."""
+    for channel in checked.channels.values():
+        step, deviation = channel.quantisation_step, float(np.std(channel.values))
+        if not step or not deviation:
             continue
-        if channel.name == "current" and (not view.varies or np.mean(np.diff(channel.values) != 0) < COMMANDED):
+        if channel.name == "current" and not checked.current_varies:
             continue
-        if channel.name == "position" and not view.stroke:
+        if channel.name == "current" and np.mean(np.diff(channel.values) != 0) < SAMPLED_CURRENT_CHANGES:
             continue
-        error = channel.step / np.sqrt(12.0) / spread
-        if error < COARSE[0]:
+        if channel.name == "position" and not checked.stroke:
             continue
-        needed = channel.name in ("position", "force")
-        severity = "fault" if needed and error > COARSE[1] else "limitation" if needed else "remark"
-        yield view.finding(
-            "quantisation",
-            severity,
-            channel.name,
-            f"is read in steps of {channel.step:.3g} {channel.unit}, {np.ptp(channel.values) / channel.step:.0f} over its "
-            f"span: rounding is {100 * error:.2g} % of its standard deviation, expected below {100 * COARSE[0]:g} %; use a "
-            "smaller range of the converter",
+        rounding = step / np.sqrt(12.0) / deviation
+        if rounding < COARSE_ROUNDING:
+            continue
+        severity: Severity = "remark"
+        if channel.name in NEEDED_CHANNELS:
+            severity = "fault" if rounding > USELESS_ROUNDING else "limitation"
+        text = (
+            f"the {channel.name} is read in coarse steps of {step:.3g} {channel.unit}, {np.ptp(channel.values) / step:.0f} "
+            f"over its span: the rounding error is {100 * rounding:.2g} % of the standard deviation, expected below "
+            f"{100 * COARSE_ROUNDING:g} %. Use a smaller range of the converter."
         )
+        yield checked.finding("quantisation", severity, channel.name, text)
 
 
-def aliasing(view: View) -> Iterator[Finding]:
-    """Signals faster than the sampling follows."""
-    for name in ("position", "force"):
-        values = view.channels[name].values
-        if not (view.stroke if name == "position" else np.ptp(values)):
+def check_aliasing(checked: CheckedRun) -> Iterator[Finding]:
+    """Find signals that change faster than they are sampled."""
+    for name in NEEDED_CHANNELS:
+        values = checked.channels[name].values
+        if not (checked.stroke if name == "position" else np.ptp(values)):
             continue
         _, density = signal.periodogram(values, window="hann", detrend="linear")
-        # What is white and small is noise; of what is as large as the signal, no digits tell what it is.
-        noise = view.channels[name].noise
+        # A small white part is noise. If the white part is as large as the signal, it may be anything.
+        noise = checked.channels[name].noise
         white = 2 * noise**2 if noise < 0.1 * np.std(values) else 0.0
         share = float(np.sum(density[int(TOP_BAND * len(density)) :] - white) / density.sum())
-        if share > ALIASED:
-            yield view.finding(
-                "aliasing",
-                "limitation",
-                name,
-                f"{100 * share:.2g} % of its power lies between {0.5 * TOP_BAND * view.run.rate:.3g} Hz and half the sample "
-                f"rate, expected below {100 * ALIASED:g} %: noise, or what is faster and folded there; sample faster or "
-                "filter before sampling",
+        if share > ALIASED_POWER:
+            text = (
+                f"the {name} has {100 * share:.2g} % of its power between {0.5 * TOP_BAND * checked.run.rate:.3g} Hz and "
+                f"half the sample rate: expected below {100 * ALIASED_POWER:g} %. This is noise, or a faster signal that is "
+                "folded into this band. Sample faster, or filter before sampling."
             )
-    current = view.run.current
+            yield checked.finding("aliasing", "limitation", name, text)
+    current = checked.run.current
     span = float(np.subtract(*np.quantile(current, [0.99, 0.01])))
-    often = float(np.mean(np.abs(np.diff(current)) > SWITCHED[1] * span)) if span > SWITCHED[0] else 0.0
-    if often > SWITCHED[2]:
-        yield view.finding(
-            "aliasing",
-            "limitation",
-            "current",
-            f"switches every {1 / often:.2g} samples, expected {1 / SWITCHED[2]:g} at least: what it was in between is "
-            "unknown; sample faster or switch more slowly",
+    share = float(np.mean(np.abs(np.diff(current)) > SWITCHED_STEP * span)) if span > SWITCHED_SPAN else 0.0
+    if share > SWITCHED_SHARE:
+        text = (
+            f"the current switches faster than it is sampled: it switches every {1 / share:.2g} samples, expected at least "
+            f"{1 / SWITCHED_SHARE:g} samples between two switches. Sample faster, or switch more slowly."
         )
+        yield checked.finding("aliasing", "limitation", "current", text)

@@ -1,4 +1,4 @@
-"""Runs of different rigs."""
+"""Check for runs of different rigs: forces that differ too much at the same speed and current."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,70 +6,73 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import SHORT_STROKE, View
+from mrd_diagnosis.preflight.channels import PRE_YIELD_STROKE, CheckedRun
 
 Array = NDArray[np.float64]
 
-RIG_RATIO = 2.4
-"""Ratio of forces at the same speed and current which no scatter, heat or remanence explains."""
-RIG_FORCE = 30.0
-"""N added to both before they are compared: remanence may double a small off-state force."""
-UNITS = {1e3: "kN against N", 9.80665: "kgf against N", 4.44822: "lbf against N"}
-CELL = 0.02
-"""Share of a run's samples from which they tell a force, not a transition."""
-SPEEDS = np.array([0.02, 0.04, 0.08, 0.16, 0.32, 0.64])
-"""m/s; edges of the cells in which forces of runs are compared, above the speeds at which hysteresis rules."""
-CURRENTS = np.array([-np.inf, *np.arange(0.05, 3.0, 0.1), np.inf])
-"""A; edges around round set-points."""
+LARGEST_RATIO = 2.4
+"""Largest ratio of forces at the same speed and current that scatter, heat or remanence explain."""
+ADDED_FORCE = 30.0
+"""Force in N that is added to both forces before they are compared: remanence may double a small off-state force."""
+UNIT_RATIOS = {1e3: "kN against N", 9.80665: "kgf against N", 4.44822: "lbf against N"}
+"""Ratios of forces that a wrong unit explains."""
+CELL_SHARE = 0.02
+"""Share of the samples of a run from which a cell of speed and current holds a steady force and not a transition."""
+CELL_SAMPLES = 20
+"""Samples from which the median force of a cell is reliable."""
+SPEED_EDGES = np.array([0.02, 0.04, 0.08, 0.16, 0.32, 0.64])
+"""Edges in m/s of the cells, above the speeds at which hysteresis rules the force."""
+CURRENT_EDGES = np.array([-np.inf, *np.arange(0.05, 3.0, 0.1), np.inf])
+"""Edges in A of the cells, around multiples of 0.1 A, which are the usual setpoints."""
 
 
-def _forces(view: View) -> Array:
-    """Half the force between out and in stroke, N, (speeds, currents); nan where there are few samples."""
-    speed = np.digitize(np.abs(view.run.velocity), SPEEDS) - 1
-    current = np.digitize(np.abs(view.run.current), CURRENTS) - 1
-    shape = (len(SPEEDS) - 1, len(CURRENTS) - 1)
-    found = np.full((2, *shape), np.nan)
-    inside = (speed >= 0) & (speed < shape[0])
-    cell = np.where(inside, speed * shape[1] + current, -1)
-    for side, mask in enumerate((view.run.velocity > 0, view.run.velocity < 0)):
-        counts = np.bincount(cell[inside & mask], minlength=shape[0] * shape[1])
-        for index in np.flatnonzero(counts >= max(20, CELL * len(speed))):
-            found[side].flat[index] = np.median(view.run.force[mask & (cell == index)])
-    return np.asarray(0.5 * (found[0] - found[1]))
-
-
-def rigs(views: Sequence[View]) -> Iterator[Finding]:
-    """Runs whose forces at the same speed and current differ beyond any scatter."""
-    # Short strokes do not leave the damper's hysteresis.
-    moved = [view for view in views if view.stroke > 2 * SHORT_STROKE]
-    forces = [np.abs(_forces(view)) for view in moved]
-    while len(moved) > 1:
-        compared = [_against(forces[:index] + forces[index + 1 :], own) for index, own in enumerate(forces)]
-        # One strange run makes others look strange that share cells with it alone.
-        worst = max(range(len(moved)), key=lambda index: compared[index][0])
-        strangeness, ratio = compared[worst]
-        if not strangeness:
+def check_rigs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
+    """Find runs whose forces at the same speed and current differ more than scatter explains."""
+    # Short strokes do not leave the pre-yield loop of the damper.
+    moving = [checked for checked in runs if checked.stroke > 2 * PRE_YIELD_STROKE]
+    forces = [np.abs(_force_by_cell(checked)) for checked in moving]
+    while len(moving) > 1:
+        compared = [_disagreement(force, forces[:index] + forces[index + 1 :]) for index, force in enumerate(forces)]
+        # One wrong run makes other runs look wrong that share cells with it alone, so only the worst run is reported.
+        worst = max(range(len(moving)), key=lambda index: compared[index][0])
+        disagreeing, ratio = compared[worst]
+        if not disagreeing:
             return
         factor = max(ratio, 1 / max(ratio, 1e-9))
-        unit = next((f" ({text}?)" for known, text in UNITS.items() if 0.8 < factor / known < 1.25), "")
-        yield moved.pop(worst).finding(
-            "rig",
-            "fault",
-            "force",
-            f"is {ratio:.3g} times that of the other runs at the same speed and current, expected within a factor "
-            f"{RIG_RATIO:g}{unit}; is it another damper, load cell or unit? Diagnose rigs one by one",
+        unit = next((f" ({text})" for known, text in UNIT_RATIOS.items() if 0.8 < factor / known < 1.25), "")
+        text = (
+            f"the force is {ratio:.3g} times that of the other runs at the same speed and current: expected within a factor "
+            f"of {LARGEST_RATIO:g}. Check whether this run has another damper, load cell or unit{unit}. Diagnose each rig "
+            "separately."
         )
+        yield moving.pop(worst).finding("rig", "fault", "force", text)
         forces.pop(worst)
 
 
-def _against(others: Sequence[Array], own: Array) -> tuple[int, float]:
-    """How many other runs a run's forces (speeds, currents) disagree with in all, and their ratio."""
-    rest = np.stack(others)
-    shared = np.isfinite(own) & np.isfinite(rest).any(axis=0)
+def _force_by_cell(checked: CheckedRun) -> Array:
+    """Return half the force in N between extension and compression, (speeds, currents); nan where there are few samples."""
+    run = checked.run
+    speed = np.digitize(np.abs(run.velocity), SPEED_EDGES) - 1
+    current = np.digitize(np.abs(run.current), CURRENT_EDGES) - 1
+    shape = (len(SPEED_EDGES) - 1, len(CURRENT_EDGES) - 1)
+    force = np.full((2, *shape), np.nan)
+    inside = (speed >= 0) & (speed < shape[0])
+    cell = np.where(inside, speed * shape[1] + current, -1)
+    for direction, mask in enumerate((run.velocity > 0, run.velocity < 0)):
+        counts = np.bincount(cell[inside & mask], minlength=shape[0] * shape[1])
+        for index in np.flatnonzero(counts >= max(CELL_SAMPLES, CELL_SHARE * len(speed))):
+            force[direction].flat[index] = np.median(run.force[mask & (cell == index)])
+    return np.asarray(0.5 * (force[0] - force[1]))
+
+
+def _disagreement(force: Array, forces_of_others: Sequence[Array]) -> tuple[int, float]:
+    """Return the number of runs that a run disagrees with, 0 if it agrees with their median, and the ratio of the forces."""
+    others = np.stack(forces_of_others)
+    shared = np.isfinite(force) & np.isfinite(others).any(axis=0)
     if not shared.any():
         return 0, 1.0
-    usual = np.nanmedian(rest[:, shared], axis=0)
-    ratio, size = float(own[shared] @ usual / (usual @ usual + 1e-12)), float(np.sqrt(np.mean(usual**2)))
-    if abs(np.log((ratio * size + RIG_FORCE) / (size + RIG_FORCE))) < np.log(RIG_RATIO):
+    usual = np.nanmedian(others[:, shared], axis=0)
+    ratio, size = float(force[shared] @ usual / (usual @ usual + 1e-12)), float(np.sqrt(np.mean(usual**2)))
+    if abs(np.log((ratio * size + ADDED_FORCE) / (size + ADDED_FORCE))) < np.log(LARGEST_RATIO):
         return 0, ratio
-    return int(np.isfinite(rest[:, shared]).any(axis=1).sum()), ratio
+    return int(np.isfinite(others[:, shared]).any(axis=1).sum()), ratio

@@ -1,185 +1,214 @@
-"""Sensors against each other and against what a damper can do: units, dead channels, accelerometer, signs."""
+"""Checks of the sensors against each other and against what a damper can do: units, dead channels, accelerometer, signs."""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import signal
 
 from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import FEW_STROKES, MOVED, View, correlations, milli, overlap
+from mrd_diagnosis.preflight.alignment import cross_correlation, overlap
+from mrd_diagnosis.preflight.channels import FEW_STROKES, MOVING_STROKE, CheckedRun, milli
 
-UNRELATED = 0.1
-"""Largest correlation of force and velocity, whatever the lag, of a force that does not respond."""
-LAG = 2e-3
-"""s between position and accelerometer; filters of usual sensors (100 Hz and more) differ by less."""
+Array = NDArray[np.float64]
+
+LARGEST_STROKE = 0.5
+"""Span of the position in m from which it is likely recorded in mm."""
+LARGEST_CURRENT = 10.0
+"""Current in A from which it is likely recorded in mA; small MR dampers take up to 5 A."""
+SMALLEST_FORCE, LARGEST_FORCE = 5.0, 1e5
+"""Span of the force in N outside of which it is likely recorded in another unit; small MR dampers have some tens of N
+without current."""
+UNRELATED_CORRELATION = 0.1
+"""Correlation of force and velocity, at the best delay, below which the force does not respond to the motion."""
+ALLOWED_LAG = 2e-3
+"""Lag in s between position and accelerometer; the filters of usual sensors (100 Hz and more) differ by less."""
 LONGEST_LAG = 0.25
-"""s that is looked for."""
-AVERAGED = 0.02
-"""s over which position and accelerometer are averaged for it: 8 µm of noise in positions then are 0.05 m/s²."""
-ACCELEROMETER = (0.8, 1.25)
-"""Gain against the position, as in `mrd_runs.signals.motion`; outside, it is not one of the rod in m/s²."""
-OPPOSITE = -0.2
-"""Dissipated work over the work that the same forces could do; a damper's is positive, at whatever usual delay."""
-LARGEST_STROKE, LARGEST_CURRENT, SMALLEST_FORCE, LARGEST_FORCE = 0.5, 10.0, 5.0, 1e5
-"""m, A, N, N peak to peak, of what is likely recorded in another unit (small MR dampers: 5 A, some tens of N at rest)."""
+"""Longest lag in s that is looked for; beyond it, periodic motions become ambiguous."""
+AVERAGING_TIME = 0.02
+"""Time in s over which position and accelerometer are averaged before they are compared: 8 µm of noise in the position then
+are 0.05 m/s² in its second difference."""
+ACCELEROMETER_GAIN = (0.8, 1.25)
+"""Gain of an accelerometer against the position, as in `mrd_runs.signals.motion`. Outside, it does not measure the rod's
+acceleration in m/s²."""
+WRONG_SIGN_WORK = -0.2
+"""Work done on the damper over the largest work of the same forces, below which a sign is wrong. The work on a damper is
+positive at every usual delay."""
 
 
-def units(view: View) -> Iterator[Finding]:
-    """Sizes that no small damper has in SI units."""
-    run = view.run
-    current, force = float(np.abs(run.current).max()), float(np.ptp(run.force))
-    if np.ptp(run.position) > LARGEST_STROKE:
-        yield view.finding(
-            "rig",
-            "fault",
-            "position",
-            f"spans {np.ptp(run.position):.3g}, expected at most {LARGEST_STROKE:g} m; is it in mm? Convert it to m",
-        )
+def check_units(checked: CheckedRun) -> Iterator[Finding]:
+    """Find values that no small damper has in SI units."""
+    run = checked.run
+    span, current, force = float(np.ptp(run.position)), float(np.abs(run.current).max()), float(np.ptp(run.force))
+    if span > LARGEST_STROKE:
+        text = f"the position spans {span:.3g} m: expected at most {LARGEST_STROKE:g} m. If it is in mm, convert it to m."
+        yield checked.finding("rig", "fault", "position", text)
     if current > LARGEST_CURRENT:
-        yield view.finding(
-            "rig",
-            "fault",
-            "current",
-            f"reaches {current:.3g}, expected at most {LARGEST_CURRENT:g} A; is it in mA? Convert it to A",
+        text = (
+            f"the current reaches {current:.3g} A: expected at most {LARGEST_CURRENT:g} A. If it is in mA, convert it to A."
         )
-    # A dead force says so itself.
-    if force > LARGEST_FORCE or (view.stroke > MOVED and 2 * view.channels["force"].step < force < SMALLEST_FORCE):
-        small = force < SMALLEST_FORCE
-        yield view.finding(
-            "rig",
-            "fault",
-            "force",
-            f"spans {force:.3g}, expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N; is it in "
-            f"{'kN or V' if small else 'mN'}? Convert it to N",
+        yield checked.finding("rig", "fault", "current", text)
+    # A force that never changes is reported as a dead channel.
+    changes = force > 2 * checked.channels["force"].quantisation_step
+    if force > LARGEST_FORCE or (checked.stroke > MOVING_STROKE and changes and force < SMALLEST_FORCE):
+        unit = "kN or V" if force < SMALLEST_FORCE else "mN"
+        text = (
+            f"the force spans {force:.3g} N: expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N. If it is in {unit}, "
+            "convert it to N."
         )
+        yield checked.finding("rig", "fault", "force", text)
 
 
-def dead(view: View) -> Iterator[Finding]:
-    """Channels that do not respond."""
-    run, force, position = view.run, view.channels["force"], view.channels["position"]
-    if view.stroke > MOVED:
-        if np.ptp(run.force) <= 2 * force.step:
-            yield view.finding(
-                "dead_channel",
-                "fault",
-                "force",
-                f"stays at {run.force[0]:.4g} N while the rod moves over {milli(view.stroke)} mm; expected a damper's "
-                "force: look at the load cell and its channel",
+def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:
+    """Find channels that do not respond to the motion or to the force."""
+    position = checked.channels["position"]
+    if checked.stroke > MOVING_STROKE:
+        yield from _check_dead_force(checked)
+    elif np.std(position.values) <= 1.3 * position.noise or np.ptp(position.values) <= 2.5 * position.quantisation_step:
+        yield from _check_dead_position(checked)
+    acceleration = checked.channels.get("acceleration")
+    if acceleration is None or checked.stroke <= MOVING_STROKE:
+        return
+    if np.ptp(acceleration.values) <= 2 * acceleration.quantisation_step:
+        text = (
+            "the acceleration is constant while the rod moves: expected the acceleration of the rod. The channel tells "
+            "nothing. Check the accelerometer."
+        )
+        yield checked.finding("dead_channel", "remark", "acceleration", text)
+
+
+def _check_dead_force(checked: CheckedRun) -> Iterator[Finding]:
+    run = checked.run
+    if np.ptp(run.force) <= 2 * checked.channels["force"].quantisation_step:
+        text = (
+            f"the force stays at {run.force[0]:.4g} N while the rod moves over {milli(checked.stroke)} mm: expected the "
+            "force of a damper. Check the load cell and its channel."
+        )
+        yield checked.finding("dead_channel", "fault", "force", text)
+    elif len(checked.stroke_starts) > FEW_STROKES:
+        correlation = float(np.abs(cross_correlation(run.velocity, signal.detrend(run.force))[1]).max())
+        if correlation < UNRELATED_CORRELATION:
+            text = (
+                f"the force does not respond to the motion: its correlation with the velocity is at most {correlation:.2g} "
+                f"at any delay, expected above {UNRELATED_CORRELATION:g}. Check the load cell and its channel, and whether "
+                "the damper is mounted."
             )
-        elif len(view.strokes) > FEW_STROKES:
-            related = float(np.abs(correlations(run.velocity, signal.detrend(run.force))[1]).max())
-            if related < UNRELATED:
-                yield view.finding(
-                    "dead_channel",
-                    "fault",
-                    "force",
-                    f"does not respond to the motion: correlation with the velocity at most {related:.2g} at any lag, "
-                    f"expected above {UNRELATED:g}; look at the load cell, its channel, and whether the damper is mounted",
-                )
-    elif np.std(position.values) <= 1.3 * position.noise or np.ptp(position.values) <= 2.5 * position.step:
-        low, high = np.quantile(run.force, [0.01, 0.99])
-        sides = np.sign(run.force - 0.5 * (low + high))[np.abs(run.force - 0.5 * (low + high)) > 0.25 * (high - low)]
-        if high - low > max(10 * force.noise, SMALLEST_FORCE) and np.count_nonzero(np.diff(sides)) > FEW_STROKES:
-            # Steps of the current move the force of a rod at rest, too.
-            by_current = view.varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
-            yield view.finding(
-                "dead_channel",
-                "limitation" if by_current else "fault",
-                "position",
-                f"rests at {milli(run.position[0])} mm while the force swings over {high - low:.3g} N; expected the "
-                "motion that causes it: look at the position sensor",
-            )
-    still = run.acceleration is not None and np.ptp(run.acceleration) <= 2 * view.channels["acceleration"].step
-    if still and view.stroke > MOVED:
-        yield view.finding(
-            "dead_channel", "remark", "acceleration", "is constant while the rod moves: of no use; look at the sensor"
+            yield checked.finding("dead_channel", "fault", "force", text)
+
+
+def _check_dead_position(checked: CheckedRun) -> Iterator[Finding]:
+    run = checked.run
+    low, high = np.quantile(run.force, [0.01, 0.99])
+    from_middle = run.force - 0.5 * (low + high)
+    sides = np.sign(from_middle)[np.abs(from_middle) > 0.25 * (high - low)]
+    swings = np.count_nonzero(np.diff(sides)) > FEW_STROKES
+    if high - low > max(10 * checked.channels["force"].noise, SMALLEST_FORCE) and swings:
+        # Steps of the current change the force on a resting rod as well: they then explain most of its variance.
+        by_current = checked.current_varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
+        text = (
+            f"the position rests at {milli(run.position[0])} mm while the force swings over {high - low:.3g} N: expected "
+            "the motion that causes this force. Check the position sensor."
         )
+        yield checked.finding("dead_channel", "limitation" if by_current else "fault", "position", text)
 
 
-def accelerometer(view: View) -> Iterator[Finding]:
-    """Gain and lag of the accelerometer against the position.
+def check_accelerometer(checked: CheckedRun) -> Iterator[Finding]:
+    """Find an accelerometer whose gain or lag does not fit the position.
 
-    The second difference of positions is exactly the acceleration's average over the samples between, weighted by a
-    triangle: both are compared after the same filter, without a derivative.
+    The second difference of the position is exactly the average of the acceleration over the samples between, with
+    triangular weights. So the accelerometer is filtered with these weights and compared with that difference: no derivative
+    has to be estimated.
     """
-    run = view.run
-    if run.acceleration is None or view.stroke < MOVED or np.ptp(run.acceleration) == 0:
+    run, interval = checked.run, checked.sampling_interval
+    if run.acceleration is None or checked.stroke < MOVING_STROKE or np.ptp(run.acceleration) == 0:
         return
-    if np.ptp(np.diff(run.time)) > 0.5 * view.interval:
+    if np.ptp(np.diff(run.time)) > 0.5 * interval:
         return
-    width = max(1, round(AVERAGED * run.rate))
-    triangle = np.bartlett(2 * width + 1)[1:-1] / width
-    read = np.convolve(run.acceleration, triangle, "valid")
-    position = run.position
-    true = (position[2 * width :] - 2 * position[width:-width] + position[: -2 * width]) / (width * view.interval) ** 2
-    read, true = read[1:-1] - read[1:-1].mean(), true - true.mean()
-    if len(true) < 10 * width or np.std(true) < 5 * 2.45 * view.channels["position"].noise / (width * view.interval) ** 2:
+    width = max(1, round(AVERAGING_TIME * run.rate))
+    measured, expected = _averaged_accelerations(run.acceleration, run.position, width, interval)
+    # A second difference has sqrt(6) = 2.45 times the noise of the position.
+    noise = checked.channels["position"].noise
+    if len(expected) < 10 * width or np.std(expected) < 5 * 2.45 * noise / (width * interval) ** 2:
         return
-    reach = min(len(true) // 4, round(LONGEST_LAG * run.rate))
-    shifts, related = correlations(true, read, reach)
-    # Of the lags that a periodic motion allows, the smallest.
-    near = shifts[related > related.max() - 0.01]
+    reach = min(len(expected) // 4, round(LONGEST_LAG * run.rate))
+    shifts, correlation = cross_correlation(expected, measured, reach)
+    # A turned accelerometer has a correlation near -1 without a shift; another signal has a small one at every shift.
+    if correlation[reach] < -0.9 or correlation.max() < 0.5:
+        text = (
+            "the acceleration does not follow the motion: its correlation with the acceleration of the position is "
+            f"{correlation[reach]:.2g}, expected 1. Check that the accelerometer sits on the rod and is positive where the "
+            "velocity of extension grows."
+        )
+        yield checked.finding("rig", "limitation", "acceleration", text)
+        return
+    # A periodic motion allows several lags: take the smallest.
+    near = shifts[correlation > correlation.max() - 0.01]
     shift = int(near[np.argmin(np.abs(near))])
-    if related[reach] < -0.9 or related.max() < 0.5:
-        yield view.finding(
-            "rig",
-            "limitation",
-            "acceleration",
-            f"does not follow the motion (correlation {related[reach]:.2g} with the acceleration of the position, expected "
-            "1); is it the rod's, > 0 where it extends faster?",
+    gain, lag, error = _gain_and_lag(*overlap(expected, measured, shift), reach=reach, averaged=2 * width)
+    lag, error = (shift + lag) * interval, error * interval
+    if not ACCELEROMETER_GAIN[0] < gain < ACCELEROMETER_GAIN[1] and correlation.max() > 0.95:
+        advice = "It is probably in g: convert it to m/s²" if 0.08 < gain < 0.125 else "Check its place and its unit, m/s²"
+        text = (
+            f"the acceleration is {gain:.3g} times the acceleration of the position: expected {ACCELEROMETER_GAIN[0]:g} to "
+            f"{ACCELEROMETER_GAIN[1]:g}. {advice}."
         )
-        return
-    a, b = overlap(true, read, shift)
-    index, late = np.arange(len(a), dtype=float), 0.0
+        yield checked.finding("rig", "limitation", "acceleration", text)
+    if abs(lag) > ALLOWED_LAG + 2 * error and abs(lag) > 4 * error:
+        late, early = ("acceleration", "position") if lag > 0 else ("position", "acceleration")
+        text = (
+            f"the {late} lags the {early} by {milli(abs(lag))} ± {milli(1.96 * error)} ms: expected less than "
+            f"{milli(ALLOWED_LAG)} ms. A velocity computed from both is wrong. Sample all channels at the same time, with "
+            "the same filters."
+        )
+        yield checked.finding("lag", "limitation", late, text)
+
+
+def _averaged_accelerations(acceleration: Array, position: Array, width: int, interval: float) -> tuple[Array, Array]:
+    """Average two accelerations with triangular weights over twice ``width`` samples, and remove their means."""
+    triangle = np.bartlett(2 * width + 1)[1:-1] / width
+    measured = np.convolve(acceleration, triangle, "valid")
+    expected = (position[2 * width :] - 2 * position[width:-width] + position[: -2 * width]) / (width * interval) ** 2
+    return measured[1:-1] - measured[1:-1].mean(), expected - expected.mean()
+
+
+def _gain_and_lag(expected: Array, measured: Array, reach: int, averaged: int) -> tuple[float, float, float]:
+    """Fit gain and lag of a measured series against the expected one; return gain, lag and the error of the lag in samples.
+
+    ``averaged`` is the number of samples over which both series were averaged.
+    """
+    index, lag = np.arange(len(expected), dtype=float), 0.0
     for _ in range(4):
-        moved = np.interp(index - late, index, a)
-        design = np.stack([moved, -np.gradient(moved), np.ones_like(a)], axis=1)
-        (gain, slope, _), *_ = np.linalg.lstsq(design, b, rcond=None)
-        late = float(np.clip(late + slope / gain, -reach, reach))
-    rest = b - design @ [gain, slope, b.mean()]
-    # Averages that overlap are as good as one in each width.
-    error = float(np.std(rest) * np.sqrt(2 * width) / (abs(gain) * np.linalg.norm(design[:, 1]))) * view.interval
-    lag = (shift + late) * view.interval
-    if not ACCELEROMETER[0] < gain < ACCELEROMETER[1] and related.max() > 0.95:
-        yield view.finding(
-            "rig",
-            "limitation",
-            "acceleration",
-            f"is {gain:.3g} times the acceleration of the position, expected {ACCELEROMETER[0]:g} to {ACCELEROMETER[1]:g}; "
-            f"is it the rod's{', in g instead of m/s²' if 0.08 < gain < 0.125 else ', in m/s²'}?",
-        )
-    if abs(lag) > LAG + 2 * error and abs(lag) > 4 * error:
-        late_one, early = ("acceleration", "position") if lag > 0 else ("position", "acceleration")
-        yield view.finding(
-            "lag",
-            "limitation",
-            late_one,
-            f"comes {milli(abs(lag))} ± {milli(1.96 * error)} ms after {early}, expected less than {milli(LAG)} ms: "
-            "velocities from both are wrong; sample all channels at once, with the same filters",
-        )
+        shifted = np.interp(index - lag, index, expected)
+        design = np.stack([shifted, -np.gradient(shifted), np.ones_like(expected)], axis=1)
+        (gain, slope, _), *_ = np.linalg.lstsq(design, measured, rcond=None)
+        lag = float(np.clip(lag + slope / gain, -reach, reach))
+    residual = measured - design @ [gain, slope, measured.mean()]
+    # Averages that overlap hold one independent value in each averaged span.
+    error = float(np.std(residual) * np.sqrt(averaged) / (abs(gain) * np.linalg.norm(design[:, 1])))
+    return float(gain), lag, error
 
 
-def signs(views: Sequence[View]) -> Iterator[Finding]:
-    """Dampers that would drive the rod."""
-    moved = [view for view in views if view.stroke > MOVED and len(view.strokes) > FEW_STROKES]
-    opposite = [view for view in moved if _dissipation(view) < OPPOSITE]
+def check_signs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
+    """Find runs in which the damper would drive the rod."""
+    moving = [checked for checked in runs if checked.stroke > MOVING_STROKE and len(checked.stroke_starts) > FEW_STROKES]
+    wrong = [checked for checked in moving if _relative_work(checked) < WRONG_SIGN_WORK]
     text = (
-        "the damper would drive the rod: force and motion have opposite signs, expected force > 0 to resist extension and "
-        "position > 0 to extend; turn the sign of {}"
+        "the force or the position has the wrong sign{}: F·v is negative on average, expected positive (force > 0 resists "
+        "extension, position > 0 extends). Convert the {} with the sign of the wrong channel turned."
     )
-    if opposite and len(opposite) == len(moved):
-        yield Finding("rig", "fault", text.format("the force (or of the position) in all runs"), channel="force")
+    if wrong and len(wrong) == len(moving):
+        yield Finding("rig", "fault", text.format(" in all runs", "files"), channel="force")
         return
-    for view in opposite:
-        yield view.finding("rig", "fault", "force", text.format("this run's force or position, the others' are right"))
+    for checked in wrong:
+        yield checked.finding("rig", "fault", "force", text.format("", "file"))
 
 
-def _dissipation(view: View) -> float:
-    """Work done on the damper over what the same forces and ways could do at most."""
-    force = view.run.force - view.run.force.mean()
-    work = 0.5 * (force[1:] + force[:-1]) * np.diff(view.run.position)
-    # Noise of the position does work to and fro: count it over stretches.
-    count = max(1, len(work) // 200)
-    parts = np.array([part.sum() for part in np.array_split(work, max(1, len(work) // count))])
-    total = float(np.abs(parts).sum())
-    return float(parts.sum()) / total if total else 0.0
+def _relative_work(checked: CheckedRun) -> float:
+    """Work done on the damper over the largest work that the same forces and displacements could do."""
+    force = checked.run.force - checked.run.force.mean()
+    work = 0.5 * (force[1:] + force[:-1]) * np.diff(checked.run.position)
+    # Noise of the position adds work of both signs from sample to sample: sum it over segments before taking magnitudes.
+    samples = max(1, len(work) // 200)
+    segments = np.array([segment.sum() for segment in np.array_split(work, max(1, len(work) // samples))])
+    total = float(np.abs(segments).sum())
+    return float(segments.sum()) / total if total else 0.0

@@ -1,0 +1,111 @@
+"""Dates of runs: given by the user, stored in the recordings, or replaced by the order of the runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_diagnosis.trend.trend_line import FEWEST_DATES
+from mrd_runs import Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Calendar:
+    """Dates at which runs were recorded; runs of one date are fitted with one value.
+
+    Attributes
+    ----------
+    source : {"given", "recorded", "order"}
+        Where the dates are from; ``order`` counts the runs.
+    date_index : tuple of int
+        Index of the date of each run.
+    times : ndarray (dates,)
+        Days since the first date, or the numbers of the runs; increasing.
+    labels : tuple of str
+        The dates as text.
+    start : datetime or None
+        Time 0; None where runs are counted.
+    """
+
+    source: Literal["given", "recorded", "order"]
+    date_index: tuple[int, ...]
+    times: Array
+    labels: tuple[str, ...]
+    start: datetime | None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the times: ``day`` or ``run``."""
+        return "day" if self.start else "run"
+
+    def label(self, time: float) -> str:
+        """Write a time as text."""
+        if self.start is None:
+            return f"run {time:.0f}"
+        try:
+            return f"{self.start + timedelta(days=time):%Y-%m-%d}"
+        except OverflowError:
+            return "never" if time > 0 else "long ago"
+
+    def by_date(self, runs: Sequence[Run]) -> list[list[Run]]:
+        """Group the runs by date."""
+        return [
+            [run for run, index in zip(runs, self.date_index, strict=True) if index == date]
+            for date in range(len(self.times))
+        ]
+
+
+def make_calendar(runs: Sequence[Run], dates: Sequence[str] = ()) -> Calendar:
+    """Date the runs: as given, otherwise as recorded, otherwise in their order.
+
+    Runs of one day share a date, unless that leaves too few dates.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    dates : sequence of str
+        A date, or a date and time, in ISO 8601 for each run.
+
+    Raises
+    ------
+    InputError
+        For a text that is no date, or another number of dates than of runs.
+    """
+    if dates and len(dates) != len(runs):
+        raise InputError(f"--dates: found {len(dates)} dates for {len(runs)} runs, expected one date for each run")
+    recorded = [_parse_date(text) for text in dates] if dates else [_recorded_date(run) for run in runs]
+    moments = [moment for moment in recorded if moment is not None]
+    if len(moments) < len(runs):
+        numbers = np.arange(1.0, len(runs) + 1.0)
+        labels = tuple(f"run {number:.0f}" for number in numbers)
+        return Calendar("order", tuple(range(len(runs))), numbers, labels, None)
+    days = [moment.replace(hour=0, minute=0, second=0, microsecond=0) for moment in moments]
+    by_day = len(set(days)) >= FEWEST_DATES
+    keys = days if by_day else moments
+    distinct = sorted(set(keys))
+    times = np.array([(moment - distinct[0]) / timedelta(days=1) for moment in distinct])
+    labels = tuple(f"{moment:%Y-%m-%d}" if by_day else f"{moment:%Y-%m-%d %H:%M:%S}" for moment in distinct)
+    date_index = tuple(distinct.index(key) for key in keys)
+    return Calendar("given" if dates else "recorded", date_index, times, labels, distinct[0])
+
+
+def _parse_date(text: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise InputError(f"--dates: {text!r} is no date, expected a date such as 2024-05-31 or 2024-05-31T14:00") from None
+    return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+
+
+def _recorded_date(run: Run) -> datetime | None:
+    """Return when a run was recorded, as its bag says; None where it does not say."""
+    try:
+        return _parse_date(str(run.info.get("started", "")))
+    except InputError:
+        return None
