@@ -1,6 +1,7 @@
 """The verdict in one or two sentences: what was found, how sure it is, and how much of the gap it removes."""
 
 import math
+import shlex
 from collections.abc import Sequence
 
 import yaml
@@ -65,7 +66,8 @@ def unknown_effect_sentence(
     if causes:
         closed = format_share(sum(cause.closed_fraction.value for cause in causes))
         sentences = [f"{_clauses(causes)}; this removes {closed} of the gap.", "No catalogued effect explains the rest."]
-    places = [region for region in where if region.axis != "run"] or list(where)
+    significant = [region for region in where if region.q_value < THRESHOLDS.q_value]
+    places = [region for region in significant if region.axis != "run"] or significant
     if places:
         share = places[0].share.value
         part = "Most of the error" if share > 0.5 else "The largest part of the error"
@@ -86,24 +88,29 @@ def unknown_effect_sentence(
 
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the command that follows from a verdict; empty where none does. ``folder`` is the folder of the report."""
+    folder = shlex.quote(folder)
     model, advice = diagnosis.alternative_models[:1], diagnosis.next_experiment
     if diagnosis.verdict == "explained":
         return f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "ambiguous" and advice is not None and advice.experiment:
         return f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml"
-    if diagnosis.verdict == "unknown_effect" and model and model[0].name in MODELS:
-        return f"ros2 run mrd_diagnosis diagnose RUN... --model {model[0].name} --output DIR"
+    if diagnosis.verdict == "unknown_effect" and model:
+        model_id, _, change = model[0].name.partition(" with ")
+        arguments = {"": f"--model {model_id}", "quadratic current laws": f"--model {model_id} --law quadratic"}.get(change)
+        if model_id in MODELS and arguments:
+            return f"ros2 run mrd_diagnosis diagnose RUN... {arguments} --output DIR"
     return ""
 
 
 def corrected_label(diagnosis: Diagnosis) -> str:
-    """Return what the errors and pictures after the correction are with, such as "with the cause"."""
+    """Return what the corrected simulator contains, such as "with the cause"; empty where it contains no effect."""
+    if diagnosis.corrected is None or not diagnosis.corrected.effects:
+        return ""
     if diagnosis.verdict == "explained":
         return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
     if diagnosis.verdict == "ambiguous":
-        return "with the most likely cause"
-    single = diagnosis.corrected is not None and len(diagnosis.corrected.effects) == 1
-    return "with the nearest effect" if single else "with the nearest effects"
+        return "with the most likely cause" if len(diagnosis.causes) == 1 else "with the most likely causes"
+    return "with the nearest effect" if len(diagnosis.corrected.effects) == 1 else "with the nearest effects"
 
 
 def experiment_name(text: str) -> str:
@@ -118,8 +125,10 @@ def _clauses(causes: Sequence[Cause], capital: bool = True) -> str:
 
 
 def _certainty(causes: Sequence[Cause]) -> str:
+    """Return the probability of the least certain cause in words."""
     least = min((cause.probability for cause in causes), default=math.nan)
-    return f"probability {format_share(least)}" if len(causes) == 1 else f"probability at least {format_share(least)}"
+    bound = "above " if least > 0.99 else "at least " if len(causes) > 1 else ""
+    return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)}"
 
 
 def _removal(causes: Sequence[Cause], gap: Gap) -> str:
