@@ -73,29 +73,37 @@ def unknown_effect_sentence(
         part = "Most of the error" if share > 0.5 else "The largest part of the error"
         sentences.append(f"{part} ({format_share(share)}) occurs {_at(places[0].label)}.")
     named = {cause.effect for cause in causes}
-    reached = nearest.closed_fraction.value if nearest is not None else 0.0
-    needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
-    if alternative_models and alternative_models[0].closed_fraction.value > needed:
-        model = alternative_models[0]
+    if model := notable_model(nearest, alternative_models):
         sentences.append(f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next.")
     elif nearest is not None and not named.issuperset(nearest.effects):
         names = effect_names([effect for effect in nearest.effects if effect not in named])
         verb = "comes" if len(nearest.effects) - len(named.intersection(nearest.effects)) == 1 else "come"
         removes = "in total removes" if named else "would remove"
-        sentences.append(f"{capitalised(names)} {verb} nearest: this {removes} {format_share(reached)} of the gap.")
+        sentences.append(
+            f"{capitalised(names)} {verb} nearest: this {removes} {format_share(nearest.closed_fraction.value)} of the gap."
+        )
     return " ".join(sentences)
+
+
+def notable_model(nearest: Candidate | None, alternative_models: Sequence[AlternativeModel]) -> AlternativeModel | None:
+    """Return the best other damper model if it closes notably more of the gap than the nearest effect."""
+    reached = nearest.closed_fraction.value if nearest is not None else 0.0
+    needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
+    if alternative_models and alternative_models[0].closed_fraction.value > needed:
+        return alternative_models[0]
+    return None
 
 
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the command that follows from a verdict; empty where none does. ``folder`` is the folder of the report."""
     folder = shlex.quote(folder)
-    model, advice = diagnosis.alternative_models[:1], diagnosis.next_experiment
+    model, advice = notable_model(diagnosis.nearest, diagnosis.alternative_models), diagnosis.next_experiment
     if diagnosis.verdict == "explained":
         return f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "ambiguous" and advice is not None and advice.experiment:
         return f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml"
-    if diagnosis.verdict == "unknown_effect" and model:
-        model_id, _, change = model[0].name.partition(" with ")
+    if diagnosis.verdict == "unknown_effect" and model is not None:
+        model_id, _, change = model.name.partition(" with ")
         arguments = {"": f"--model {model_id}", "quadratic current laws": f"--model {model_id} --law quadratic"}.get(change)
         if model_id in MODELS and arguments:
             return f"ros2 run mrd_diagnosis diagnose RUN... {arguments} --output DIR"

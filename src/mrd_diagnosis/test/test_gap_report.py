@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
@@ -373,6 +374,9 @@ def test_the_next_command_follows_from_the_verdict():
     )
     assert next_command(diagnosed("ambiguous")) == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
     unknown = diagnosed("unknown_effect")
+    # The nearest effect removes more than the other model.
+    assert next_command(unknown) == ""
+    unknown = replace(unknown, nearest=None)
     assert next_command(unknown) == "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR"
     for name, arguments in (
         ("bouc_wen with quadratic current laws", "--model bouc_wen --law quadratic --output DIR"),
@@ -382,6 +386,22 @@ def test_the_next_command_follows_from_the_verdict():
         assert command.endswith(arguments)
         assert bool(command) == bool(arguments)
     assert next_command(diagnosed("no_gap")) == next_command(diagnosed("data_fault")) == ""
+
+
+def test_the_terminal_shows_all_of_its_summary(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("COLUMNS", "30")
+    diagnosis = diagnosed("ambiguous")
+    effects = ("rate_dependent_hysteresis", "pre_yield_hysteresis", "channel_delay")
+    together = replace(diagnosis.candidates[0], effects=effects)
+    print_summary(replace(diagnosis, candidates=(together, *diagnosis.candidates)), tmp_path / "gap_report.html")
+    sentence, command, *lines = capsys.readouterr().out.splitlines()
+    assert sentence == diagnosis.sentence
+    assert command == f"next command: {next_command(diagnosis, str(tmp_path))}"
+    assert any("rate_dependent_hysteresis + pre_yield_hysteresis + channel_delay" in line for line in lines)
+    assert not any("…" in line for line in lines)
+    assert "The table shows the best 8 of 16 candidates; the report lists all." in lines
+    paths = [str(tmp_path / name) for name in ("gap_report.html", "gap_report.json", "next_experiment.yaml")]
+    assert lines[-4:] == [f"note: {diagnosis.notes[0]}", *paths]
 
 
 def test_the_corrected_model_has_a_name_where_it_contains_effects():
@@ -518,6 +538,8 @@ def test_the_chart_of_candidates_says_what_its_numbers_are():
     assert "probability" in texts
     assert "<b>90 %</b>" in texts
     assert "<b>< 1 %</b>" in texts
+    # The alternative has the probability that the table of alternatives states.
+    assert "<b>38 %</b>" in texts
     assert chart.layout.xaxis.title.text == "share of the gap that the effect removes"
     # Without a gap, no candidate has a probability.
     assert not figures.candidate_chart(diagnosed("no_gap")).layout.annotations

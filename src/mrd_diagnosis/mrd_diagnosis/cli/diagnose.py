@@ -12,7 +12,7 @@ from tqdm import tqdm
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.quantities import format_error, format_probability, format_share
+from mrd_diagnosis.report.candidates import describe_candidate
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
@@ -26,8 +26,8 @@ from mrd_sim.models import MODELS, find_model
 MOST_ROWS = 8
 """Candidates that the terminal shows; the page and the file list all of them."""
 
-TABLE_WIDTH = 110
-"""Least width of the table in characters; a narrower terminal wraps its lines."""
+WIDEST_TABLE = 1000
+"""Width in characters at which no cell of the table is cut or folded; a narrower terminal wraps its lines."""
 
 
 def main() -> None:
@@ -100,9 +100,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
     for finding in diagnosis.findings:
         print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.channel, finding.text)))}")
     if diagnosis.candidates:
-        console = Console()
-        console.width = max(console.width, TABLE_WIDTH)
-        console.print(candidate_table(diagnosis), soft_wrap=True)
+        Console(width=WIDEST_TABLE).print(candidate_table(diagnosis))
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
     for note in diagnosis.notes:
@@ -117,20 +115,14 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
 def candidate_table(diagnosis: Diagnosis) -> Table:
     """Return the best candidates as a table for a terminal; 95 % intervals in brackets."""
     table = Table(box=None)
-    table.add_column("effects", overflow="fold")
+    table.add_column("effects")
     # Without a gap, there is nothing to compare, so that no candidate has a probability.
     with_probability = diagnosis.verdict != "no_gap"
     for title in (*(("probability",) if with_probability else ()), "removes of the gap", "held-out error", "p-value"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("remark", overflow="fold")
+        table.add_column(title, justify="right")
+    table.add_column("remark")
     for candidate in diagnosis.candidates[:MOST_ROWS]:
-        similar = f"fits nearly as well as {', '.join(candidate.indistinguishable)}" if candidate.indistinguishable else ""
-        table.add_row(
-            escape(" + ".join(candidate.effects)),
-            *((format_probability(candidate.probability),) if with_probability else ()),
-            format_share(candidate.closed_fraction),
-            format_error(candidate.nrmse),
-            f"{candidate.p_value:.3f}",
-            escape("; ".join(filter(None, (candidate.remark, similar)))),
-        )
+        probability, *columns = describe_candidate(diagnosis, candidate)
+        shown = [probability, *columns] if with_probability else columns
+        table.add_row(escape(" + ".join(candidate.effects)), *map(escape, shown))
     return table

@@ -12,7 +12,8 @@ from plotly.subplots import make_subplots
 from mrd_diagnosis.diagnosis import Diagnosis, Gap, Interval, Region, RunResidual
 from mrd_diagnosis.effect_names import candidate_title
 from mrd_diagnosis.excess_maps import Map, maps
-from mrd_diagnosis.quantities import format_error, format_probability
+from mrd_diagnosis.quantities import format_error
+from mrd_diagnosis.report.candidates import describe_candidate
 from mrd_diagnosis.sentences import corrected_label
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 
@@ -104,7 +105,7 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     with_probability = diagnosis.verdict != "no_gap"
     if with_probability:
         for name, candidate in zip(names, shown, strict=True):
-            _right_column(figure, f"<b>{format_probability(candidate.probability)}</b>", y=name)
+            _right_column(figure, f"<b>{describe_candidate(diagnosis, candidate).probability}</b>", y=name)
         _right_column(figure, "probability", y=1.0, yref="paper", yanchor="bottom", font=SOFT_TEXT)
     ends = [candidate.closed_fraction.lower for candidate in shown]
     lowest = min([0.0, *(end - 0.03 for end in ends if end < 0)])

@@ -8,7 +8,6 @@ import numpy as np
 
 from mrd_diagnosis.diagnosis import (
     Advice,
-    Candidate,
     Cause,
     CorrectedSimulator,
     Diagnosis,
@@ -21,8 +20,9 @@ from mrd_diagnosis.diagnosis import (
 from mrd_diagnosis.effect_names import candidate_title, effect_clause, effect_name, parameters_of_effect
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
+from mrd_diagnosis.report.candidates import describe_candidate
 from mrd_diagnosis.report.gap_file import write_gap_file
-from mrd_diagnosis.sentences import corrected_label, next_command
+from mrd_diagnosis.sentences import corrected_label, next_command, notable_model
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.figures import html
 from mrd_identification.report import render
@@ -119,7 +119,7 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         "error_notes": _error_notes(diagnosis, gap),
         "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],
         "candidates": html(figures.candidate_chart(diagnosis)) if diagnosis.candidates else "",
-        "candidate_rows": [_candidate_row(candidate) for candidate in diagnosis.candidates],
+        "candidate_rows": [(candidate_title(c), *describe_candidate(diagnosis, c)) for c in diagnosis.candidates],
         "most_candidates": figures.MOST_CANDIDATES,
         "negative": any(c.closed_fraction.value < 0 for c in diagnosis.candidates[: figures.MOST_CANDIDATES]),
         "causes": [
@@ -157,14 +157,13 @@ def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
     label, numbers = corrected_label(diagnosis), []
     if diagnosis.verdict in ("explained", "ambiguous"):
         least = min(diagnosis.causes, key=lambda cause: cause.probability)
-        name = "probability of the cause" if len(diagnosis.causes) == 1 else "probability of the least certain cause"
-        numbers.append((format_probability(least.probability), name, ""))
+        which = "least certain " if len(diagnosis.causes) > 1 else "most likely " if diagnosis.alternatives else ""
+        numbers.append((format_probability(least.probability), f"probability of the {which}cause", ""))
     if label and np.isfinite(gap.closed_fraction.value):
         ends = format_share(gap.closed_fraction).partition("(")[2].rstrip(")")
         numbers.append((format_share(gap.closed_fraction.value), f"of the gap removed {label}", ends and f"{ends} %"))
-    model = diagnosis.alternative_models[:1]
-    if model and not model[0].closed_fraction.value <= gap.closed_fraction.value:
-        numbers.append((format_share(model[0].closed_fraction.value), f"of the gap removed by {model[0].name}", ""))
+    if model := notable_model(diagnosis.nearest, diagnosis.alternative_models):
+        numbers.append((format_share(model.closed_fraction.value), f"of the gap removed by {model.name}", ""))
     errors = [("error, parameters refitted", gap.before)]
     if label:
         errors.append((f"error {label}", gap.after))
@@ -232,19 +231,6 @@ def _effect_card(effect: str, facts: str, parameters: Mapping[str, ParameterEsti
             for name, estimate in parameters_of_effect(effect, parameters).items()
         ],
     }
-
-
-def _candidate_row(candidate: Candidate) -> tuple[str, str, str, str, str, str]:
-    similar = ", ".join(effect_name(effect) for effect in candidate.indistinguishable)
-    remarks = (candidate.remark, f"fits nearly as well as {similar}" if similar else "")
-    return (
-        candidate_title(candidate),
-        format_probability(candidate.probability),
-        format_share(candidate.closed_fraction),
-        format_error(candidate.nrmse),
-        f"{candidate.p_value:.3f}",
-        "; ".join(filter(None, remarks)),
-    )
 
 
 def _not_ruled_out(diagnosis: Diagnosis, corrected: CorrectedSimulator) -> list[tuple[str, str, str]]:
