@@ -541,8 +541,9 @@ def test_the_chart_of_candidates_says_what_its_numbers_are():
     # The alternative has the probability that the table of alternatives states.
     assert "<b>38 %</b>" in texts
     assert chart.layout.xaxis.title.text == "share of the gap that the effect removes"
-    # Without a gap, no candidate has a probability.
-    assert not figures.candidate_chart(diagnosed("no_gap")).layout.annotations
+    # Where none of the candidates is the cause, a probability would mislead.
+    for verdict in ("no_gap", "unknown_effect"):
+        assert not figures.candidate_chart(diagnosed(verdict)).layout.annotations
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open the page with")

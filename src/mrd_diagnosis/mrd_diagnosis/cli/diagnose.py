@@ -12,7 +12,7 @@ from tqdm import tqdm
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.report.candidates import describe_candidate
+from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
@@ -116,13 +116,11 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
     """Return the best candidates as a table for a terminal; 95 % intervals in brackets."""
     table = Table(box=None)
     table.add_column("effects")
-    # Without a gap, there is nothing to compare, so that no candidate has a probability.
-    with_probability = diagnosis.verdict != "no_gap"
-    for title in (*(("probability",) if with_probability else ()), "removes of the gap", "held-out error", "p-value"):
+    first = 0 if with_probabilities(diagnosis) else 1
+    for title in ("probability", "removes of the gap", "held-out error", "p-value")[first:]:
         table.add_column(title, justify="right")
     table.add_column("remark")
     for candidate in diagnosis.candidates[:MOST_ROWS]:
-        probability, *columns = describe_candidate(diagnosis, candidate)
-        shown = [probability, *columns] if with_probability else columns
-        table.add_row(escape(" + ".join(candidate.effects)), *map(escape, shown))
+        columns = describe_candidate(diagnosis, candidate)[first:]
+        table.add_row(escape(" + ".join(candidate.effects)), *map(escape, columns))
     return table

@@ -31,6 +31,15 @@ def describe_candidate(diagnosis: Diagnosis, candidate: Candidate) -> CandidateT
     )
 
 
+def with_probabilities(diagnosis: Diagnosis) -> bool:
+    """Whether to show probabilities of candidates.
+
+    Without a gap there is no cause, and with an unknown effect none of the candidates is the cause, so that a probability
+    would mislead there.
+    """
+    return diagnosis.verdict in ("explained", "ambiguous")
+
+
 def candidate_probability(diagnosis: Diagnosis, candidate: Candidate) -> float:
     """Return the probability that a candidate is the cause, or one of the causes.
 

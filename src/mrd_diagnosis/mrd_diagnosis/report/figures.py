@@ -13,7 +13,7 @@ from mrd_diagnosis.diagnosis import Diagnosis, Gap, Interval, Region, RunResidua
 from mrd_diagnosis.effect_names import candidate_title
 from mrd_diagnosis.excess_maps import Map, maps
 from mrd_diagnosis.quantities import format_error
-from mrd_diagnosis.report.candidates import describe_candidate
+from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
 from mrd_diagnosis.sentences import corrected_label
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 
@@ -85,10 +85,7 @@ def region_chart(regions: Sequence[Region]) -> go.Figure:
 
 
 def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
-    """Draw the share of the gap that the best candidates remove on held-out data, and their probabilities.
-
-    Without a gap, there is nothing to compare, so that no candidate has a probability.
-    """
+    """Draw the share of the gap that the best candidates remove on held-out data, and their probabilities if shown."""
     shown = diagnosis.candidates[:MOST_CANDIDATES][::-1]
     causes = {cause.effect for cause in diagnosis.causes}
     alternatives = {alternative.effect for alternative in diagnosis.alternatives}
@@ -102,8 +99,7 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     ]
     names = [_wrapped(candidate_title(candidate)) for candidate in shown]
     figure = go.Figure(_bars(names, [candidate.closed_fraction for candidate in shown], colours))
-    with_probability = diagnosis.verdict != "no_gap"
-    if with_probability:
+    if with_probabilities(diagnosis):
         for name, candidate in zip(names, shown, strict=True):
             _right_column(figure, f"<b>{describe_candidate(diagnosis, candidate).probability}</b>", y=name)
         _right_column(figure, "probability", y=1.0, yref="paper", yanchor="bottom", font=SOFT_TEXT)
@@ -112,7 +108,7 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     figure.update_xaxes(
         title_text="share of the gap that the effect removes",
         tickformat=".0%",
-        range=[max(lowest, -0.3), 1.4 if with_probability else 1.05],
+        range=[max(lowest, -0.3), 1.4 if with_probabilities(diagnosis) else 1.05],
         tickvals=[0, 0.25, 0.5, 0.75, 1],
     )
     return _bar_layout(figure, len(shown), top=28)
