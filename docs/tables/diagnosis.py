@@ -15,7 +15,7 @@ import numpy as np
 
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.report.sentences import format_quantity, share
+from mrd_diagnosis.quantities import format_quantity, format_share
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -84,20 +84,23 @@ def base_of(effect: str) -> str:
     return "bingham" if EFFECTS[effect].structural else "bouc_wen"
 
 
-def told(diagnosis: Diagnosis) -> dict[str, Any]:
-    """What is kept of a diagnosis."""
+def summary(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return what is kept of a diagnosis."""
+    if diagnosis.gap is None:
+        raise ValueError(diagnosis.sentence)
+    gap = diagnosis.gap
     return {
         "verdict": diagnosis.verdict,
         "causes": [cause.effect for cause in diagnosis.causes],
         "probability": [cause.probability for cause in diagnosis.causes],
         "alternatives": [alternative.effect for alternative in diagnosis.alternatives],
-        "untestable": [candidate.effects[0] for candidate in diagnosis.untestable],
+        "untestable": [entry.effect for entry in diagnosis.untestable],
         "nearest": list(diagnosis.nearest.effects) if diagnosis.nearest else [],
-        "before": diagnosis.gap.before.value,
-        "after": diagnosis.gap.after.value,
-        "floor": diagnosis.floor.value,
-        "closed": diagnosis.closed.value,
-        "ends": [diagnosis.closed.lower, diagnosis.closed.upper],
+        "before": gap.before.value,
+        "after": gap.after.value,
+        "floor": gap.noise_floor.value,
+        "closed": gap.closed_fraction.value,
+        "ends": [gap.closed_fraction.lower, gap.closed_fraction.upper],
         "parameters": {
             name: [value.value.value, value.value.lower, value.value.upper]
             for cause in diagnosis.causes
@@ -123,49 +126,74 @@ def work(kind: str, name: str, seed: int) -> dict[str, Any]:
     if kind == "null":
         fixed = {"exponent": 1.4} if name == "exponent" else {}
         runs = recorded(name if name in OTHER_FORMS else "bouc_wen", seed, {}, **fixed)
-        return told(diagnose(runs, "bouc_wen", seed=seed))
+        return summary(diagnose(runs, "bouc_wen", seed=seed))
     for factor in FACTORS:
         values = sized(name, factor)
         runs = recorded(base_of(name), seed, {name: values})
-        oracle = told(diagnose(runs, base_of(name), effects=[name], seed=seed))
+        oracle = summary(diagnose(runs, base_of(name), effects=[name], seed=seed))
         if oracle["closed"] >= 0.5 or values == sized(name, 2 * factor):
             break
     candidates = [effect for effect in EFFECTS if kind == "effect" or effect != name]
-    found = told(diagnose(runs, base_of(name), effects=candidates, seed=seed))
+    found = summary(diagnose(runs, base_of(name), effects=candidates, seed=seed))
     return found | {"size": values, "oracle": oracle["closed"], "oracle_verdict": oracle["verdict"]}
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """The tables of docs/diagnosis.md."""
+    """Return the tables of docs/diagnosis.md."""
     by = {kind: [line for line in lines if line["kind"] == kind] for kind in ("effect", "null", "withheld")}
-    rows = ["| effect | size | closes, true effect refitted | verdict | named | closes | size as found |", "|" + "---|" * 7]
-    for line in by["effect"]:
+    return "\n".join([*known_rows(by["effect"]), "", *null_rows(by["null"]), "", *withheld_rows(by["withheld"])])
+
+
+def header(*titles: str) -> list[str]:
+    """Return the head of a table."""
+    return [f"| {' | '.join(titles)} |", "|" + "---|" * len(titles)]
+
+
+def identifiers(names: list[str]) -> str:
+    """Return names as code, or a dash without any."""
+    return ", ".join(f"`{name}`" for name in names) or "–"
+
+
+def known_rows(lines: list[dict[str, Any]]) -> list[str]:
+    """Return the table of dampers with a known effect."""
+    rows = header("effect", "size", "removed by the true effect, refitted", "verdict", "named", "removed", "fitted size")
+    for line in lines:
         effect, size = line["name"], EFFECTS[line["name"]].parameters[0]
-        found = line["parameters"].get(f"{effect}.{size.name}")
-        named = ", ".join(f"`{cause}`" for cause in line["causes"]) or "–"
+        fitted = line["parameters"].get(f"{effect}.{size.name}")
+        named = identifiers(line["causes"])
         if line["alternatives"]:
-            named += " or " + ", ".join(f"`{other}`" for other in line["alternatives"])
+            named += " or " + identifiers(line["alternatives"])
         if effect in line["untestable"]:
             named = "listed as untestable"
+        true_size = format_quantity(line["size"][size.name], size.unit)
+        fitted_size = format_quantity(fitted[0], size.unit) if fitted else "–"
         rows.append(
-            f"| `{effect}` | {format_quantity(line['size'][size.name], size.unit)} | {share(line['oracle'])} | {line['verdict']} | "
-            f"{named} | {share(line['closed'])} | {format_quantity(found[0], size.unit) if found else '–'} |"
+            f"| `{effect}` | {true_size} | {format_share(line['oracle'])} | {line['verdict']} | {named} | "
+            f"{format_share(line['closed'])} | {fitted_size} |"
         )
-    rows += ["", "| damper without effect | dampers | no gap | unknown effect | named |", "|" + "---|" * 5]
-    for form in dict.fromkeys(line["name"] for line in by["null"]):
-        of = [line for line in by["null"] if line["name"] == form]
-        count = {v: sum(line["verdict"] == v for line in of) for v in ("no_gap", "unknown_effect")}
-        named = [cause for line in of for cause in line["causes"]]
+    return rows
+
+
+def null_rows(lines: list[dict[str, Any]]) -> list[str]:
+    """Return the table of dampers without an effect."""
+    rows = header("damper without effect", "dampers", "no gap", "unknown effect", "named")
+    for form in dict.fromkeys(line["name"] for line in lines):
+        same = [line for line in lines if line["name"] == form]
+        count = {v: sum(line["verdict"] == v for line in same) for v in ("no_gap", "unknown_effect")}
+        named = [cause for line in same for cause in line["causes"]]
         title = {"": "the fitted form", "exponent": "exponent 1.4"}.get(form, f"`{form}`")
-        rows.append(f"| {title} | {len(of)} | {count['no_gap']} | {count['unknown_effect']} | {', '.join(named) or '0'} |")
-    rows += ["", "| effect withheld | verdict | named | nearest | before → after, % |", "|" + "---|" * 5]
-    for line in by["withheld"]:
-        named = ", ".join(f"`{cause}`" for cause in line["causes"]) or "–"
-        rows.append(
-            f"| `{line['name']}` | {line['verdict']} | {named} | {', '.join(f'`{e}`' for e in line['nearest']) or '–'} | "
-            f"{100 * line['before']:.2f} → {100 * line['after']:.2f}, noise {100 * line['floor']:.2f} |"
-        )
-    return "\n".join(rows)
+        rows.append(f"| {title} | {len(same)} | {count['no_gap']} | {count['unknown_effect']} | {', '.join(named) or '0'} |")
+    return rows
+
+
+def withheld_rows(lines: list[dict[str, Any]]) -> list[str]:
+    """Return the table of dampers whose true effect was withheld from the catalogue."""
+    rows = header("effect withheld", "verdict", "named", "nearest effect", "held-out error before → after, %")
+    for line in lines:
+        errors = f"{100 * line['before']:.2f} → {100 * line['after']:.2f}, noise {100 * line['floor']:.2f}"
+        named, nearest = identifiers(line["causes"]), identifiers(line["nearest"])
+        rows.append(f"| `{line['name']}` | {line['verdict']} | {named} | {nearest} | {errors} |")
+    return rows
 
 
 def main() -> None:
@@ -183,7 +211,7 @@ def main() -> None:
         return
     known = {(line["kind"], line["name"], line["seed"]) for line in done}
     with arguments.results.open("a", encoding="utf-8") as stream:
-        for kind, name, seed in cases(arguments.seed, arguments.null_gradients):
+        for kind, name, seed in cases(arguments.seed, arguments.nulls):
             if (kind, name, seed) in known or kind not in arguments.kind.split(","):
                 continue
             began = time.monotonic()

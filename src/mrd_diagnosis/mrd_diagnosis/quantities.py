@@ -57,6 +57,13 @@ def format_share(value: float | Interval) -> str:
     return format_share(value.value) + (ends if math.isfinite(value.lower + value.upper) else "")
 
 
+def format_probability(value: float) -> str:
+    """Format a probability in whole per cent; one that rounds to 0 or 100 % is written as a bound."""
+    if not math.isfinite(value):
+        return "–"
+    return "< 1 %" if value < 0.01 else "> 99 %" if value > 0.99 else format_share(value)
+
+
 def format_error(ratio: float) -> str:
     """Format an error relative to the standard deviation of the force, in per cent."""
     return f"{_significant(100 * ratio, 2)} %" if math.isfinite(ratio) else "–"

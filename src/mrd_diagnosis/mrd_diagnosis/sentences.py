@@ -1,6 +1,7 @@
 """The verdict in one or two sentences: what was found, how sure it is, and how much of the gap it removes."""
 
 import math
+import shlex
 from collections.abc import Sequence
 
 import yaml
@@ -65,45 +66,59 @@ def unknown_effect_sentence(
     if causes:
         closed = format_share(sum(cause.closed_fraction.value for cause in causes))
         sentences = [f"{_clauses(causes)}; this removes {closed} of the gap.", "No catalogued effect explains the rest."]
-    places = [region for region in where if region.axis != "run"] or list(where)
+    significant = [region for region in where if region.q_value < THRESHOLDS.q_value]
+    places = [region for region in significant if region.axis != "run"] or significant
     if places:
         share = places[0].share.value
         part = "Most of the error" if share > 0.5 else "The largest part of the error"
         sentences.append(f"{part} ({format_share(share)}) occurs {_at(places[0].label)}.")
     named = {cause.effect for cause in causes}
-    reached = nearest.closed_fraction.value if nearest is not None else 0.0
-    needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
-    if alternative_models and alternative_models[0].closed_fraction.value > needed:
-        model = alternative_models[0]
+    if model := notable_model(nearest, alternative_models):
         sentences.append(f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next.")
     elif nearest is not None and not named.issuperset(nearest.effects):
         names = effect_names([effect for effect in nearest.effects if effect not in named])
         verb = "comes" if len(nearest.effects) - len(named.intersection(nearest.effects)) == 1 else "come"
         removes = "in total removes" if named else "would remove"
-        sentences.append(f"{capitalised(names)} {verb} nearest: this {removes} {format_share(reached)} of the gap.")
+        sentences.append(
+            f"{capitalised(names)} {verb} nearest: this {removes} {format_share(nearest.closed_fraction.value)} of the gap."
+        )
     return " ".join(sentences)
+
+
+def notable_model(nearest: Candidate | None, alternative_models: Sequence[AlternativeModel]) -> AlternativeModel | None:
+    """Return the best other damper model if it closes notably more of the gap than the nearest effect."""
+    reached = nearest.closed_fraction.value if nearest is not None else 0.0
+    needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
+    if alternative_models and alternative_models[0].closed_fraction.value > needed:
+        return alternative_models[0]
+    return None
 
 
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the command that follows from a verdict; empty where none does. ``folder`` is the folder of the report."""
-    model, advice = diagnosis.alternative_models[:1], diagnosis.next_experiment
+    folder = shlex.quote(folder)
+    model, advice = notable_model(diagnosis.nearest, diagnosis.alternative_models), diagnosis.next_experiment
     if diagnosis.verdict == "explained":
         return f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "ambiguous" and advice is not None and advice.experiment:
         return f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml"
-    if diagnosis.verdict == "unknown_effect" and model and model[0].name in MODELS:
-        return f"ros2 run mrd_diagnosis diagnose RUN... --model {model[0].name} --output DIR"
+    if diagnosis.verdict == "unknown_effect" and model is not None:
+        model_id, _, change = model.name.partition(" with ")
+        arguments = {"": f"--model {model_id}", "quadratic current laws": f"--model {model_id} --law quadratic"}.get(change)
+        if model_id in MODELS and arguments:
+            return f"ros2 run mrd_diagnosis diagnose RUN... {arguments} --output DIR"
     return ""
 
 
 def corrected_label(diagnosis: Diagnosis) -> str:
-    """Return what the errors and pictures after the correction are with, such as "with the cause"."""
+    """Return what the corrected simulator contains, such as "with the cause"; empty where it contains no effect."""
+    if diagnosis.corrected is None or not diagnosis.corrected.effects:
+        return ""
     if diagnosis.verdict == "explained":
         return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
     if diagnosis.verdict == "ambiguous":
-        return "with the most likely cause"
-    single = diagnosis.corrected is not None and len(diagnosis.corrected.effects) == 1
-    return "with the nearest effect" if single else "with the nearest effects"
+        return "with the most likely cause" if len(diagnosis.causes) == 1 else "with the most likely causes"
+    return "with the nearest effect" if len(diagnosis.corrected.effects) == 1 else "with the nearest effects"
 
 
 def experiment_name(text: str) -> str:
@@ -118,8 +133,10 @@ def _clauses(causes: Sequence[Cause], capital: bool = True) -> str:
 
 
 def _certainty(causes: Sequence[Cause]) -> str:
+    """Return the probability of the least certain cause in words."""
     least = min((cause.probability for cause in causes), default=math.nan)
-    return f"probability {format_share(least)}" if len(causes) == 1 else f"probability at least {format_share(least)}"
+    bound = "above " if least > 0.99 else "at least " if len(causes) > 1 else ""
+    return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)}"
 
 
 def _removal(causes: Sequence[Cause], gap: Gap) -> str:

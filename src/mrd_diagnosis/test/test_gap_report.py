@@ -1,4 +1,4 @@
-"""A diagnosis as gap_report.json, as a page, and in one sentence."""
+"""A diagnosis as gap_report.json, as a page, and as a sentence."""
 
 import json
 import re
@@ -14,23 +14,38 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
+from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
+    AlternativeModel,
     Candidate,
     Cause,
+    CorrectedSimulator,
     Diagnosis,
     Finding,
+    Gap,
     Interval,
+    ParameterEstimate,
     RunNoise,
-    RunResiduals,
-    Value,
+    RunResidual,
+    UntestableEffect,
 )
-from mrd_diagnosis.localisation import where
+from mrd_diagnosis.effect_names import effect_clause
+from mrd_diagnosis.localisation import localise
+from mrd_diagnosis.quantities import format_probability, format_quantity, format_share
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
-from mrd_diagnosis.report.page import content, write_gap_report
-from mrd_diagnosis.report.sentences import clause, describe, format_quantity, share
+from mrd_diagnosis.report.page import page_content, write_gap_report
+from mrd_diagnosis.sentences import (
+    ambiguous_sentence,
+    corrected_label,
+    explained_sentence,
+    fault_sentence,
+    next_command,
+    no_gap_sentence,
+    unknown_effect_sentence,
+)
 from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem, prepare_recording
@@ -54,8 +69,8 @@ coil: {waveform: aprbs, low_mA: 0.0, high_mA: 400.0, shortest_s: 0.05, longest_s
 """
 
 
-def simulated(seed, effect):
-    """A run of a Bouc-Wen damper with ``effect`` along a multisine under steps of current, and noise on the force."""
+def simulated(seed, effects):
+    """Simulate a Bouc-Wen damper with ``effects`` along a multisine under steps of current, with noise on the force."""
     random = np.random.default_rng(seed)
     time = np.arange(0, 6, 0.004)
     position, velocity, acceleration = np.zeros((3, len(time)))
@@ -65,15 +80,15 @@ def simulated(seed, effect):
         velocity += amplitude * w * np.cos(w * time + phase)
         acceleration -= amplitude * w**2 * np.sin(w * time + phase)
     current = random.choice([0.0, 0.2, 0.4], 24).repeat(-(-len(time) // 24))[: len(time)]
-    model = find_model("bouc_wen", effects=list(effect))
-    named = {f"{name}.{parameter}": value for name, own in effect.items() for parameter, value in own.items()}
-    theta = model.vector({"coil_lag": 0.004, **named})
+    model = find_model("bouc_wen", effects=list(effects))
+    sizes = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
+    theta = model.vector({"coil_lag": 0.004, **sizes})
     force = model.force(theta, make_path(time, position, velocity, acceleration, current))
     return Run(f"multisine_{seed}", time, position, velocity, current, force + NOISE * random.standard_normal(len(time)))
 
 
 def fitted(recordings, effects):
-    """Measured minus modelled force of each recording after a refit with ``effects``, and the parameters."""
+    """Return measured minus modelled force of each recording after a refit with ``effects``, and the parameters."""
     model = find_model("bouc_wen", effects=list(effects))
     free = tuple(i for i, p in enumerate(model.parameters) if p.free)
     start = model.vector({f"{name}.{p}": v for name in effects for p, v in EFFECTS[name].typical.items()})
@@ -89,55 +104,16 @@ def about(value, relative=0.05):
     return Interval(value, value - relative * abs(value), value + relative * abs(value))
 
 
-def values(effect, parameters):
-    """An effect's fitted parameters as a diagnosis has them."""
-    units = {p.name: p.unit for p in EFFECTS[effect].parameters}
-    own = {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")}
-    return {name: Value(about(value), units[name.split(".")[1]]) for name, value in own.items()}
+def estimates(effect, parameters):
+    """Return the fitted parameters of an effect as a diagnosis has them."""
+    return {
+        f"{effect}.{p.name}": ParameterEstimate(about(parameters[f"{effect}.{p.name}"]), p.unit)
+        for p in EFFECTS[effect].parameters
+        if f"{effect}.{p.name}" in parameters
+    }
 
 
-@cache
-def diagnosed(verdict, effect="channel_delay"):
-    """A diagnosis with this verdict, of runs with a late force channel (none for ``no_gap``)."""
-    true = {} if verdict == "no_gap" else {effect: {"delay": 0.012}}
-    recordings = [prepare_recording(simulated(seed, true)) for seed in (1, 2, 3)]
-    noises = [RunNoise(np.full(len(r.force), NOISE), NOISE, 0.0, "residual") for r in recordings]
-    chosen = {"no_gap": (), "data_fault": (), "unknown_effect": ("force_sensor_lag",)}.get(verdict, (effect,))
-    before, base = fitted(recordings, ())
-    after, parameters = fitted(recordings, chosen) if chosen else (before, base)
-    traces = tuple(
-        RunResiduals(r, n, b, a, 0.8 * k, -0.002 * k, extrapolates="speed, 250 against 180 mm/s" if k == 2 else "")
-        for k, (r, n, b, a) in enumerate(zip(recordings, noises, before, after, strict=True))
-    )
-    floor, first, last = (nrmse(recordings, part) for part in ([n.sigma for n in noises], before, after))
-    closed = 1 - (last**2 - floor**2) / (first**2 - floor**2)
-    candidates = [
-        Candidate(
-            (name,),
-            last,
-            about(max(closed - 0.11 * k, 0.02 * (5 - k)), 0.08),
-            min(0.005 + 0.05 * k, 1.0),
-            p,
-            values(name, parameters) if name in chosen else {},
-            ("coil_lag",) if k == 0 else (),
-        )
-        for k, (name, p) in enumerate(
-            zip(
-                (*(chosen or ("flow_asymmetry",)), *(n for n in EFFECTS if n not in chosen and n != "flow_asymmetry")),
-                (0.9, 0.06, 0.03, *(0.001,) * 30),
-                strict=False,
-            )
-        )
-    ]
-    untestable = tuple(
-        replace(candidate, remark=why, smallest=smallest, nrmse=float("nan"), closed=NAN, probability=float("nan"))
-        for candidate, why, smallest in (
-            (candidates[-1], "the rod stays 12 mm away from any stop", ""),
-            (candidates[-2], "the parameters refitted take it up wholly", "a drift of 0.4 N/s"),
-        )
-    )
-    causes = tuple(Cause(name, 0.9, 0.005, about(closed, 0.04), values(name, parameters)) for name in chosen)
-    ambiguous = verdict == "ambiguous"
+def findings_of(verdict):
     findings = [
         Finding("coverage", "remark", "3 runs, 18 s: position −11 to 11 mm, speed up to 78 mm/s, current 0 to 0.4 A"),
         Finding("quantisation", "limitation", "is read in steps of 0.8 N; use a smaller range", "multisine_2", "force"),
@@ -147,44 +123,96 @@ def diagnosed(verdict, effect="channel_delay"):
             Finding("clipping", "fault", "42 samples stay at 981 N; widen the range", "multisine_1", "force"),
             Finding("clock", "fault", "7 % of the samples are missing; record it again", "multisine_3", "time"),
         ]
-    diagnosis = Diagnosis(
-        model=find_model("bouc_wen"),
-        verdict=verdict,
-        sentence="",
-        held_out_by="leave-one-run-out",
-        runs=tuple(recording.run for recording in recordings),
-        seed=0,
-        elapsed=9.4,
-        findings=tuple(findings),
-        unfitted=None if verdict == "data_fault" else 1.6 * first,
-        floor=Interval(floor),
-        before=about(first, 0.1) if verdict != "data_fault" else NAN,
-        after=about(last, 0.03) if verdict != "data_fault" else NAN,
-        closed=about(closed, 0.04) if chosen else NAN,
-        ceiling=0.64,
-        extrapolated=about(0.9 * closed) if chosen else None,
-        where=where(recordings, noises, before, np.random.default_rng(0)),
-        causes=causes if verdict in ("explained", "ambiguous") else (),
-        alternatives=(Alternative("coil_lag", effect, 0.38, "closes the same part of the gap: correlation 0.97"),)
-        if ambiguous
-        else (),
-        nearest=candidates[0] if verdict == "unknown_effect" else None,
-        candidates=tuple(candidates[:15]) if verdict != "data_fault" else (),
-        untestable=untestable,
-        advice=Advice(
-            "Steps of the coil current while the rod moves at a constant speed: a lag of the current then shows alone.",
-            EXPERIMENT,
-            (effect, "coil_lag"),
-            0.02,
+    return tuple(findings)
+
+
+@cache
+def diagnosed(verdict):
+    """Return a diagnosis with this verdict, of runs with a late force channel (none for ``no_gap``)."""
+    effect, findings = "channel_delay", findings_of(verdict)
+    recordings = [
+        prepare_recording(simulated(k, {} if verdict == "no_gap" else {effect: {"delay": 0.012}})) for k in (1, 2, 3)
+    ]
+    common = {
+        "model": find_model("bouc_wen"),
+        "runs": tuple(recording.run for recording in recordings),
+        "held_out": (),
+        "seed": 0,
+        "elapsed": 9.4,
+        "findings": findings,
+        "verdict": verdict,
+        "held_out_by": "leave-one-run-out",
+    }
+    if verdict == "data_fault":
+        return Diagnosis(**common, sentence=fault_sentence(findings))
+    noise = [RunNoise(np.full(len(r.force), NOISE), NOISE, 0.0, "residual") for r in recordings]
+    chosen = {"no_gap": (), "unknown_effect": ("force_sensor_lag",)}.get(verdict, (effect,))
+    before, base = fitted(recordings, ())
+    after, parameters = fitted(recordings, chosen) if chosen else (before, base)
+    floor, first, last = (nrmse(recordings, part) for part in ([n.sigma for n in noise], before, after))
+    closed = 1 - (last**2 - floor**2) / (first**2 - floor**2)
+    ranked = [*(chosen or ("flow_asymmetry",)), *(n for n in EFFECTS if n not in chosen and n != "flow_asymmetry")]
+    candidates = tuple(
+        Candidate(
+            (name,),
+            last,
+            about(max(closed - 0.11 * k, 0.02 * (5 - k)), 0.08),
+            min(0.005 + 0.05 * k, 1.0),
+            (0.9, 0.06, 0.03)[k] if k < 3 else 0.001,
+            estimates(name, parameters) if name in chosen else {},
+            ("coil_lag",) if k == 0 else (),
+            smallest_detectable="" if name in chosen else f"{k} mm",
         )
-        if ambiguous
-        else None,
-        parameters=parameters,
-        effects=chosen,
-        traces=traces,
-        notes=("Three runs only: intervals rest on little.",),
+        for k, name in enumerate(ranked[:15])
     )
-    return replace(diagnosis, sentence=describe(diagnosis))
+    gap = Gap(
+        noise_floor=Interval(floor),
+        before=about(first, 0.1),
+        after=about(last, 0.03),
+        closed_fraction=about(closed, 0.04) if chosen else NAN,
+        as_given=1.6 * first,
+        explainable_fraction=0.64,
+        extrapolated=about(0.9 * closed) if chosen else None,
+    )
+    where = localise(recordings, noise, before, np.random.default_rng(0))
+    named = chosen if verdict in ("explained", "ambiguous") else ()
+    causes = tuple(Cause(name, 0.9, 0.005, about(closed, 0.04), estimates(name, parameters)) for name in named)
+    alternatives, advice, models = (), None, ()
+    if verdict == "ambiguous":
+        alternatives = (Alternative("coil_lag", effect, 0.38, "predicts held-out data nearly as well"),)
+        text = "Steps of the coil current while the rod moves at a constant speed: a lag of the current then shows alone."
+        advice = Advice(text, EXPERIMENT, (effect, "coil_lag"), 0.02)
+    nearest = candidates[0] if verdict == "unknown_effect" else None
+    if nearest is not None:
+        models = (AlternativeModel("modified_dahl", last, about(0.3)),)
+    sentence = {
+        "no_gap": lambda: no_gap_sentence(gap),
+        "explained": lambda: explained_sentence(causes, gap),
+        "ambiguous": lambda: ambiguous_sentence(causes, alternatives, gap, advice),
+        "unknown_effect": lambda: unknown_effect_sentence(causes, where, nearest, models),
+    }[verdict]()
+    return Diagnosis(
+        **common,
+        sentence=sentence,
+        gap=gap,
+        corrected=CorrectedSimulator(chosen, parameters),
+        where=where,
+        causes=causes,
+        alternatives=alternatives,
+        nearest=nearest,
+        candidates=candidates,
+        untestable=(
+            UntestableEffect("end_stop", "it does not act in these runs"),
+            UntestableEffect("load_cell_gain", "the model's own parameters take it up"),
+        ),
+        alternative_models=models,
+        next_experiment=advice,
+        residuals=tuple(
+            RunResidual(r, n, b, a, 0.8 * k, -0.002 * k, extrapolates="speed, 250 against 180 mm/s" if k == 2 else "")
+            for k, (r, n, b, a) in enumerate(zip(recordings, noise, before, after, strict=True))
+        ),
+        notes=("Only three runs: the intervals are uncertain.",),
+    )
 
 
 def markup_of(page):
@@ -225,90 +253,183 @@ def test_the_file_says_what_the_contract_says():
     assert content["runs"]["fit"][0]["before"] > 5 * content["runs"]["fit"][0]["after"]
 
 
-def test_runs_beside_held_out_ones_are_called_what_they_are():
-    found = diagnosed("explained")
-    first, *others = found.residuals
-    told = content(replace(found, held_out_by="runs", traces=(*others, replace(first, held_out=True))))
-    assert [run["judged"] for run in told["runs"]] == ["left out", "left out", "held out"]
+def test_the_file_lists_what_is_not_ruled_out():
+    content = to_json(diagnosed("explained"))
+    assert content["untestable"][0] == {"effect": "end_stop", "why": "it does not act in these runs"}
+    assert content["candidates"][2]["smallest_detectable"] == "2 mm"
+    assert content["candidates"][0]["indistinguishable"] == ["coil_lag"]
+    (model,) = to_json(diagnosed("unknown_effect"))["alternative_models"]
+    assert (model["model"], model["closed_fraction"]) == ("modified_dahl", 0.3)
+    assert model["ci95"] == pytest.approx([0.285, 0.315])
 
 
-def test_only_an_experiment_is_said_to_separate(tmp_path):
-    found = diagnosed("ambiguous")
-    assert "It separates " in markup_of(write_gap_report(found, tmp_path))
+def test_the_page_lists_what_is_not_ruled_out(tmp_path):
+    comparison = page_content(diagnosed("ambiguous"))["comparison"]
+    titles = [title for title, _, _ in comparison["not_ruled_out"]]
+    # Neither the cause nor its alternative is listed.
+    assert EFFECTS["channel_delay"].title not in titles
+    assert EFFECTS["coil_lag"].title not in titles
+    assert len(titles) == 13
+    assert all(smallest.endswith(" mm") for _, smallest, _ in comparison["not_ruled_out"])
+    markup = markup_of(write_gap_report(diagnosed("ambiguous"), tmp_path))
+    assert "smallest detectable size</th>" in markup
+    assert "it does not act in these runs" in markup
+
+
+def test_runs_are_called_held_out_as_they_were():
+    diagnosis = diagnosed("explained")
+    first, second, third = diagnosis.residuals
+    residuals = (second, replace(third, by_folds=True), replace(first, held_out=True))
+    comparison = page_content(replace(diagnosis, held_out_by="runs", residuals=residuals))["comparison"]
+    assert [run["held_out"] for run in comparison["runs"]] == ["in turn", "by segments", "from the start"]
+
+
+def test_the_advised_experiment_lies_beside_the_report(tmp_path):
+    diagnosis, experiment = diagnosed("ambiguous"), tmp_path / "next_experiment.yaml"
+    assert "The experiment separates " in markup_of(write_gap_report(diagnosis, tmp_path))
+    assert experiment.read_text() == EXPERIMENT
     advice = Advice("No run would tell them apart.", between=("channel_delay", ""))
-    assert "It separates " not in markup_of(write_gap_report(replace(found, advice=advice), tmp_path))
+    without = replace(diagnosis, next_experiment=advice)
+    assert "The experiment separates " not in markup_of(write_gap_report(without, tmp_path))
+    assert not experiment.exists()
 
 
-def test_the_worst_of_a_fault_comes_first_and_no_physics(tmp_path):
-    markup = markup_of(write_gap_report(diagnosed("data_fault"), tmp_path))
-    assert markup.index("42 samples") < markup.index("The recordings</h2>")
-    assert "Which effect" not in markup
+def test_the_page_says_how_sure_and_how_much_before_the_rest(tmp_path):
+    markup = markup_of(write_gap_report(diagnosed("explained"), tmp_path))
+    order = ['class="badge explained"', "The force channel is late", "probability of the cause", "Next command:", "<h2>"]
+    places = [markup.index(text) for text in order]
+    assert places == sorted(places)
+    assert f"apply {tmp_path}/gap_report.json" in markup
+
+
+def test_faults_come_first_and_nothing_is_compared(tmp_path):
+    diagnosis = diagnosed("data_fault")
+    markup = markup_of(write_gap_report(diagnosis, tmp_path))
+    assert markup.index("42 samples") < markup.index("Recordings</h2>")
+    assert "Effects that were tried" not in markup
     assert "Where the gap" not in markup
-
-
-def test_a_diagnosis_of_faults_needs_no_traces(tmp_path):
-    bare = replace(diagnosed("data_fault"), traces=(), where=(), parameters={}, untestable=())
-    write_gap_report(bare, tmp_path)
-    told = read_gap_report(tmp_path / "gap_report.json")["runs"]["fit"]
-    assert [run["name"] for run in told] == [run.name for run in bare.runs]
+    content = read_gap_report(tmp_path / "gap_report.json")
+    assert content["gap"] is None
+    assert content["corrected"] is None
+    assert [run["name"] for run in content["runs"]["fit"]] == [run.name for run in diagnosis.runs]
 
 
 def test_sentences():
     assert diagnosed("explained").sentence == (
-        "The force channel is late by 12.0 ± 0.6 ms; adding this removes 100 % of the explainable gap."
+        "The force channel is late by 12.0 ± 0.6 ms (probability 90 %). "
+        "Adding this effect removes 100 % of the explainable gap."
     )
-    assert diagnosed("no_gap").sentence.startswith("The gap was in the parameters: refitted, the model errs by 0.9")
-    fitted_before = replace(diagnosed("no_gap"), unfitted=None)
-    assert describe(fitted_before).startswith("No gap beyond the noise: the model errs by 0.9")
+    gap = diagnosed("no_gap").gap
+    assert diagnosed("no_gap").sentence.startswith(
+        "The parameters caused the gap. With refitted parameters, the error falls"
+    )
+    assert no_gap_sentence(replace(gap, as_given=None)).startswith("No gap beyond the noise. The model's error is 0.9")
     assert diagnosed("data_fault").sentence == (
-        "The recordings are faulty, so nothing is said of the physics. "
-        "multisine_1, force: 42 samples stay at 981 N (and 1 more)."
+        "Data problem (run multisine_1, force): 42 samples stay at 981 N; widen the range. (1 more problem below.)"
     )
-    ambiguous = diagnosed("ambiguous")
-    assert ambiguous.sentence.startswith("Delay of the force channel and lag behind the coil current cannot be told")
-    assert ambiguous.sentence.endswith("recording the experiment “current_steps” would separate them.")
-    sensor = replace(ambiguous, advice=Advice("A second displacement sensor across the damper would tell them apart."))
-    assert describe(sensor).endswith("closed; a second displacement sensor across the damper would tell them apart.")
-    doubtful = replace(ambiguous, alternatives=(), advice=None)
     assert re.fullmatch(
-        r"The force channel is late by 12\.0 ± 0\.6 ms; adding this removes \d+ % of the explainable gap, "
-        r"but this is not certain \(\d+ %\)\.",
-        describe(doubtful),
-    )
-    unknown = diagnosed("unknown_effect").sentence
-    assert re.fullmatch(
-        r"Something that is not in the catalogue: \d+ % of the excess error lies at .*; "
-        r"it resembles lag of the force sensor, which would close \d+ % of the gap\.",
-        unknown,
+        r"No catalogued effect explains the gap\. (Most|The largest part) of the error \(\d+ %\) occurs .*\. "
+        r"Lag of the force sensor comes nearest: this would remove \d+ % of the gap\.",
+        diagnosed("unknown_effect").sentence,
     )
 
 
-def test_certain_causes_and_doubtful_ones_are_told_apart():
+def test_the_sentence_on_ambiguous_causes():
     diagnosis = diagnosed("ambiguous")
-    certain = Cause("joint_play", 0.97, 0.005, about(0.5), {"joint_play.play": Value(about(3e-4), "m")})
-    text = describe(replace(diagnosis, causes=(certain, *diagnosis.causes), advice=None))
-    assert text.startswith("A joint has 0.300 ± 0.015 mm of play; beside this, delay of the force channel and lag behind")
-    both = describe(replace(diagnosed("explained"), causes=(certain, *diagnosis.causes)))
-    assert "of play and the force channel is late by 12.0 ± 0.6 ms; adding both removes" in both
+    causes, alternatives, gap = diagnosis.causes, diagnosis.alternatives, diagnosis.gap
+    assert diagnosis.sentence.startswith("These runs cannot tell delay of the force channel and lag behind the coil current")
+    assert diagnosis.sentence.endswith("Record the experiment “current_steps” to separate them.")
+    sensor = Advice("A second displacement sensor across the damper would tell them apart.")
+    assert ambiguous_sentence(causes, alternatives, gap, sensor).endswith(f"of the explainable gap. {sensor.text}")
+    assert re.fullmatch(
+        r"Probably the force channel is late by 12\.0 ± 0\.6 ms \(probability 90 %\)\. "
+        r"Adding this effect removes \d+ % of the explainable gap\.",
+        ambiguous_sentence(causes, (), gap, None),
+    )
+    certain = Cause("joint_play", 0.97, 0.005, about(0.5), {"joint_play.play": ParameterEstimate(about(3e-4), "m")})
+    text = ambiguous_sentence((certain, *causes), alternatives, gap, None)
+    assert text.startswith(
+        "A joint has 0.300 ± 0.015 mm of play. Beyond that, these runs cannot tell delay of the force channel"
+    )
+    both = explained_sentence((certain, *causes), gap)
+    assert "of play and the force channel is late by 12.0 ± 0.6 ms (probability at least 90 %)" in both
+    assert "Adding both effects removes" in both
+    sure = explained_sentence((replace(certain, probability=0.99999),), gap)
+    assert "(probability above 99 %)" in sure
+
+
+def test_the_sentence_on_an_unknown_effect_points_only_at_significant_regions():
+    diagnosis = diagnosed("unknown_effect")
+    where = tuple(replace(region, q_value=0.3) for region in diagnosis.where)
+    text = unknown_effect_sentence((), where, diagnosis.nearest, diagnosis.alternative_models)
+    assert text.startswith("No catalogued effect explains the gap. Lag of the force sensor comes nearest")
+    model = AlternativeModel("modified_dahl", 0.01, Interval(1.0))
+    text = unknown_effect_sentence((), (), diagnosis.nearest, (model,))
+    assert text.endswith("The model modified_dahl removes 100 %: try it next.")
+
+
+def test_the_next_command_follows_from_the_verdict():
+    assert next_command(diagnosed("explained"), "my runs") == (
+        "ros2 run mrd_diagnosis apply 'my runs'/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
+    )
+    assert next_command(diagnosed("ambiguous")) == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
+    unknown = diagnosed("unknown_effect")
+    # The nearest effect removes more than the other model.
+    assert next_command(unknown) == ""
+    unknown = replace(unknown, nearest=None)
+    assert next_command(unknown) == "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR"
+    for name, arguments in (
+        ("bouc_wen with quadratic current laws", "--model bouc_wen --law quadratic --output DIR"),
+        ("bouc_wen with exponent freed", ""),
+    ):
+        command = next_command(replace(unknown, alternative_models=(AlternativeModel(name, 0.01, about(0.9)),)))
+        assert command.endswith(arguments)
+        assert bool(command) == bool(arguments)
+    assert next_command(diagnosed("no_gap")) == next_command(diagnosed("data_fault")) == ""
+
+
+def test_the_terminal_shows_all_of_its_summary(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("COLUMNS", "30")
+    diagnosis = diagnosed("ambiguous")
+    effects = ("rate_dependent_hysteresis", "pre_yield_hysteresis", "channel_delay")
+    together = replace(diagnosis.candidates[0], effects=effects)
+    print_summary(replace(diagnosis, candidates=(together, *diagnosis.candidates)), tmp_path / "gap_report.html")
+    sentence, command, *lines = capsys.readouterr().out.splitlines()
+    assert sentence == diagnosis.sentence
+    assert command == f"next command: {next_command(diagnosis, str(tmp_path))}"
+    assert any("rate_dependent_hysteresis + pre_yield_hysteresis + channel_delay" in line for line in lines)
+    assert not any("…" in line for line in lines)
+    assert "The table shows the best 8 of 16 candidates; the report lists all." in lines
+    paths = [str(tmp_path / name) for name in ("gap_report.html", "gap_report.json", "next_experiment.yaml")]
+    assert lines[-4:] == [f"note: {diagnosis.notes[0]}", *paths]
+
+
+def test_the_corrected_model_has_a_name_where_it_contains_effects():
+    assert corrected_label(diagnosed("explained")) == "with the cause"
+    assert corrected_label(diagnosed("ambiguous")) == "with the most likely cause"
+    assert corrected_label(diagnosed("unknown_effect")) == "with the nearest effect"
+    assert corrected_label(diagnosed("no_gap")) == corrected_label(diagnosed("data_fault")) == ""
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_every_effect_has_a_phrase_of_its_own(effect):
-    said = clause(effect, {f"{effect}.{p.name}": Value(about(p.upper), p.unit) for p in EFFECTS[effect].parameters})
+def test_every_effect_has_a_phrase(effect):
+    parameters = EFFECTS[effect].parameters
+    clause = effect_clause(effect, {f"{effect}.{p.name}": ParameterEstimate(about(p.upper), p.unit) for p in parameters})
     assert EFFECTS[effect].phrase
-    assert not set("{}") & set(said)
-    assert said == clause(effect, {p.name: Value(about(p.upper), p.unit) for p in EFFECTS[effect].parameters})
-    assert "±" in said
+    assert not set("{}") & set(clause)
+    assert clause == effect_clause(effect, {p.name: ParameterEstimate(about(p.upper), p.unit) for p in parameters})
+    assert "±" in clause
 
 
-def test_an_effect_without_phrase_is_said_by_its_title(monkeypatch):
+def test_an_effect_without_phrase_is_called_by_its_title(monkeypatch):
     monkeypatch.setitem(EFFECTS, "joint_play", replace(EFFECTS["joint_play"], phrase=""))
-    assert clause("joint_play", {"joint_play.play": Value(Interval(3e-4), "m")}) == "play in a joint (play 0.3 mm)"
-    assert clause("long_gone", {}) == "long_gone"
+    parameters = {"joint_play.play": ParameterEstimate(Interval(3e-4), "m")}
+    assert effect_clause("joint_play", parameters) == "play in a joint (play 0.3 mm)"
+    assert effect_clause("long_gone", {}) == "another damper model (long_gone)"
 
 
 @pytest.mark.parametrize(
-    ("value", "unit", "style", "words"),
+    ("value", "unit", "style", "text"),
     [
         (0.031, "s", "", "31 ms"),
         (4e-7, "m/N", "", "0.4 µm/N"),
@@ -334,14 +455,14 @@ def test_an_effect_without_phrase_is_said_by_its_title(monkeypatch):
         (float("nan"), "s", "", "–"),
     ],
 )
-def test_numbers_are_written_as_a_person_writes_them(value, unit, style, words):
-    assert format_quantity(value, unit, style) == words
+def test_quantities_are_written_as_a_person_writes_them(value, unit, style, text):
+    assert format_quantity(value, unit, style) == text
 
 
 @given(st.floats(1e-9, 1e9), st.sampled_from(["s", "m", "m/N", "N/m", "N s/m", "A", "1/A", "kg", "rad", ""]), st.booleans())
-def test_numbers_keep_their_size_whatever_their_unit(value, unit, negative):
-    words = format_quantity(-value if negative else value, unit)
-    number, _, written = words.partition(" ") if unit != "rad" else (words[:-1], "", "°")
+def test_quantities_keep_their_size_whatever_their_unit(value, unit, negative):
+    text = format_quantity(-value if negative else value, unit)
+    number, _, written = text.partition(" ") if unit != "rad" else (text[:-1], "", "°")
     prefix = {"µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9, "g": 1e-3}
     base = unit.partition(" ")[0].partition("/")[0]
     head = written.partition("/")[0].partition("·")[0].removeprefix("per ")
@@ -352,23 +473,30 @@ def test_numbers_keep_their_size_whatever_their_unit(value, unit, negative):
 
 
 def test_shares():
-    assert share(0.931) == "93 %"
-    assert share(Interval(0.931, 0.88, 0.96)) == "93 % (88 to 96)"
-    assert share(float("nan")) == "–"
+    assert format_share(0.931) == "93 %"
+    assert format_share(Interval(0.931, 0.88, 0.96)) == "93 % (88 to 96)"
+    assert format_share(float("nan")) == "–"
 
 
-def test_reading_something_else_is_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "< 1 %"), (0.38, "38 %"), (0.9999, "> 99 %"), (1.0, "> 99 %"), (float("nan"), "–")]
+)
+def test_probabilities_are_never_certain(value, text):
+    assert format_probability(value) == text
+
+
+def test_an_unreadable_report_is_refused_in_one_line(tmp_path):
     file = tmp_path / "gap_report.json"
     with pytest.raises(InputError, match=r"gap_report\.json: cannot be read"):
         read_gap_report(file)
-    for text, words in (
+    for text, message in (
         ("{", "is not JSON"),
-        ("[1]", "its schema is None, expected a gap_report.json of mrd-gap/1"),
+        ("[1]", "its schema is None, expected a gap_report.json of mrd-gap/2"),
         ('{"schema": "mrd-fit/3"}', "its schema is mrd-fit/3, expected"),
-        ('{"schema": "mrd-gap/1"}', "'sentence' is a required property; expected a gap_report.json"),
+        ('{"schema": "mrd-gap/2"}', "'sentence' is a required property; expected a gap_report.json"),
     ):
         file.write_text(text)
-        with pytest.raises(InputError, match=words) as refused:
+        with pytest.raises(InputError, match=message) as refused:
             read_gap_report(file)
         assert "\n" not in str(refused.value)
     content = to_json(diagnosed("explained"))
@@ -378,32 +506,44 @@ def test_reading_something_else_is_one_line(tmp_path):
         read_gap_report(file)
 
 
-def test_the_schema_leaves_nothing_unsaid():
-    for name, part in read_schema("mrd_diagnosis", "gap_report")["properties"].items():
+def test_the_schema_describes_every_field():
+    schema = read_schema("mrd_diagnosis", "gap_report")
+    for name, part in schema["properties"].items():
         assert part, name
+    content = {name: value for name, value in to_json(diagnosed("no_gap")).items() if name != "verdict"}
     with pytest.raises(jsonschema.ValidationError, match="verdict"):
-        jsonschema.validate(
-            {k: v for k, v in to_json(diagnosed("no_gap")).items() if k != "verdict"},
-            read_schema("mrd_diagnosis", "gap_report"),
-        )
+        jsonschema.validate(content, schema)
 
 
-def test_the_run_that_tells_most_is_shown_where_it_tells_most():
+def test_the_most_informative_segment_of_the_most_informative_run_is_shown():
     diagnosis = diagnosed("explained")
-    told = figures.telling(diagnosis.residuals)
-    gains = [np.sum(trace.before**2 - trace.after**2) for trace in diagnosis.residuals]
-    assert told is diagnosis.residuals[int(np.argmax(gains))]
-    recording = told.recording
-    sudden = np.zeros(len(told.before))
+    shown = figures.most_informative_run(diagnosis.residuals)
+    removed = [np.sum(residual.before**2 - residual.after**2) for residual in diagnosis.residuals]
+    assert shown is diagnosis.residuals[int(np.argmax(removed))]
+    sudden = np.zeros(len(shown.before))
     sudden[700:720] = 50.0
-    shown = figures.window(replace(told, before=sudden, after=0 * sudden), 0.5)
-    first, last = shown[0] - recording.counted.start, shown[-1] - recording.counted.start
+    segment = figures.most_informative_segment(replace(shown, before=sudden, after=0 * sudden), 0.5)
+    first, last = segment[0] - shown.recording.counted.start, segment[-1] - shown.recording.counted.start
     assert first <= 700
     assert last >= 719
-    loops = figures.loops(told, "with the cause")
-    measured, refitted, after = (trace.y for trace in loops[0].data)
+    loops = figures.hysteresis_loops(shown, "with the cause")
+    measured, refitted, after = (line.y for line in loops[0].data)
     assert np.sqrt(np.mean((measured - after) ** 2)) == pytest.approx(NOISE, rel=0.2)
     assert np.sqrt(np.mean((measured - refitted) ** 2)) > 3 * NOISE
+
+
+def test_the_chart_of_candidates_says_what_its_numbers_are():
+    chart = figures.candidate_chart(diagnosed("ambiguous"))
+    texts = [annotation.text for annotation in chart.layout.annotations]
+    assert "probability" in texts
+    assert "<b>90 %</b>" in texts
+    assert "<b>< 1 %</b>" in texts
+    # The alternative has the probability that the table of alternatives states.
+    assert "<b>38 %</b>" in texts
+    assert chart.layout.xaxis.title.text == "share of the gap that the effect removes"
+    # Where none of the candidates is the cause, a probability would mislead.
+    for verdict in ("no_gap", "unknown_effect"):
+        assert not figures.candidate_chart(diagnosed(verdict)).layout.annotations
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open the page with")

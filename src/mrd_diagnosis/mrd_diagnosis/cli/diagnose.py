@@ -1,7 +1,8 @@
-"""Explain the gap between simulator and recordings."""
+"""The tool ``diagnose``: explain the gap between simulator and recordings."""
 
 import argparse
 import sys
+from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
@@ -10,9 +11,10 @@ from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
-from mrd_diagnosis.diagnosis import Candidate, Diagnosis
-from mrd_diagnosis.quantities import format_share
+from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
 from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.sentences import next_command
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
@@ -22,7 +24,10 @@ from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
 
 MOST_ROWS = 8
-"""Candidates that the terminal shows; the report has all."""
+"""Candidates that the terminal shows; the page and the file list all of them."""
+
+WIDEST_TABLE = 1000
+"""Width in characters at which no cell of the table is cut or folded; a narrower terminal wraps its lines."""
 
 
 def main() -> None:
@@ -31,24 +36,29 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, diagnose, write, report."""
+    """Read the arguments and the runs, diagnose, write the reports and print a summary."""
     parser = argparse.ArgumentParser(
         prog="diagnose",
-        description="Find where a damper model and recordings disagree, which missing effect causes it, and how far the gap "
-        "shrinks with it; writes gap_report.json and gap_report.html.",
+        description="Find where a damper model and recordings disagree, which missing effect causes the gap, and how much "
+        "of it the effect removes. Writes gap_report.json, gap_report.html and, where an experiment is advised, "
+        "next_experiment.yaml.",
     )
     add_run_arguments(parser)
     parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
-    parser.add_argument("--parameters", metavar="FIT.json", help="the simulator as it is: a fit of the model to start from")
+    parser.add_argument(
+        "--parameters",
+        metavar="FIT.json",
+        help="parameters of the simulator as it is, from identify; default: fit the model first",
+    )
     parser.add_argument(
         "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
     )
     parser.add_argument(
-        "--effects", default="", metavar="ID,...", help="candidates (ros2 run mrd_sim effects lists them; default: all)"
+        "--effects", default="", metavar="ID,...", help="effects to try; ros2 run mrd_sim effects lists them (default: all)"
     )
     add_effects_folder(parser)
     parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
-    parser.add_argument("--output", required=True, metavar="DIR", help="where gap_report.json and gap_report.html go")
+    parser.add_argument("--output", required=True, metavar="DIR", help="folder for the reports")
     arguments = parser.parse_args()
     if arguments.seed < 0:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
@@ -65,7 +75,7 @@ def work() -> None:
             bar.set_description_str(stage, refresh=False)
             bar.update(int(100 * fraction) - bar.n)
 
-        found = diagnose(
+        diagnosis = diagnose(
             runs,
             arguments.model,
             held_out=held_out,
@@ -75,39 +85,42 @@ def work() -> None:
             seed=arguments.seed,
             progress=progress,
         )
-    page = write_gap_report(found, folder)
-    print(found.sentence)
-    for finding in found.findings:
-        print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.text)))}")
-    if found.candidates:
-        Console().print(table(found))
-    if found.next_experiment:
-        print(f"next: {found.next_experiment.text}")
-    for note in found.notes:
+    page = write_gap_report(diagnosis, folder)
+    print_summary(diagnosis, page)
+
+
+def print_summary(diagnosis: Diagnosis, page: Path) -> None:
+    """Print the verdict, the next command, findings, candidates, notes and the paths of the reports."""
+    print(diagnosis.sentence)
+    if command := next_command(diagnosis, str(page.parent)):
+        print(f"next command: {command}")
+    advice = diagnosis.next_experiment
+    if advice:
+        print(f"next experiment: {advice.text}")
+    for finding in diagnosis.findings:
+        print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.channel, finding.text)))}")
+    if diagnosis.candidates:
+        Console(width=WIDEST_TABLE).print(candidate_table(diagnosis))
+        if len(diagnosis.candidates) > MOST_ROWS:
+            print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
+    for note in diagnosis.notes:
         print(f"note: {note}")
-    print(page)
-    print(page.with_suffix(".json"))
+    paths = [page, page.with_suffix(".json")]
+    if advice and advice.experiment:
+        paths.append(page.with_name("next_experiment.yaml"))
+    for path in paths:
+        print(path)
 
 
-def table(found: Diagnosis) -> Table:
-    """The leading candidates for a terminal, by what they close of the gap on unseen runs; intervals of 95 % in brackets."""
-    ranking = Table(box=None)
-    ranking.add_column("effect", min_width=22, overflow="fold")
-    for title in ("probability", "closes", "NRMSE", "p"):
-        ranking.add_column(title, justify="right", no_wrap=True)
-    ranking.add_column("remark")
-    for candidate in found.candidates[:MOST_ROWS]:
-        ranking.add_row(
-            escape(" + ".join(candidate.effects)),
-            format_share(candidate.probability),
-            format_share(candidate.closed_fraction),
-            f"{candidate.nrmse:.4f}",
-            f"{candidate.p_value:.3f}",
-            escape(_remark(candidate)),
-        )
-    return ranking
-
-
-def _remark(candidate: Candidate) -> str:
-    alike = f"like {', '.join(candidate.indistinguishable)}" if candidate.indistinguishable else ""
-    return "; ".join(filter(None, (candidate.remark, alike)))
+def candidate_table(diagnosis: Diagnosis) -> Table:
+    """Return the best candidates as a table for a terminal; 95 % intervals in brackets."""
+    table = Table(box=None)
+    table.add_column("effects")
+    first = 0 if with_probabilities(diagnosis) else 1
+    for title in ("probability", "removes of the gap", "held-out error", "p-value")[first:]:
+        table.add_column(title, justify="right")
+    table.add_column("remark")
+    for candidate in diagnosis.candidates[:MOST_ROWS]:
+        columns = describe_candidate(diagnosis, candidate)[first:]
+        table.add_row(escape(" + ".join(candidate.effects)), *map(escape, columns))
+    return table

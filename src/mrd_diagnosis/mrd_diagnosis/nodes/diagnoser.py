@@ -1,6 +1,8 @@
 """Diagnosis as a node: the action `diagnose` does what the tool ``diagnose`` does."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
@@ -8,10 +10,14 @@ from rclpy.executors import SingleThreadedExecutor
 from mrd_base.nodes.bench_node import run_node
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.sentences import next_command
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
 from mrd_interfaces.action import Diagnose
 from mrd_runs.nodes.analysis_node import AnalysisNode
+from mrd_sim.current import parse_laws
+from mrd_sim.effects import EFFECTS, load_effects
+from mrd_trajectory.settings import read_settings
 
 
 class Diagnoser(AnalysisNode):
@@ -27,23 +33,41 @@ class Diagnoser(AnalysisNode):
             publish(Diagnose.Feedback(stage=stage, fraction=fraction))
 
         folder = make_folder(request.output)
+        laws = parse_laws(request.laws, "laws")
         parameters = read_fit(request.parameters) if request.parameters else None
-        runs, held_out = self.runs(request)
-        diagnosis = diagnose(
-            runs,
-            request.model,
-            held_out=held_out,
-            parameters=parameters,
-            effects=tuple(request.effects),
-            seed=request.seed,
-            progress=progress,
-        )
-        result.report = str(write_gap_report(diagnosis, folder).resolve())
+        bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
+        with _added_effects(request.effects_folder):
+            runs, held_out = self.runs(request)
+            diagnosis = diagnose(
+                runs,
+                request.model,
+                held_out=held_out,
+                parameters=parameters,
+                laws=laws or None,
+                effects=tuple(request.effects),
+                bench=bench,
+                seed=request.seed,
+                progress=progress,
+            )
+            page = write_gap_report(diagnosis, folder.resolve())
+        result.report = str(page)
         result.message = diagnosis.sentence
+        result.next_command = next_command(diagnosis, str(page.parent))
         result.verdict = diagnosis.verdict
         result.causes = [cause.effect for cause in diagnosis.causes]
         result.probability = [cause.probability for cause in diagnosis.causes]
         result.closed_fraction = diagnosis.gap.closed_fraction.value if diagnosis.gap else float("nan")
+
+
+@contextmanager
+def _added_effects(folder: str) -> Iterator[None]:
+    """Add the effects of a folder to the catalogue for one goal, so that the next goal does not try them as well."""
+    added = load_effects(folder) if folder else ()
+    try:
+        yield
+    finally:
+        for effect in added:
+            EFFECTS.pop(effect.id, None)
 
 
 def main() -> None:

@@ -1,209 +1,278 @@
-"""gap_report.html: a diagnosis for a person, who has two minutes."""
+"""gap_report.html: a diagnosis for a reader who has two minutes and has never seen the project."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Interval, ParameterEstimate, RunResidual
+from mrd_diagnosis.diagnosis import (
+    Advice,
+    Cause,
+    CorrectedSimulator,
+    Diagnosis,
+    Gap,
+    Interval,
+    ParameterEstimate,
+    Region,
+    RunResidual,
+)
 from mrd_diagnosis.effect_names import candidate_title, effect_clause, effect_name, parameters_of_effect
-from mrd_diagnosis.quantities import format_error, format_quantity, format_share
+from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
+from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
 from mrd_diagnosis.report.gap_file import write_gap_file
-from mrd_diagnosis.sentences import corrected_label
+from mrd_diagnosis.sentences import corrected_label, next_command, notable_model
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.figures import html
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
 
+MOST_REGIONS = 10
+"""Regions that the page shows; more cannot be read in two minutes."""
+
 _VERDICTS = {
-    "data_fault": "fault in the data",
-    "no_gap": "no gap",
-    "explained": "explained",
-    "ambiguous": "cannot be told apart",
-    "unknown_effect": "unknown effect",
+    "data_fault": "Faulty recordings",
+    "no_gap": "No gap",
+    "explained": "Explained",
+    "ambiguous": "Ambiguous",
+    "unknown_effect": "Unknown effect",
 }
 _HELD_OUT_BY = {
-    "runs": "on runs that were held out from the start",
-    "leave-one-run-out": "on each run in turn, fitted to the others (by its parts where it goes beyond them or alone "
-    "shows the effect)",
-    "blocks": "on each block of the run in turn, fitted to the others: weaker than judging by other runs",
+    "runs": "on runs that were set aside from the start",
+    "leave-one-run-out": "on each run in turn, with the parameters fitted to the other runs. A run that exceeds them, "
+    "or is the only one that shows an effect, is divided into segments, and each segment is predicted from the other ones",
+    "blocks": "on each segment of the run in turn, with the parameters fitted to the other segments. This is weaker "
+    "evidence than a prediction of other runs",
+}
+_NOISE_SOURCES = {
+    "repeats": "repeated runs",
+    "periods": "repeated periods",
+    "residual": "the high frequencies of the residual",
 }
 _SEVERITIES = ("fault", "limitation", "remark")
 
+GLOSSARY = {
+    "gap": "The part of the model's error that noise does not explain.",
+    "NRMSE": "Normalised root-mean-square error: the rms of measured minus modelled force, divided by the standard "
+    "deviation of the measured force. 0 % is a perfect model, 100 % is as bad as a constant force.",
+    "noise": "The error that a perfect model would still have: noise of the force sensor, and errors of the measured motion "
+    "and current.",
+    "excess error": "The squared error beyond what noise explains.",
+    "held out": "Not used to fit the parameters. An error on held-out data shows how well the model predicts.",
+    "share of the gap removed": "1 − (after² − noise²) / (before² − noise²), where before and after are NRMSE without and "
+    "with the effect.",
+    "probability": "How likely an effect is the cause, compared with the other effects that were fitted in its place. It "
+    "compares the effects that were tried; an effect that is not in the catalogue is not among them.",
+    "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases.",
+    "p-value": "The probability that noise alone gives so large an improvement.",
+    "smallest detectable size": "The size from which these recordings would have shown an effect.",
+}
+"""Terms of the page, in the order in which they are listed."""
+
 
 def write_gap_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write gap_report.json and gap_report.html, which needs no network, into ``folder``; returns the path of the page."""
+    """Write a diagnosis into ``folder``, and return the path of the page.
+
+    The files are gap_report.json, gap_report.html, which needs no network, and next_experiment.yaml where an experiment is
+    advised. A next_experiment.yaml of an earlier diagnosis is removed.
+    """
     write_gap_file(diagnosis, folder)
-    return render("gap_report", folder, "mrd_diagnosis", **content(diagnosis))
+    experiment = Path(folder) / "next_experiment.yaml"
+    experiment.unlink(missing_ok=True)
+    if diagnosis.next_experiment is not None and diagnosis.next_experiment.experiment:
+        experiment.write_text(diagnosis.next_experiment.experiment, encoding="utf-8")
+    return render("gap_report", folder, "mrd_diagnosis", **page_content(diagnosis, str(folder)))
 
 
-def content(diagnosis: Diagnosis) -> dict[str, Any]:
-    """What the page's template is filled with."""
-    runs = len(diagnosis.runs) + len(diagnosis.held_out)
-    physics = diagnosis.verdict != "data_fault"
-    faults = [finding for finding in diagnosis.findings if finding.severity == "fault"]
-    return {
-        "title": f"{diagnosis.model.title} model against {runs} run{'s' if runs != 1 else ''}",
-        "sentence": diagnosis.sentence,
+def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
+    """Return what the template of the page is filled with; ``folder`` is the folder of the report."""
+    count = len(diagnosis.runs) + len(diagnosis.held_out)
+    content = {
+        "title": f"{diagnosis.model.title} model against {count} run{'s' if count != 1 else ''}",
         "verdict": diagnosis.verdict,
         "verdict_text": _VERDICTS[diagnosis.verdict],
+        "verdict_sentence": diagnosis.sentence,
+        "command": next_command(diagnosis, folder),
         "diagnosis": diagnosis,
-        "physics": physics,
-        "held_out_by": _HELD_OUT_BY.get(diagnosis.held_out_by, diagnosis.held_out_by),
-        "faults": faults,
+        "glossary": GLOSSARY,
+        "faults": [finding for finding in diagnosis.findings if finding.severity == "fault"],
         "findings": sorted(
             (finding for finding in diagnosis.findings if finding.severity != "fault"),
             key=lambda finding: _SEVERITIES.index(finding.severity),
         ),
-        **(_physics(diagnosis) if physics else {}),
+        "comparison": None,
     }
+    if diagnosis.gap is not None and diagnosis.corrected is not None:
+        content["comparison"] = _comparison(diagnosis, diagnosis.gap, diagnosis.corrected)
+    return content
 
 
-def _physics(diagnosis: Diagnosis) -> dict[str, Any]:
-    second = corrected_label(diagnosis) if diagnosis.corrected.effects else ""
-    found = figures.most_telling(diagnosis)
-    told = figures.telling(diagnosis.residuals)
-    advice, near = diagnosis.next_experiment, diagnosis.nearest
-    together = "all together close" if near and len(near.effects) > 1 else "closes"
+def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -> dict[str, Any]:
+    """Return what the page shows of the comparison of model and recordings; faulty recordings have none."""
+    label = corrected_label(diagnosis)
+    regions = significant_regions(diagnosis)
+    shown = figures.most_informative_run(diagnosis.residuals)
     return {
-        "headline": _headline(diagnosis),
-        "how_far": _how_far(diagnosis),
-        "steps": html(figures.steps(diagnosis)),
-        "regions": html(figures.regions(diagnosis)) if found else "",
-        "maps": [(name, html(figure)) for name, figure in figures.excess_maps(diagnosis)],
-        "told": told,
-        "loops": [html(figure) for figure in figures.loops(told, second)],
-        "errors": html(figures.errors(told, second)),
-        "candidates": html(figures.candidates(diagnosis)) if diagnosis.candidates else "",
-        "tried": len(diagnosis.candidates),
-        "most": figures.MOST_CANDIDATES,
+        "headline": _headline(diagnosis, gap),
+        "errors": html(figures.error_chart(diagnosis, gap)),
+        "error_notes": _error_notes(diagnosis, gap),
+        "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],
+        "candidates": html(figures.candidate_chart(diagnosis)) if diagnosis.candidates else "",
+        "candidate_rows": [(candidate_title(c), *describe_candidate(diagnosis, c)) for c in diagnosis.candidates],
+        "with_probabilities": with_probabilities(diagnosis),
+        "most_candidates": figures.MOST_CANDIDATES,
+        "negative": any(c.closed_fraction.value < 0 for c in diagnosis.candidates[: figures.MOST_CANDIDATES]),
         "causes": [
-            _cause(c.effect, f"{_chance(diagnosis, c)}, closes {format_share(c.closed_fraction)} of the gap", c.parameters)
-            for c in diagnosis.causes
+            _effect_card(cause.effect, _cause_facts(diagnosis, cause), cause.parameters) for cause in diagnosis.causes
         ],
-        "nearest": [
-            _cause(effect, f"{together} {format_share(near.closed_fraction)} of the gap", near.parameters)
-            for effect in near.effects
-            if effect not in [cause.effect for cause in diagnosis.causes]
-        ]
-        if near and diagnosis.verdict == "unknown_effect"
-        else [],
-        "forms": [(f.name, format_share(f.closed_fraction), f"{f.nrmse:.4f}") for f in diagnosis.alternative_models],
-        "remarks": [
-            (candidate_title(candidate), candidate.remark) for candidate in diagnosis.candidates if candidate.remark
+        "nearest": _nearest_cards(diagnosis),
+        "alternative_models": [
+            (model.name, format_share(model.closed_fraction), format_error(model.nrmse))
+            for model in diagnosis.alternative_models
         ],
         "alternatives": [
-            (effect_name(a.effect), effect_name(a.instead_of), format_share(a.probability), a.why)
-            for a in diagnosis.alternatives
+            (effect_name(other.effect), effect_name(other.instead_of), format_probability(other.probability), other.why)
+            for other in diagnosis.alternatives
         ],
-        "untestable": sorted((EFFECTS[entry.effect].title, "–", entry.why) for entry in diagnosis.untestable),
-        "advice": advice,
-        "advice_between": [effect_name(one) for one in advice.between] if advice else [],
-        "error_rate": format_share(advice.error_rate) if advice and np.isfinite(advice.error_rate) else "",
-        "runs": [_run(diagnosis, place) for place in range(len(diagnosis.residuals))],
+        "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
+        "regions": html(figures.region_chart(regions)) if regions else "",
+        "maps": [(capitalised(title), html(figure)) for title, figure in figures.map_figures(diagnosis)],
+        "shown_run": shown.recording.run.name,
+        "loops": [html(figure) for figure in figures.hysteresis_loops(shown, label)],
+        "over_time": html(figures.error_over_time(shown, label)),
+        "not_ruled_out": _not_ruled_out(diagnosis, corrected),
+        "untestable": sorted((EFFECTS[entry.effect].title, entry.effect, entry.why) for entry in diagnosis.untestable),
+        "runs": [_run_row(residual) for residual in diagnosis.residuals],
+        "noise_sources": join_words(list(dict.fromkeys(_NOISE_SOURCES[r.noise.source] for r in diagnosis.residuals))),
     }
 
 
-def _headline(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """ParameterEstimate, name and interval of each number of the strip."""
-    rows = [("before: refitted, no effect", diagnosis.gap.before)]
-    if diagnosis.corrected.effects:
-        rows.append((f"after: {corrected_label(diagnosis)}", diagnosis.gap.after))
-    rows.append(("noise alone", diagnosis.gap.noise_floor))
-    strip = [(format_error(interval.value), name, _ends(interval)) for name, interval in rows if np.isfinite(interval.value)]
-    if diagnosis.corrected.effects and np.isfinite(diagnosis.gap.closed_fraction.value):
-        ends = format_share(diagnosis.gap.closed_fraction).partition("(")[2].rstrip(")")
-        strip.append((format_share(diagnosis.gap.closed_fraction.value), "of the gap closed", ends and f"{ends} %"))
-    return strip
+def significant_regions(diagnosis: Diagnosis) -> list[Region]:
+    """Return the most significant regions of the excess error, as many as the page shows."""
+    return [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value][:MOST_REGIONS]
 
 
-def _how_far(diagnosis: Diagnosis) -> list[str]:
-    """What the steps from as given to noise mean, in words."""
-    said = []
-    if diagnosis.gap.as_given is not None and diagnosis.gap.as_given > 0:
-        fitted = 1 - (diagnosis.gap.before.value / diagnosis.gap.as_given) ** 2
-        said.append(f"Refitting the parameters alone takes away {format_share(max(fitted, 0.0))} of the squared error.")
-    if diagnosis.corrected.effects and np.isfinite(diagnosis.gap.closed_fraction.value):
-        said.append(f"Of what is left above the noise, {_what(diagnosis)} {format_share(diagnosis.gap.closed_fraction)}.")
-    if np.isfinite(diagnosis.gap.explainable_fraction) and diagnosis.verdict != "no_gap":
-        said.append(
-            f"A flexible function of motion and current closes {format_share(diagnosis.gap.explainable_fraction)}: at least that can be explained."
+def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
+    """Return value, name and interval of each number at the top of the page: how sure, how much is removed, the errors."""
+    label, numbers = corrected_label(diagnosis), []
+    if diagnosis.verdict in ("explained", "ambiguous"):
+        least = min(diagnosis.causes, key=lambda cause: cause.probability)
+        which = "least certain " if len(diagnosis.causes) > 1 else "most likely " if diagnosis.alternatives else ""
+        numbers.append((format_probability(least.probability), f"probability of the {which}cause", ""))
+    if label and np.isfinite(gap.closed_fraction.value):
+        ends = format_share(gap.closed_fraction).partition("(")[2].rstrip(")")
+        numbers.append((format_share(gap.closed_fraction.value), f"of the gap removed {label}", ends and f"{ends} %"))
+    if model := notable_model(diagnosis.nearest, diagnosis.alternative_models):
+        numbers.append((format_share(model.closed_fraction.value), f"of the gap removed by {model.name}", ""))
+    errors = [("error, parameters refitted", gap.before)]
+    if label:
+        errors.append((f"error {label}", gap.after))
+    errors.append(("error from noise alone", gap.noise_floor))
+    numbers += [(format_error(error.value), name, _ends(error)) for name, error in errors if np.isfinite(error.value)]
+    return numbers
+
+
+def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
+    """Return what the errors, from the parameters as given down to the noise, mean."""
+    notes, label = [], corrected_label(diagnosis).removeprefix("with ")
+    if gap.as_given is not None and gap.as_given > 0:
+        removed = max(1 - (gap.before.value / gap.as_given) ** 2, 0.0)
+        notes.append(f"Refitting the parameters alone removes {format_share(removed)} of the squared error.")
+    removes = f"{label} {'remove' if label.endswith('s') else 'removes'}"
+    if label and np.isfinite(gap.closed_fraction.value):
+        notes.append(f"{capitalised(removes)} {format_share(gap.closed_fraction)} of the gap.")
+    if gap.explainable_fraction >= figures.LEAST_SHARE and diagnosis.verdict != "no_gap":
+        notes.append(
+            f"A flexible function of motion and current removes {format_share(gap.explainable_fraction)} of the gap: at "
+            "least this much is not random."
         )
-    if diagnosis.gap.extrapolated is not None:
-        said.append(f"On the runs that go beyond the others, {_what(diagnosis)} {format_share(diagnosis.gap.extrapolated)}.")
-    elif diagnosis.corrected.effects:
-        said.append("No run goes beyond the others: how the answer carries over to other motions was not seen.")
-    return said
+    if gap.extrapolated is not None:
+        notes.append(f"On the runs that exceed the others, {removes} {format_share(gap.extrapolated)} of the gap.")
+    elif label:
+        notes.append("No run exceeds the others, so that the result is untested for larger, faster or stronger motions.")
+    return notes
 
 
-def _what(diagnosis: Diagnosis) -> str:
-    """What the closed share is due to."""
-    name = corrected_label(diagnosis).removeprefix("with ")
-    return f"{name} close{'s' * (len(diagnosis.causes) <= 1 or diagnosis.verdict != 'explained')}"
-
-
-def _chance(diagnosis: Diagnosis, cause: Cause) -> str:
-    """How sure a cause is; what a model lacks by construction has no rivals, whatever else is missing."""
+def _cause_facts(diagnosis: Diagnosis, cause: Cause) -> str:
+    """Return how certain a cause is, and how much it removes."""
     if diagnosis.verdict == "unknown_effect":
-        return "the model lacks it by construction"
-    return f"probability {format_share(cause.probability)}"
+        # The model certainly lacks such an effect, whatever else is missing.
+        certainty = "the model does not contain this effect at all"
+    else:
+        certainty = f"probability {format_probability(cause.probability)}"
+    return f"{certainty} · removes {format_share(cause.closed_fraction)} of the gap"
 
 
-def _cause(effect: str, facts: str, parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
-    own = parameters_of_effect(effect, parameters)
-    declared = {p.name: p for p in EFFECTS[effect].parameters} if effect in EFFECTS else {}
-    text = effect_clause(effect, parameters)
+def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Return the effects that come nearest to an unknown effect, without the named causes."""
+    nearest = diagnosis.nearest
+    if nearest is None or diagnosis.verdict != "unknown_effect":
+        return []
+    causes = {cause.effect for cause in diagnosis.causes}
+    removes = "all effects together remove" if len(nearest.effects) > 1 else "removes"
+    facts = f"{removes} {format_share(nearest.closed_fraction)} of the gap"
+    return [_effect_card(effect, facts, nearest.parameters) for effect in nearest.effects if effect not in causes]
+
+
+def _effect_card(effect: str, facts: str, parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
+    declared = {parameter.name: parameter for parameter in EFFECTS[effect].parameters} if effect in EFFECTS else {}
     return {
         "id": effect,
-        "text": text[:1].upper() + text[1:],
+        "clause": capitalised(effect_clause(effect, parameters)),
         "stage": EFFECTS[effect].stage if effect in EFFECTS else "",
         "facts": facts,
         "parameters": [
             (
                 name,
-                format_quantity(value.value, value.unit),
+                format_quantity(estimate.value, estimate.unit),
                 declared[name].meaning if name in declared else "",
-                value.remark,
+                estimate.remark,
             )
-            for name, value in own.items()
+            for name, estimate in parameters_of_effect(effect, parameters).items()
         ],
     }
 
 
-def _run(diagnosis: Diagnosis, place: int) -> dict[str, Any]:
-    trace = diagnosis.residuals[place]
-    spread = float(np.std(trace.recording.force)) or np.nan
+def _not_ruled_out(diagnosis: Diagnosis, corrected: CorrectedSimulator) -> list[tuple[str, str, str]]:
+    """Return title, smallest detectable size and its parameter of each effect that was tried and not named."""
+    named = {*corrected.effects, *(alternative.effect for alternative in diagnosis.alternatives)}
+    if diagnosis.nearest is not None:
+        named.update(diagnosis.nearest.effects)
+    singles = [candidate.effects[0] for candidate in diagnosis.candidates if len(candidate.effects) == 1]
+    sizes = {candidate.effects[0]: candidate.smallest_detectable for candidate in diagnosis.candidates}
+    unnamed = [EFFECTS[effect] for effect in singles if effect in EFFECTS and effect not in named]
+    rows = [(effect.title, sizes[effect.id] or "–", effect.parameters[0].meaning) for effect in unnamed]
+    return sorted(rows)
+
+
+def _advice(advice: Advice) -> dict[str, Any]:
     return {
-        "name": trace.recording.run.name,
-        "judged": _judged(trace),
-        "numbers": [
-            f"{100 * np.sqrt(np.mean(part**2)) / spread:.2f}" for part in (trace.before, trace.after, trace.noise.sigma)
-        ],
-        "noise": f"{trace.noise.force:.3g} + {trace.noise.motion:.3g}",
-        "source": trace.noise.source,
-        "offset": f"{trace.offset:+.2f}".replace("-", "\u2212"),
-        "gain": f"{100 * trace.gain:+.2f}".replace("-", "\u2212"),
-        "extrapolates": trace.extrapolates,
+        "text": advice.text,
+        "experiment": advice.experiment,
+        "between": [effect_name(explanation) for explanation in advice.between],
+        "error_rate": format_share(advice.error_rate) if np.isfinite(advice.error_rate) else "",
     }
 
 
-def _judged(trace: RunResidual) -> str:
-    if trace.held_out:
-        return "held out"
-    return "by its parts" if trace.by_folds else "left out"
-
-
-def _sorted(candidates: Iterable[Candidate]) -> list[Candidate]:
-    return sorted(candidates, key=candidate_title)
+def _run_row(residual: RunResidual) -> dict[str, Any]:
+    spread = float(np.std(residual.recording.force)) or np.nan
+    return {
+        "name": residual.recording.run.name,
+        "held_out": "from the start" if residual.held_out else "by segments" if residual.by_folds else "in turn",
+        "errors": [
+            format_error(float(np.sqrt(np.mean(errors**2))) / spread)
+            for errors in (residual.before, residual.after, residual.noise.sigma)
+        ],
+        "force_noise": format_quantity(residual.noise.force, "N"),
+        "motion_noise": format_quantity(residual.noise.motion, "N"),
+        "offset": f"{residual.offset:+.2f}".replace("-", "\u2212"),
+        "gain": f"{100 * residual.gain:+.2f}".replace("-", "\u2212"),
+        "extrapolates": residual.extrapolates,
+    }
 
 
 def _ends(interval: Interval) -> str:
-    return (
-        f"{format_error(interval.lower)} to {format_error(interval.upper)}"
-        if np.isfinite(interval.lower + interval.upper)
-        else ""
-    )
-
-
-__all__ = ["content", "write_gap_report"]
+    if not np.isfinite(interval.lower + interval.upper):
+        return ""
+    return f"{format_error(interval.lower)} to {format_error(interval.upper)}"
