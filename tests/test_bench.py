@@ -15,8 +15,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
-from mrd_bench_driver.nodes.bench import BenchClient
-from mrd_bench_driver.processes import BenchProcesses, Part, bench_parts
+from mrd_bench_driver.nodes.bench_client import BenchClient
+from mrd_bench_driver.processes import BenchProcesses, ProcessSpec, bench_processes
 from mrd_identification import read_fit
 from mrd_interfaces.action import Identify, RunExperiment
 from mrd_interfaces.msg import BenchSamples
@@ -42,13 +42,13 @@ class WholeBench:
     """All nodes with a simulated plant, and somebody who watches."""
 
     def __init__(self, folder: Path, **environment: str) -> None:
-        parts = bench_parts(BENCH, PLANT, folder / "motor", seed=1)
-        self.processes = BenchProcesses(parts, folder / "log", environment=environment)
+        specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1)
+        self.processes = BenchProcesses(specs, folder / "log", environment=environment)
 
     def __enter__(self) -> "WholeBench":
         self.processes.__enter__()
         self.client = BenchClient(watch=self.processes.check)
-        self.client.wait_until_up(set(self.processes.parts))
+        self.client.wait_until_up(set(self.processes.specs))
         # Found beforehand: how long the graph takes to match a client is no part of how long the rod takes to stop.
         self.plant = self.client.node.create_client(SetParameters, "plant/set_parameters")
         self.button = self.client.node.create_publisher(Bool, "emergency_stop", LATCHED)
@@ -112,7 +112,7 @@ def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_pa
 
     # Replayed to the identifier, the same samples give a model.
     bench.processes.stop("supervisor", "generator", "servo", "daq", "recorder", "plant")
-    bench.processes.parts["identifier"] = Part("mrd_identification", "identifier")
+    bench.processes.specs["identifier"] = ProcessSpec("mrd_identification", "identifier")
     bench.processes.start("identifier")
     action = ActionClient(bench.client.node, Identify, "identify")
     assert bench.client.spin(action.server_is_ready, 30)

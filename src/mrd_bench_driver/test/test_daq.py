@@ -1,4 +1,4 @@
-"""The DAQ as a process, with the plant's terminals played here."""
+"""The DAQ as a process, with a fake of the simulated plant's terminals."""
 
 import array
 import math
@@ -20,19 +20,19 @@ REST = (0.4, 0.1, 2.51, 5.0, 1.66)
 
 
 class Terminals:
-    """Sends readings block by block, numbered on ai0, and hears what comes back."""
+    """Sends readings block by block, numbered on ai0, and receives what the DAQ publishes."""
 
     def __init__(self, graph: Any) -> None:
         self.graph = graph
         self.sequence = 0
         self.begin = graph.clock.now()
-        self._input = graph.node.create_publisher(AnalogInput, "analog_input", RECORDED)
+        self.analog_input = graph.node.create_publisher(AnalogInput, "analog_input", RECORDED)
         self._setpoint = graph.node.create_publisher(Setpoint, "setpoint", COMMAND)
         self.emergency_stop = graph.node.create_publisher(Bool, "emergency_stop", LATCHED)
-        self.samples: list[BenchSamples] = graph.hear("samples", BenchSamples, RECORDED)
-        self.calibration: list[Calibration] = graph.hear("calibration", Calibration, LATCHED)
-        self.output: list[AnalogOutput] = graph.hear("analog_output", AnalogOutput, LATCHED)
-        publishers = (self._input, self._setpoint, self.emergency_stop)
+        self.samples: list[BenchSamples] = graph.subscribe("samples", BenchSamples, RECORDED)
+        self.calibration: list[Calibration] = graph.subscribe("calibration", Calibration, LATCHED)
+        self.output: list[AnalogOutput] = graph.subscribe("analog_output", AnalogOutput, LATCHED)
+        publishers = (self.analog_input, self._setpoint, self.emergency_stop)
         self.ready = lambda: (
             all(publisher.get_subscription_count() for publisher in publishers) and self.calibration and self.output
         )
@@ -50,7 +50,7 @@ class Terminals:
             )
             time = self.begin + self.sequence / RATE
             message.header.stamp.sec, message.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
-            self._input.publish(message)
+            self.analog_input.publish(message)
         self.sequence += BLOCK
 
     def setpoint(self, current: float, age: float = 0.0) -> None:
@@ -196,7 +196,7 @@ def test_a_tare_needs_rest(graph: Any, terminals: Terminals) -> None:
 
 def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(graph: Any, terminals: Terminals) -> None:
     terminals.drive(0.5, 2.5)
-    terminals._input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
+    terminals.analog_input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
     graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
     graph.until(lambda: "the plant has no ai1, ai2, ai4" in graph.log("daq"))
     for _ in range(3):

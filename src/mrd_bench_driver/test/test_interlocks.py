@@ -8,14 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_base import InputError, from_mapping, read_node_parameters
-from mrd_bench_driver.interlocks import HEALTH, HOMING, INTERLOCKS, Snapshot, Tolerances, check
-from mrd_bench_driver.modes import TRANSITIONS, Mode, change
+from mrd_base import from_mapping, read_node_parameters
+from mrd_bench_driver.supervision.errors import RefusedError, TrippedError
+from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCKS, RESET_INTERLOCKS, Tolerances, first_trip
+from mrd_bench_driver.supervision.modes import TRANSITIONS, BenchMode, Mode
+from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 LIMITS, TOLERANCES = Limits(), Tolerances()
-WELL = Snapshot(
+HEALTHY = Snapshot(
     sample_age=0.03,
     position=0.01,
     force=100.0,
@@ -47,8 +49,8 @@ within = st.builds(
 
 @given(within)
 def test_nothing_trips_within_the_limits(now: Snapshot) -> None:
-    for interlocks in (INTERLOCKS, HOMING, HEALTH):
-        assert check(now, LIMITS, TOLERANCES, interlocks) is None
+    for interlocks in (INTERLOCKS, HOMING_INTERLOCKS, RESET_INTERLOCKS):
+        assert first_trip(now, LIMITS, TOLERANCES, interlocks) is None
 
 
 BEYOND = {
@@ -69,13 +71,13 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
     now: Snapshot, name: str, data: st.DataObject
 ) -> None:
     beyond = {field: data.draw(values) for field, values in BEYOND[name].items()}
-    trip = check(dataclasses.replace(now, **beyond), LIMITS, TOLERANCES)
+    trip = first_trip(dataclasses.replace(now, **beyond), LIMITS, TOLERANCES)
     assert trip is not None
     assert trip.interlock == name
     if name != "servo fault":
         assert not abs(trip.value) <= abs(trip.limit)
-        assert "; " in trip.line
-        assert "\n" not in trip.line
+        assert "; " in trip.message
+        assert "\n" not in trip.message
 
 
 @pytest.mark.parametrize(
@@ -90,36 +92,36 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
     ],
 )
 def test_a_trip_names_its_sensor(change: dict[str, float], line: str) -> None:
-    trip = check(dataclasses.replace(WELL, **change), LIMITS, TOLERANCES)
+    trip = first_trip(dataclasses.replace(HEALTHY, **change), LIMITS, TOLERANCES)
     assert trip is not None
-    assert line in trip.line
+    assert line in trip.message
 
 
 def test_sources_that_fell_silent_come_before_what_they_said_last() -> None:
-    trip = check(dataclasses.replace(WELL, sample_age=1.0, force=5000.0), LIMITS, TOLERANCES)
+    trip = first_trip(dataclasses.replace(HEALTHY, sample_age=1.0, force=5000.0), LIMITS, TOLERANCES)
     assert trip is not None
     assert trip.interlock == "stale samples"
 
 
 def test_homing_may_begin_beyond_the_limit_of_the_stroke_but_not_where_the_damper_cannot_be() -> None:
-    at_the_end = dataclasses.replace(WELL, position=0.0276, servo_position=math.nan)
-    assert check(at_the_end, LIMITS, TOLERANCES, HOMING) is None
-    assert check(at_the_end, LIMITS, TOLERANCES) is not None
+    at_the_end = dataclasses.replace(HEALTHY, position=0.0276, servo_position=math.nan)
+    assert first_trip(at_the_end, LIMITS, TOLERANCES, HOMING_INTERLOCKS) is None
+    assert first_trip(at_the_end, LIMITS, TOLERANCES) is not None
     for position in (0.0295, math.nan):
-        trip = check(dataclasses.replace(WELL, position=position), LIMITS, TOLERANCES, HOMING)
+        trip = first_trip(dataclasses.replace(HEALTHY, position=position), LIMITS, TOLERANCES, HOMING_INTERLOCKS)
         assert trip is not None
         assert trip.interlock == "stroke"
 
 
 def test_a_fault_may_be_reset_beyond_the_stroke_and_with_the_servo_in_fault_but_not_blind() -> None:
-    stuck = dataclasses.replace(WELL, position=0.0276, servo_fault="position error", following_error=0.01)
-    assert check(stuck, LIMITS, TOLERANCES, HEALTH) is None
-    assert check(dataclasses.replace(stuck, servo_connected=False), LIMITS, TOLERANCES, HEALTH) is not None
-    assert check(dataclasses.replace(stuck, sample_age=1.0), LIMITS, TOLERANCES, HEALTH) is not None
+    stuck = dataclasses.replace(HEALTHY, position=0.0276, servo_fault="position error", following_error=0.01)
+    assert first_trip(stuck, LIMITS, TOLERANCES, RESET_INTERLOCKS) is None
+    assert first_trip(dataclasses.replace(stuck, servo_connected=False), LIMITS, TOLERANCES, RESET_INTERLOCKS) is not None
+    assert first_trip(dataclasses.replace(stuck, sample_age=1.0), LIMITS, TOLERANCES, RESET_INTERLOCKS) is not None
 
 
 def test_nothing_heard_yet_is_not_well() -> None:
-    assert check(Snapshot(), LIMITS, TOLERANCES) is not None
+    assert first_trip(Snapshot(), LIMITS, TOLERANCES) is not None
 
 
 def test_the_shipped_tolerances_are_the_defaults() -> None:
@@ -132,18 +134,21 @@ def test_the_shipped_tolerances_are_the_defaults() -> None:
 
 @given(st.lists(st.sampled_from(Mode)))
 def test_a_fault_is_left_to_idle_only_and_can_always_come(wishes: list[Mode]) -> None:
-    mode = Mode.IDLE
+    changes: list[Mode] = []
+    bench = BenchMode(lambda mode, _reason: changes.append(mode))
     for wish in wishes:
-        if wish in TRANSITIONS[mode]:
-            assert mode is not Mode.FAULT or wish is Mode.IDLE
+        before = bench.current
+        if wish in TRANSITIONS[before]:
+            assert before is not Mode.FAULT or wish is Mode.IDLE
             # The rod never passes from one activity to another that nobody armed.
-            assert not (mode in (Mode.IDENTIFICATION, Mode.CONTROL) and wish.may_move)
-            mode = change(mode, wish)
-            assert mode is wish
+            assert not (before in (Mode.IDENTIFICATION, Mode.CONTROL) and wish.may_move)
+            bench.enter(wish, "wish")
+            assert bench.current is changes[-1] is wish
         else:
-            assert wish is not Mode.FAULT or mode is Mode.FAULT
-            with pytest.raises(InputError, match=f"from {mode} to {wish}"):
-                change(mode, wish)
+            assert wish is not Mode.FAULT or before is Mode.FAULT
+            with pytest.raises(TrippedError if before is Mode.FAULT else RefusedError):
+                bench.enter(wish, "wish")
+            assert bench.current is changes[-1] is before
 
 
 def test_every_mode_is_reached_and_left_to_idle() -> None:
@@ -151,11 +156,22 @@ def test_every_mode_is_reached_and_left_to_idle() -> None:
     assert all(Mode.IDLE in targets for mode, targets in TRANSITIONS.items() if mode is not Mode.IDLE)
 
 
-def test_a_refusal_says_what_to_do_first() -> None:
-    with pytest.raises(InputError, match="cannot go from fault to homing; remove the cause, then call reset_fault"):
-        change(Mode.FAULT, Mode.HOMING)
-    with pytest.raises(InputError, match="from control to identification; call stop"):
-        change(Mode.CONTROL, Mode.IDENTIFICATION)
+def test_a_refused_mode_says_what_to_do_first_and_the_first_fault_stays() -> None:
+    bench = BenchMode(lambda _mode, _reason: None)
+    bench.enter(Mode.CONTROL, "control")
+    with pytest.raises(RefusedError, match="cannot go from control to identification; call stop first"):
+        bench.enter(Mode.IDENTIFICATION, "run_experiment")
+    with pytest.raises(RefusedError, match=r"in mode control \(control\); call stop first"):
+        bench.require_idle()
+    assert bench.trip("force")
+    assert not bench.trip("speed")
+    bench.leave("stopped")
+    with pytest.raises(TrippedError, match="force"):
+        bench.enter(Mode.HOMING, "home")
+    with pytest.raises(TrippedError, match="force"):
+        bench.require_no_fault()
+    with pytest.raises(RefusedError, match=r"in mode fault \(force\); remove the cause, then call reset_fault"):
+        bench.require_idle()
 
 
 def test_modes_have_the_numbers_of_the_message() -> None:
