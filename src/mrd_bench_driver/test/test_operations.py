@@ -43,7 +43,7 @@ class FakePeers:
         now, ones = self.clock.now(), np.ones(10)
         monitor = self.supervisor.monitor
         monitor.add_samples(now - 9 / self.rate, 1 / self.rate, 0 * ones, self.force * ones, 0 * ones)
-        monitor.add_servo_status(dataclasses.replace(self.servo, time=now))
+        monitor.servo = dataclasses.replace(self.servo, time=now)
         if self.state != monitor.experiment_state:
             monitor.add_experiment_state(self.state, now)
         self.supervisor.check_interlocks()
@@ -61,10 +61,12 @@ class FakePeers:
     def check(self, service: str) -> None:
         pass
 
-    def call(self, service: str, timeout: float, interruption: Callable[[], None] = lambda: None, **fields: Any) -> Any:
+    def call(self, service: str, *_arguments: Any, may_fail: bool = False, **fields: Any) -> Any:
         self.calls.append(service + (f" {fields['data']}" if service == "servo/enable" else ""))
         if service in self.refusals:
-            return SimpleNamespace(success=False, message=self.refusals[service])
+            if may_fail:
+                return SimpleNamespace(success=False, message=self.refusals[service])
+            raise RefusedError(f"{service}: {self.refusals[service]}")
         changes: dict[str, dict[str, object]] = {
             "servo/home": {"homed": True},
             "servo/enable": {"enabled": fields.get("data")},
@@ -77,12 +79,6 @@ class FakePeers:
         return SimpleNamespace(
             success=True, message="", duration=0.5, rate=1000.0, bag=fields.get("bag", "/tmp/bag"), samples=500, lost=0
         )
-
-    def request(self, service: str, timeout: float, interruption: Callable[[], None] = lambda: None, **fields: Any) -> Any:
-        response = self.call(service, timeout, interruption, **fields)
-        if not response.success:
-            raise RefusedError(f"{service}: {response.message}")
-        return response
 
     def set_sample_rate(self, rate: float, timeout: float, interruption: Callable[[], None]) -> None:
         self.rate = rate

@@ -9,14 +9,12 @@ import pytest
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
 
-HOMED = ServoStatus(time=10.0, position=0.002, velocity=0.01, following_error=1e-4, connected=True, homed=True)
-
 
 def test_nothing_is_known_before_the_first_message() -> None:
     snapshot = BenchMonitor().snapshot(10.0, follows_experiment=True)
     assert (snapshot.sample_age, snapshot.servo_age, snapshot.setpoint_age) == (math.inf, math.inf, 0.0)
     assert math.isnan(snapshot.position)
-    assert not snapshot.servo_connected
+    assert not snapshot.servo.connected
 
 
 def test_samples_give_age_extremes_speed_and_mean_current() -> None:
@@ -47,25 +45,12 @@ def test_a_gap_in_the_samples_gives_no_speed_and_an_empty_block_nothing() -> Non
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({}, {"servo_position": 0.002, "following_error": 1e-4, "servo_fault": ""}),
-        ({"fault": True, "message": "over-temperature"}, {"servo_fault": "over-temperature"}),
-        ({"fault": True}, {"servo_fault": "the motor or its driver stopped"}),
-        ({"stopped": True, "message": "emergency stop"}, {"servo_fault": "its emergency stop is latched"}),
-        ({"homed": False}, {"following_error": 0.0}),
-    ],
-)
-def test_a_servo_status_gives_its_fault_and_a_position_once_homed(
-    change: dict[str, object], expected: dict[str, object]
-) -> None:
+def test_the_servo_is_as_old_as_its_status() -> None:
     monitor = BenchMonitor()
-    monitor.add_servo_status(dataclasses.replace(HOMED, **change))
+    monitor.servo = ServoStatus(time=10.0, position=0.002, connected=True)
     snapshot = monitor.snapshot(10.05, follows_experiment=False)
     assert snapshot.servo_age == pytest.approx(0.05)
-    assert {name: getattr(snapshot, name) for name in expected} == expected
-    assert math.isnan(snapshot.servo_position) == ("homed" in change)
+    assert snapshot.servo is monitor.servo
 
 
 def test_the_age_of_setpoints_counts_only_while_an_experiment_runs_that_is_followed() -> None:

@@ -69,8 +69,22 @@ class PeerClients:
         if not client.service_is_ready():
             raise RefusedError(f"{owner} is gone: no service {service}; look at its log")
 
-    def call(self, service: str, timeout: float, interruption: Interruption = never_interrupted, **fields: Any) -> Any:
-        """Call a service with these fields of its request, and return its response."""
+    def call(
+        self,
+        service: str,
+        timeout: float,
+        interruption: Interruption = never_interrupted,
+        *,
+        may_fail: bool = False,
+        **fields: Any,
+    ) -> Any:
+        """Call a service with these fields and return its response; refuse one without success, unless it may fail."""
+        response = self._await_response(service, timeout, interruption, fields)
+        if not may_fail and not response.success:
+            raise RefusedError(f"{self._clients[service][0]}: {response.message or service + ' failed'}")
+        return response
+
+    def _await_response(self, service: str, timeout: float, interruption: Interruption, fields: dict[str, Any]) -> Any:
         owner, client = self._clients[service]
         request = _SERVICES[owner][service].Request(**fields)
         responses: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -99,17 +113,10 @@ class PeerClients:
             for future in pending:
                 client.remove_pending_request(future)
 
-    def request(self, service: str, timeout: float, interruption: Interruption = never_interrupted, **fields: Any) -> Any:
-        """Call a service as `call` does, and refuse if its response is no success."""
-        response = self.call(service, timeout, interruption, **fields)
-        if not response.success:
-            raise RefusedError(f"{self._clients[service][0]}: {response.message or service + ' failed'}")
-        return response
-
     def set_sample_rate(self, rate: float, timeout: float, interruption: Interruption) -> None:
         """Set the sample rate in Hz of the DAQ."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float(rate))
-        parameters = [Parameter(name="rate_hz", value=value)]
-        (result,) = self.call("daq/set_parameters", timeout, interruption, parameters=parameters).results
+        fields = {"parameters": [Parameter(name="rate_hz", value=value)]}
+        (result,) = self._await_response("daq/set_parameters", timeout, interruption, fields).results
         if not result.successful:
             raise RefusedError(f"daq: {result.reason}")

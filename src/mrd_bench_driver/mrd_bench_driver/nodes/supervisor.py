@@ -110,7 +110,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
 
     def _on_servo_state(self, state: ServoState) -> None:
         fields = {name: getattr(state, name) for name in _STATUS_FIELDS}
-        self._supervisor.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
+        self._supervisor.monitor.servo = ServoStatus(seconds(state.header.stamp), **fields)
         self._supervisor.check_interlocks()
 
     def _on_setpoint(self, _setpoint: Setpoint) -> None:

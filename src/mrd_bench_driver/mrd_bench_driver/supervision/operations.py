@@ -20,7 +20,7 @@ from mrd_bench_driver.supervision.interlocks import (
     LOST_SERVO,
     RESET_INTERLOCKS,
     STALE_SAMPLES,
-    Interlock,
+    Interlocks,
     Trip,
     first_trip,
 )
@@ -66,11 +66,16 @@ class Peers(Protocol):
     def check(self, service: str) -> None:
         """Refuse if the node that offers a service is gone."""
 
-    def call(self, service: str, timeout: float, interruption: Interruption = never_interrupted, **fields: Any) -> Any:
-        """Call a service with these fields of its request, and return its response."""
-
-    def request(self, service: str, timeout: float, interruption: Interruption = never_interrupted, **fields: Any) -> Any:
-        """Call a service as `call` does, and refuse if its response is no success."""
+    def call(
+        self,
+        service: str,
+        timeout: float,
+        interruption: Interruption = never_interrupted,
+        *,
+        may_fail: bool = False,
+        **fields: Any,
+    ) -> Any:
+        """Call a service with these fields and return its response; refuse one without success, unless it may fail."""
 
     def set_sample_rate(self, rate: float, timeout: float, interruption: Interruption) -> None:
         """Set the sample rate in Hz of the DAQ."""
@@ -154,7 +159,7 @@ class BenchOperations:
 
     def load(self, experiment: str) -> LoadedExperiment:
         """Let the generator plan an experiment. Nothing moves."""
-        response = self._request("load_experiment", _PLANNING_TIMEOUT, experiment=experiment)
+        response = self._call("load_experiment", _PLANNING_TIMEOUT, experiment=experiment)
         # The state of an earlier experiment must not be taken for the state of this one.
         self._wait_until(
             lambda: self._monitor.experiment_state == "loaded", _EFFECT_TIMEOUT, "generator: did not announce `loaded`"
@@ -163,7 +168,7 @@ class BenchOperations:
 
     def start_experiment(self) -> None:
         """Start the setpoints of the loaded experiment."""
-        self._request("start_experiment")
+        self._call("start_experiment")
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
         """Wait for the end of the experiment and report its progress in s; refuse if it ends otherwise or is late."""
@@ -196,7 +201,7 @@ class BenchOperations:
 
     def abort_experiment(self) -> None:
         """Stop the setpoints; the coil current follows them to 0 A."""
-        self._peers.request("abort_experiment", self._config.answer_timeout)
+        self._peers.call("abort_experiment", self._config.answer_timeout)
 
     # Samples and recording
 
@@ -218,7 +223,7 @@ class BenchOperations:
 
         def tared() -> bool:
             nonlocal reason
-            response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption)
+            response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption, may_fail=True)
             reason = response.message
             if not response.success:
                 time.sleep(min(self._clock.wall(0.1), 0.1))
@@ -228,11 +233,11 @@ class BenchOperations:
 
     def start_recording(self, request: RunRequest) -> None:
         """Open the bag."""
-        self._request("start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed)
+        self._call("start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed)
 
     def stop_recording(self) -> BagSummary:
         """Close the bag and count its samples."""
-        response = self._peers.call("stop_recording", self._config.close_timeout)
+        response = self._peers.call("stop_recording", self._config.close_timeout, may_fail=True)
         problem = "" if response.success else response.message
         return BagSummary(response.bag, response.samples, response.lost, response.duration, problem)
 
@@ -250,7 +255,7 @@ class BenchOperations:
             return servo.homed and abs(servo.position) < CENTRE_TOLERANCE
 
         if always or not centred():
-            self._request("servo/home")
+            self._call("servo/home")
             begin = self._clock.now()
             timeout = self._config.home_timeout
             self._wait_until(
@@ -261,7 +266,7 @@ class BenchOperations:
 
     def enable(self) -> None:
         """Switch the drive on."""
-        self._request("servo/enable", data=True)
+        self._call("servo/enable", data=True)
         self._wait_until(
             lambda: self._servo().enabled, _EFFECT_TIMEOUT, "servo: the drive did not switch on; check the motor's power"
         )
@@ -271,9 +276,9 @@ class BenchOperations:
         timeout = self._config.answer_timeout
         # The drive is switched off even if the stop was refused.
         try:
-            self._peers.request("servo/stop", timeout)
+            self._peers.call("servo/stop", timeout)
         finally:
-            self._peers.request("servo/enable", timeout, data=False)
+            self._peers.call("servo/enable", timeout, data=False)
 
     def halt_all(self) -> list[str]:
         """Stop the rod and an experiment, whatever runs; return what failed."""
@@ -291,7 +296,7 @@ class BenchOperations:
         trip = self._first_trip(RESET_INTERLOCKS)
         if trip is not None and trip.interlock == STALE_SAMPLES:
             # The reset restarts a converter that failed.
-            self._request("daq/reset_fault", _RESET_TIMEOUT)
+            self._call("daq/reset_fault", _RESET_TIMEOUT)
         with contextlib.suppress(RefusedError):
             self._wait_until(lambda: self._first_trip(RESET_INTERLOCKS) is None, _SAMPLE_TIMEOUT, "")
         trip = self._first_trip(RESET_INTERLOCKS)
@@ -302,8 +307,8 @@ class BenchOperations:
             _EFFECT_TIMEOUT,
             "the rod still moves; reset once it stands",
         )
-        self._request("servo/reset_fault", _RESET_TIMEOUT)
-        self._request("daq/reset_fault", _RESET_TIMEOUT)
+        self._call("servo/reset_fault", _RESET_TIMEOUT)
+        self._call("daq/reset_fault", _RESET_TIMEOUT)
         self._wait_until(
             lambda: not (self._servo().stopped or self._servo().fault),
             _EFFECT_TIMEOUT,
@@ -312,8 +317,8 @@ class BenchOperations:
 
     # Internals
 
-    def _request(self, service: str, timeout: float | None = None, **fields: Any) -> Any:
-        return self._peers.request(service, timeout or self._config.answer_timeout, self._interruption, **fields)
+    def _call(self, service: str, timeout: float | None = None, **fields: Any) -> Any:
+        return self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
 
     def _wait_until(self, condition: Callable[[], bool], timeout: float, failure: str | Callable[[], str]) -> None:
         """Wait for a condition, at most ``timeout`` bench seconds, but at least a wall second: processes need it."""
@@ -329,7 +334,7 @@ class BenchOperations:
             raise RefusedError("no servo_state came; check the servo node")
         return self._monitor.servo
 
-    def _first_trip(self, interlocks: tuple[Interlock, ...]) -> Trip | None:
+    def _first_trip(self, interlocks: Interlocks) -> Trip | None:
         return first_trip(self._snapshot(), self._config.limits, self._config.interlocks, interlocks)
 
     def _snapshot(self) -> Snapshot:

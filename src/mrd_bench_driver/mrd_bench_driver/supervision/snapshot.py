@@ -28,14 +28,7 @@ class Snapshot:
         Speed of the rod in m/s between the means of the last two blocks, and mean coil current in A of the latest block.
     servo_age : float
         Age in s of the latest servo status.
-    servo_connected : bool
-        Whether the motor answers on the serial line.
-    servo_fault : str
-        Fault of the servo in one line, or "".
-    servo_position : float
-        Position in m by the encoder; nan unless the rod is homed.
-    servo_speed, following_error : float
-        Speed in m/s and following error in m by the encoder.
+    servo : ServoStatus
     setpoint_age : float
         Age in s of the latest setpoint while an experiment runs, else 0.
     """
@@ -46,11 +39,7 @@ class Snapshot:
     speed: float = math.nan
     current: float = math.nan
     servo_age: float = math.inf
-    servo_connected: bool = False
-    servo_fault: str = ""
-    servo_position: float = math.nan
-    servo_speed: float = math.nan
-    following_error: float = math.nan
+    servo: ServoStatus = ServoStatus()
     setpoint_age: float = 0.0
 
 
@@ -60,11 +49,11 @@ class BenchMonitor:
     Attributes
     ----------
     sample_time, sample_period : float
-        Time in s of the latest sample and the sample period in s.
+        Time of the latest sample, and sample period in s.
     servo : ServoStatus or None
         Latest status of the servo.
     experiment_state : str
-        Latest state of the experiment by the generator: loaded, running, done or aborted.
+        Latest state of the experiment: loaded, running, done or aborted.
     """
 
     def __init__(self) -> None:
@@ -73,8 +62,8 @@ class BenchMonitor:
         self.servo: ServoStatus | None = None
         self.experiment_state = ""
         self._setpoint_time = -math.inf
-        self._block_mean = (-math.inf, math.nan)  # time in s and mean position in m of the latest block
-        self._latest = Snapshot()  # without ages
+        self._block_mean = (-math.inf, math.nan)  # time and mean position in m of the latest block
+        self._samples = Snapshot()  # only the values of the samples are filled in
 
     def add_samples(
         self, time: float, period: float, position: NDArray[Any], force: NDArray[Any], current: NDArray[Any]
@@ -90,29 +79,11 @@ class BenchMonitor:
         self._block_mean = middle, mean
         self.sample_period = period
         self.sample_time = time + (count - 1) * period
-        self._latest = dataclasses.replace(
-            self._latest,
+        self._samples = Snapshot(
             position=_largest_magnitude(position),
             force=_largest_magnitude(force),
             speed=(mean - last_mean) / elapsed if 0 < elapsed < _MAX_BLOCK_DISTANCE else math.nan,
             current=float(np.mean(current)),
-        )
-
-    def add_servo_status(self, status: ServoStatus) -> None:
-        """Add a status of the servo."""
-        self.servo = status
-        fault = ""
-        if status.fault:
-            fault = status.message or "the motor or its driver stopped"
-        elif status.stopped:
-            fault = "its emergency stop is latched"
-        self._latest = dataclasses.replace(
-            self._latest,
-            servo_connected=status.connected,
-            servo_fault=fault,
-            servo_position=status.position if status.homed else math.nan,
-            servo_speed=status.velocity,
-            following_error=status.following_error if status.homed else 0.0,
         )
 
     def add_setpoint(self, now: float) -> None:
@@ -126,11 +97,13 @@ class BenchMonitor:
 
     def snapshot(self, now: float, *, follows_experiment: bool) -> Snapshot:
         """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""
+        servo = self.servo
         running = follows_experiment and self.experiment_state == "running"
         return dataclasses.replace(
-            self._latest,
+            self._samples,
             sample_age=now - self.sample_time,
-            servo_age=math.inf if self.servo is None else now - self.servo.time,
+            servo_age=math.inf if servo is None else now - servo.time,
+            servo=servo or ServoStatus(),
             setpoint_age=now - self._setpoint_time if running else 0.0,
         )
 
