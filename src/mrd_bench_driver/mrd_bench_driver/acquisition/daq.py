@@ -24,10 +24,8 @@ class Daq:
 
     Parameters
     ----------
-    config : DaqConfig
-    clock : BenchClock
     backend : Backend
-        An open backend; `close` closes it.
+        It must be open before `start`; `close` closes it.
     on_block : callable
         Receives each block of averages, in the reading thread.
     on_calibration : callable

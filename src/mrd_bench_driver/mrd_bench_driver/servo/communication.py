@@ -30,8 +30,6 @@ class ServoCommunication:
 
     Parameters
     ----------
-    config : ServoConfig
-    clock : BenchClock
     on_status : callable
         Receives the status of the servo after each exchange, in the thread of the line, until `close` is called.
     """

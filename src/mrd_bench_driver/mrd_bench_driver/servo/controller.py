@@ -99,7 +99,6 @@ class ServoController:
 
     Parameters
     ----------
-    config : ServoConfig
     wake_up : callable
         Called when a stop waits to be sent. It must cause a call of `take_commands` at once.
     """

@@ -75,7 +75,6 @@ class MotorLine:
     ----------
     port : str
         Device. ``/dev/serial/by-id/...`` survives replugging.
-    baud_rate : int
     clock : BenchClock
         Clock of the timeouts, which are in bench seconds.
     wake_up : WakeUp

@@ -48,12 +48,10 @@ def connect_motor(
 
     Parameters
     ----------
-    config : ServoConfig
     keep_origin : bool
         Whether to keep software travel limits that the motor still holds. They show that it was not reset.
-    clock : BenchClock
     wake_up : WakeUp
-        Ends the connecting.
+        Ends the search for the motor.
 
     Raises
     ------

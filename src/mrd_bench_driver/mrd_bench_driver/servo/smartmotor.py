@@ -38,7 +38,6 @@ class MotorUnits:
 
     Parameters
     ----------
-    drivetrain : Drivetrain
     sample_rate : int
         Trajectory rate of the motor in Hz (``RSAMP``). It scales every velocity and acceleration.
     """
@@ -65,19 +64,11 @@ class MotorUnits:
         """Return ``VT`` (counts per sample × 65536), at least 1, for a ``speed`` ≥ 0 in m/s; 0 would never arrive."""
         return max(1, min(_REGISTER_MAX, round(speed * abs(self.counts_per_metre) / self.sample_rate * 65536)))
 
-    def speed(self, vt: int) -> float:
-        """Return the rod speed in m/s for a ``VT``."""
-        return vt / 65536 * self.sample_rate / abs(self.counts_per_metre)
-
     def adt(self, acceleration: float) -> int:
         """Return ``ADT`` (counts per sample² × 65536), rounded up to even, for an ``acceleration`` ≥ 0 in m/s²."""
         raw = acceleration * abs(self.counts_per_metre) / self.sample_rate**2 * 65536
         # The tolerance keeps rounding of the product from lifting an exact even number to the next one.
         return max(2, min(_REGISTER_MAX - 1, 2 * math.ceil(raw / 2 - 1e-9)))
-
-    def acceleration(self, adt: int) -> float:
-        """Return the rod acceleration in m/s² for an ``ADT``."""
-        return adt / 65536 * self.sample_rate**2 / abs(self.counts_per_metre)
 
 
 def motor_units(drivetrain: Drivetrain, counts_per_revolution: int, sample_rate: int) -> MotorUnits:

@@ -103,15 +103,7 @@ class BagSummary:
 class BenchOperations:
     """The operations on the bench. Each may block; call them from a thread that may wait.
 
-    Parameters
-    ----------
-    config : SupervisorConfig
-    clock : BenchClock
-    peers : Peers
-    monitor : BenchMonitor
-    mode : BenchMode
-    interruption : callable
-        Called during every wait; ends the operation by raising `TrippedError` or `CancelledError`.
+    During every wait they call ``interruption``, which ends the operation by raising `TrippedError` or `CancelledError`.
     """
 
     def __init__(

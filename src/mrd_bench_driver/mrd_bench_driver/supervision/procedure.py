@@ -113,7 +113,6 @@ def run_set(
 
     Parameters
     ----------
-    requests : sequence of RunRequest
     check : callable
         Raises `RefusedError` for an experiment that cannot be run. All are checked before the first one runs.
     run : callable

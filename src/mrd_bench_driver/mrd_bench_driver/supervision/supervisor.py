@@ -32,10 +32,6 @@ class Supervisor:
 
     Parameters
     ----------
-    config : SupervisorConfig
-    clock : BenchClock
-    peers : Peers
-        Services of the other nodes.
     on_mode : callable
         Receives every mode with its reason.
     send_emergency_stop : callable
@@ -46,6 +42,7 @@ class Supervisor:
     monitor : BenchMonitor
         What the other nodes have published.
     mode : BenchMode
+        The mode of the bench and its reason.
     procedure : str
         Name of the procedure that runs, or "".
     """
