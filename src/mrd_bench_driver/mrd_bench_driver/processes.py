@@ -1,4 +1,4 @@
-"""The bench as a set of processes: started together, watched, and ended on every way out."""
+"""The processes of the bench: start them together, watch them, and end them however the program ends."""
 
 import contextlib
 import os
@@ -16,19 +16,20 @@ import yaml
 
 from mrd_base import InputError, read_node_parameters
 
-# Those that move something end first, then those that let go of rod and coil while motor and recorder still listen.
+# Nodes that command a motion end first. Then end those that release rod and coil, while motor and recorder still run.
 _STOP_ORDER = (("supervisor", "generator"), ("servo", "daq"), ("recorder", "plant"))
 
-_LAST_LINES = 15
+# Lines of the log of a process that its error message shows.
+_LOG_LINES = 15
 
 
 class ProcessDiedError(Exception):
-    """A part of the bench ended by itself; what it said last."""
+    """A process of the bench ended by itself. The message holds the last lines of its log."""
 
 
 @dataclass(frozen=True)
-class Part:
-    """One process: an executable of a package, and parameters beyond the files."""
+class ProcessSpec:
+    """What to start: an executable of a package, its parameter files, and parameters that override them."""
 
     package: str
     executable: str
@@ -37,7 +38,7 @@ class Part:
 
 
 def find_executable(package: str, executable: str) -> Path:
-    """Where ``ros2 run`` would find it, by the ament index."""
+    """Return the path of an executable, found by the ament index as ``ros2 run`` does."""
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix and Path(prefix, "share/ament_index/resource_index/packages", package).exists():
             program = Path(prefix, "lib", package, executable)
@@ -47,74 +48,74 @@ def find_executable(package: str, executable: str) -> Path:
     raise InputError(f"package {package} is not built or not entered; run `make build`, then `. ./env.sh`")
 
 
-def bench_parts(
+def bench_processes(
     bench: Path, plant: Path | None, port: Path, *, time_scale: float | None = None, seed: int = 0
-) -> list[Part]:
-    """The parts of a bench.
+) -> list[ProcessSpec]:
+    """Return the processes of a bench.
 
     Parameters
     ----------
     bench : Path
-        The parameter file of all nodes.
+        Parameter file of all nodes.
     plant : Path or None
-        The parameter file of the simulated plant; None for the real bench.
+        Parameter file of the simulated plant; None for the real bench.
     port : Path
-        Where the simulated plant shows the motor's serial port.
+        Path at which the simulated plant creates the serial port of the motor.
     time_scale : float, optional
-        Bench seconds per wall second, in place of the file's.
+        Bench seconds per wall second; overrides the parameter file.
     seed : int
-        Of the plant's noise.
+        Seed of the plant's noise.
     """
     common: dict[str, Any] = {} if time_scale is None else {"time_scale": float(time_scale)}
     servo, daq = dict(common), dict(common)
-    parts = []
+    specs = []
     if plant is not None:
-        parts.append(Part("mrd_sim", "plant", {**common, "port_link": str(port), "seed": seed}, (bench, plant)))
+        specs.append(ProcessSpec("mrd_sim", "plant", {**common, "port_link": str(port), "seed": seed}, (bench, plant)))
         servo["port"], daq["backend"] = str(port), "simulated"
     elif read_node_parameters(bench, "daq").get("backend", "simulated") == "simulated":
         raise InputError(f"{bench}: daq has backend simulated; add --simulated, or set backend: ni_usb_6216")
     return [
-        *parts,
-        Part("mrd_bench_driver", "servo", servo, (bench,)),
-        Part("mrd_bench_driver", "daq", daq, (bench,)),
-        Part("mrd_runs", "recorder", common, (bench,)),
-        Part("mrd_trajectory", "generator", common, (bench,)),
-        Part("mrd_bench_driver", "supervisor", common, (bench,)),
+        *specs,
+        ProcessSpec("mrd_bench_driver", "servo", servo, (bench,)),
+        ProcessSpec("mrd_bench_driver", "daq", daq, (bench,)),
+        ProcessSpec("mrd_runs", "recorder", common, (bench,)),
+        ProcessSpec("mrd_trajectory", "generator", common, (bench,)),
+        ProcessSpec("mrd_bench_driver", "supervisor", common, (bench,)),
     ]
 
 
 class BenchProcesses:
-    """Runs parts of the bench as long as the context lasts.
+    """Runs processes of the bench as long as the context lasts.
 
     Parameters
     ----------
-    parts : sequence of Part
-        Named by their executables; started in this order.
+    specs : sequence of ProcessSpec
+        Processes in the order of their start. Each is named after its executable.
     logs : Path
-        Folder for what each of them prints (NAME.log) and for its own parameters (NAME.yaml).
+        Folder for the output of each process (NAME.log) and for the parameters that override its files (NAME.yaml).
     namespace : str
         ROS namespace of all nodes.
     grace : float
-        Wall seconds between SIGTERM and SIGKILL.
+        Wall time in s between SIGTERM and SIGKILL.
     environment : mapping, optional
-        Variables beyond those of this process.
+        Environment variables in addition to those of this process.
 
     Notes
     -----
-    Each part is in a session of its own, so that Ctrl-C reaches this process only, and is sent SIGTERM should this process
-    be killed.
+    Each process runs in a session of its own, so that Ctrl-C reaches only this process. Each receives SIGTERM if this
+    process is killed.
     """
 
     def __init__(
         self,
-        parts: Sequence[Part],
+        specs: Sequence[ProcessSpec],
         logs: Path,
         *,
         namespace: str = "/bench",
         grace: float = 5.0,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        self.parts = {part.executable: part for part in parts}
+        self.specs = {spec.executable: spec for spec in specs}
         self.namespace = namespace
         self._logs = logs
         self._grace = grace
@@ -123,9 +124,9 @@ class BenchProcesses:
 
     def __enter__(self) -> "BenchProcesses":
         try:
-            programs = {name: find_executable(part.package, name) for name, part in self.parts.items()}
-            self._logs.mkdir(parents=True, exist_ok=True)
-            for name in programs:
+            for name, spec in self.specs.items():
+                find_executable(spec.package, name)  # nothing is started if one is missing
+            for name in self.specs:
                 self.start(name)
         except BaseException:
             self.close()
@@ -138,22 +139,23 @@ class BenchProcesses:
         self.close()
 
     def start(self, name: str) -> "subprocess.Popen[bytes]":
-        """Start one part, or start it anew after it was stopped."""
-        part = self.parts[name]
-        program = find_executable(part.package, name)
-        # Whoever kills this process must not leave a bench that goes on by itself.
-        guard = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
+        """Start a process, or restart one that was stopped."""
+        spec = self.specs[name]
+        program = find_executable(spec.package, name)
+        self._logs.mkdir(parents=True, exist_ok=True)
+        # If this process is killed, the bench must not go on by itself.
+        die_with_parent = ["setpriv", "--pdeathsig", "TERM"] if shutil.which("setpriv") else []
         arguments = ["--ros-args", "-r", f"__ns:={self.namespace}"]
-        for file in part.files:
+        for file in spec.files:
             arguments += ["--params-file", str(file)]
-        if part.parameters:
-            # A file of its own, as -p would lose against the node's section in the other files.
-            own = self._logs / f"{name}.yaml"
-            own.write_text(yaml.safe_dump({f"/**/{name}": {"ros__parameters": dict(part.parameters)}}))
-            arguments += ["--params-file", str(own)]
+        if spec.parameters:
+            # These go into another file, because the node's sections in the first files would override -p.
+            overrides = self._logs / f"{name}.yaml"
+            overrides.write_text(yaml.safe_dump({f"/**/{name}": {"ros__parameters": dict(spec.parameters)}}))
+            arguments += ["--params-file", str(overrides)]
         with self.log(name).open("ab") as log:
             process = subprocess.Popen(
-                [*guard, str(program), *arguments],
+                [*die_with_parent, str(program), *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -164,23 +166,23 @@ class BenchProcesses:
         return process
 
     def log(self, name: str) -> Path:
-        """File with what a part printed."""
+        """Return the file with the output of a process."""
         return self._logs / f"{name}.log"
 
     def check(self) -> None:
-        """Raise when a part has ended by itself: `InputError` when it refused its configuration, else `ProcessDiedError`."""
+        """Raise if a process has ended: `InputError` if it refused its configuration, else `ProcessDiedError`."""
         for name, process in self.running.items():
             status = process.poll()
             if status is None:
                 continue
-            lines = self.log(name).read_text(errors="replace").splitlines()[-_LAST_LINES:]
+            lines = self.log(name).read_text(errors="replace").splitlines()[-_LOG_LINES:]
             if status == 2 and lines:
                 raise InputError(f"{name}: {lines[-1].removeprefix('error: ')}")
-            said = "".join(f"\n  {line}" for line in lines) or " nothing"
-            raise ProcessDiedError(f"{name} ended with status {status}; its log {self.log(name)} ends with{said}")
+            output = "".join(f"\n  {line}" for line in lines) or " nothing"
+            raise ProcessDiedError(f"{name} ended with status {status}; its log {self.log(name)} ends with{output}")
 
     def stop(self, *names: str) -> None:
-        """End parts together: SIGTERM, and SIGKILL to those that are still there after the grace."""
+        """End processes together: SIGTERM, then SIGKILL to those that still run after the grace period."""
         processes = [self.running.pop(name) for name in names if name in self.running]
         for process in processes:
             with contextlib.suppress(ProcessLookupError):
@@ -194,13 +196,13 @@ class BenchProcesses:
                 process.wait()
 
     def kill(self, name: str) -> None:
-        """End one part at once, as a crash would."""
+        """End a process at once, as a crash does."""
         process = self.running.pop(name)
         process.send_signal(signal.SIGKILL)
         process.wait()
 
     def close(self) -> None:
-        """End all parts, in the order that leaves the machine safe."""
+        """End all processes in the order that leaves the machine safe."""
         known = {name for stage in _STOP_ORDER for name in stage}
         for stage in (tuple(name for name in self.running if name not in known), *_STOP_ORDER):
             self.stop(*stage)

@@ -1,36 +1,36 @@
-"""Sizing of the drive: what motor, gearbox, rack and supply can give against what the damper asks (paper, Eqs 4–8)."""
+"""Sizing of the drive: compare force and speed of motor, gearbox, rack and supply with those of the damper (Eqs 4–8)."""
 
 import math
 from dataclasses import dataclass
 
 from mrd_base import InputError
 
-_SMALLEST, _LARGEST = 1e-9, 1e9
+# Range of the inputs, within which no figure overflows or vanishes.
+_MIN_INPUT, _MAX_INPUT = 1e-9, 1e9
 
 
 @dataclass(frozen=True)
 class Sizing:
-    """Motor, gearbox, rack and pinion, supply and load, in SI; the defaults are the paper's bench.
+    """Motor, gearbox, rack and pinion, supply and load, in SI units. The defaults are the paper's bench.
 
     Parameters
     ----------
     torque, peak_torque : float
-        Of the motor in N·m: continuous and peak (paper, Table 3).
+        Continuous and peak torque of the motor in N·m (paper, Table 3).
     ratio, efficiency : float
-        Of the gearbox.
+        Ratio and efficiency of the gearbox.
     pinion, module : float
         Pitch diameter and module of the pinion in m.
     no_load_speed : float
-        Of the motor in rev/s at ``rated_voltage``.
+        Speed of the motor without load in rev/s at ``rated_voltage``.
     rated_voltage, rated_current : float
-        V, and A at the continuous torque.
+        Rated voltage of the motor in V, and its current in A at the continuous torque.
     supply_voltage, supply_current : float
-        Of the power supply in V, A.
+        Voltage in V and current in A of the power supply.
     load : float
         Force in N that the tests need.
     damper_peak_to_peak, damper_off_peak_to_peak : float
-        Peak-to-peak force in N of the damper at full current (1 A, 5 cm/s) and at none (20 cm/s); half of it is the
-        amplitude.
+        Peak-to-peak force in N of the damper at full current (1 A, 5 cm/s) and without current (20 cm/s).
     speed : float
         Rod speed in m/s that the tests need.
     """
@@ -53,9 +53,8 @@ class Sizing:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            # Within these bounds, no figure overflows or vanishes.
-            if not _SMALLEST <= value <= _LARGEST:
-                raise InputError(f"{name} is {value:g}, expected a positive number, {_SMALLEST:g} to {_LARGEST:g}")
+            if not _MIN_INPUT <= value <= _MAX_INPUT:
+                raise InputError(f"{name} is {value:g}, expected a positive number, {_MIN_INPUT:g} to {_MAX_INPUT:g}")
         if self.efficiency > 1:
             raise InputError(f"efficiency is {self.efficiency:g}, expected at most 1")
         teeth = self.pinion / self.module
@@ -66,20 +65,20 @@ class Sizing:
             )
 
     def rack_force(self, torque: float) -> float:
-        """Force in N on the rack of a motor ``torque`` in N·m (Eq. 4)."""
+        """Return the force in N on the rack for a motor torque in N·m (Eq. 4)."""
         return torque / (self.pinion / 2) * self.efficiency * self.ratio
 
     def rack_speed(self, motor_speed: float) -> float:
-        """Speed in m/s of the rack at a motor speed in rev/s (Eq. 8)."""
+        """Return the speed in m/s of the rack for a motor speed in rev/s (Eq. 8)."""
         return motor_speed / self.ratio * self.travel
 
     def motor_speed(self, rack_speed: float) -> float:
-        """Motor speed in rev/s at a rack speed in m/s."""
+        """Return the motor speed in rev/s for a rack speed in m/s."""
         return rack_speed / self.travel * self.ratio
 
     @property
     def teeth(self) -> int:
-        """Teeth of the pinion (Eq. 5)."""
+        """Number of teeth of the pinion (Eq. 5)."""
         return round(self.pinion / self.module)
 
     @property
@@ -94,7 +93,7 @@ class Sizing:
 
     @property
     def torque_constant(self) -> float:
-        """N·m per A, from the continuous torque and its current."""
+        """Torque per current in N·m/A, from the continuous torque and its current."""
         return self.torque / self.rated_current
 
     @property
@@ -104,12 +103,12 @@ class Sizing:
 
     @property
     def supplied_no_load_speed(self) -> float:
-        """No-load speed in rev/s at the supply's voltage, to which it is proportional."""
+        """No-load speed in rev/s at the voltage of the supply, to which it is proportional."""
         return self.no_load_speed * self.supply_voltage / self.rated_voltage
 
     @property
     def shaft_power(self) -> float:
-        """Power in W at the motor's shaft for the continuous torque at the wanted speed."""
+        """Power in W at the motor's shaft for the continuous torque at the needed speed."""
         return self.torque * 2 * math.pi * self.motor_speed(self.speed)
 
     @property
@@ -120,28 +119,28 @@ class Sizing:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the comparison: quantity, value for the given drive, the paper's printed figure, why they differ."""
+    """One row of the comparison: a quantity, its value, the figure that the paper prints, and a remark."""
 
     name: str
     value: str
     printed: str = ""
-    why: str = ""
+    remark: str = ""
 
 
 def compare(sizing: Sizing) -> list[Row]:
-    """Right figures beside the paper's printed ones.
+    """Compare the correct figures with those that the paper prints.
 
-    The reasons speak of the paper's bench; where other inputs are given, they tell what went wrong in the paper.
+    The remarks explain the figures of the paper's bench, whatever the drive.
     """
-    s = sizing
-    force, supplied = s.rack_force(s.torque), s.rack_force(s.supplied_torque)
-    no_load, power = s.rack_speed(s.no_load_speed), s.supply_voltage * s.supply_current
+    return _drive_rows(sizing) + _load_rows(sizing) + _supply_rows(sizing)
+
+
+def _drive_rows(s: Sizing) -> list[Row]:
     paper = Sizing()
-    printed_speed = paper.motor_speed(0.2093)
     return [
         Row(
             "rack force, continuous (Eq. 4)",
-            f"{force:.0f} N",
+            f"{s.rack_force(s.torque):.0f} N",
             "1800 N",
             f"Eq. 4 gives {paper.rack_force(paper.torque):.0f} N; 1800 N is the wanted force, not the result",
         ),
@@ -151,10 +150,10 @@ def compare(sizing: Sizing) -> list[Row]:
         Row("rack travel per revolution (Eq. 7)", f"{1e3 * s.travel:.2f} mm", "200.96 mm", "printed with π ≈ 3.14"),
         Row(
             "rack speed, no load (Eq. 8)",
-            f"{100 * no_load:.1f} cm/s",
+            f"{100 * s.rack_speed(s.no_load_speed):.1f} cm/s",
             "20.93 cm/s",
             f"5100 rpm give {100 * paper.rack_speed(paper.no_load_speed):.1f} cm/s (and no torque); "
-            f"20.93 cm/s belong to {60 * printed_speed:.0f} rpm",
+            f"20.93 cm/s belong to {60 * paper.motor_speed(0.2093):.0f} rpm",
         ),
         Row(
             f"rack speed, no load at {s.supply_voltage:g} V",
@@ -163,6 +162,12 @@ def compare(sizing: Sizing) -> list[Row]:
             "the no-load speed is proportional to the voltage",
         ),
         Row(f"motor speed at {100 * s.speed:g} cm/s", f"{60 * s.motor_speed(s.speed):.0f} rpm"),
+    ]
+
+
+def _load_rows(s: Sizing) -> list[Row]:
+    force = s.rack_force(s.torque)
+    return [
         Row(
             f"safety factor at {s.load:g} N",
             f"{force / s.load:.2f}",
@@ -181,7 +186,15 @@ def compare(sizing: Sizing) -> list[Row]:
             "< 7 N",
             "digits lost: < 667 N peak to peak; the text's 5 cm/s and 667 N mix both operating points",
         ),
-        Row(f"safety factor at ±{s.amplitude:.0f} N", f"{force / s.amplitude:.2f}", "", "what the paper does not compute"),
+        Row(f"safety factor at ±{s.amplitude:.0f} N", f"{force / s.amplitude:.2f}", "", "the paper does not compute it"),
+    ]
+
+
+def _supply_rows(s: Sizing) -> list[Row]:
+    force, supplied = s.rack_force(s.torque), s.rack_force(s.supplied_torque)
+    power = s.supply_voltage * s.supply_current
+    limiting = power < s.shaft_power or supplied < force
+    return [
         Row(
             f"rack force on {s.supply_current:g} A",
             f"{supplied:.0f} N",
@@ -194,12 +207,12 @@ def compare(sizing: Sizing) -> list[Row]:
             f"shaft power, {force:.0f} N at {100 * s.speed:g} cm/s",
             f"{s.shaft_power:.0f} W",
             "",
-            "before the motor's own losses",
+            "without the losses of the motor itself",
         ),
         Row(
             "power of the supply",
             f"{power:.0f} W",
             "37 V/10 A",
-            "the supply is the limit, not the motor" if power < s.shaft_power or supplied < force else "",
+            "the supply is the limit, not the motor" if limiting else "",
         ),
     ]

@@ -1,5 +1,6 @@
-"""A node that plays the rest of the bench for one that runs as a process."""
+"""A ROS node that stands for the rest of the bench, for tests of a node that runs as a process."""
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,24 +11,27 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.clock import BenchClock
-from mrd_bench_driver.processes import BenchProcesses, Part
+from mrd_bench_driver.processes import BenchProcesses, ProcessSpec
+
+# Each graph has a namespace of its own, so that a shared one does not disturb another.
+_NUMBERS = itertools.count()
 
 
 class Graph:
-    """The rest of the bench: `node` hears and speaks, `start` runs the node under test."""
+    """A test's own `node`, and the processes of the nodes under test."""
 
     def __init__(self, folder: Path) -> None:
+        namespace = f"/bench{next(_NUMBERS)}"
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self.node = rclpy.create_node("rest_of_the_bench", namespace="bench", context=self._context)
+        self.node = rclpy.create_node("rest_of_the_bench", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._processes = BenchProcesses([], folder)
+        self._processes = BenchProcesses([], folder, namespace=namespace)
         self.clock = BenchClock()
 
     def start(self, executable: str, **parameters: Any) -> Any:
-        self._processes.parts[executable] = Part("mrd_bench_driver", executable, parameters)
-        self._processes._logs.mkdir(exist_ok=True)
+        self._processes.specs[executable] = ProcessSpec("mrd_bench_driver", executable, parameters)
         return self._processes.start(executable)
 
     def process(self, executable: str) -> Any:
@@ -43,22 +47,24 @@ class Graph:
             self._executor.spin_once(timeout_sec=0.005)
 
     def during(self, duration: float) -> None:
+        """Process messages for a while, in which something must not happen."""
         end = time.monotonic() + duration
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.005)
 
-    def call(self, service: str, kind: Any, **fields: Any) -> Any:
-        client = self.node.create_client(kind, service)
+    def call(self, service: str, service_type: Any, **fields: Any) -> Any:
+        client = self.node.create_client(service_type, service)
         self.until(client.service_is_ready, failure=f"no service {service}")
-        future = client.call_async(kind.Request(**fields))
-        self.until(future.done, failure=f"no answer from {service}")
+        future = client.call_async(service_type.Request(**fields))
+        self.until(future.done, failure=f"no response from {service}")
         client.destroy()
         return future.result()
 
-    def hear(self, topic: str, kind: Any, qos: Any) -> list[Any]:
-        heard: list[Any] = []
-        self.node.create_subscription(kind, topic, heard.append, qos)
-        return heard
+    def subscribe(self, topic: str, message_type: Any, qos: Any) -> list[Any]:
+        """Return the list to which the messages of a topic are appended."""
+        messages: list[Any] = []
+        self.node.create_subscription(message_type, topic, messages.append, qos)
+        return messages
 
     def close(self) -> None:
         self._processes.close()
@@ -70,5 +76,13 @@ class Graph:
 @pytest.fixture
 def graph(tmp_path: Path) -> Iterator[Graph]:
     graph = Graph(tmp_path / "log")
+    yield graph
+    graph.close()
+
+
+@pytest.fixture(scope="module")
+def shared_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+    """One graph for all tests of a module that leave the node under test as they found it."""
+    graph = Graph(tmp_path_factory.mktemp("graph") / "log")
     yield graph
     graph.close()

@@ -21,10 +21,10 @@ from mrd_bench_driver.acquisition import (
     averaging_ratio,
     make_backend,
 )
-from mrd_bench_driver.channels import Channels, Coil
+from mrd_bench_driver.acquisition.channels import ChannelMap, CoilOutput
 
 HARDWARE = 2000.0
-WIRING = Wiring("Dev1", Channels(), Coil(), HARDWARE, 0.02)
+WIRING = Wiring("Dev1", ChannelMap(), CoilOutput(), HARDWARE, 0.02)
 
 
 # Averaging

@@ -45,7 +45,7 @@ def run(
         (GENTLE, ["--simulated", "--output", "done"], "bag: exists already; choose another --output"),
         (GENTLE, ["--time-scale", "2"], "--time-scale needs --simulated"),
         *((GENTLE, ["--simulated", f"--time-scale={x}"], "--time-scale is ") for x in ("0", "-2", "nan", "inf", "101")),
-        (GENTLE, ["--simulated", "--seed", "-1"], "--seed is a whole number"),
+        (GENTLE, ["--simulated", "--seed", "-1"], "--seed is -1, expected a whole number"),
     ],
 )
 def test_unusable_input_is_one_line_and_status_2(

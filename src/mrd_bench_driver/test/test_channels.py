@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError, from_mapping, read_node_parameters, to_mapping
-from mrd_bench_driver.channels import TARE_SAMPLES, Channel, Channels, Coil, coil_voltage, count_clipped, tared, to_si
+from mrd_bench_driver.acquisition.channels import (
+    MIN_TARE_SAMPLES,
+    ChannelMap,
+    CoilOutput,
+    InputChannel,
+    coil_voltage,
+    count_clipped,
+    tare,
+    to_si,
+)
 from mrd_trajectory.limits import Limits
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
@@ -23,7 +32,7 @@ def at_rest(count: int = 200) -> np.ndarray:
 
 def test_volts_become_si_units_as_the_data_sheets_say() -> None:
     # 1.275 V - 0.020 V on the amplified 100 kg cell, 1.2 A through the ACS714-05B, 1 g on the MMA7361L, 5 mm/V.
-    channels = Channels(force=Channel("ai1", gain=196.133, zero=0.02))
+    channels = ChannelMap(force=InputChannel("ai1", gain=196.133, zero=0.02))
     volts = np.array([[-2.0, 1.0], [1.275, 0.02], [2.722, 2.5], [2.45, 1.65]])
     expected = np.array([[-0.01, 0.005], [246.147, 0.0], [1.2, 0.0], [9.80665, 0.0]])
     np.testing.assert_allclose(to_si(volts, channels), expected, rtol=1e-5, atol=1e-12)
@@ -31,12 +40,12 @@ def test_volts_become_si_units_as_the_data_sheets_say() -> None:
 
 def test_a_tare_zeroes_only_the_channels_marked_for_it() -> None:
     volts = at_rest()
-    channels = tared(volts, Channels())
+    channels = tare(volts, ChannelMap())
     means = to_si(volts, channels).mean(axis=1)
     assert means[2] == pytest.approx(0, abs=1e-9)
     assert means[3] == pytest.approx(0, abs=1e-9)
-    assert channels.position == Channels().position
-    assert channels.force == Channels().force
+    assert channels.position == ChannelMap().position
+    assert channels.force == ChannelMap().force
 
 
 @pytest.mark.parametrize(("row", "name"), [(0, "position"), (2, "coil_current"), (3, "acceleration")])
@@ -44,16 +53,16 @@ def test_a_tare_is_refused_while_something_moves(row: int, name: str) -> None:
     volts = at_rest()
     volts[row] += 0.1 * np.sin(np.arange(volts.shape[1]) / 10)
     with pytest.raises(InputError, match=f"{name} is not at rest"):
-        tared(volts, Channels())
+        tare(volts, ChannelMap())
 
 
 def test_a_tare_is_refused_without_a_number_and_with_too_few() -> None:
     volts = at_rest()
     volts[2, 0] = np.nan
     with pytest.raises(InputError, match="coil_current is not at rest"):
-        tared(volts, Channels())
-    with pytest.raises(InputError, match=f"{TARE_SAMPLES - 1} samples"):
-        tared(at_rest(TARE_SAMPLES - 1), Channels())
+        tare(volts, ChannelMap())
+    with pytest.raises(InputError, match=f"{MIN_TARE_SAMPLES - 1} samples"):
+        tare(at_rest(MIN_TARE_SAMPLES - 1), ChannelMap())
 
 
 def test_readings_at_either_end_of_the_range_are_counted() -> None:
@@ -61,12 +70,12 @@ def test_readings_at_either_end_of_the_range_are_counted() -> None:
     volts[0, :2] = 9.995, -10.4
     volts[1, 0] = 9.98
     volts[2, 0] = -4.996
-    assert count_clipped(volts, Channels()).tolist() == [2, 0, 1, 0]
+    assert count_clipped(volts, ChannelMap()).tolist() == [2, 0, 1, 0]
 
 
 @given(current=st.floats(-10, 10), dead_zone=st.floats(0, 2), gain=st.sampled_from([0.2, -0.5, 3.0]))
 def test_the_coil_gets_the_current_within_its_limits(current: float, dead_zone: float, gain: float) -> None:
-    coil = Coil(current_per_volt=gain, dead_zone=dead_zone)
+    coil = CoilOutput(current_per_volt=gain, dead_zone=dead_zone)
     volts = coil_voltage(current, coil, LIMITS)
     assert abs(volts) <= 10
     flows = gain * (abs(volts) - dead_zone) * np.sign(volts) if abs(volts) > dead_zone else 0.0
@@ -75,7 +84,7 @@ def test_the_coil_gets_the_current_within_its_limits(current: float, dead_zone: 
 
 @pytest.mark.parametrize("current", [0.0, float("nan"), float("inf"), -float("inf")])
 def test_no_current_and_no_number_are_0_volts(current: float) -> None:
-    assert coil_voltage(current, Coil(dead_zone=0.5), LIMITS) == 0.0
+    assert coil_voltage(current, CoilOutput(dead_zone=0.5), LIMITS) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -90,13 +99,13 @@ def test_no_current_and_no_number_are_0_volts(current: float) -> None:
     ],
 )
 def test_an_impossible_channel_map_is_refused(change: dict[str, object], line: str) -> None:
-    mapping = to_mapping(Channels())
+    mapping = to_mapping(ChannelMap())
     mapping["position"].update(change)
     with pytest.raises(InputError, match=line):
-        from_mapping(Channels, mapping, "bench.yaml: daq: channels")
+        from_mapping(ChannelMap, mapping, "bench.yaml: daq: channels")
 
 
 def test_the_shipped_channel_map_is_the_default() -> None:
     parameters = read_node_parameters(BENCH, "daq")
-    assert from_mapping(Channels, parameters["channels"], "channels") == Channels()
-    assert from_mapping(Coil, parameters["coil"], "coil") == Coil()
+    assert from_mapping(ChannelMap, parameters["channels"], "channels") == ChannelMap()
+    assert from_mapping(CoilOutput, parameters["coil"], "coil") == CoilOutput()

@@ -1,4 +1,4 @@
-"""The DAQ as a process, with the plant's terminals played here."""
+"""The DAQ as a process, with a fake of the simulated plant's terminals."""
 
 import array
 import math
@@ -20,19 +20,19 @@ REST = (0.4, 0.1, 2.51, 5.0, 1.66)
 
 
 class Terminals:
-    """Sends readings block by block, numbered on ai0, and hears what comes back."""
+    """Sends readings block by block, numbered on ai0, and receives what the DAQ publishes."""
 
     def __init__(self, graph: Any) -> None:
         self.graph = graph
         self.sequence = 0
         self.begin = graph.clock.now()
-        self._input = graph.node.create_publisher(AnalogInput, "analog_input", RECORDED)
+        self.analog_input = graph.node.create_publisher(AnalogInput, "analog_input", RECORDED)
         self._setpoint = graph.node.create_publisher(Setpoint, "setpoint", COMMAND)
         self.emergency_stop = graph.node.create_publisher(Bool, "emergency_stop", LATCHED)
-        self.samples: list[BenchSamples] = graph.hear("samples", BenchSamples, RECORDED)
-        self.calibration: list[Calibration] = graph.hear("calibration", Calibration, LATCHED)
-        self.output: list[AnalogOutput] = graph.hear("analog_output", AnalogOutput, LATCHED)
-        publishers = (self._input, self._setpoint, self.emergency_stop)
+        self.samples: list[BenchSamples] = graph.subscribe("samples", BenchSamples, RECORDED)
+        self.calibration: list[Calibration] = graph.subscribe("calibration", Calibration, LATCHED)
+        self.output: list[AnalogOutput] = graph.subscribe("analog_output", AnalogOutput, LATCHED)
+        publishers = (self.analog_input, self._setpoint, self.emergency_stop)
         self.ready = lambda: (
             all(publisher.get_subscription_count() for publisher in publishers) and self.calibration and self.output
         )
@@ -50,7 +50,7 @@ class Terminals:
             )
             time = self.begin + self.sequence / RATE
             message.header.stamp.sec, message.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
-            self._input.publish(message)
+            self.analog_input.publish(message)
         self.sequence += BLOCK
 
     def setpoint(self, current: float, age: float = 0.0) -> None:
@@ -58,6 +58,10 @@ class Terminals:
         time = self.graph.clock.now() - age
         message.header.stamp.sec, message.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
         self._setpoint.publish(message)
+
+    def set_rate(self, rate: Any) -> Any:
+        parameters = [Parameter("rate_hz", value=rate).to_parameter_msg()]
+        return self.graph.call("daq/set_parameters", SetParameters, parameters=parameters).results[0]
 
     def volts(self) -> float:
         return self.output[-1].coil_command
@@ -73,15 +77,38 @@ class Terminals:
         self.graph.until(arrived)
 
 
-@pytest.fixture
-def terminals(graph: Any) -> Terminals:
+def started(graph: Any) -> Terminals:
     terminals = Terminals(graph)
     graph.start("daq")
     graph.until(terminals.ready)
     return terminals
 
 
-def test_readings_become_samples_without_a_gap_unless_there_was_one(graph: Any, terminals: Terminals) -> None:
+@pytest.fixture
+def own_terminals(graph: Any) -> Terminals:
+    """The terminals of a DAQ that a test has to itself."""
+    return started(graph)
+
+
+@pytest.fixture(scope="module")
+def shared_terminals(shared_graph: Any) -> Terminals:
+    return started(shared_graph)
+
+
+@pytest.fixture
+def terminals(shared_terminals: Terminals) -> Terminals:
+    """The terminals of the DAQ that tests share, without a fault and with its averaging started again."""
+    graph = shared_terminals.graph
+    assert graph.call("daq/reset_fault", Trigger).success
+    assert shared_terminals.set_rate(1000.0).successful
+    graph.until(lambda: shared_terminals.volts() == 0.0 and shared_terminals.calibration[-1].rate == 1000.0)
+    shared_terminals.sequence, shared_terminals.begin = 0, graph.clock.now()
+    shared_terminals.samples.clear()
+    return shared_terminals
+
+
+def test_readings_become_samples_without_a_gap_unless_there_was_one(terminals: Terminals) -> None:
+    graph = terminals.graph
     for index in range(31):
         terminals.send(lost=index in (10, 11, 20))
     graph.until(lambda: terminals.samples and terminals.samples[-1].sequence + len(terminals.samples[-1].position) == 310)
@@ -105,18 +132,15 @@ def test_readings_become_samples_without_a_gap_unless_there_was_one(graph: Any, 
     assert (calibration.rate, calibration.hardware_rate, calibration.device) == (1000.0, 2000.0, "simulated")
 
 
-def test_the_rate_changes_only_to_a_fraction_of_the_converters(graph: Any, terminals: Terminals) -> None:
-    def set_rate(rate: Any) -> Any:
-        parameters = [Parameter("rate_hz", value=rate).to_parameter_msg()]
-        return graph.call("daq/set_parameters", SetParameters, parameters=parameters).results[0]
-
-    refused = set_rate(30.0)
+def test_the_rate_changes_only_to_a_fraction_of_the_converters(terminals: Terminals) -> None:
+    graph = terminals.graph
+    refused = terminals.set_rate(30.0)
     assert not refused.successful
     assert refused.reason.endswith("the nearest is 30.303 or 29.8507")
     for _ in range(2):
         terminals.send()
     graph.until(lambda: terminals.samples)
-    assert set_rate(25).successful
+    assert terminals.set_rate(25).successful
     graph.until(lambda: terminals.calibration[-1].rate == 25.0)
     terminals.samples.clear()
     for _ in range(12):
@@ -127,7 +151,8 @@ def test_the_rate_changes_only_to_a_fraction_of_the_converters(graph: Any, termi
     assert terminals.samples[0].position[0] == pytest.approx(5e-3 * 1e-4 * (40 + 79 / 2))
 
 
-def test_the_coil_follows_fresh_setpoints_within_its_limits(graph: Any, terminals: Terminals) -> None:
+def test_the_coil_follows_fresh_setpoints_within_its_limits(terminals: Terminals) -> None:
+    graph = terminals.graph
     assert terminals.volts() == 0.0
     terminals.drive(0.5, 2.5)
     terminals.drive(7.0, 5.0)
@@ -147,7 +172,8 @@ def test_the_coil_follows_fresh_setpoints_within_its_limits(graph: Any, terminal
     graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
 
 
-def test_the_emergency_stop_latches_until_reset_fault(graph: Any, terminals: Terminals) -> None:
+def test_the_emergency_stop_latches_until_reset_fault(terminals: Terminals) -> None:
+    graph = terminals.graph
     terminals.drive(0.5, 2.5)
     terminals.emergency_stop.publish(Bool(data=True))
     graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
@@ -164,7 +190,8 @@ def test_the_emergency_stop_latches_until_reset_fault(graph: Any, terminals: Ter
     terminals.drive(0.5, 2.5)
 
 
-def test_the_coil_is_at_0_volts_when_the_node_ends(graph: Any, terminals: Terminals) -> None:
+def test_the_coil_is_at_0_volts_when_the_node_ends(graph: Any, own_terminals: Terminals) -> None:
+    terminals = own_terminals
     process = graph.process("daq")
     terminals.drive(0.5, 2.5)
     process.terminate()
@@ -174,7 +201,8 @@ def test_the_coil_is_at_0_volts_when_the_node_ends(graph: Any, terminals: Termin
     assert graph.log("daq") == ""
 
 
-def test_a_tare_needs_rest(graph: Any, terminals: Terminals) -> None:
+def test_a_tare_needs_rest(graph: Any, own_terminals: Terminals) -> None:
+    terminals = own_terminals
     refused = graph.call("daq/tare", Trigger)
     assert (refused.success, refused.message[:16]) == (False, "tare: 0 samples,")
     for _ in range(100):
@@ -194,9 +222,10 @@ def test_a_tare_needs_rest(graph: Any, terminals: Terminals) -> None:
     assert "the coil is driven" in graph.call("daq/tare", Trigger).message
 
 
-def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(graph: Any, terminals: Terminals) -> None:
+def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(terminals: Terminals) -> None:
+    graph = terminals.graph
     terminals.drive(0.5, 2.5)
-    terminals._input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
+    terminals.analog_input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
     graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
     graph.until(lambda: "the plant has no ai1, ai2, ai4" in graph.log("daq"))
     for _ in range(3):

@@ -2,30 +2,32 @@
 
 import dataclasses
 import math
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_base import InputError, from_mapping, read_node_parameters
-from mrd_bench_driver.interlocks import HEALTH, HOMING, INTERLOCKS, Snapshot, Tolerances, check
-from mrd_bench_driver.modes import TRANSITIONS, Mode, change
+from mrd_base import from_mapping, read_node_parameters
+from mrd_bench_driver.servo.status import ServoStatus
+from mrd_bench_driver.supervision.errors import RefusedError, TrippedError
+from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCKS, RESET_INTERLOCKS, Tolerances, first_trip
+from mrd_bench_driver.supervision.modes import TRANSITIONS, BenchMode, Mode
+from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 LIMITS, TOLERANCES = Limits(), Tolerances()
-WELL = Snapshot(
+HEALTHY = Snapshot(
     sample_age=0.03,
     position=0.01,
     force=100.0,
     speed=0.1,
     current=0.5,
     servo_age=0.02,
-    servo_connected=True,
-    servo_position=0.01,
-    servo_speed=0.1,
-    following_error=0.0005,
+    servo=ServoStatus(position=0.01, velocity=0.1, following_error=0.0005, connected=True, homed=True),
 )
 
 within = st.builds(
@@ -36,30 +38,47 @@ within = st.builds(
     speed=st.floats(-0.25, 0.25) | st.just(math.nan),
     current=st.floats(-0.1, 1.1),
     servo_age=st.floats(0, 0.15),
-    servo_connected=st.just(True),
-    servo_fault=st.just(""),
-    servo_position=st.floats(-0.02675, 0.02675) | st.just(math.nan),
-    servo_speed=st.floats(-0.25, 0.25),
-    following_error=st.floats(-0.005, 0.005),
+    servo=st.builds(
+        ServoStatus,
+        position=st.floats(-0.02675, 0.02675),
+        velocity=st.floats(-0.25, 0.25),
+        following_error=st.floats(-0.005, 0.005),
+        connected=st.just(True),
+        homed=st.just(True),
+        message=st.sampled_from(["", "setpoints stopped"]),
+    )
+    | st.builds(ServoStatus, position=st.floats(), following_error=st.floats(), connected=st.just(True)),
     setpoint_age=st.floats(0, 0.15),
 )
 
 
+def changed(now: Snapshot, **values: object) -> Snapshot:
+    """Replace values of a snapshot; ``servo_NAME`` is the field NAME of its servo, which is homed."""
+    servo = {name.removeprefix("servo_"): value for name, value in values.items() if name.startswith("servo_")}
+    age = {"servo_age": servo.pop("age")} if "age" in servo else {}
+    others = {name: value for name, value in values.items() if not name.startswith("servo_")}
+    if servo:
+        # The numbers of a servo that is not homed do not count and may be anything.
+        numbers = {} if now.servo.homed else {"position": 0.0, "following_error": 0.0}
+        others["servo"] = dataclasses.replace(now.servo, **{"homed": True, **numbers, **servo})
+    return dataclasses.replace(now, **age, **others)
+
+
 @given(within)
 def test_nothing_trips_within_the_limits(now: Snapshot) -> None:
-    for interlocks in (INTERLOCKS, HOMING, HEALTH):
-        assert check(now, LIMITS, TOLERANCES, interlocks) is None
+    for interlocks in (INTERLOCKS, HOMING_INTERLOCKS, RESET_INTERLOCKS):
+        assert first_trip(now, LIMITS, TOLERANCES, interlocks) is None
 
 
 BEYOND = {
     "stale samples": {"sample_age": st.floats(0.1401, 1e6) | st.just(math.inf)},
     "lost servo": {"servo_age": st.floats(0.1501, 1e6) | st.sampled_from([math.inf, math.nan])},
-    "servo fault": {"servo_fault": st.sampled_from(["over-temperature", "?"])},
+    "servo fault": {"servo_fault": st.just(True)},
     "stale setpoint": {"setpoint_age": st.floats(0.1501, 1e6)},
     "stroke": {"position": st.floats(0.02676, 1) | st.floats(-1, -0.02676)},
-    "speed": {"servo_speed": st.floats(0.2501, 10) | st.floats(-10, -0.2501)},
+    "speed": {"servo_velocity": st.floats(0.2501, 10) | st.floats(-10, -0.2501)},
     "force": {"force": st.floats(800.1, 1e5) | st.floats(-1e5, -800.1) | st.just(math.nan)},
-    "following error": {"following_error": st.floats(0.0051, 1) | st.floats(-1, -0.0051) | st.just(math.nan)},
+    "following error": {"servo_following_error": st.floats(0.0051, 1) | st.floats(-1, -0.0051) | st.just(math.nan)},
     "current": {"current": st.floats(1.1001, 10) | st.floats(-10, -0.1001) | st.just(math.nan)},
 }
 
@@ -69,13 +88,13 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
     now: Snapshot, name: str, data: st.DataObject
 ) -> None:
     beyond = {field: data.draw(values) for field, values in BEYOND[name].items()}
-    trip = check(dataclasses.replace(now, **beyond), LIMITS, TOLERANCES)
+    trip = first_trip(changed(now, **beyond), LIMITS, TOLERANCES)
     assert trip is not None
     assert trip.interlock == name
     if name != "servo fault":
-        assert not abs(trip.value) <= abs(trip.limit)
-        assert "; " in trip.line
-        assert "\n" not in trip.line
+        assert re.search(r"limit|allowed", trip.message)
+        assert "; " in trip.message
+        assert "\n" not in trip.message
 
 
 @pytest.mark.parametrize(
@@ -86,40 +105,43 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
         ({"speed": -0.3}, "the rod moves at -300 mm/s by the LVDT, limit 250 mm/s"),
         ({"servo_connected": False}, "the motor does not answer; check its power and the serial line"),
         ({"sample_age": math.inf}, "no sample came, limit 140 ms"),
+        ({"servo_fault": True, "servo_message": "motor: over-temperature"}, "motor: over-temperature"),
+        ({"servo_fault": True}, "the motor or its driver stopped"),
+        ({"servo_stopped": True, "servo_message": "emergency stop"}, "its emergency stop is latched"),
         ({"current": -0.2}, "-0.200 A through the coil, allowed -0.100 to 1.100 A"),
     ],
 )
-def test_a_trip_names_its_sensor(change: dict[str, float], line: str) -> None:
-    trip = check(dataclasses.replace(WELL, **change), LIMITS, TOLERANCES)
+def test_a_trip_names_its_source(change: dict[str, Any], line: str) -> None:
+    trip = first_trip(changed(HEALTHY, **change), LIMITS, TOLERANCES)
     assert trip is not None
-    assert line in trip.line
+    assert line in trip.message
 
 
-def test_sources_that_fell_silent_come_before_what_they_said_last() -> None:
-    trip = check(dataclasses.replace(WELL, sample_age=1.0, force=5000.0), LIMITS, TOLERANCES)
+def test_silent_sources_come_before_their_last_values() -> None:
+    trip = first_trip(changed(HEALTHY, sample_age=1.0, force=5000.0), LIMITS, TOLERANCES)
     assert trip is not None
     assert trip.interlock == "stale samples"
 
 
 def test_homing_may_begin_beyond_the_limit_of_the_stroke_but_not_where_the_damper_cannot_be() -> None:
-    at_the_end = dataclasses.replace(WELL, position=0.0276, servo_position=math.nan)
-    assert check(at_the_end, LIMITS, TOLERANCES, HOMING) is None
-    assert check(at_the_end, LIMITS, TOLERANCES) is not None
+    at_the_end = changed(HEALTHY, position=0.0276, servo_homed=False)
+    assert first_trip(at_the_end, LIMITS, TOLERANCES, HOMING_INTERLOCKS) is None
+    assert first_trip(at_the_end, LIMITS, TOLERANCES) is not None
     for position in (0.0295, math.nan):
-        trip = check(dataclasses.replace(WELL, position=position), LIMITS, TOLERANCES, HOMING)
+        trip = first_trip(changed(HEALTHY, position=position), LIMITS, TOLERANCES, HOMING_INTERLOCKS)
         assert trip is not None
         assert trip.interlock == "stroke"
 
 
 def test_a_fault_may_be_reset_beyond_the_stroke_and_with_the_servo_in_fault_but_not_blind() -> None:
-    stuck = dataclasses.replace(WELL, position=0.0276, servo_fault="position error", following_error=0.01)
-    assert check(stuck, LIMITS, TOLERANCES, HEALTH) is None
-    assert check(dataclasses.replace(stuck, servo_connected=False), LIMITS, TOLERANCES, HEALTH) is not None
-    assert check(dataclasses.replace(stuck, sample_age=1.0), LIMITS, TOLERANCES, HEALTH) is not None
+    stuck = changed(HEALTHY, position=0.0276, servo_fault=True, servo_following_error=0.01)
+    assert first_trip(stuck, LIMITS, TOLERANCES, RESET_INTERLOCKS) is None
+    assert first_trip(changed(stuck, servo_connected=False), LIMITS, TOLERANCES, RESET_INTERLOCKS) is not None
+    assert first_trip(changed(stuck, sample_age=1.0), LIMITS, TOLERANCES, RESET_INTERLOCKS) is not None
 
 
-def test_nothing_heard_yet_is_not_well() -> None:
-    assert check(Snapshot(), LIMITS, TOLERANCES) is not None
+def test_a_bench_that_has_published_nothing_is_not_healthy() -> None:
+    assert first_trip(Snapshot(), LIMITS, TOLERANCES) is not None
 
 
 def test_the_shipped_tolerances_are_the_defaults() -> None:
@@ -132,18 +154,21 @@ def test_the_shipped_tolerances_are_the_defaults() -> None:
 
 @given(st.lists(st.sampled_from(Mode)))
 def test_a_fault_is_left_to_idle_only_and_can_always_come(wishes: list[Mode]) -> None:
-    mode = Mode.IDLE
+    changes: list[Mode] = []
+    bench = BenchMode(lambda mode, _reason: changes.append(mode))
     for wish in wishes:
-        if wish in TRANSITIONS[mode]:
-            assert mode is not Mode.FAULT or wish is Mode.IDLE
+        before = bench.current
+        if wish in TRANSITIONS[before]:
+            assert before is not Mode.FAULT or wish is Mode.IDLE
             # The rod never passes from one activity to another that nobody armed.
-            assert not (mode in (Mode.IDENTIFICATION, Mode.CONTROL) and wish.may_move)
-            mode = change(mode, wish)
-            assert mode is wish
+            assert not (before in (Mode.IDENTIFICATION, Mode.CONTROL) and wish.may_move)
+            bench.enter(wish, "wish")
+            assert bench.current is changes[-1] is wish
         else:
-            assert wish is not Mode.FAULT or mode is Mode.FAULT
-            with pytest.raises(InputError, match=f"from {mode} to {wish}"):
-                change(mode, wish)
+            assert wish is not Mode.FAULT or before is Mode.FAULT
+            with pytest.raises(TrippedError if before is Mode.FAULT else RefusedError):
+                bench.enter(wish, "wish")
+            assert bench.current is changes[-1] is before
 
 
 def test_every_mode_is_reached_and_left_to_idle() -> None:
@@ -151,11 +176,22 @@ def test_every_mode_is_reached_and_left_to_idle() -> None:
     assert all(Mode.IDLE in targets for mode, targets in TRANSITIONS.items() if mode is not Mode.IDLE)
 
 
-def test_a_refusal_says_what_to_do_first() -> None:
-    with pytest.raises(InputError, match="cannot go from fault to homing; remove the cause, then call reset_fault"):
-        change(Mode.FAULT, Mode.HOMING)
-    with pytest.raises(InputError, match="from control to identification; call stop"):
-        change(Mode.CONTROL, Mode.IDENTIFICATION)
+def test_a_refused_mode_says_what_to_do_first_and_the_first_fault_stays() -> None:
+    bench = BenchMode(lambda _mode, _reason: None)
+    bench.enter(Mode.CONTROL, "control")
+    with pytest.raises(RefusedError, match="cannot go from control to identification; call stop first"):
+        bench.enter(Mode.IDENTIFICATION, "run_experiment")
+    with pytest.raises(RefusedError, match=r"in mode control \(control\); call stop first"):
+        bench.require_idle()
+    assert bench.trip("force")
+    assert not bench.trip("speed")
+    bench.leave("stopped")
+    with pytest.raises(TrippedError, match="force"):
+        bench.enter(Mode.HOMING, "home")
+    with pytest.raises(TrippedError, match="force"):
+        bench.require_no_fault()
+    with pytest.raises(RefusedError, match=r"in mode fault \(force\); remove the cause, then call reset_fault"):
+        bench.require_idle()
 
 
 def test_modes_have_the_numbers_of_the_message() -> None:

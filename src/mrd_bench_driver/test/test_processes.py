@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from mrd_base import InputError
-from mrd_bench_driver.processes import BenchProcesses, Part, ProcessDiedError, bench_parts, find_executable
+from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, ProcessSpec, bench_processes, find_executable
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 
@@ -32,13 +32,13 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def add(prefix: Path, name: str, script: str = SCRIPT) -> Part:
+def add(prefix: Path, name: str, script: str = SCRIPT) -> ProcessSpec:
     (prefix / "share/ament_index/resource_index/packages/fakes").touch()
     program = prefix / "lib/fakes" / name
     program.parent.mkdir(parents=True, exist_ok=True)
     program.write_text(script.replace("{name}", name).replace("{ends}", str(prefix / "ends")))
     program.chmod(0o755)
-    return Part("fakes", name, {"port": "/tmp/a b", "rate": 2.0}, (BENCH,))
+    return ProcessSpec("fakes", name, {"port": "/tmp/a b", "rate": 2.0}, (BENCH,))
 
 
 def started(processes: BenchProcesses, times: int = 1) -> None:
@@ -48,7 +48,7 @@ def started(processes: BenchProcesses, times: int = 1) -> None:
         time.sleep(0.01)
 
 
-def test_parts_end_in_the_order_that_leaves_the_machine_safe(prefix: Path, tmp_path: Path) -> None:
+def test_processes_end_in_the_order_that_leaves_the_machine_safe(prefix: Path, tmp_path: Path) -> None:
     names = ["plant", "servo", "recorder", "generator", "helper"]
     with BenchProcesses([add(prefix, name) for name in names], tmp_path / "log") as processes:
         started(processes)
@@ -108,8 +108,8 @@ def test_a_part_can_be_killed_and_started_anew(prefix: Path, tmp_path: Path) -> 
 
 
 def test_nothing_is_started_when_a_part_is_missing(prefix: Path, tmp_path: Path) -> None:
-    parts = [add(prefix, "plant"), Part("fakes", "servo")]
-    with pytest.raises(InputError, match="package fakes has no executable servo"), BenchProcesses(parts, tmp_path / "log"):
+    specs = [add(prefix, "plant"), ProcessSpec("fakes", "servo")]
+    with pytest.raises(InputError, match="package fakes has no executable servo"), BenchProcesses(specs, tmp_path / "log"):
         pass
     assert not (tmp_path / "log").exists()
     with pytest.raises(InputError, match="package nothing is not built"):
@@ -117,11 +117,11 @@ def test_nothing_is_started_when_a_part_is_missing(prefix: Path, tmp_path: Path)
 
 
 @pytest.mark.skipif(shutil.which("setpriv") is None, reason="needs util-linux")
-def test_the_parts_end_when_their_starter_is_killed(prefix: Path, tmp_path: Path) -> None:
+def test_the_processes_end_when_their_starter_is_killed(prefix: Path, tmp_path: Path) -> None:
     add(prefix, "servo")
     script = (
-        "import sys, time; from pathlib import Path; from mrd_bench_driver.processes import BenchProcesses, Part\n"
-        f"with BenchProcesses([Part('fakes', 'servo')], Path({str(tmp_path / 'log')!r})): time.sleep(30)"
+        "import sys, time; from pathlib import Path; from mrd_bench_driver.processes import BenchProcesses, ProcessSpec\n"
+        f"with BenchProcesses([ProcessSpec('fakes', 'servo')], Path({str(tmp_path / 'log')!r})): time.sleep(30)"
     )
     starter = subprocess.Popen([sys.executable, "-c", script])
     log, ends = tmp_path / "log" / "servo.log", prefix / "ends"
@@ -137,19 +137,21 @@ def test_the_parts_end_when_their_starter_is_killed(prefix: Path, tmp_path: Path
 
 
 def test_a_simulated_bench_has_a_plant_and_one_serial_port(tmp_path: Path) -> None:
-    parts = {p.executable: p for p in bench_parts(BENCH, tmp_path / "plant.yaml", tmp_path / "motor", time_scale=4, seed=3)}
-    assert list(parts) == ["plant", "servo", "daq", "recorder", "generator", "supervisor"]
-    assert parts["plant"].parameters == {"time_scale": 4.0, "port_link": str(tmp_path / "motor"), "seed": 3}
-    assert parts["servo"].parameters == {"time_scale": 4.0, "port": str(tmp_path / "motor")}
-    assert parts["daq"].parameters["backend"] == "simulated"
-    assert parts["plant"].files == (BENCH, tmp_path / "plant.yaml")
+    specs = {
+        p.executable: p for p in bench_processes(BENCH, tmp_path / "plant.yaml", tmp_path / "motor", time_scale=4, seed=3)
+    }
+    assert list(specs) == ["plant", "servo", "daq", "recorder", "generator", "supervisor"]
+    assert specs["plant"].parameters == {"time_scale": 4.0, "port_link": str(tmp_path / "motor"), "seed": 3}
+    assert specs["servo"].parameters == {"time_scale": 4.0, "port": str(tmp_path / "motor")}
+    assert specs["daq"].parameters["backend"] == "simulated"
+    assert specs["plant"].files == (BENCH, tmp_path / "plant.yaml")
 
 
 def test_a_real_bench_needs_a_real_converter(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="daq has backend simulated; add --simulated"):
-        bench_parts(BENCH, None, tmp_path / "motor")
+        bench_processes(BENCH, None, tmp_path / "motor")
     real = tmp_path / "bench.yaml"
     real.write_text("/**/daq: {ros__parameters: {backend: ni_usb_6216}}")
-    parts = {part.executable: part for part in bench_parts(real, None, tmp_path / "motor")}
-    assert "plant" not in parts
-    assert "port" not in parts["servo"].parameters
+    specs = {part.executable: part for part in bench_processes(real, None, tmp_path / "motor")}
+    assert "plant" not in specs
+    assert "port" not in specs["servo"].parameters

@@ -1,4 +1,4 @@
-"""The servo against a motor of a few lines: in virtual time, then on a pseudo-terminal."""
+"""The servo with a fake motor: in virtual time, on a pseudo-terminal, and as a node."""
 
 import contextlib
 import math
@@ -18,19 +18,19 @@ import numpy as np
 import pytest
 
 from mrd_base import BenchClock, from_mapping, read_node_parameters
-from mrd_bench_driver.drive import Setpoint
-from mrd_bench_driver.servo import Servo
-from mrd_bench_driver.servo_config import ServoConfig
-from mrd_bench_driver.servo_loop import ServoLoop
-from mrd_bench_driver.smartmotor import Drive, Units
-from mrd_bench_driver.smartmotor_setup import Motor
+from mrd_bench_driver.servo.communication import ServoCommunication
+from mrd_bench_driver.servo.config import ServoConfig
+from mrd_bench_driver.servo.controller import ServoController
+from mrd_bench_driver.servo.motor_setup import MotorIdentity
+from mrd_bench_driver.servo.smartmotor import Drivetrain, MotorUnits
+from mrd_bench_driver.servo.streaming import RodSetpoint
 
-UNITS = Units(Drive())
+UNITS = MotorUnits(Drivetrain())
 MM = 1e-3
 
 
 class FakeMotor:
-    """Trapezoids and registers; just enough of a SmartMotor for the servo."""
+    """A SmartMotor reduced to what the servo needs: trapezoidal profiles and registers."""
 
     def __init__(self, position: float = 0.0) -> None:
         self.position = float(UNITS.counts(position))
@@ -87,20 +87,20 @@ class FakeMotor:
         return str(answers[text]) if text in answers else None
 
 
-class Bench:
-    """Servo and motor in virtual time, with the line's delays; ``tamper`` may spoil the replies (None: missing)."""
+class SimulatedServo:
+    """Controller and motor in virtual time, with the delays of the line. ``tamper`` may change replies, None drops them."""
 
     def __init__(self, position: float = 0.0, **config: object) -> None:
         self.config = ServoConfig(**config)  # type: ignore[arg-type]
         self.motor = FakeMotor(position + 0.007)  # the encoder knows no origin
         self.offset = -0.007
-        self.servo = Servo(self.config)
+        self.servo = ServoController(self.config)
         self.now = 100.0
         self.motor.time = self.now
         self.tamper = lambda replies: replies
         self.trace: list[tuple[float, float]] = []
         self.lvdt_error, self.lvdt_runs = 0.0, True
-        self.servo.connected(Motor(UNITS, round(self.motor.position), (3, 0)), self.config.baud_rate, self.now)
+        self.servo.connect(MotorIdentity(UNITS, round(self.motor.position), (3, 0)), self.config.baud_rate, self.now)
 
     @property
     def rod(self) -> float:
@@ -126,21 +126,21 @@ class Bench:
             self.now = max(due, self.now) + rng.random() * jitter
             self.motor.advance(self.now)
             if setpoint is not None:
-                self.servo.setpoint(setpoint(self.now), self.now)
+                self.servo.follow(setpoint(self.now), self.now)
             if self.lvdt_runs:
-                self.servo.samples(self.now, 0.001, np.full(10, self.rod + self.lvdt_error))
-            self.send(self.servo.take())
+                self.servo.add_samples(self.now, 0.001, np.full(10, self.rod + self.lvdt_error))
+            self.send(self.servo.take_commands())
             start, batch = self.now, self.servo.tick(self.now)
             due = start + self.servo.period
             replies = self.tamper(self.send(batch.data))
             if replies is None:
                 self.now += 0.03
-                self.servo.missed()
+                self.servo.replies_missed()
             else:
                 self.now += 0.002 + 10 * (len(replies[0]) + 1) / self.config.baud_rate
                 self.motor.advance(self.now)
-                values = [report.parse(reply.encode()) for report, reply in zip(batch.reports, replies, strict=True)]
-                self.servo.replied(batch, values, self.now)
+                values = [query.parse(reply.encode()) for query, reply in zip(batch.queries, replies, strict=True)]
+                self.servo.take_replies(batch, values, self.now)
             self.trace.append((self.now, self.rod))
 
     def settle(self, duration: float) -> float:
@@ -153,24 +153,24 @@ class Bench:
         return most
 
     @property
-    def report(self):
-        return self.servo.report(self.now)
+    def status(self):
+        return self.servo.status(self.now)
 
 
 @pytest.fixture
-def homed() -> Bench:
+def homed() -> SimulatedServo:
     return home()
 
 
-def home(**config: object) -> Bench:
-    bench = Bench(position=4 * MM, **config)
+def home(**config: object) -> SimulatedServo:
+    bench = SimulatedServo(position=4 * MM, **config)
     assert bench.servo.home(bench.now).success
     bench.run(4.0)
-    assert bench.report.homed, bench.report
+    assert bench.status.homed, bench.status
     return bench
 
 
-def sine(bench: Bench, amplitude: float = 5 * MM, frequency: float = 1.5):
+def sine(bench: SimulatedServo, amplitude: float = 5 * MM, frequency: float = 1.5):
     begin, w = bench.now, 2 * math.pi * frequency
 
     def position(now: float) -> float:
@@ -178,10 +178,10 @@ def sine(bench: Bench, amplitude: float = 5 * MM, frequency: float = 1.5):
         s = min(1.0, max(0.0, now - begin))
         return amplitude * s**3 * (10 - 15 * s + 6 * s**2) * math.sin(w * (now - begin))
 
-    def at(now: float) -> Setpoint:
+    def at(now: float) -> RodSetpoint:
         h = 1e-4
         before, here, after = position(now - h), position(now), position(now + h)
-        return Setpoint(now, here, (after - before) / (2 * h), (after - 2 * here + before) / h**2)
+        return RodSetpoint(now, here, (after - before) / (2 * h), (after - 2 * here + before) / h**2)
 
     return at
 
@@ -193,10 +193,10 @@ def test_shipped_configuration_is_the_default():
 
 def test_homing_finds_mid_stroke(homed):
     assert abs(homed.rod) < 0.05 * MM
-    assert abs(homed.report.position - homed.rod) < 0.05 * MM
+    assert abs(homed.status.position - homed.rod) < 0.05 * MM
     assert homed.motor.limits
-    assert homed.report.enabled
-    assert not homed.report.fault
+    assert homed.status.enabled
+    assert not homed.status.fault
     limit = [text for text in homed.motor.log if text.startswith(("SLN", "SLP"))]
     assert limit == [f"SLN={UNITS.counts(-0.02675)}", f"SLP={UNITS.counts(0.02675)}"]
 
@@ -214,44 +214,44 @@ def test_homing_never_exceeds_its_speed(homed):
     ],
 )
 def test_homing_refuses(spoil, line):
-    bench = Bench()
+    bench = SimulatedServo()
     assert bench.servo.home(bench.now).success
     bench.run(0.05)
     bench.motor.mode, bench.motor.planned = "hold", (0.0, 0.0)
     spoil(bench)
     bench.run(3.0)
-    assert line in bench.report.message
-    assert bench.report.fault
-    assert not bench.report.homed
+    assert line in bench.status.message
+    assert bench.status.fault
+    assert not bench.status.homed
 
 
 def test_homing_notices_an_lvdt_that_goes_the_other_way():
-    bench = Bench(position=10 * MM)
+    bench = SimulatedServo(position=10 * MM)
     bench.servo.home(bench.now)
     bench.run(0.5)
     begin = bench.rod
-    original = bench.servo.samples
-    bench.servo.samples = lambda t, dt, x: original(t, dt, 2 * begin - x)
+    original = bench.servo.add_samples
+    bench.servo.add_samples = lambda t, dt, x: original(t, dt, 2 * begin - x)
     bench.run(4.0)
-    assert "disagree" in bench.report.message
+    assert "disagree" in bench.status.message
     assert abs(bench.rod - begin) < 6 * MM
 
 
 def test_homing_compares_at_the_end():
-    bench = Bench(position=4 * MM)
+    bench = SimulatedServo(position=4 * MM)
     bench.servo.home(bench.now)
     bench.run(0.5)
     bench.lvdt_error = 0.8 * MM
     bench.run(4.0)
-    assert "disagree by 0.8" in bench.report.message
-    assert not bench.report.homed
+    assert "disagree by 0.8" in bench.status.message
+    assert not bench.status.homed
 
 
 def test_a_rod_beyond_the_limits_can_be_homed():
-    bench = Bench(position=27.2 * MM)
+    bench = SimulatedServo(position=27.2 * MM)
     bench.servo.home(bench.now)
     bench.run(8.0)
-    assert bench.report.homed
+    assert bench.status.homed
     assert abs(bench.rod) < 0.05 * MM
     assert bench.motor.limits
 
@@ -263,7 +263,7 @@ def test_sine_is_followed(baud_rate, most):
     wanted = sine(bench)
     bench.run(4.0, wanted, jitter=0.002)
     error = [wanted(now).position - rod for now, rod in bench.trace]
-    assert not bench.report.fault, bench.report.message
+    assert not bench.status.fault, bench.status.message
     assert np.abs(error).max() < most * MM
     assert np.ptp([rod for _, rod in bench.trace]) > 9.5 * MM
 
@@ -300,45 +300,45 @@ def test_setpoints_that_stop_stop_the_rod(homed):
     homed.run(0.18)
     assert "X" in homed.motor.log
     assert homed.motor.velocity == 0
-    assert "setpoints stopped" in homed.report.message
-    assert not homed.report.enabled
+    assert "setpoints stopped" in homed.status.message
+    assert not homed.status.enabled
     stands = homed.rod
-    homed.run(0.3, lambda now: Setpoint(now, stands + 0.5 * MM, 0, 0))
+    homed.run(0.3, lambda now: RodSetpoint(now, stands + 0.5 * MM, 0, 0))
     assert homed.rod == stands
     assert homed.servo.enable(True, homed.now).success
-    homed.run(0.5, lambda now: Setpoint(now, stands + 0.5 * MM, 0, 0))
+    homed.run(0.5, lambda now: RodSetpoint(now, stands + 0.5 * MM, 0, 0))
     assert homed.rod == pytest.approx(stands + 0.5 * MM, abs=5e-6)
 
 
 def test_setpoints_that_end_at_rest_leave_the_servo_armed(homed):
-    homed.run(0.5, lambda now: Setpoint(now, 0.3 * MM, 0, 0))
+    homed.run(0.5, lambda now: RodSetpoint(now, 0.3 * MM, 0, 0))
     homed.run(0.5)
-    assert homed.report.enabled
-    assert homed.report.message == ""
+    assert homed.status.enabled
+    assert homed.status.message == ""
 
 
 @pytest.mark.parametrize(
     ("bad", "line"),
     [
-        (Setpoint(0, 0.027, 0, 0), "exceeds the reach"),
-        (Setpoint(0, 0, 0.21, 0), "exceeds the speed"),
-        (Setpoint(0, math.nan, 0, 0), "finite"),
-        (Setpoint(0, 0.002, 0, 0), "away from the rod"),
+        (RodSetpoint(0, 0.027, 0, 0), "exceeds the reach"),
+        (RodSetpoint(0, 0, 0.21, 0), "exceeds the speed"),
+        (RodSetpoint(0, math.nan, 0, 0), "finite"),
+        (RodSetpoint(0, 0.002, 0, 0), "away from the rod"),
     ],
 )
 def test_impossible_setpoints_are_refused(homed, bad, line):
-    homed.run(0.2, lambda now: Setpoint(now, bad.position, bad.velocity, bad.acceleration))
-    assert line in homed.report.message
-    assert homed.report.fault
+    homed.run(0.2, lambda now: RodSetpoint(now, bad.position, bad.velocity, bad.acceleration))
+    assert line in homed.status.message
+    assert homed.status.fault
     assert abs(homed.rod) < 0.05 * MM
     assert not homed.servo.enable(True, homed.now).success
 
 
 def test_setpoints_before_homing_are_ignored():
-    bench = Bench()
+    bench = SimulatedServo()
     bench.servo.enable(True, bench.now)
     before = bench.rod
-    bench.run(0.5, lambda now: Setpoint(now, bench.rod + 0.1 * MM, 0.01, 0))
+    bench.run(0.5, lambda now: RodSetpoint(now, bench.rod + 0.1 * MM, 0.01, 0))
     assert bench.rod == before
     assert bench.servo.ignored_setpoints > 10
 
@@ -348,7 +348,7 @@ def test_following_error_is_a_fault(homed):
     homed.run(1.2, wanted)
     homed.motor.command = lambda text, original=homed.motor.command: None if text == "G" else original(text)
     homed.run(0.3, wanted)
-    assert "following error" in homed.report.message
+    assert "following error" in homed.status.message
     assert homed.motor.velocity == 0
 
 
@@ -361,8 +361,8 @@ def test_bad_replies_stop_the_rod(homed, spoil):
     homed.run(1.2, sine(homed))
     homed.tamper = spoil
     wanted = sine(homed)
-    homed.run(0.4, lambda now: Setpoint(now, wanted(now).position, 0, 0))
-    assert homed.report.fault
+    homed.run(0.4, lambda now: RodSetpoint(now, wanted(now).position, 0, 0))
+    assert homed.status.fault
     assert homed.motor.velocity == 0
 
 
@@ -372,47 +372,47 @@ def test_single_bad_replies_do_not_disturb(homed):
     wanted = sine(homed)
     homed.trace.clear()
     homed.run(4.0, wanted)
-    assert not homed.report.fault, homed.report.message
+    assert not homed.status.fault, homed.status.message
     assert max(abs(wanted(now).position - rod) for now, rod in homed.trace) < 2 * MM
 
 
 def test_a_reset_motor_is_not_homed_any_more(homed):
     homed.motor.position -= 20000
     homed.run(0.5)
-    assert "jumped" in homed.report.message
-    assert not homed.report.homed
+    assert "jumped" in homed.status.message
+    assert not homed.status.homed
 
 
 def test_emergency_stop_latches(homed):
     homed.run(1.2, sine(homed))
     homed.servo.emergency_stop(homed.now)
-    assert homed.servo.take() == b"S\r"
+    assert homed.servo.take_commands() == b"S\r"
     homed.servo.emergency_stop(homed.now)
     homed.run(0.4, sine(homed))
     assert homed.motor.off
-    assert homed.report.stopped
+    assert homed.status.stopped
     assert not homed.servo.enable(True, homed.now).success
     assert not homed.servo.home(homed.now).success
     assert homed.servo.reset_fault(homed.now).success
     homed.run(0.1)
     assert homed.motor.log[homed.motor.log.index("OFF") :].count("ZS") == 1
-    assert not homed.report.stopped
-    assert not homed.report.enabled
+    assert not homed.status.stopped
+    assert not homed.status.enabled
     assert homed.servo.enable(True, homed.now).success
     homed.run(0.2)
-    assert homed.report.enabled
+    assert homed.status.enabled
     assert not homed.motor.off
-    assert homed.report.homed
+    assert homed.status.homed
 
 
 def test_motor_faults_are_named_and_reset(homed):
     homed.motor.faults, homed.motor.off = 1 << 6, True
     homed.run(0.2)
-    assert "position error too large (Be)" in homed.report.message
-    assert not homed.report.enabled
+    assert "position error too large (Be)" in homed.status.message
+    assert not homed.status.enabled
     homed.servo.reset_fault(homed.now)
     homed.run(0.2)
-    assert homed.report.message == ""
+    assert homed.status.message == ""
     assert homed.motor.off
 
 
@@ -422,21 +422,21 @@ def test_disable_lets_go(homed):
     homed.run(0.5)
     assert homed.motor.off
     assert homed.motor.velocity == 0
-    assert not homed.report.fault
+    assert not homed.status.fault
 
 
 def test_reconnecting_keeps_the_origin_only_of_a_motor_that_was_not_reset(homed):
-    motor = Motor(UNITS, round(homed.motor.position), (3, 1 << 10))
+    motor = MotorIdentity(UNITS, round(homed.motor.position), (3, 1 << 10))
     for words, kept in (((3, 1 << 10), True), ((3, 0), False)):
-        homed.servo.lost("unplugged")
-        assert not homed.report.connected
-        assert "unplugged" in homed.report.message
-        homed.servo.connected(Motor(UNITS, motor.position, words), 115200, homed.now)
-        assert homed.report.homed is kept
-        assert not homed.report.enabled
+        homed.servo.disconnect("unplugged")
+        assert not homed.status.connected
+        assert "unplugged" in homed.status.message
+        homed.servo.connect(MotorIdentity(UNITS, motor.position, words), 115200, homed.now)
+        assert homed.status.homed is kept
+        assert not homed.status.enabled
 
 
-# -- on a pseudo-terminal ----------------------------------------------------------------------------------------------
+# On a pseudo-terminal
 
 
 class FakeLine:
@@ -487,21 +487,26 @@ class FakeLine:
 
 
 @contextlib.contextmanager
-def looped(fake: FakeLine, **config: object):
-    reports = []
-    loop = ServoLoop(ServoConfig(port=str(fake.link), **config), BenchClock(), reports.append)  # type: ignore[arg-type]
-    loop.start()
+def communicating(fake: FakeLine, **config: object):
+    """A controller that is connected with the fake motor, and the list of its statuses."""
+    statuses = []
+    communication = ServoCommunication(
+        ServoConfig(port=str(fake.link), **config),  # type: ignore[arg-type]
+        BenchClock(),
+        statuses.append,
+    )
+    communication.start()
     try:
-        yield loop, reports
+        yield communication.controller, statuses
     finally:
-        loop.close()
+        communication.close()
 
 
 def until(condition, limit: float = 4.0) -> None:
     end = time.monotonic() + limit
     while not condition():
         assert time.monotonic() < end, "did not happen in time"
-        time.sleep(0.005)
+        time.sleep(0.002)
 
 
 @pytest.fixture
@@ -512,86 +517,89 @@ def fake(tmp_path):
         line.unplug()
 
 
-def test_loop_finds_the_motor_and_raises_the_baud_rate(fake):
-    with looped(fake) as (loop, reports):
-        until(lambda: reports and reports[-1].connected)
+def test_the_motor_is_found_and_its_baud_rate_raised(fake):
+    with communicating(fake) as (controller, statuses):
+        until(lambda: statuses and statuses[-1].connected)
         assert fake.baud_rate == 115200
-        assert reports[-1].position == pytest.approx(3 * MM, abs=1e-6)
-        until(lambda: not math.isnan(reports[-1].temperature))
-        first = len(reports)
-        time.sleep(0.5)
-        assert 20 <= len(reports) - first <= 55
-        assert loop.servo.missed_replies == 0
-    assert fake.motor.log[-2:] == ["X", "OFF"]
+        assert statuses[-1].position == pytest.approx(3 * MM, abs=1e-6)
+        until(lambda: not math.isnan(statuses[-1].temperature))
+        first, begin = len(statuses), time.monotonic()
+        until(lambda: len(statuses) >= first + 20)
+        # 100 ticks per second; the machine may be slower, never faster.
+        assert 0.15 < time.monotonic() - begin < 0.5
+        assert controller.missed_replies == 0
+    until(lambda: fake.motor.log[-2:] == ["X", "OFF"])
 
 
-def test_loop_stops_at_once_and_leaves_the_drive_off(fake):
-    with looped(fake) as (loop, reports):
-        until(lambda: reports and reports[-1].connected)
-        loop.servo.enable(True, loop.servo.report(0).time)
+def test_a_stop_interrupts_the_wait_for_replies_and_the_drive_is_left_off(fake):
+    with communicating(fake) as (controller, statuses):
+        until(lambda: statuses and statuses[-1].connected)
+        controller.enable(True, controller.status(0).time)
         until(lambda: not fake.motor.off)
-        fake.answer = lambda text, reply: None  # the loop waits for a reply while the stop comes
-        time.sleep(0.02)
+        fake.answer = lambda text, reply: None
+        queries = fake.motor.log.count("RPA")
+        until(lambda: fake.motor.log.count("RPA") > queries)  # its reply will not come
         begin = time.monotonic()
-        loop.servo.emergency_stop(BenchClock().now())
+        controller.emergency_stop(BenchClock().now())
         until(lambda: "S" in fake.motor.log)
         assert time.monotonic() - begin < 0.1
-    assert fake.motor.off
+    until(lambda: fake.motor.off)
 
 
-def test_loop_reconnects_and_does_not_resume(fake):
-    with looped(fake) as (loop, reports):
-        until(lambda: reports and reports[-1].connected)
-        loop.servo.enable(True, BenchClock().now())
-        until(lambda: reports[-1].enabled)
+def test_a_motor_that_is_plugged_in_again_does_not_move(fake):
+    with communicating(fake) as (controller, statuses):
+        until(lambda: statuses and statuses[-1].connected)
+        controller.enable(True, BenchClock().now())
+        until(lambda: statuses[-1].enabled)
         fake.unplug()
-        until(lambda: not reports[-1].connected)
+        until(lambda: not statuses[-1].connected)
         fake.baud_rate, fake.motor.off = 9600, True
         fake.motor.log.clear()
         fake.plug()
-        until(lambda: reports[-1].connected)
-        time.sleep(0.1)
+        until(lambda: statuses[-1].connected)
+        until(lambda: fake.motor.log.count("RPA") > 10)
         assert "G" not in fake.motor.log
-        assert not reports[-1].enabled
+        assert not statuses[-1].enabled
 
 
 def test_late_replies_are_never_taken_for_others(fake):
-    with looped(fake) as (loop, reports):
-        until(lambda: reports and reports[-1].connected)
+    with communicating(fake) as (controller, statuses):
+        until(lambda: statuses and statuses[-1].connected)
         held = []
 
         def late(text: str, reply: str | None) -> str | None:
-            # The tenth reply comes only after the next question, and so do all that follow.
+            # The tenth reply comes only after the next query, and so do all that follow.
             if reply is None:
                 return None
             held.append(reply)
             return None if len(held) == 10 else held[-2] if len(held) > 10 else reply
 
         fake.answer = late
-        time.sleep(0.3)
+        until(lambda: len(held) > 25)
         fake.answer = lambda text, reply: reply
-        time.sleep(0.1)
-        assert loop.servo.missed_replies > 0
-        assert {round(report.position, 5) for report in reports if report.connected} == {0.003}
+        received = len(statuses)
+        until(lambda: len(statuses) > received + 5)
+        assert controller.missed_replies > 0
+        assert {round(status.position, 5) for status in statuses if status.connected} == {0.003}
 
 
-def test_wrong_motor_is_refused(fake):
+def test_a_motor_of_another_resolution_is_refused(fake):
     fake.answer = lambda text, reply: "4000" if text == "RRES" else reply
-    with looped(fake) as (_, reports):
-        until(lambda: reports)
-        assert "4000 counts per revolution" in reports[-1].message
-        assert not reports[-1].connected
+    with communicating(fake) as (_, statuses):
+        until(lambda: statuses)
+        assert "4000 counts per revolution" in statuses[-1].message
+        assert not statuses[-1].connected
 
 
-def test_mute_motor_is_a_lost_line(fake):
-    with looped(fake) as (_, reports):
-        until(lambda: reports and reports[-1].connected)
+def test_a_motor_that_falls_silent_is_a_lost_line(fake):
+    with communicating(fake) as (_, statuses):
+        until(lambda: statuses and statuses[-1].connected)
         fake.mute = True
-        until(lambda: not reports[-1].connected)
-        assert "no longer answers" in reports[-1].message
+        until(lambda: not statuses[-1].connected)
+        assert "no longer answers" in statuses[-1].message
 
 
-# -- as a node ---------------------------------------------------------------------------------------------------------
+# As a node
 
 
 def test_node_homes_follows_and_lets_go(fake):
@@ -616,11 +624,11 @@ def test_node_homes_follows_and_lets_go(fake):
         setpoints = node.create_publisher(msg.Setpoint, "setpoint", COMMAND)
         stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
 
-        def spin(condition, each=lambda: None, limit: float = 10.0):
+        def spin(condition, publish=lambda: None, limit: float = 10.0):
             end = time.monotonic() + limit
             while not condition():
                 assert time.monotonic() < end, states[-1] if states else "no state"
-                each()
+                publish()
                 executor.spin_once(timeout_sec=0.01)
 
         def call(kind, name, **request):

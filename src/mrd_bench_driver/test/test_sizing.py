@@ -29,11 +29,11 @@ def test_the_supply_limits_unless_it_suffices():
     assert Sizing(supply_current=20.0).supplied_torque == 1.45
 
 
-def test_every_misprint_has_its_reason():
+def test_every_misprint_has_a_remark():
     rows = {row.name: row for row in compare(Sizing())}
     for printed in ("1800 N", "200.96 mm", "20.93 cm/s", "2.25", "2447 N", "< 7 N"):
         (row,) = [row for row in rows.values() if row.printed == printed]
-        assert row.why
+        assert row.remark
         assert row.value != printed
 
 

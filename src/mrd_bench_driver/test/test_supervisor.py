@@ -1,4 +1,4 @@
-"""The supervisor as a process, with servo, daq, generator and recorder played here."""
+"""The supervisor as a process, with fakes of servo, DAQ, generator and recorder."""
 
 import array
 from collections.abc import Callable
@@ -22,34 +22,29 @@ SET = [EXPERIMENT.replace("short", name) for name in ("01_a", "02_b", "03_c")]
 ALL = ("servo", "daq", "generator", "recorder")
 
 
-def said(feedback: Any) -> str:
-    """Phase of an experiment; in a set, with its number and name."""
-    which = f"{feedback.number} {feedback.experiment} " if isinstance(feedback, RunSet.Feedback) else ""
-    return which + str(feedback.phase)
+def phase(feedback: Any) -> str:
+    """Phase of an experiment, preceded in a set by its number and name."""
+    prefix = f"{feedback.number} {feedback.experiment} " if isinstance(feedback, RunSet.Feedback) else ""
+    return prefix + str(feedback.phase)
 
 
 class Fakes:
-    """Peers that do what they are asked, note it, and can be broken."""
+    """Fakes of the other nodes. They do what they are asked, note it, and can be broken."""
 
     def __init__(self, graph: Any, peers: tuple[str, ...] = ALL) -> None:
         self.graph = graph
         self.calls: list[str] = []
-        self.force, self.position, self.rate, self.sequence = 100.0, -1e-3, 100.0, 0
-        self.current = 0.0
-        self.sampling = self.reporting = self.generating = self.hearing = True
-        self.servo = ServoState(connected=True, position=float("nan"))
-        self.stop_answer = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
-        self.trouble: dict[str, str] = {}  # answer of a service that refuses
-        self.remaining = 0
+        self.stops: list[tuple[float, bool]] = []
+        self.ticks = 0
+        self.restore()
         node = graph.node
         self._samples = node.create_publisher(BenchSamples, "samples", RECORDED)
         self._servo = node.create_publisher(ServoState, "servo_state", RECORDED)
         self._setpoint = node.create_publisher(Setpoint, "setpoint", COMMAND)
         self._experiment = node.create_publisher(String, "experiment_state", LATCHED)
         self.emergency_stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
-        self.stops: list[tuple[float, bool]] = []
         node.create_subscription(Bool, "emergency_stop", self._on_stop, LATCHED)
-        self.states: list[BenchState] = graph.hear("bench_state", BenchState, LATCHED)
+        self.states: list[BenchState] = graph.subscribe("bench_state", BenchState, LATCHED)
         services: dict[str, dict[str, tuple[Any, Callable[[Any, Any], None]]]] = {
             "servo": {
                 "servo/enable": (SetBool, self._enable),
@@ -79,11 +74,39 @@ class Fakes:
         self.action = ActionClient(node, RunExperiment, "run_experiment")
         self.set_action = ActionClient(node, RunSet, "run_set")
 
+    def restore(self) -> None:
+        """Repair everything; the rod is not homed."""
+        self.force, self.position, self.rate, self.sequence = 100.0, -1e-3, 100.0, 0
+        self.current = 0.0
+        self.sampling = self.reporting = self.generating = True
+        self.servo = ServoState(connected=True, position=float("nan"))
+        self.bag = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
+        self.refusals: dict[str, str] = {}  # message of each service that refuses
+        self.remaining = 0
+
+    def reset(self) -> None:
+        """Bring the bench to idle, as it is after the start of the supervisor."""
+        self.restore()
+        self.await_ticks()
+        if self.mode() != BenchState.IDLE:
+            answer = self.graph.call("reset_fault" if self.mode() == BenchState.FAULT else "stop", Trigger)
+            assert answer.success, answer.message
+            self.graph.until(lambda: self.mode() == BenchState.IDLE)
+            self.restore()
+            self.await_ticks()
+        self.calls.clear()
+        self.stops.clear()
+
+    def await_ticks(self, count: int = 3) -> None:
+        """Wait until the supervisor has received what the fakes publish."""
+        last = self.ticks + count
+        self.graph.until(lambda: self.ticks >= last)
+
     def _serve(self, name: str, work: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
         def serve(request: Any, response: Any) -> Any:
             self.calls.append(name + (f" {request.data}" if name == "servo/enable" else ""))
-            if name in self.trouble:
-                response.message = self.trouble[name]
+            if name in self.refusals:
+                response.message = self.refusals[name]
                 return response
             if hasattr(response, "success"):
                 response.success = True
@@ -97,7 +120,7 @@ class Fakes:
 
     def _on_stop(self, message: Bool) -> None:
         self.stops.append((self.graph.clock.now(), message.data))
-        if message.data and self.hearing:
+        if message.data:
             self.servo.stopped, self.servo.enabled, self.servo.velocity = True, False, 0.0
             self._abort(None, None)
 
@@ -133,10 +156,10 @@ class Fakes:
             self._experiment.publish(String(data="aborted"))
 
     def _start_recording(self, request: Any, _response: Any) -> None:
-        self.stop_answer["bag"] = request.bag
+        self.bag["bag"] = request.bag
 
     def _stop_recording(self, _request: Any, response: Any) -> None:
-        for name, value in self.stop_answer.items():
+        for name, value in self.bag.items():
             setattr(response, name, value)
 
     def _stamped(self, message: Any, time: float) -> Any:
@@ -145,6 +168,7 @@ class Fakes:
 
     def _tick(self) -> None:
         now = self.graph.clock.now()
+        self.ticks += 1
         if self.sampling:
             count = max(1, round(0.02 * self.rate))
             columns = {"position": self.position, "force": self.force, "coil_current": self.current, "acceleration": 0.0}
@@ -161,7 +185,7 @@ class Fakes:
             if not self.remaining:
                 self._experiment.publish(String(data="done"))
 
-    # What a person does
+    # The client
 
     def send(self, experiment: str = EXPERIMENT) -> Any:
         return self._send(self.action, RunExperiment.Goal(experiment=experiment, bag="/tmp/bag", seed=3))
@@ -172,7 +196,7 @@ class Fakes:
     def _send(self, action: ActionClient, goal: Any) -> Any:
         self.feedback: list[str] = []
         self.graph.until(action.server_is_ready, failure=self.graph.log("supervisor"))
-        sent = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(said(m.feedback)))
+        sent = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(phase(m.feedback)))
         self.graph.until(sent.done)
         return sent.result()
 
@@ -193,6 +217,8 @@ class Fakes:
 
 @pytest.fixture
 def start(graph: Any) -> Callable[..., Fakes]:
+    """Start a supervisor of the test's own."""
+
     def start(peers: tuple[str, ...] = ALL, **parameters: Any) -> Fakes:
         fakes = Fakes(graph, peers)
         graph.start("supervisor", **parameters)
@@ -202,7 +228,22 @@ def start(graph: Any) -> Callable[..., Fakes]:
     return start
 
 
-COURSE = [
+@pytest.fixture(scope="module")
+def shared_fakes(shared_graph: Any) -> Fakes:
+    fakes = Fakes(shared_graph)
+    shared_graph.start("supervisor")
+    shared_graph.until(lambda: fakes.states)
+    return fakes
+
+
+@pytest.fixture
+def fakes(shared_fakes: Fakes) -> Fakes:
+    """The fakes and the supervisor that the tests of this module share, idle and in order."""
+    shared_fakes.reset()
+    return shared_fakes
+
+
+STEPS = [
     "load_experiment",
     "daq/set_parameters",
     "servo/home",
@@ -211,16 +252,15 @@ COURSE = [
     "start_recording",
     "start_experiment",
 ]
-AWAY = ["servo/stop", "servo/enable False", "stop_recording"]
+END_STEPS = ["servo/stop", "servo/enable False", "stop_recording"]
 
 
-def test_an_experiment_runs_from_arming_to_the_closed_bag(start: Callable[..., Fakes]) -> None:
-    fakes = start()
+def test_an_experiment_runs_from_arming_to_the_closed_bag(fakes: Fakes) -> None:
     ended = fakes.result(fakes.send())
     result = ended.result
     assert (ended.status, result.success) == (GoalStatus.STATUS_SUCCEEDED, True), result.message
     assert (result.bag, result.samples, result.lost, result.duration) == ("/tmp/bag", 500, 0, 0.5)
-    assert fakes.calls == [*COURSE, *AWAY]
+    assert fakes.calls == [*STEPS, *END_STEPS]
     phases = list(dict.fromkeys(fakes.feedback))
     assert phases == [p for p in ("arming", "recording", "running", "stopping", "closing") if p in phases]
     assert "running" in phases
@@ -230,7 +270,7 @@ def test_an_experiment_runs_from_arming_to_the_closed_bag(start: Callable[..., F
     # The second run finds the rod homed.
     fakes.calls.clear()
     assert fakes.result(fakes.send()).result.success
-    assert fakes.calls == [call for call in [*COURSE, *AWAY] if call != "servo/home"]
+    assert fakes.calls == [call for call in [*STEPS, *END_STEPS] if call != "servo/home"]
 
 
 def breaking(target: str, name: str, value: Any) -> Callable[[Fakes], Callable[[], None]]:
@@ -259,15 +299,14 @@ BREAKS = [
 ]
 
 
-def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(graph: Any, start: Callable[..., Fakes]) -> None:
-    fakes = start()
+def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(fakes: Fakes) -> None:
     for name, break_it, line in BREAKS:
         handle = fakes.running()
         fakes.calls.clear()
         fakes.stops.clear()
-        broken = graph.clock.now()
+        broken = fakes.graph.clock.now()
         repair = break_it(fakes)
-        graph.until(lambda: fakes.stops, timeout=5.0)
+        fakes.graph.until(lambda: fakes.stops, timeout=5.0)
         # 150 ms of patience, a tick of 20 ms, and what a busy machine needs.
         assert fakes.stops[0][1], name
         assert fakes.stops[0][0] - broken < 0.3, name
@@ -276,19 +315,18 @@ def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(graph: Any, s
         assert ended.result.message.startswith(f"interlock {name}: ")
         assert line in ended.result.message
         assert ended.result.bag == "/tmp/bag"
-        assert fakes.calls == [*AWAY[:2], "abort_experiment", AWAY[2]], name
+        assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]], name
         assert fakes.mode() == BenchState.FAULT
         assert fakes.states[-1].message == ended.result.message
         repair()
-        graph.during(0.1)
         fakes.position = 0.0
-        answer = graph.call("reset_fault", Trigger)
+        fakes.await_ticks()
+        answer = fakes.graph.call("reset_fault", Trigger)
         assert answer.success, answer.message
-        graph.until(lambda: fakes.mode() == BenchState.IDLE)
+        fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
 
 
-def test_a_stop_latches_until_reset_fault_finds_the_inputs_healthy(graph: Any, start: Callable[..., Fakes]) -> None:
-    fakes = start()
+def test_a_stop_latches_until_reset_fault_finds_the_inputs_healthy(fakes: Fakes) -> None:
     handle = fakes.running()
     fakes.force = 900.0
     fakes.result(handle)
@@ -299,10 +337,10 @@ def test_a_stop_latches_until_reset_fault_finds_the_inputs_healthy(graph: Any, s
     result = fakes.result(fakes.send()).result
     assert "the bench is in mode fault (interlock force" in result.message
     assert "call reset_fault" in result.message
-    assert not graph.call("home", Trigger).success
-    assert not graph.call("control", SetBool, data=True).success
+    assert not fakes.graph.call("home", Trigger).success
+    assert not fakes.graph.call("control", SetBool, data=True).success
     assert fakes.calls == []
-    refused = graph.call("reset_fault", Trigger)
+    refused = fakes.graph.call("reset_fault", Trigger)
     assert not refused.success
     assert refused.message.startswith("not reset, force: 900 N on the load cell")
     assert fakes.stops[-1][1]
@@ -310,64 +348,61 @@ def test_a_stop_latches_until_reset_fault_finds_the_inputs_healthy(graph: Any, s
     assert "servo/reset_fault" not in fakes.calls
 
     fakes.force = 100.0
-    answer = graph.call("reset_fault", Trigger)
+    answer = fakes.graph.call("reset_fault", Trigger)
     assert answer.success, answer.message
-    graph.until(lambda: not fakes.stops[-1][1] and fakes.mode() == BenchState.IDLE)
+    fakes.graph.until(lambda: not fakes.stops[-1][1] and fakes.mode() == BenchState.IDLE)
     assert fakes.calls == ["servo/reset_fault", "daq/reset_fault"]
-    graph.during(0.1)
+    fakes.await_ticks()
     assert fakes.mode() == BenchState.IDLE
     assert not fakes.servo.enabled
     assert fakes.result(fakes.send()).result.success
 
 
 @pytest.mark.parametrize("way", ["service", "topic"])
-def test_anyone_may_stop_the_bench_at_any_time(graph: Any, start: Callable[..., Fakes], way: str) -> None:
-    fakes = start()
+def test_anyone_may_stop_the_bench_at_any_time(fakes: Fakes, way: str) -> None:
     handle = fakes.running()
     if way == "service":
-        assert graph.call("emergency_stop", Trigger).success
+        assert fakes.graph.call("emergency_stop", Trigger).success
     else:
         fakes.emergency_stop.publish(Bool(data=True))
     result = fakes.result(handle).result
     assert result.message == f"emergency stop {'by the service' if way == 'service' else 'on the topic'}"
     assert fakes.mode() == BenchState.FAULT
-    assert fakes.calls[-4:] == [*AWAY[:2], "abort_experiment", AWAY[2]]
+    assert fakes.calls[-4:] == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]
 
 
-def test_a_cancelled_experiment_is_stopped_and_its_bag_closed(graph: Any, start: Callable[..., Fakes]) -> None:
-    fakes = start()
+def test_a_cancelled_experiment_is_stopped_and_its_bag_closed(fakes: Fakes) -> None:
     handle = fakes.running()
     fakes.calls.clear()
-    graph.until(handle.cancel_goal_async().done)
+    fakes.graph.until(handle.cancel_goal_async().done)
     ended = fakes.result(handle)
     assert ended.status == GoalStatus.STATUS_CANCELED
     assert (ended.result.message, ended.result.samples) == ("cancelled", 500)
-    assert fakes.calls == [*AWAY[:2], "abort_experiment", AWAY[2]]
-    graph.until(lambda: fakes.mode() == BenchState.IDLE)
+    assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]
+    fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
     assert not fakes.stops
 
 
-def test_stop_ends_an_experiment_and_control(graph: Any, start: Callable[..., Fakes]) -> None:
-    fakes = start()
+def test_stop_ends_an_experiment_and_control(fakes: Fakes) -> None:
     handle = fakes.running()
-    assert graph.call("stop", Trigger).success
+    assert fakes.graph.call("stop", Trigger).success
     assert fakes.result(handle).result.message == "cancelled"
-    graph.until(lambda: fakes.mode() == BenchState.IDLE)
+    fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
 
-    assert graph.call("control", SetBool, data=True).success
-    graph.until(lambda: fakes.mode() == BenchState.CONTROL)
+    assert fakes.graph.call("control", SetBool, data=True).success
+    fakes.graph.until(lambda: fakes.mode() == BenchState.CONTROL)
     assert fakes.servo.enabled
     refused = fakes.result(fakes.send()).result
     assert refused.message == "the bench is in mode control (control); call stop first"
     assert fakes.servo.enabled
-    assert graph.call("stop", Trigger).success
-    graph.until(lambda: fakes.mode() == BenchState.IDLE)
+    assert fakes.graph.call("stop", Trigger).success
+    fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
     assert not fakes.servo.enabled
 
     # The interlocks watch in control, too.
-    assert graph.call("control", SetBool, data=True).success
+    assert fakes.graph.call("control", SetBool, data=True).success
     fakes.force = -900.0
-    graph.until(lambda: fakes.mode() == BenchState.FAULT)
+    fakes.graph.until(lambda: fakes.mode() == BenchState.FAULT)
     assert fakes.stops[-1][1]
 
 
@@ -385,20 +420,18 @@ def test_what_is_missing_refuses_the_experiment_before_anything_moves(graph: Any
 @pytest.mark.parametrize(
     ("service", "done"), [("load_experiment", 1), ("servo/home", 3), ("start_recording", 6), ("start_experiment", 7)]
 )
-def test_a_peer_that_refuses_ends_the_experiment(start: Callable[..., Fakes], service: str, done: int) -> None:
-    fakes = start()
-    fakes.trouble[service] = "because"
+def test_a_peer_that_refuses_ends_the_experiment(fakes: Fakes, service: str, done: int) -> None:
+    fakes.refusals[service] = "because"
     result = fakes.result(fakes.send()).result
     assert result.message.endswith(": because")
-    assert fakes.calls[:done] == COURSE[:done]
-    assert not set(COURSE[done:]) & set(fakes.calls)
+    assert fakes.calls[:done] == STEPS[:done]
+    assert not set(STEPS[done:]) & set(fakes.calls)
     fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
     assert not fakes.servo.enabled
 
 
-def test_lost_samples_are_reported(start: Callable[..., Fakes]) -> None:
-    fakes = start()
-    fakes.stop_answer.update(success=False, message="20 samples are missing", lost=20, samples=480)
+def test_lost_samples_are_reported(fakes: Fakes) -> None:
+    fakes.bag.update(success=False, message="20 samples are missing", lost=20, samples=480)
     ended = fakes.result(fakes.send())
     assert ended.status == GoalStatus.STATUS_ABORTED
     assert (ended.result.message, ended.result.lost) == ("20 samples are missing", 20)
@@ -407,10 +440,10 @@ def test_lost_samples_are_reported(start: Callable[..., Fakes]) -> None:
 def test_nothing_is_armed_on_stale_inputs(start: Callable[..., Fakes]) -> None:
     fakes = start(answer_timeout_s=0.3)
     fakes.servo.connected = False
-    fakes.graph.during(0.2)
+    fakes.await_ticks()
     result = fakes.result(fakes.send()).result
     assert result.message.startswith("not armed, lost servo: the motor does not answer")
-    assert fakes.calls == COURSE[:2]
+    assert fakes.calls == STEPS[:2]
 
 
 def test_a_supervisor_that_is_ended_stops_the_bench_first(graph: Any, start: Callable[..., Fakes]) -> None:
@@ -424,22 +457,20 @@ def test_a_supervisor_that_is_ended_stops_the_bench_first(graph: Any, start: Cal
     assert "Traceback" not in graph.log("supervisor")
 
 
-def test_a_stop_from_before_its_start_is_seen(start: Callable[..., Fakes], graph: Any) -> None:
-    fakes = start()
+def test_a_stop_that_another_supervisor_left_is_seen(fakes: Fakes) -> None:
     fakes.servo.stopped = True
-    graph.until(lambda: fakes.mode() == BenchState.FAULT)
+    fakes.graph.until(lambda: fakes.mode() == BenchState.FAULT)
     assert fakes.states[-1].message == "the servo's emergency stop is latched; call reset_fault"
 
 
-def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(start: Callable[..., Fakes], tmp_path: Any) -> None:
-    fakes = start()
+def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(fakes: Fakes, tmp_path: Any) -> None:
     # What an action publishes before its client is matched is lost: orders that are refused, until one of them is heard.
-    fakes.trouble["load_experiment"] = "not yet"
+    fakes.refusals["load_experiment"] = "not yet"
     while True:
         assert not fakes.result(fakes.send_set(str(tmp_path))).result.success
         if fakes.feedback:
             break
-    fakes.trouble.clear()
+    fakes.refusals.clear()
     fakes.calls.clear()
     ended = fakes.result(fakes.send_set(str(tmp_path)))
     result = ended.result
@@ -449,8 +480,8 @@ def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(start: Callable[
         (name, True, str(tmp_path / name), 500) for name in ("01_a", "02_b", "03_c")
     ]
     # All are planned before the first moves the rod, which is homed once.
-    again = [call for call in COURSE if call != "servo/home"]
-    assert fakes.calls == [*["load_experiment"] * 3, *COURSE, *AWAY, *again, *AWAY, *again, *AWAY]
+    again = [call for call in STEPS if call != "servo/home"]
+    assert fakes.calls == [*["load_experiment"] * 3, *STEPS, *END_STEPS, *again, *END_STEPS, *again, *END_STEPS]
     order = list(dict.fromkeys(fakes.feedback))
     checks = [f"{number} {name} checking" for number, name in enumerate(("01_a", "02_b", "03_c"), 1)]
     assert order[:3] == checks
@@ -459,10 +490,7 @@ def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(start: Callable[
 
 
 @pytest.mark.parametrize("way", ["stop", "cancel", "interlock"])
-def test_what_stops_a_run_ends_its_set_and_keeps_what_is_recorded(
-    start: Callable[..., Fakes], tmp_path: Any, way: str
-) -> None:
-    fakes = start()
+def test_what_stops_a_run_ends_its_set_and_keeps_what_is_recorded(fakes: Fakes, tmp_path: Any, way: str) -> None:
     handle = fakes.send_set(str(tmp_path))
     fakes.graph.until(lambda: "2 02_b running" in fakes.feedback and 0 < fakes.remaining < 20)
     refused = fakes.result(fakes.send()).result
@@ -486,10 +514,7 @@ def test_what_stops_a_run_ends_its_set_and_keeps_what_is_recorded(
     fakes.graph.until(lambda: fakes.mode() == mode)
 
 
-def test_a_set_that_cannot_be_recorded_as_a_whole_is_refused_before_anything_moves(
-    start: Callable[..., Fakes], tmp_path: Any
-) -> None:
-    fakes = start()
+def test_a_set_that_cannot_be_recorded_as_a_whole_is_refused_before_anything_moves(fakes: Fakes, tmp_path: Any) -> None:
     (tmp_path / "02_b").mkdir()
     for experiments, line in (
         ([], "the set has no experiments"),
@@ -501,7 +526,7 @@ def test_a_set_that_cannot_be_recorded_as_a_whole_is_refused_before_anything_mov
         assert (result.success, result.recordings) == (False, [])
         assert line in result.message
     assert fakes.calls == []
-    fakes.trouble["load_experiment"] = "speed exceeds"
+    fakes.refusals["load_experiment"] = "speed exceeds"
     result = fakes.result(fakes.send_set(str(tmp_path / "new"))).result
     assert result.message == "01_a: generator: speed exceeds (completely recorded of 3: none)"
     assert fakes.calls == ["load_experiment"]

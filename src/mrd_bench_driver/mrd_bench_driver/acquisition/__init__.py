@@ -1,4 +1,4 @@
-"""Where the volts come from: the DAQ's backends. A new one is a file and a line in the catalogue."""
+"""Data acquisition: the backends of the DAQ and the averaging of their readings. A new backend is a file and a line here."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ BACKENDS: dict[str, Callable[[Wiring, BenchClock], Backend]] = {"simulated": Sim
 
 
 def make_backend(name: str, wiring: Wiring, clock: BenchClock) -> Backend:
-    """Backend of the catalogue, not opened yet."""
+    """Return a backend of the catalogue, not yet open."""
     if name not in BACKENDS:
         raise InputError(f"backend is {name!r}, expected one of {', '.join(BACKENDS)}")
     if name != "simulated" and clock.time_scale != 1:

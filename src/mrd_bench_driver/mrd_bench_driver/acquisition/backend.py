@@ -1,4 +1,4 @@
-"""What every backend does."""
+"""The interface of a DAQ backend, and the blocks of readings that it delivers."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,41 +6,41 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_bench_driver.channels import Channels, Coil
+from mrd_bench_driver.acquisition.channels import ChannelMap, CoilOutput
 
 
 class AcquisitionError(Exception):
-    """The converter failed while running, in one line with the remedy; `Backend.open` may start it anew."""
+    """The converter failed while it ran. The message names the remedy; `Backend.open` may restart the converter."""
 
 
 @dataclass(frozen=True)
 class Wiring:
-    """What is connected where, and how fast it is read."""
+    """Wiring of the converter, its sample rate in Hz, and the length of a block in s."""
 
     device: str
-    channels: Channels
-    coil: Coil
+    channels: ChannelMap
+    coil: CoilOutput
     hardware_rate: float
     block: float
 
     @property
     def block_samples(self) -> int:
-        """Samples per channel in one block."""
+        """Readings per channel in one block."""
         return max(1, round(self.block * self.hardware_rate))
 
 
 @dataclass(frozen=True)
 class VoltBlock:
-    """Successive readings of all channels.
+    """Successive readings, or averages of readings, of all channels.
 
     Attributes
     ----------
     sequence : int
-        Number of the first reading; a jump tells of lost ones, a step back of a converter that started anew.
+        Number of the first reading. A jump shows lost readings, a step back a converter that was restarted.
     time : float
         Bench time of the first reading in s.
     volts : ndarray (channels, n)
-        V, channels in the order of `Channels`.
+        Voltages in V, channels in the order of `ChannelMap`.
     """
 
     sequence: int
@@ -49,19 +49,19 @@ class VoltBlock:
 
 
 class Backend(Protocol):
-    """A converter with its coil output. One thread reads; any thread may write or close."""
+    """A converter with its coil output. One thread reads it; any thread may write or close it."""
 
     product: str
-    """Product and serial number, known once open."""
+    """Product and serial number, known once the converter is open."""
 
     def open(self) -> None:
-        """Put 0 V on the coil output and start sampling; InputError when that cannot be."""
+        """Set the coil output to 0 V and start sampling; raise InputError if this fails."""
 
     def read(self) -> VoltBlock | None:
-        """Wait for the next block; None when none came within a moment, AcquisitionError when none will."""
+        """Wait for the next block. Return None if none came for a moment; raise AcquisitionError if none will come."""
 
     def write(self, volts: float) -> None:
-        """Put a voltage on the coil output."""
+        """Set the voltage of the coil output."""
 
     def close(self) -> None:
-        """Leave 0 V on the coil output and let go of the converter; may be called at any time and twice."""
+        """Set the coil output to 0 V and release the converter. This may be called at any time, and twice."""

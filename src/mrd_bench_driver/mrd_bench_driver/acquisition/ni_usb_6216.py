@@ -1,4 +1,4 @@
-"""NI USB-6216 through the Python package nidaqmx and NI's driver NI-DAQmx."""
+"""The NI USB-6216, through the Python package nidaqmx and NI's driver NI-DAQmx."""
 
 import contextlib
 from typing import Any
@@ -7,14 +7,14 @@ import numpy as np
 
 from mrd_base import BenchClock, InputError
 from mrd_bench_driver.acquisition.backend import AcquisitionError, VoltBlock, Wiring
-from mrd_bench_driver.channels import OUTPUT
+from mrd_bench_driver.acquisition.channels import OUTPUT_RANGE
 
-# Blocks that the driver holds for us before it overruns.
-_BUFFERED = 50
+# Blocks that NI's driver buffers before it overruns: a second of them at the default of 20 ms.
+_BUFFERED_BLOCKS = 50
 
-# Share of an arrival's deviation by which the time of the readings is corrected: the converter's clock strays from ours
-# by some 50 ppm, while single reads come late by milliseconds.
-_TRACKING = 0.01
+# Share of the deviation of a block's arrival by which the time of the readings is corrected. The clock of the converter
+# deviates from ours by about 50 ppm, while single reads come milliseconds late.
+_CLOCK_CORRECTION = 0.01
 
 _REMEDIES = {
     -200220: "there is no such device; set `device` to a name of NI's hardware configuration, and check the cable",
@@ -33,7 +33,7 @@ _REMEDIES = {
 
 
 class NiUsb6216:
-    """Backend for the real converter: continuous, clocked input and a static output."""
+    """Backend of the real converter, with continuous clocked input and a static output."""
 
     def __init__(self, wiring: Wiring, clock: BenchClock) -> None:
         self.product = ""
@@ -48,7 +48,7 @@ class NiUsb6216:
         self._time: float | None = None  # of the next block's first reading
 
     def open(self) -> None:
-        """Start sampling, the coil at 0 V."""
+        """Set the coil output to 0 V and start sampling."""
         try:
             import nidaqmx
             import nidaqmx.errors
@@ -62,7 +62,7 @@ class NiUsb6216:
             self._start(nidaqmx)
         except nidaqmx.errors.Error as error:
             self.close()
-            raise InputError(self._line(error)) from None
+            raise InputError(self._message(error)) from None
         except BaseException:
             self.close()
             raise
@@ -72,11 +72,11 @@ class NiUsb6216:
 
         wiring = self._wiring
         device = system.System.local().devices[wiring.device]
-        device.reset_device()  # the output may still stand where a program that was killed left it
+        device.reset_device()  # a program that was killed may have left a voltage on the output
         self.product = f"{device.product_type} {device.serial_num:X}"
         self._output = nidaqmx.Task()
         self._output.ao_channels.add_ao_voltage_chan(
-            f"{wiring.device}/{wiring.coil.output}", min_val=-OUTPUT, max_val=OUTPUT
+            f"{wiring.device}/{wiring.coil.output}", min_val=-OUTPUT_RANGE, max_val=OUTPUT_RANGE
         )
         self._output.write(0.0)
 
@@ -91,7 +91,7 @@ class NiUsb6216:
             )
         count = wiring.block_samples
         self._input.timing.cfg_samp_clk_timing(
-            wiring.hardware_rate, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=_BUFFERED * count
+            wiring.hardware_rate, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=_BUFFERED_BLOCKS * count
         )
         actual = float(self._input.timing.samp_clk_rate)
         if abs(actual / wiring.hardware_rate - 1) > 1e-4:
@@ -101,7 +101,7 @@ class NiUsb6216:
             )
         self._buffer = np.zeros((len(list(wiring.channels.items())), count))
         self._reader = stream_readers.AnalogMultiChannelReader(self._input.in_stream)
-        # Another count begins: the averager sees the step back and takes the time for what was missed.
+        # The numbers start again. The averager sees the step back and infers the lost readings from the time.
         self._sequence, self._time = 0, None
         self._input.start()
 
@@ -111,26 +111,26 @@ class NiUsb6216:
         try:
             self._reader.read_many_sample(self._buffer, count, timeout=1.0 + 5 * self._wiring.block)
         except self._errors.Error as error:
-            raise AcquisitionError(self._line(error)) from None
+            raise AcquisitionError(self._message(error)) from None
         length = count / self._wiring.hardware_rate
         arrived = self._clock.now() - length
-        self._time = arrived if self._time is None else self._time + _TRACKING * (arrived - self._time)
+        self._time = arrived if self._time is None else self._time + _CLOCK_CORRECTION * (arrived - self._time)
         block = VoltBlock(self._sequence, self._time, self._buffer.copy())
         self._time += length
         self._sequence += count
         return block
 
     def write(self, volts: float) -> None:
-        """Put a voltage on the coil output."""
+        """Set the voltage of the coil output."""
         if self._output is None:
             raise AcquisitionError(f"{self._wiring.device} is not open; call daq/reset_fault")
         try:
             self._output.write(volts)
         except self._errors.Error as error:
-            raise AcquisitionError(self._line(error)) from None
+            raise AcquisitionError(self._message(error)) from None
 
     def close(self) -> None:
-        """Leave 0 V on the output; what fails on the way does not keep the rest from being done."""
+        """Set the output to 0 V and close all tasks. A step that fails does not prevent the next ones."""
         output, reading, self._output, self._input = self._output, self._input, None, None
         if output is not None:
             # An output keeps its last voltage when its task ends.
@@ -142,8 +142,8 @@ class NiUsb6216:
             with contextlib.suppress(Exception):
                 reading.close()
 
-    def _line(self, error: Any) -> str:
-        """One line with a remedy for what NI's driver says."""
+    def _message(self, error: Any) -> str:
+        """Return one line with a remedy for an error of NI's driver."""
         if isinstance(error, self._errors.DaqNotFoundError):
             return (
                 "NI-DAQmx is not installed: install it from NI (on Linux check that it supports the USB-6216), or set "

@@ -1,4 +1,4 @@
-"""Terminals of the simulated plant; the node carries the volts to and fro."""
+"""Backend of the simulated plant. The node carries the voltages between the plant and this backend."""
 
 import queue
 from collections.abc import Callable, Sequence
@@ -10,16 +10,12 @@ from mrd_base import BenchClock
 from mrd_bench_driver.acquisition.backend import AcquisitionError, VoltBlock, Wiring
 
 
-def _nowhere(_volts: float) -> None:
-    pass
-
-
 class Simulated:
-    """Backend that is fed with blocks and gives its coil voltage to ``send``."""
+    """Backend that receives blocks by `feed` and passes the coil voltage to ``send``."""
 
     def __init__(self, wiring: Wiring, _clock: BenchClock) -> None:
         self.product = "simulated"
-        self.send: Callable[[float], None] = _nowhere
+        self.send: Callable[[float], None] = lambda _volts: None
         self._wiring = wiring
         self._inputs = [channel.input for _, channel in wiring.channels.items()]
         self._blocks: queue.SimpleQueue[VoltBlock | AcquisitionError] = queue.SimpleQueue()
@@ -27,10 +23,10 @@ class Simulated:
     def feed(
         self, sequence: int, time: float, sample_period: float, inputs: Sequence[str], volts: NDArray[np.float64]
     ) -> None:
-        """Take a block as the plant sends it: ``volts`` (n · inputs,), input after input."""
-        self._blocks.put(self._block(sequence, time, sample_period, inputs, volts))
+        """Add a block from the plant: ``volts`` (n · inputs,), input after input."""
+        self._blocks.put(self._to_block(sequence, time, sample_period, inputs, volts))
 
-    def _block(
+    def _to_block(
         self, sequence: int, time: float, sample_period: float, inputs: Sequence[str], volts: NDArray[np.float64]
     ) -> VoltBlock | AcquisitionError:
         missing = [name for name in self._inputs if name not in inputs]
@@ -51,13 +47,13 @@ class Simulated:
         return VoltBlock(sequence, time, volts.reshape(len(inputs), -1)[rows])
 
     def open(self) -> None:
-        """Forget what came before; the coil is at 0 V."""
+        """Discard earlier blocks and set the coil output to 0 V."""
         while not self._blocks.empty():
             self._blocks.get()
         self.send(0.0)
 
     def read(self) -> VoltBlock | None:
-        """Next block fed, or None after a moment without one."""
+        """Return the next block, or None if none came for a moment."""
         try:
             block = self._blocks.get(timeout=0.1)
         except queue.Empty:
@@ -67,9 +63,9 @@ class Simulated:
         return block
 
     def write(self, volts: float) -> None:
-        """Give a coil voltage to the plant."""
+        """Send a coil voltage to the plant."""
         self.send(volts)
 
     def close(self) -> None:
-        """Leave the coil at 0 V."""
+        """Set the coil output to 0 V."""
         self.send(0.0)

@@ -1,4 +1,4 @@
-"""``ros2 run mrd_bench_driver sizing``: the paper's Eqs 4–8 for this drive or another."""
+"""``ros2 run mrd_bench_driver sizing``: evaluate the paper's Eqs 4–8 for its drive or another one."""
 
 import argparse
 import sys
@@ -9,14 +9,14 @@ from rich.table import Table
 from mrd_base import run_tool
 from mrd_bench_driver.sizing import Sizing, compare
 
-# Option: field, unit for people per SI unit, meaning.
+# By option: field, number of the option's units in an SI unit, and meaning.
 _OPTIONS = {
     "torque-Nm": ("torque", 1.0, "continuous torque of the motor"),
     "peak-torque-Nm": ("peak_torque", 1.0, "peak torque of the motor"),
-    "ratio": ("ratio", 1.0, "of the gearbox"),
-    "efficiency": ("efficiency", 1.0, "of the gearbox"),
+    "ratio": ("ratio", 1.0, "ratio of the gearbox"),
+    "efficiency": ("efficiency", 1.0, "efficiency of the gearbox"),
     "pinion-mm": ("pinion", 1e3, "pitch diameter of the pinion"),
-    "module-mm": ("module", 1e3, "of pinion and rack"),
+    "module-mm": ("module", 1e3, "module of pinion and rack"),
     "no-load-rpm": ("no_load_speed", 60.0, "motor speed without load at its rated voltage"),
     "rated-V": ("rated_voltage", 1.0, "rated voltage of the motor"),
     "rated-A": ("rated_current", 1.0, "motor current at the continuous torque"),
@@ -34,7 +34,7 @@ def _work() -> None:
     default = Sizing()
     for option, (field, factor, meaning) in _OPTIONS.items():
         value = getattr(default, field) * factor
-        # --speed-rpm is what the paper's Eq. 8 calls the motor's speed.
+        # The paper's Eq. 8 calls this the speed of the motor.
         names = [f"--{option}"] + (["--speed-rpm"] if option == "no-load-rpm" else [])
         parser.add_argument(*names, dest=field, type=float, default=value, help=f"{meaning} (default {value:g})")
     given = vars(parser.parse_args())
@@ -44,10 +44,10 @@ def _work() -> None:
     table.add_column("quantity", overflow="fold")
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("paper prints", justify="right", no_wrap=True)
-    table.add_column("why they differ, what it means", overflow="fold")
+    table.add_column("remark", overflow="fold")
     for row in compare(sizing):
-        table.add_row(row.name, row.value, row.printed, row.why)
-    # Into a file or a pipe, a table as narrow as a terminal would be folded for nobody.
+        table.add_row(row.name, row.value, row.printed, row.remark)
+    # A file or a pipe has no width for which the table must be folded.
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 

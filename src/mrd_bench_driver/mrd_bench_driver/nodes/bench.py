@@ -1,144 +1,76 @@
-"""Runs the whole bench: starts its nodes as processes, runs an experiment or a folder of them, says what was recorded."""
+"""Run the whole bench: start its nodes as processes, run experiments if any are given, and print what was recorded."""
 
 import argparse
 import datetime
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action import ActionClient
-from rclpy.action.client import ClientGoalHandle
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-
 from mrd_base import InputError, run_tool
 from mrd_base.clock import FASTEST, SLOWEST
-from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_parts
-from mrd_interfaces.action import RunExperiment, RunSet
+from mrd_bench_driver.nodes.bench_client import BenchClient
+from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes
 from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
 
-_START_TIMEOUT = 60.0
-_CANCEL_TIMEOUT = 90.0
 
-
-class BenchClient:
-    """Somebody at the bench: waits for it and has experiments run.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the bench's nodes.
-    watch : callable
-        Called often while waiting; what it raises ends the wait.
-    """
-
-    def __init__(self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None) -> None:
-        self._context = rclpy.Context()
-        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node(f"bench_client_{os.getpid()}", namespace=namespace, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._watch = watch
-        self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
-        self._run_set = ActionClient(self.node, RunSet, "run_set")
-        self._working: set[str] = set()
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._working.update(status.name.partition(":")[0] for status in message.status)
-
-    def __enter__(self) -> "BenchClient":
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._run_experiment.destroy()
-        self._run_set.destroy()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
-
-    def spin(self, until: Callable[[], bool], timeout: float, *, watch: bool = True) -> bool:
-        """Let messages in until something is so, ``timeout`` wall seconds at most; whether it is."""
-        deadline = time.monotonic() + timeout
-        while not until():
-            if time.monotonic() > deadline:
-                return False
-            if watch:
-                self._watch()
-            self._executor.spin_once(timeout_sec=0.05)
-        return True
-
-    def wait_until_up(self, names: set[str], timeout: float = _START_TIMEOUT) -> None:
-        """Wait until all nodes have told how they are, which they do once they work, and the supervisor takes orders."""
-        space = self.node.get_namespace().strip("/")
-
-        def missing() -> set[str]:
-            return {name for name in names if f"{space}/{name}" not in self._working}
-
-        actions = self._run_experiment, self._run_set
-        if not self.spin(lambda: not missing() and all(action.server_is_ready() for action in actions), timeout):
-            late = ", ".join(sorted(missing())) or "the actions of the supervisor"
-            raise InputError(f"the bench did not come up within {timeout:g} s: {late} missing; look at the logs")
-
-    def run_experiment(
-        self, experiment: str, bag: Path, seed: int, feedback: Callable[[Any], None] = lambda _feedback: None
-    ) -> Any:
-        """Run an experiment and wait for its end; the action's result.
-
-        When ``watch`` raises meanwhile, the experiment is cancelled first, and its end waited for.
-        """
-        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
-        return self._order(self._run_experiment, goal, feedback)
-
-    def run_set(
-        self, experiments: list[str], folder: Path, seed: int, feedback: Callable[[Any], None] = lambda _feedback: None
-    ) -> Any:
-        """Run experiments one after the other, each into its own bag in the folder; else as `run_experiment`."""
-        goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed)
-        return self._order(self._run_set, goal, feedback)
-
-    def _order(self, action: ActionClient, goal: Any, feedback: Callable[[Any], None]) -> Any:
-        sent = action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
-        if not self.spin(sent.done, 10.0):
-            raise InputError("the supervisor did not take the order within 10 s; look at its log")
-        handle: ClientGoalHandle = sent.result()
-        ended = handle.get_result_async()
-        try:
-            self.spin(ended.done, float("inf"))
-        except BaseException:
-            handle.cancel_goal_async()
-            self.spin(ended.done, _CANCEL_TIMEOUT, watch=False)
-            raise
-        return ended.result().result
-
-
-class _Signals:
-    """Ctrl-C and SIGTERM as a question; the second one does not wait for an answer."""
+class SignalCounter:
+    """Counts Ctrl-C and SIGTERM. The first one ends the waits that call `check`; the second one ends the process at once."""
 
     def __init__(self) -> None:
-        self.count = 0
+        self._count = 0
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, _number: int, _frame: object) -> None:
-        self.count += 1
-        if self.count > 1:
+        self._count += 1
+        if self._count > 1:
             raise KeyboardInterrupt
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt when there was one."""
-        if self.count:
+        """Raise KeyboardInterrupt if a signal came."""
+        if self._count:
             raise KeyboardInterrupt
+
+
+@dataclass(frozen=True)
+class Session:
+    """What one call of the tool does.
+
+    Attributes
+    ----------
+    name : str
+        Name of the experiment, or of the folder of a set.
+    experiments : dict of Experiment to float
+        Experiments in their order, with their durations in s.
+    is_set : bool
+        Whether they are run as a set.
+    plant : Path or None
+        Parameter file of the simulated plant; None for the real bench.
+    output : Path
+        Folder of bags and logs.
+    """
+
+    name: str
+    experiments: dict[Experiment, float]
+    is_set: bool
+    plant: Path | None
+    output: Path
+
+    @property
+    def logs(self) -> Path:
+        """Folder of the logs."""
+        return self.output / "log"
+
+    @property
+    def bags(self) -> list[Path]:
+        """Folders of the bags, one for each experiment."""
+        return [self.output / (experiment.name if self.is_set else "bag") for experiment in self.experiments]
 
 
 def main() -> None:
@@ -149,14 +81,19 @@ def main() -> None:
         nargs="*",
         type=Path,
         metavar="EXPERIMENT.yaml|FOLDER",
-        help="several, or those in a folder by their files' names: one after the other; without: up until Ctrl-C",
+        help="experiments, and folders of experiments in the order of their file names, to run one after the other; "
+        "without any, the bench stays up until Ctrl-C",
     )
-    parser.add_argument("--bench", type=Path, default=os.environ.get("MRD_BENCH"), help="default: $MRD_BENCH")
-    parser.add_argument("--plant", type=Path, help="what is simulated; default: plant.yaml beside the --bench file")
-    parser.add_argument("--simulated", action="store_true", help="start the simulated plant, motor and converter included")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="for bag and logs; default: runs/NAME-TIME")
-    parser.add_argument("--time-scale", type=float, help="bench seconds per wall second, with --simulated only")
-    parser.add_argument("--seed", type=int, default=0, help="of everything random")
+    parser.add_argument(
+        "--bench", type=Path, default=os.environ.get("MRD_BENCH"), help="parameters of the bench (default: $MRD_BENCH)"
+    )
+    parser.add_argument(
+        "--plant", type=Path, help="parameters of the simulated plant (default: plant.yaml in the folder of --bench)"
+    )
+    parser.add_argument("--simulated", action="store_true", help="simulate the plant, including motor and converter")
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder of bags and logs (default: runs/NAME-TIME)")
+    parser.add_argument("--time-scale", type=float, help="bench seconds per wall second; needs --simulated")
+    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     arguments = parser.parse_args()
     if arguments.bench is None:
         parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
@@ -165,17 +102,56 @@ def main() -> None:
     if arguments.time_scale is not None and not SLOWEST <= arguments.time_scale <= FASTEST:
         parser.error(f"--time-scale is {arguments.time_scale:g}, expected {SLOWEST:g} to {FASTEST:g}")
     if not 0 <= arguments.seed < 2**31:
-        parser.error("--seed is a whole number from 0 to 2147483647")
+        parser.error(f"--seed is {arguments.seed}, expected a whole number from 0 to 2147483647")
     run_tool(lambda: _work(arguments))
 
 
 def _work(arguments: argparse.Namespace) -> None:
-    settings = read_settings(arguments.bench)
+    session = _prepare(arguments)
+    specs = bench_processes(
+        arguments.bench, session.plant, session.logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed
+    )
+    signals = SignalCounter()
+    try:
+        with BenchProcesses(specs, session.logs) as processes:
+
+            def watch() -> None:
+                signals.check()
+                processes.check()
+
+            with BenchClient(processes.namespace, watch) as client:
+                client.wait_until_up(set(processes.specs))
+                if not session.experiments:
+                    print(
+                        f"the bench is up in namespace {processes.namespace}; logs: {session.logs}; end it by Ctrl-C",
+                        flush=True,
+                    )
+                    client.spin(lambda: False, float("inf"))
+                result = _run(client, session, arguments.seed)
+    except (ProcessDiedError, KeyboardInterrupt) as error:
+        _clear_progress()
+        for bag in filter(Path.exists, session.bags):
+            print(f"recorded until then: {bag}", file=sys.stderr)
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+    _clear_progress()
+    recordings = result.recordings if session.is_set else [result] if result.bag else []
+    for recorded in recordings:
+        print(f"{recorded.bag}: {recorded.samples} samples, {recorded.duration:.2f} s, {recorded.lost} lost")
+    if not result.success:
+        print(f"error: {result.message}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _prepare(arguments: argparse.Namespace) -> Session:
+    """Check everything that can be checked before a process is started."""
     paths: list[Path] = arguments.experiments
-    experiments = _experiments(paths, settings)
-    a_set = len(paths) > 1 or any(path.is_dir() for path in paths)
+    experiments = _read_experiments(paths, read_settings(arguments.bench))
+    is_set = len(paths) > 1 or any(path.is_dir() for path in paths)
     name = next((experiment.name for experiment in experiments), "bench")
-    if a_set:
+    if is_set:
         first = paths[0].resolve()
         name = first.name if first.is_dir() else first.parent.name
     plant = None
@@ -184,76 +160,50 @@ def _work(arguments: argparse.Namespace) -> None:
         if not plant.is_file():
             raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
-    output = output.resolve()
-    logs = output / "log"
-    bags = [output / (experiment.name if a_set else "bag") for experiment in experiments]
-    for bag in bags:
+    session = Session(name, experiments, is_set, plant, output.resolve())
+    for bag in session.bags:
         if bag.exists():
             raise InputError(f"{bag}: exists already; choose another --output, nothing recorded is overwritten")
-    parts = bench_parts(arguments.bench, plant, logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed)
-    signals = _Signals()
-    try:
-        with BenchProcesses(parts, logs) as processes:
-
-            def watch() -> None:
-                signals.check()
-                processes.check()
-
-            with BenchClient(processes.namespace, watch) as client:
-                client.wait_until_up(set(processes.parts))
-                if not experiments:
-                    print(f"the bench is up, in namespace {processes.namespace}; logs: {logs}; Ctrl-C ends it", flush=True)
-                    client.spin(lambda: False, float("inf"))
-                count = f"{len(experiments)} experiments, " if a_set else ""
-                print(f"{name}: {count}{sum(experiments.values()):.1f} s of bench time; logs: {logs}", flush=True)
-                # As texts that need no file beside them: the nodes do not know where an experiment came from.
-                texts = [format_experiment(experiment) for experiment in experiments]
-                if a_set:
-                    result = client.run_set(texts, output, arguments.seed, partial(_progress, count=len(texts)))
-                    recordings = result.recordings
-                else:
-                    result = client.run_experiment(texts[0], bags[0], arguments.seed, _progress)
-                    recordings = [result] if result.bag else []
-    except (ProcessDiedError, KeyboardInterrupt) as error:
-        _clear_progress()
-        for bag in filter(Path.exists, bags):
-            print(f"recorded until then: {bag}", file=sys.stderr)
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(1)
-    _clear_progress()
-    for recorded in recordings:
-        print(f"{recorded.bag}: {recorded.samples} samples, {recorded.duration:.2f} s, {recorded.lost} lost")
-    if not result.success:
-        print(f"error: {result.message}", file=sys.stderr)
-        sys.exit(1)
+    return session
 
 
-def _experiments(paths: list[Path], settings: GeneratorSettings) -> dict[Experiment, float]:
-    """The experiments of files and, in the order of their files' names, of folders; each with its length in s."""
+def _read_experiments(paths: list[Path], settings: GeneratorSettings) -> dict[Experiment, float]:
+    """Read experiments from files and, in the order of the file names, from folders; return their durations in s."""
     files: list[Path] = []
     for path in paths:
-        found = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
-        if not found:
+        in_path = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
+        if not in_path:
             raise InputError(f"{path}: has no experiments; put files NAME.yaml there")
-        files += found
-    planned: dict[Experiment, float] = {}
+        files += in_path
+    durations: dict[Experiment, float] = {}
     for file in files:
         experiment = read_experiment(file)
-        if any(experiment.name == other.name for other in planned):
+        if any(experiment.name == earlier.name for earlier in durations):
             raise InputError(f"{file}: name: {experiment.name} is the name of another experiment, too; rename one")
         try:
-            planned[experiment] = plan(experiment, settings.limits, settings.force_envelope).duration
+            durations[experiment] = plan(experiment, settings.limits, settings.force_envelope).duration
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
-    return planned
+    return durations
 
 
-def _progress(feedback: Any, count: int = 0) -> None:
+def _run(client: BenchClient, session: Session, seed: int) -> Any:
+    """Run the experiments of a session; return the result of the action."""
+    count = f"{len(session.experiments)} experiments, " if session.is_set else ""
+    print(
+        f"{session.name}: {count}{sum(session.experiments.values()):.1f} s of bench time; logs: {session.logs}", flush=True
+    )
+    # The texts are complete: the nodes cannot look up files relative to the experiment's file.
+    texts = [format_experiment(experiment) for experiment in session.experiments]
+    if session.is_set:
+        return client.run_set(texts, session.output, seed, partial(_show_progress, count=len(texts)))
+    return client.run_experiment(texts[0], session.bags[0], seed, _show_progress)
+
+
+def _show_progress(feedback: Any, count: int = 0) -> None:
     if sys.stderr.isatty():
-        which = f"{feedback.number}/{count} {feedback.experiment} " if count else ""
-        line = f"{which}{feedback.phase:10} {feedback.elapsed:6.1f} of {feedback.duration:.1f} s"
+        prefix = f"{feedback.number}/{count} {feedback.experiment} " if count else ""
+        line = f"{prefix}{feedback.phase:10} {feedback.elapsed:6.1f} of {feedback.duration:.1f} s"
         print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
 
 

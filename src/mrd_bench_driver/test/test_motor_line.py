@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_base import BenchClock
-from mrd_bench_driver.serial_line import Interrupted, LineLost, SerialLine, Wake
-from mrd_bench_driver.smartmotor import ReplyError
+from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted, WakeUp
+from mrd_bench_driver.servo.smartmotor import ReplyError
 
 
 class Far:
@@ -22,8 +22,8 @@ class Far:
     def __init__(self) -> None:
         self.master, self.slave = pty.openpty()
         tty.setraw(self.slave)
-        self.wake = Wake()
-        self.line = SerialLine(os.ttyname(self.slave), 115200, BenchClock(), self.wake)
+        self.wake_up = WakeUp()
+        self.line = MotorLine(os.ttyname(self.slave), 115200, BenchClock(), self.wake_up)
         self.line.drain()
 
     def ask(self, *script: tuple[float, bytes], count: int = 1, timeout: float = 0.05):
@@ -37,7 +37,7 @@ class Far:
         thread = threading.Thread(target=answer)
         thread.start()
         try:
-            return [reply for reply, _ in self.line.ask(b"RPA\r", count, timeout)]
+            return [reply for reply, _ in self.line.exchange(b"RPA\r", count, timeout)]
         finally:
             thread.join()
 
@@ -68,8 +68,8 @@ def test_whole_and_split_replies(far):
     ("script", "line"),
     [
         ([], "no reply in time"),
-        ([(0, b"-12")], "half a reply"),
-        ([(0, b"1\r2\r")], "after the last reply"),
+        ([(0, b"-12")], "incomplete reply"),
+        ([(0, b"1\r2\r")], "after the last expected reply"),
         ([(0, b"x" * 400)], "without an end"),
     ],
 )
@@ -85,8 +85,8 @@ def test_a_late_reply_is_not_the_next_answer(far):
     far.line.drain()
     os.write(far.master, b"111\r")
     time.sleep(0.01)
-    with pytest.raises(ReplyError, match="nobody had asked"):
-        far.line.ask(b"RPA\r", 1, 0.05)
+    with pytest.raises(ReplyError, match="without a query"):
+        far.line.exchange(b"RPA\r", 1, 0.05)
     assert far.ask((0, b"7\r")) == [b"7"]
 
 
@@ -98,9 +98,9 @@ def test_trickling_bytes_do_not_stretch_the_timeout(far):
 
 
 def test_wake_breaks_off_at_once(far):
-    threading.Timer(0.02, far.wake.set).start()
+    threading.Timer(0.02, far.wake_up.set).start()
     begin = time.monotonic()
-    with pytest.raises(Interrupted):
+    with pytest.raises(WaitInterrupted):
         far.ask(timeout=1.0)
     assert time.monotonic() - begin < 0.1
 
@@ -108,16 +108,16 @@ def test_wake_breaks_off_at_once(far):
 def test_unplugged(far):
     os.close(far.slave)
     os.close(far.master)
-    with pytest.raises(LineLost, match=r"is gone|does not take"):
-        far.line.ask(b"RPA\r", 1, 0.05)
+    with pytest.raises(LineLostError, match=r"is gone|does not take"):
+        far.line.exchange(b"RPA\r", 1, 0.05)
     far.line.close()
 
 
 def test_a_port_that_is_not_there_or_taken(far):
-    with pytest.raises(LineLost, match="cannot be opened"):
-        SerialLine("/dev/does-not-exist", 9600, BenchClock(), far.wake)
-    with pytest.raises(LineLost, match="cannot be opened"):
-        SerialLine(os.ttyname(far.slave), 9600, BenchClock(), far.wake)
+    with pytest.raises(LineLostError, match="cannot be opened"):
+        MotorLine("/dev/does-not-exist", 9600, BenchClock(), far.wake_up)
+    with pytest.raises(LineLostError, match="cannot be opened"):
+        MotorLine(os.ttyname(far.slave), 9600, BenchClock(), far.wake_up)
 
 
 @settings(max_examples=40, deadline=None)

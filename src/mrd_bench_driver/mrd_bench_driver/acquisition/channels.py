@@ -1,0 +1,141 @@
+"""Calibration of the analog channels: volts to SI units and back, tare, clipping."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError, quantity
+from mrd_trajectory.limits import Limits
+
+Array = NDArray[np.float64]
+
+# Quantities in the order of the channel map, with their SI units.
+UNITS = {"position": "m", "force": "N", "coil_current": "A", "acceleration": "m/s^2"}
+# Terminal configurations and input ranges (± V) of the USB-6216.
+TERMINALS = ("DIFF", "RSE", "NRSE")
+INPUT_RANGES = (10.0, 5.0, 1.0, 0.2)
+# Range (± V) of its analog outputs.
+OUTPUT_RANGE = 10.0
+# Least number of samples of a tare: fewer determine the zero poorly and do not average out mains hum.
+MIN_TARE_SAMPLES = 20
+# Share of the range, from either end, in which a reading may have been clipped.
+CLIPPING_MARGIN = 1e-3
+
+
+@dataclass(frozen=True)
+class InputChannel:
+    """One analog input: value = gain · (voltage − zero)."""
+
+    input: str = quantity("ai0", doc="terminal of the converter")
+    terminal: str = quantity("DIFF", doc="DIFF, RSE or NRSE")
+    range: float = quantity(10.0, "V", "input range, ±; the USB-6216 has 10, 5, 1 and 0.2 V")
+    gain: float = quantity(1.0, doc="SI units per volt: m/V, N/V, A/V or (m/s2)/V")
+    zero: float = quantity(0.0, "V", "voltage at which the quantity is zero", lower=-10, upper=10)
+    tare: bool = quantity(False, doc="whether daq/tare sets the zero to the voltage at rest")
+    rest: float = quantity(0.02, "V", "standard deviation above which the signal is not at rest", lower=1e-6, upper=10)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"ai\d+", self.input):
+            raise InputError(f"input is {self.input!r}, expected a terminal such as ai0")
+        if self.terminal not in TERMINALS:
+            raise InputError(f"terminal is {self.terminal!r}, expected one of {', '.join(TERMINALS)}")
+        if self.range not in INPUT_RANGES:
+            raise InputError(f"range_V is {self.range:g}, expected one of {', '.join(f'{r:g}' for r in INPUT_RANGES)}")
+        if self.gain == 0:
+            raise InputError("gain is 0, expected the unit of the quantity per volt")
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """The analog input of each quantity, in the order in which blocks of samples carry them."""
+
+    # LVDT of ±50 mm behind a conditioner of ±10 V.
+    position: InputChannel = InputChannel("ai0", gain=5e-3)
+    # 100 kg cell of 2 mV/V, excitation 10 V, amplifier 250.
+    force: InputChannel = InputChannel("ai1", gain=196.133)
+    # ACS714-05B, 185 mV/A around half of its 5 V supply.
+    coil_current: InputChannel = InputChannel("ai2", range=5.0, gain=5.405405405405405, zero=2.5, tare=True)
+    # MMA7361L, 800 mV/g around half of its 3.3 V supply.
+    acceleration: InputChannel = InputChannel("ai4", range=5.0, gain=12.2583125, zero=1.65, tare=True, rest=0.03)
+
+    def __post_init__(self) -> None:
+        inputs = [channel.input for _, channel in self.items()]
+        duplicates = {entry for entry in inputs if inputs.count(entry) > 1}
+        if duplicates:
+            raise InputError(f"input {', '.join(sorted(duplicates))} is given to two quantities, expected one terminal each")
+
+    def items(self) -> Iterator[tuple[str, InputChannel]]:
+        """Iterate over quantities and channels in the order of the blocks."""
+        for field in dataclasses.fields(self):
+            yield field.name, getattr(self, field.name)
+
+
+@dataclass(frozen=True)
+class CoilOutput:
+    """The analog output that sets the coil current: current = current_per_volt · (voltage ∓ dead_zone), 0 A at 0 V."""
+
+    output: str = quantity("ao0", doc="terminal of the converter")
+    current_per_volt: float = quantity(0.2, "A", "gain of the coil supply: current per volt at its control input")
+    dead_zone: float = quantity(0.0, "V", "largest voltage, ±, at which the supply gives no current", lower=0, upper=5)
+
+    def __post_init__(self) -> None:
+        if self.current_per_volt == 0:
+            raise InputError("current_per_volt_A is 0, expected the gain of the coil supply")
+
+
+def to_si(volts: Array, channels: ChannelMap) -> Array:
+    """Convert volts (4, n) to position in m, force in N, coil current in A and acceleration in m/s² (4, n)."""
+    gain = np.array([channel.gain for _, channel in channels.items()])
+    zero = np.array([channel.zero for _, channel in channels.items()])
+    si: Array = gain[:, None] * (volts - zero[:, None])
+    return si
+
+
+def count_clipped(volts: Array, channels: ChannelMap) -> NDArray[np.int64]:
+    """Count the readings per channel (4,) at an end of the input range; their true values may lie beyond it."""
+    ends = np.array([channel.range * (1 - CLIPPING_MARGIN) for _, channel in channels.items()])
+    clipped: NDArray[np.int64] = np.count_nonzero(np.abs(volts) >= ends[:, None], axis=1)
+    return clipped
+
+
+def tare(volts: Array, channels: ChannelMap) -> ChannelMap:
+    """Return the channel map with the mean of ``volts`` (4, n) as zero of each channel that is marked for a tare.
+
+    Raises
+    ------
+    InputError
+        If there are too few samples, or the rod or a signal marked for a tare is not at rest.
+    """
+    count = volts.shape[1]
+    if count < MIN_TARE_SAMPLES:
+        raise InputError(f"tare: {count} samples, expected {MIN_TARE_SAMPLES} or more; let the DAQ sample for a while")
+    # A moving rod changes the other signals. So the position must rest even if it is not tared itself.
+    for (name, channel), signal in zip(channels.items(), volts, strict=True):
+        deviation = float(np.std(signal))
+        if (channel.tare or name == "position") and not deviation <= channel.rest:
+            raise InputError(
+                f"tare: {name} is not at rest (standard deviation {1e3 * deviation:.3g} mV, at most "
+                f"{1e3 * channel.rest:.3g} mV); stop rod and coil, or check the wiring"
+            )
+    return ChannelMap(
+        **{
+            name: dataclasses.replace(channel, zero=float(np.mean(signal))) if channel.tare else channel
+            for (name, channel), signal in zip(channels.items(), volts, strict=True)
+        }
+    )
+
+
+def coil_voltage(current: float, coil: CoilOutput, limits: Limits) -> float:
+    """Return the control voltage in V for a coil current in A, clipped to the limits, and 0 V if it is not finite."""
+    if not math.isfinite(current):
+        return 0.0
+    allowed = min(max(current, limits.current_min), limits.current_max)
+    if allowed == 0:
+        return 0.0
+    volts = allowed / coil.current_per_volt
+    return float(min(max(volts + math.copysign(coil.dead_zone, volts), -OUTPUT_RANGE), OUTPUT_RANGE))

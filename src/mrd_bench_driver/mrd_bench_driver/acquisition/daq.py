@@ -1,0 +1,213 @@
+"""The DAQ: it turns the readings of a backend into samples, and sets the coil current."""
+
+import collections
+import contextlib
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mrd_base import BenchClock, InputError
+from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
+from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock
+from mrd_bench_driver.acquisition.channels import UNITS, ChannelMap, coil_voltage, count_clipped, tare
+from mrd_bench_driver.acquisition.config import DaqConfig
+
+# Wall time in s for the reading thread to notice a fault or the end; a read returns within this time.
+_READ_TIMEOUT = 3.0
+
+
+class Daq:
+    """The DAQ. It reads in a thread of its own; all other methods return at once, except `reset_fault` and `close`.
+
+    Parameters
+    ----------
+    backend : Backend
+        It must be open before `start`; `close` closes it.
+    on_block : callable
+        Receives each block of averages, in the reading thread.
+    on_calibration : callable
+        Called when `channels`, `rate` or `tare_time` have changed.
+    on_fault : callable
+        Receives the message of a new fault.
+
+    Attributes
+    ----------
+    channels : ChannelMap
+        Channel map with the zeros of the latest tare.
+    rate : float
+        Sample rate in Hz.
+    tare_time : float
+        Bench time in s of the latest tare, or of the start.
+    """
+
+    def __init__(
+        self,
+        config: DaqConfig,
+        clock: BenchClock,
+        backend: Backend,
+        on_block: Callable[[VoltBlock], None],
+        on_calibration: Callable[[], None],
+        on_fault: Callable[[str], None],
+    ) -> None:
+        self._config, self._clock, self._backend = config, clock, backend
+        self._on_block, self._on_calibration, self._on_fault = on_block, on_calibration, on_fault
+        self._lock = threading.RLock()
+        self.channels: ChannelMap = config.channels
+        self.rate = config.rate
+        self.tare_time = clock.now()
+
+        self._averager = self._make_averager(config.rate)
+        self._recent: collections.deque[VoltBlock] = collections.deque()  # readings for a tare
+        self._recent_count = 0
+        self._clipped = np.zeros(len(UNITS), np.int64)
+        self._lost_before = 0  # readings lost at earlier sample rates
+
+        self._emergency_stopped = False
+        self._fault = ""
+        self._refused = ""  # why the latest refused setpoint was refused
+        self._setpoint_time = -math.inf
+        self._volts = 0.0  # on the coil output
+
+        self._closing = threading.Event()
+        self._paused = threading.Event()  # the reading thread has noticed a fault
+        self._resume = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="acquisition", daemon=True)
+
+    def start(self) -> None:
+        """Start to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Set the coil output to 0 V, stop reading, and close the backend."""
+        self._emergency_stopped = True
+        with contextlib.suppress(Exception):
+            self._backend.write(0.0)
+        self._closing.set()
+        self._resume.set()
+        self._thread.join(timeout=_READ_TIMEOUT)
+        with contextlib.suppress(Exception):
+            self._backend.close()
+
+    # Samples
+
+    def _make_averager(self, rate: float) -> Averager:
+        ratio = averaging_ratio(rate, self._config.hardware_rate)
+        return Averager(ratio, max(1, round(self._config.block * rate)), self._config.hardware_rate)
+
+    def _read(self) -> None:
+        while not self._closing.is_set():
+            if self._fault:
+                self._paused.set()
+                self._resume.wait()
+                self._resume.clear()
+                continue
+            try:
+                block = self._backend.read()
+            except AcquisitionError as error:
+                self._fail(str(error))
+                continue
+            if block is not None and not self._closing.is_set():
+                self._process(block)
+
+    def _process(self, block: VoltBlock) -> None:
+        with self._lock:
+            self._clipped += count_clipped(block.volts, self.channels)
+            self._recent.append(block)
+            self._recent_count += block.volts.shape[1]
+            needed = self._config.tare_duration * self._config.hardware_rate
+            while self._recent_count - self._recent[0].volts.shape[1] >= needed:
+                self._recent_count -= self._recent.popleft().volts.shape[1]
+            for averages in self._averager.push(block):
+                self._on_block(averages)
+
+    def set_rate(self, rate: Any) -> None:
+        """Set the sample rate in Hz; raise InputError unless it divides the rate of the converter."""
+        averager = self._make_averager(rate)
+        with self._lock:
+            self._lost_before += self._averager.lost
+            self._averager, self.rate = averager, float(rate)
+            self._on_calibration()
+
+    def tare(self) -> str:
+        """Set the zeros of the channels marked for a tare; return the message of success, or raise InputError."""
+        with self._lock:
+            if self._volts != 0:
+                raise InputError(f"tare: the coil is driven ({self._volts:.3g} V); stop the setpoints first")
+            blocks = [block.volts for block in self._recent] or [np.zeros((len(UNITS), 0))]
+            self.channels = tare(np.hstack(blocks), self.channels)
+            self.tare_time = self._clock.now()
+            self._on_calibration()
+        zeros = [f"{name} {channel.zero:.4f} V" for name, channel in self.channels.items() if channel.tare]
+        return "zero: " + ", ".join(zeros)
+
+    # The coil
+
+    def set_coil_current(self, current: float, time: float) -> None:
+        """Set the coil current in A that a setpoint of bench time ``time`` asks for, unless it is old or the DAQ stopped."""
+        now = self._clock.now()
+        if now - time > self._config.setpoint_timeout:
+            self._refused = f"a setpoint was {now - time:.3g} s old"
+            return
+        # A stamp in the future must not keep the coil on after its sender has stopped.
+        self._setpoint_time = min(time, now)
+        if not math.isfinite(current):
+            self._refused = f"a setpoint asked for {current} A"
+        if not self._emergency_stopped and not self._fault:
+            self._write(coil_voltage(current, self._config.coil, self._config.limits))
+
+    def check_setpoint_age(self) -> None:
+        """Set the coil output to 0 V if no setpoint has come for too long."""
+        if self._volts != 0 and self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
+            self._write(0.0)
+
+    def emergency_stop(self) -> None:
+        """Set the coil output to 0 V until `reset_fault`."""
+        self._emergency_stopped = True
+        self._write(0.0)
+
+    def _write(self, volts: float) -> None:
+        try:
+            self._backend.write(volts)
+            self._volts = volts
+        except AcquisitionError as error:
+            self._fail(str(error))
+
+    # Faults
+
+    def _fail(self, message: str) -> None:
+        with self._lock:
+            if self._fault:
+                return
+            self._fault = message
+        self._on_fault(message)
+        with contextlib.suppress(AcquisitionError):
+            self._backend.write(0.0)
+        self._volts = 0.0
+
+    def reset_fault(self) -> None:
+        """Release the emergency stop and restart a converter that failed; raise InputError if it does not restart."""
+        if self._fault:
+            if not self._paused.wait(timeout=_READ_TIMEOUT):
+                raise InputError("the converter does not answer; check it and restart the node")
+            self._backend.close()
+            self._backend.open()
+            self._paused.clear()
+            self._fault = ""
+            self._resume.set()
+        self._refused = ""
+        self._emergency_stopped = False
+
+    def diagnose(self) -> tuple[str, dict[str, Any]]:
+        """Return the fault or the latched stop, and counts of lost and clipped readings and the latest refused setpoint."""
+        problem = self._fault or ("the emergency stop is latched; call reset_fault" if self._emergency_stopped else "")
+        values: dict[str, Any] = {
+            "device": self._backend.product,
+            "rate_hz": self.rate,
+            "coil_V": self._volts,
+            "lost_readings": self._lost_before + self._averager.lost,
+            "refused": self._refused,
+        }
+        return problem, values | dict(zip((f"clipped_{name}" for name in UNITS), self._clipped.tolist(), strict=True))

@@ -1,0 +1,124 @@
+"""A client of the bench: it waits until the nodes are up, and lets the supervisor run experiments."""
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from mrd_base import InputError
+from mrd_interfaces.action import RunExperiment, RunSet
+
+# Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s.
+START_TIMEOUT = 60.0
+# Wall time in s for the supervisor to accept a goal.
+ACCEPT_TIMEOUT = 10.0
+# Wall time in s for a cancelled experiment to end; it includes the time in which the recorder may close its bag.
+CANCEL_TIMEOUT = 90.0
+
+# Receives the feedback messages of an action.
+Feedback = Callable[[Any], None]
+
+
+def ignore_feedback(_feedback: Any) -> None:
+    """Do nothing with a feedback."""
+
+
+class BenchClient:
+    """Client of the supervisor's actions, with a ROS context of its own.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace of the bench's nodes.
+    watch : callable
+        Called often during waits; an exception that it raises ends the wait.
+    """
+
+    def __init__(self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(f"bench_client_{os.getpid()}", namespace=namespace, context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._watch = watch
+        self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
+        self._run_set = ActionClient(self.node, RunSet, "run_set")
+        self._nodes_up: set[str] = set()
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self._nodes_up.update(status.name.partition(":")[0] for status in message.status)
+
+    def __enter__(self) -> "BenchClient":
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._run_experiment.destroy()
+        self._run_set.destroy()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def spin(self, until: Callable[[], bool], timeout: float, *, watch: bool = True) -> bool:
+        """Process messages until a condition holds, for at most ``timeout`` wall seconds; return whether it holds."""
+        deadline = time.monotonic() + timeout
+        while not until():
+            if time.monotonic() > deadline:
+                return False
+            if watch:
+                self._watch()
+            self._executor.spin_once(timeout_sec=0.05)
+        return True
+
+    def wait_until_up(self, names: set[str], timeout: float = START_TIMEOUT) -> None:
+        """Wait until all nodes have published diagnostics, which they do once they work, and the supervisor is ready."""
+        namespace = self.node.get_namespace().strip("/")
+        actions = self._run_experiment, self._run_set
+
+        def missing() -> list[str]:
+            nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up)
+            if nodes or all(action.server_is_ready() for action in actions):
+                return nodes
+            return ["the actions of the supervisor"]
+
+        if not self.spin(lambda: not missing(), timeout):
+            raise InputError(
+                f"the bench did not come up within {timeout:g} s: {', '.join(missing())} missing; look at the logs"
+            )
+
+    def run_experiment(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
+        """Run an experiment, given by the text of its file, and return the result of the action.
+
+        If ``watch`` raises an exception meanwhile, the experiment is cancelled, and its end is awaited before the exception
+        is raised on.
+        """
+        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
+        return self._run(self._run_experiment, goal, feedback)
+
+    def run_set(self, experiments: list[str], folder: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
+        """Run experiments one after the other, each into its own bag in the folder; otherwise as `run_experiment`."""
+        goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed)
+        return self._run(self._run_set, goal, feedback)
+
+    def _run(self, action: ActionClient, goal: Any, feedback: Feedback) -> Any:
+        accepted = action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        if not self.spin(accepted.done, ACCEPT_TIMEOUT):
+            raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
+        handle: ClientGoalHandle = accepted.result()
+        ended = handle.get_result_async()
+        try:
+            self.spin(ended.done, float("inf"))
+        except BaseException:
+            handle.cancel_goal_async()
+            self.spin(ended.done, CANCEL_TIMEOUT, watch=False)
+            raise
+        return ended.result().result

@@ -1,0 +1,132 @@
+"""The thread that owns the serial line: it connects, exchanges data, and leaves the rod at rest with the drive off."""
+
+import random
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+from mrd_base import BenchClock, InputError
+from mrd_bench_driver.servo.config import ServoConfig
+from mrd_bench_driver.servo.controller import ServoController
+from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted, WakeUp
+from mrd_bench_driver.servo.motor_setup import connect_motor
+from mrd_bench_driver.servo.smartmotor import ReplyError
+from mrd_bench_driver.servo.status import ServoStatus
+from mrd_bench_driver.servo.streaming import TURNAROUND
+
+# First and longest wait in bench s before the next attempt to connect; it doubles from attempt to attempt.
+_RETRY_DELAY = (0.25, 5.0)
+# The line counts as lost after this silence in bench s, if more than this many batches in a row have missed replies.
+_MAX_SILENCE = 0.3
+_MAX_MISSED = 3
+# Time in bench s that the rod is given to come to rest before the drive is switched off.
+_REST_DELAY = 0.1
+# Margin in bench s for the replies of a batch, beyond the turnaround and the bytes of each.
+_REPLY_MARGIN = 0.03
+
+
+class ServoCommunication:
+    """Connects a `ServoController` with the motor on a serial port, in a thread of its own.
+
+    Parameters
+    ----------
+    on_status : callable
+        Receives the status of the servo after each exchange, in the thread of the line, until `close` is called.
+    """
+
+    def __init__(self, config: ServoConfig, clock: BenchClock, on_status: Callable[[ServoStatus], None]) -> None:
+        self._config, self._clock, self._on_status = config, clock, on_status
+        self._wake_up = WakeUp()
+        self.controller = ServoController(config, self._wake_up.set)
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="servo line", daemon=True)
+
+    def start(self) -> None:
+        """Start to search for the motor."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Bring the rod to rest, switch the drive off, and close the port. This may be called at any time, and twice."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._wake_up.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout=5.0)
+        if not self._thread.is_alive():
+            self._wake_up.close()
+
+    def _run(self) -> None:
+        delay = _RETRY_DELAY[0]
+        while not self._closing.is_set():
+            line: MotorLine | None = None
+            try:
+                line, motor = connect_motor(self._config, self.controller.homed, self._clock, self._wake_up)
+                self.controller.connect(motor, line.baud_rate, self._clock.now())
+                delay = _RETRY_DELAY[0]
+                self._exchange_until_closed(line)
+            except (LineLostError, InputError) as error:
+                self.controller.disconnect(str(error))
+            except WaitInterrupted:
+                continue
+            except Exception as error:
+                # The state of the rod must not depend on an error of this program.
+                self.controller.disconnect(f"internal error: {error!r}")
+                self._publish(self._clock.now())
+                raise
+            finally:
+                if line is not None:
+                    self._disconnect(line)
+            self._wait_to_retry(delay)
+            delay = min(_RETRY_DELAY[1], 2 * delay)
+
+    def _wait_to_retry(self, delay: float) -> None:
+        """Wait about ``delay`` bench s and go on publishing. The wait varies, lest two drivers collide again and again."""
+        end = self._clock.now() + delay * random.uniform(0.8, 1.2)
+        while not self._closing.is_set() and (now := self._clock.now()) < end:
+            self._publish(now)
+            self._wake_up.wait(self._clock.wall(min(0.1, end - now)))
+
+    def _exchange_until_closed(self, line: MotorLine) -> None:
+        controller, clock = self.controller, self._clock
+        due = answered = clock.now()
+        missed = 0
+        while not self._closing.is_set():
+            # A stop that comes after this wakes the thread. Either it interrupts the exchange below before a motion command
+            # is written, or it is written after that command.
+            self._wake_up.clear()
+            if data := controller.take_commands():
+                line.write(data)
+            if self._wake_up.wait(clock.wall(due - clock.now())):
+                continue
+            batch = controller.tick(clock.now())
+            # After a delay the next tick is one period away: ticks to catch up would send targets in a burst.
+            due = max(due + controller.period, batch.time)
+            timeout = _REPLY_MARGIN + sum(TURNAROUND + line.duration(8) for _ in batch.queries)
+            try:
+                replies = line.exchange(batch.data, len(batch.queries), timeout)
+                values = [query.parse(reply) for query, (reply, _) in zip(batch.queries, replies, strict=True)]
+            except ReplyError as error:
+                controller.replies_missed()
+                missed += 1
+                if missed > _MAX_MISSED and clock.now() - answered > _MAX_SILENCE:
+                    raise LineLostError(f"{line.port}: the motor no longer answers ({error})") from error
+            except WaitInterrupted:
+                controller.replies_interrupted()
+            else:
+                missed, answered = 0, replies[0][1]
+                controller.take_replies(batch, values, answered)
+            self._publish(clock.now())
+
+    def _publish(self, now: float) -> None:
+        if not self._closing.is_set():
+            self._on_status(self.controller.status(now))
+
+    def _disconnect(self, line: MotorLine) -> None:
+        """Bring the rod to rest and switch the drive off, whatever ended the exchange."""
+        with suppress(LineLostError):
+            line.write(b"\rX\r")
+            self._clock.sleep_until(self._clock.now() + _REST_DELAY)
+            line.write(b"OFF\r")
+            self._clock.sleep_until(self._clock.now() + line.duration(4) + 0.002)
+        line.close()

@@ -1,0 +1,204 @@
+"""The serial line to the motor. A query brings its own whole replies or an error, never part of a reply or a late one.
+
+One thread owns the line. Other threads may only send it a `WakeUp`, which ends any wait of the owner at once.
+"""
+
+import os
+import select
+import termios
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import serial
+
+from mrd_base import BenchClock
+from mrd_bench_driver.servo.smartmotor import ReplyError
+
+# Shortest timeout in wall s: under load, the operating system takes this long to deliver a byte, whatever the bench time.
+MIN_TIMEOUT = 0.02
+# Bytes read at once, and the length beyond which data without a carriage return is no reply.
+_BUFFER_SIZE = 256
+# Exceptions of pyserial once the port is gone. termios.error is no OSError; a port closed during a read is a TypeError.
+_PORT_ERRORS = (serial.SerialException, OSError, termios.error, TypeError)
+
+
+class LineLostError(Exception):
+    """The port is not usable, no longer or not yet."""
+
+
+class WaitInterrupted(Exception):  # noqa: N818 (no error: somebody asked for it)
+    """The owner of the line was woken while it waited for a reply, which is lost."""
+
+
+class WakeUp:
+    """Signal that wakes the thread that owns the line; any thread may send it."""
+
+    def __init__(self) -> None:
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._read, False)
+        os.set_blocking(self._write, False)
+
+    def fileno(self) -> int:
+        """Return the descriptor, which is readable while a wake-up is pending."""
+        return self._read
+
+    def set(self) -> None:
+        """Wake the owner."""
+        # A full pipe means that wake-ups are pending already.
+        with suppress(BlockingIOError):
+            os.write(self._write, b"!")
+
+    def wait(self, wall: float) -> bool:
+        """Wait at most ``wall`` seconds; return whether a wake-up came, and clear it."""
+        if not select.select([self], [], [], max(0.0, wall))[0]:
+            return False
+        self.clear()
+        return True
+
+    def clear(self) -> None:
+        """Discard pending wake-ups."""
+        with suppress(BlockingIOError):
+            os.read(self._read, 4096)
+
+    def close(self) -> None:
+        """Close the descriptors."""
+        os.close(self._read)
+        os.close(self._write)
+
+
+class MotorLine:
+    """A serial port on which each reply ends with a carriage return.
+
+    Parameters
+    ----------
+    port : str
+        Device. ``/dev/serial/by-id/...`` survives replugging.
+    clock : BenchClock
+        Clock of the timeouts, which are in bench seconds.
+    wake_up : WakeUp
+        Ends a wait for a reply.
+
+    Raises
+    ------
+    LineLostError
+        By every method, once the port fails.
+    """
+
+    def __init__(self, port: str, baud_rate: int, clock: BenchClock, wake_up: WakeUp) -> None:
+        self.port, self.clock, self._wake_up = port, clock, wake_up
+        self._buffer = bytearray()
+        self._stale = True  # whether bytes of earlier queries may still arrive
+        with self._guarded("cannot be opened"):
+            # Reads do not block: select waits instead, because a wake-up can end it.
+            self._serial: Any = serial.Serial(port, baud_rate, timeout=0, write_timeout=0.2, exclusive=True)
+        with suppress(*_PORT_ERRORS, ValueError, AttributeError, NotImplementedError):
+            # The latency timer of a USB adapter, 16 ms, would dominate every exchange. A pseudo-terminal has none.
+            self._serial.set_low_latency_mode(True)
+
+    @property
+    def baud_rate(self) -> int:
+        """Baud rate in bit/s of this end of the line."""
+        return int(self._serial.baudrate)
+
+    @baud_rate.setter
+    def baud_rate(self, value: int) -> None:
+        with self._guarded(f"refuses {value} baud"):
+            self._serial.baudrate = value
+        self._stale = True
+
+    def duration(self, count: int) -> float:
+        """Return the time in bench s that ``count`` bytes take, each with start bit, 8 data bits and stop bit."""
+        return 10 * count / self.baud_rate
+
+    def write(self, data: bytes) -> None:
+        """Send commands, which the motor does not answer."""
+        with self._guarded("does not take data"):
+            self._serial.write(data)
+
+    def exchange(self, request: bytes, count: int, timeout: float) -> list[tuple[bytes, float]]:
+        """Send a request and wait for its ``count`` replies.
+
+        Parameters
+        ----------
+        request : bytes
+            Commands and queries, ended by a delimiter.
+        count : int
+            Number of replies expected.
+        timeout : float
+            Longest wait in bench s for all replies, after the time that the bytes of the request take.
+
+        Returns
+        -------
+        list of (reply, time)
+            Replies without their carriage returns, with the bench times at which they ended.
+
+        Raises
+        ------
+        ReplyError
+            If a reply is missing or surplus. Bytes that still arrive are discarded before the next request, so that no late
+            reply is taken for another.
+        WaitInterrupted
+            If a wake-up came.
+        """
+        if self._stale:
+            self.drain()
+        if self._buffer or self._ready(0.0):
+            self.drain()
+            raise ReplyError("bytes came without a query: a late reply, or noise")
+        self.write(request)
+        self._stale = True
+        deadline = time.monotonic() + max(MIN_TIMEOUT, self.clock.wall(timeout + self.duration(len(request))))
+        replies = [(self._line(deadline), self.clock.now()) for _ in range(count)]
+        if self._buffer:
+            raise ReplyError(f"{bytes(self._buffer)!r} came after the last expected reply")
+        self._stale = False
+        return replies
+
+    def drain(self, limit: float = 0.2) -> None:
+        """Discard what arrives until the line has been quiet, for at most ``limit`` bench seconds."""
+        quiet = max(0.002, self.clock.wall(self.duration(5)))
+        deadline = time.monotonic() + max(MIN_TIMEOUT, self.clock.wall(limit))
+        self._buffer.clear()
+        while time.monotonic() < deadline and self._ready(quiet):
+            self._receive()
+        self._buffer.clear()
+        self._stale = False
+
+    def close(self) -> None:
+        """Close the port. This may be called at any time."""
+        with suppress(*_PORT_ERRORS):
+            self._serial.close()
+
+    def _line(self, deadline: float) -> bytes:
+        while (end := self._buffer.find(b"\r")) < 0:
+            if len(self._buffer) > _BUFFER_SIZE:
+                raise ReplyError(f"{len(self._buffer)} bytes came without an end of a reply")
+            if not self._ready(deadline - time.monotonic()):
+                raise ReplyError("no reply in time" if not self._buffer else f"incomplete reply: {bytes(self._buffer)!r}")
+            self._receive()
+        line = bytes(self._buffer[:end]).strip(b"\n")
+        del self._buffer[: end + 1]
+        return line
+
+    def _ready(self, wall: float) -> bool:
+        """Wait at most ``wall`` seconds for bytes; return whether there are any."""
+        with self._guarded("is gone"):
+            ready = select.select([self._serial.fileno(), self._wake_up], [], [], max(0.0, wall))[0]
+        if self._wake_up in ready:
+            self._wake_up.clear()
+            self._stale = True
+            raise WaitInterrupted("the wait for a reply was interrupted")
+        return bool(ready)
+
+    def _receive(self) -> None:
+        with self._guarded("is gone"):
+            self._buffer += self._serial.read(_BUFFER_SIZE)
+
+    @contextmanager
+    def _guarded(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except _PORT_ERRORS as error:
+            raise LineLostError(f"{self.port} {what} ({error})") from error

@@ -1,0 +1,161 @@
+"""The interlocks: when the bench must stop, as pure functions of its state at one instant.
+
+Each interlock returns a message with value, limit and remedy if it trips, else "".
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from mrd_base import quantity
+from mrd_bench_driver.supervision.snapshot import Snapshot
+from mrd_trajectory.limits import Limits
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far readings may exceed the limits of the setpoints; section ``interlocks`` of bench.yaml."""
+
+    overspeed: float = quantity(1.25, doc="measured speed, as a multiple of limits.speed", lower=1, upper=3)
+    current: float = quantity(0.1, "A", "measured coil current beyond limits.current", lower=0, upper=2)
+    following_error: float = quantity(0.005, "mm", "setpoint minus rod position", lower=1e-5, upper=0.1)
+    samples_stale: float = quantity(0.14, "ms", "age of the latest sample", lower=0.08, upper=1)
+    servo_stale: float = quantity(0.15, "ms", "age of the latest servo_state", lower=0.02, upper=1)
+    setpoint_stale: float = quantity(0.15, "ms", "age of the latest setpoint of an experiment", lower=0.02, upper=1)
+
+
+@dataclass(frozen=True)
+class Trip:
+    """An interlock that stops the bench."""
+
+    interlock: str
+    message: str
+
+
+def _stale(name: str, age: float, limit: float, remedy: str) -> str:
+    # An age of nan is stale, too.
+    if age <= limit:
+        return ""
+    finding = f"the latest {name} is {1e3 * age:.0f} ms old" if age < math.inf else f"no {name} came"
+    return f"{finding}, limit {1e3 * limit:.0f} ms; {remedy}"
+
+
+def check_samples(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the DAQ has fallen silent."""
+    return _stale("sample", now.sample_age, tolerances.samples_stale, "check the daq and its converter")
+
+
+def check_servo_connection(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the servo node has fallen silent or has lost the motor."""
+    message = _stale("state", now.servo_age, tolerances.servo_stale, "check the servo node")
+    if message or now.servo.connected:
+        return message
+    return "the motor does not answer; check its power and the serial line"
+
+
+def check_servo_fault(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -> str:
+    """Trip if the motor or its driver stopped for a fault or an emergency stop."""
+    if now.servo.fault:
+        return now.servo.message or "the motor or its driver stopped"
+    return "its emergency stop is latched" if now.servo.stopped else ""
+
+
+def check_setpoint(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the generator has fallen silent during an experiment."""
+    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, "check the generator")
+
+
+def check_stroke(now: Snapshot, limits: Limits, _tolerances: Tolerances) -> str:
+    """Trip if the rod has passed half of the margin that setpoints keep from either end of the stroke."""
+    limit = limits.stroke / 2 - limits.margin / 2
+    encoder = now.servo.position if now.servo.homed else 0.0
+    for sensor, value in (("LVDT", now.position), ("encoder", encoder)):
+        if abs(value) > limit or (sensor == "LVDT" and math.isnan(value)):
+            return (
+                f"the rod is at {1e3 * value:.2f} mm by the {sensor}, limit ±{1e3 * limit:.2f} mm; home it, then reduce "
+                "amplitude or offset"
+            )
+    return ""
+
+
+def check_lvdt_range(now: Snapshot, limits: Limits, _tolerances: Tolerances) -> str:
+    """Trip if the LVDT reads a position that the damper cannot have. During homing this replaces `check_stroke`."""
+    if abs(now.position) <= limits.stroke / 2 + limits.margin:
+        return ""
+    return (
+        f"the LVDT reads {1e3 * now.position:.2f} mm, the damper ends at ±{1e3 * limits.stroke / 2:.2f} mm; check the "
+        "LVDT's wiring and calibration"
+    )
+
+
+def check_speed(now: Snapshot, limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the rod is faster than the setpoints may be."""
+    limit = tolerances.overspeed * limits.speed
+    for sensor, value in (("LVDT", now.speed), ("encoder", now.servo.velocity)):
+        if abs(value) > limit:
+            return (
+                f"the rod moves at {1e3 * value:.0f} mm/s by the {sensor}, limit {1e3 * limit:.0f} mm/s; reduce amplitude "
+                "or frequency, and check the servo's tuning"
+            )
+    return ""
+
+
+def check_force(now: Snapshot, limits: Limits, _tolerances: Tolerances) -> str:
+    """Trip if the force exceeds its limit."""
+    if abs(now.force) <= limits.force:
+        return ""
+    return (
+        f"{now.force:.0f} N on the load cell, limit ±{limits.force:.0f} N; reduce coil current or speed, or check the cell"
+    )
+
+
+def check_following_error(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the rod is too far from its setpoint."""
+    limit = tolerances.following_error
+    if not now.servo.homed or abs(now.servo.following_error) <= limit:
+        return ""
+    return (
+        f"the rod is {1e3 * now.servo.following_error:.2f} mm off its setpoint, limit ±{1e3 * limit:.2f} mm; look for "
+        "something that blocks it, or reduce speed"
+    )
+
+
+def check_current(now: Snapshot, limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the coil current is outside the range of the setpoints."""
+    lower, upper = limits.current_min - tolerances.current, limits.current_max + tolerances.current
+    if lower <= now.current <= upper:
+        return ""
+    return (
+        f"{now.current:.3f} A through the coil, allowed {lower:.3f} to {upper:.3f} A; check the coil supply, or tare the "
+        "sensor at 0 A"
+    )
+
+
+Interlocks = Mapping[str, Callable[[Snapshot, Limits, Tolerances], str]]
+
+STALE_SAMPLES, LOST_SERVO = "stale samples", "lost servo"
+
+# The sources of the data are checked first: once they are silent, their last values mean nothing.
+INTERLOCKS: Interlocks = {
+    STALE_SAMPLES: check_samples,
+    LOST_SERVO: check_servo_connection,
+    "servo fault": check_servo_fault,
+    "stale setpoint": check_setpoint,
+    "stroke": check_stroke,
+    "speed": check_speed,
+    "force": check_force,
+    "following error": check_following_error,
+    "current": check_current,
+}
+
+# Homing brings the rod back from wherever it stands, so that it may begin beyond the limit of the stroke.
+HOMING_INTERLOCKS: Interlocks = {**INTERLOCKS, "stroke": check_lvdt_range}
+
+# Conditions for the reset of a fault. A fault of the servo is reset together with the others.
+RESET_INTERLOCKS: Interlocks = {name: INTERLOCKS[name] for name in (STALE_SAMPLES, LOST_SERVO, "speed", "force", "current")}
+
+
+def first_trip(now: Snapshot, limits: Limits, tolerances: Tolerances, interlocks: Interlocks = INTERLOCKS) -> Trip | None:
+    """Return the first interlock that trips, or None."""
+    messages = ((name, check(now, limits, tolerances)) for name, check in interlocks.items())
+    return next((Trip(name, message) for name, message in messages if message), None)

@@ -1,0 +1,334 @@
+"""The operations on the bench of which procedures consist: home, tare, enable, record, start, stop, and others.
+
+Each operation calls services of the other nodes, waits for its effect, and ends within a deadline. An operation that cannot
+be done raises `RefusedError`.
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from mrd_base import BenchClock
+from mrd_bench_driver.servo.status import ServoStatus
+from mrd_bench_driver.supervision.config import SupervisorConfig
+from mrd_bench_driver.supervision.errors import RefusedError
+from mrd_bench_driver.supervision.interlocks import (
+    HOMING_INTERLOCKS,
+    LOST_SERVO,
+    RESET_INTERLOCKS,
+    STALE_SAMPLES,
+    Interlocks,
+    Trip,
+    first_trip,
+)
+from mrd_bench_driver.supervision.modes import BenchMode, Mode
+from mrd_bench_driver.supervision.run_requests import RunRequest
+from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
+
+# Distance in m from mid-stroke below which the rod need not be homed again before an experiment.
+CENTRE_TOLERANCE = 5e-4
+# Speed in m/s below which a fault may be reset.
+STANDSTILL_SPEED = 2e-3
+# Bench time in s for what takes effect within a few periods of servo, DAQ or generator, with a margin.
+_EFFECT_TIMEOUT = 2.0
+# Bench time in s for samples to pass through the DAQ, and for inputs to become healthy.
+_SAMPLE_TIMEOUT = 1.0
+# Bench time in s for the bench to come to rest before a tare.
+_TARE_TIMEOUT = 5.0
+# Wall time in s that the generator may take to plan an experiment.
+_PLANNING_TIMEOUT = 30.0
+# Wall time in s for a reset, which may restart a converter.
+_RESET_TIMEOUT = 10.0
+# Wall time in s between two reports of the progress of an experiment.
+_PROGRESS_INTERVAL = 0.2
+# Time by which an experiment may exceed its duration: bench time in s, and share of the duration.
+_OVERTIME = (2.0, 0.02)
+
+Interruption = Callable[[], None]
+
+
+def never_interrupted() -> None:
+    """Interrupt nothing."""
+
+
+class Peers(Protocol):
+    """Services of the other nodes: ``servo``, ``daq``, ``generator`` and ``recorder``. Timeouts are in wall seconds.
+
+    While a call waits, it calls ``interruption``, which ends the wait by raising an exception.
+    """
+
+    def require(self, nodes: tuple[str, ...], timeout: float, interruption: Interruption) -> None:
+        """Wait until the nodes are present."""
+
+    def check(self, service: str) -> None:
+        """Refuse if the node that offers a service is gone."""
+
+    def call(
+        self,
+        service: str,
+        timeout: float,
+        interruption: Interruption = never_interrupted,
+        *,
+        may_fail: bool = False,
+        **fields: Any,
+    ) -> Any:
+        """Call a service with these fields and return its response; refuse one without success, unless it may fail."""
+
+    def set_sample_rate(self, rate: float, timeout: float, interruption: Interruption) -> None:
+        """Set the sample rate in Hz of the DAQ."""
+
+
+@dataclass(frozen=True)
+class LoadedExperiment:
+    """Duration in s and sample rate in Hz of a loaded experiment."""
+
+    duration: float
+    rate: float
+
+
+@dataclass(frozen=True)
+class BagSummary:
+    """Content of a closed bag: folder, numbers of recorded and lost samples, duration in s, and what is wrong with it."""
+
+    bag: str = ""
+    samples: int = 0
+    lost: int = 0
+    duration: float = 0.0
+    problem: str = ""
+
+
+class BenchOperations:
+    """The operations on the bench. Each may block; call them from a thread that may wait.
+
+    During every wait they call ``interruption``, which ends the operation by raising `TrippedError` or `CancelledError`.
+    """
+
+    def __init__(
+        self,
+        config: SupervisorConfig,
+        clock: BenchClock,
+        peers: Peers,
+        monitor: BenchMonitor,
+        mode: BenchMode,
+        interruption: Interruption,
+    ) -> None:
+        self._config, self._clock, self._peers = config, clock, peers
+        self._monitor, self._mode, self._interruption = monitor, mode, interruption
+
+    # Conditions
+
+    def require_ready(self) -> None:
+        """Wait until all nodes are present; refuse unless the bench is idle."""
+        self._mode.require_idle()
+        self._peers.require(("servo", "daq", "generator", "recorder"), self._config.discovery_timeout, self._interruption)
+
+    def require_ready_to_move(self) -> None:
+        """Wait until servo and DAQ are present and healthy; refuse unless the bench is idle."""
+        self._mode.require_idle()
+        self.require_servo_and_daq()
+        self._require_healthy()
+
+    def require_servo_and_daq(self) -> None:
+        """Wait until servo and DAQ are present."""
+        self._peers.require(("servo", "daq"), self._config.answer_timeout, self._interruption)
+
+    def _require_healthy(self) -> None:
+        def silent() -> bool:
+            trip = self._first_trip(HOMING_INTERLOCKS)
+            return trip is not None and trip.interlock in (STALE_SAMPLES, LOST_SERVO)
+
+        # Nodes that have just been started need a while to find motor and converter.
+        with contextlib.suppress(RefusedError):
+            self._wait_until(lambda: not silent(), self._clock.time_scale * self._config.answer_timeout, "")
+        trip = self._first_trip(HOMING_INTERLOCKS)
+        if trip is not None:
+            raise RefusedError(f"not armed, {trip.interlock}: {trip.message}")
+
+    # The experiment
+
+    def load(self, experiment: str) -> LoadedExperiment:
+        """Let the generator plan an experiment. Nothing moves."""
+        response = self._call("load_experiment", _PLANNING_TIMEOUT, experiment=experiment)
+        # The state of an earlier experiment must not be taken for the state of this one.
+        self._wait_until(
+            lambda: self._monitor.experiment_state == "loaded", _EFFECT_TIMEOUT, "generator: did not announce `loaded`"
+        )
+        return LoadedExperiment(response.duration, response.rate)
+
+    def start_experiment(self) -> None:
+        """Start the setpoints of the loaded experiment."""
+        self._call("start_experiment")
+
+    def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
+        """Wait for the end of the experiment and report its progress in s; refuse if it ends otherwise or is late."""
+        clock, monitor = self._clock, self._monitor
+        begin = clock.now()
+        # A message of the generator may take a wall second, which is ``time_scale`` bench seconds.
+        latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration) + clock.time_scale
+        reported = -math.inf
+        while monitor.experiment_state != "done":
+            self._interruption()
+            elapsed = clock.now() - begin
+            if monitor.experiment_state == "aborted":
+                raise RefusedError("the generator aborted the experiment; look at its log")
+            if elapsed > latest:
+                raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the generator")
+            if time.monotonic() - reported > _PROGRESS_INTERVAL:
+                self._peers.check("stop_recording")
+                reported = time.monotonic()
+                progress(min(elapsed, duration))
+            time.sleep(min(clock.wall(0.02), 0.02))
+
+    def await_last_samples(self) -> None:
+        """Wait until the samples of the present instant have arrived."""
+        end = self._clock.now()
+        self._wait_until(
+            lambda: self._monitor.sample_time >= end,
+            _SAMPLE_TIMEOUT,
+            "daq: no samples came after the experiment's end; check the converter",
+        )
+
+    def abort_experiment(self) -> None:
+        """Stop the setpoints; the coil current follows them to 0 A."""
+        self._peers.call("abort_experiment", self._config.answer_timeout)
+
+    # Samples and recording
+
+    def set_sample_rate(self, rate: float) -> None:
+        """Set the sample rate in Hz; wait until samples come at this rate and the servo is healthy."""
+        self._peers.set_sample_rate(rate, self._config.answer_timeout, self._interruption)
+        self._wait_until(
+            lambda: abs(self._monitor.sample_period * rate - 1) < 1e-6,
+            _EFFECT_TIMEOUT,
+            f"daq: no samples at {rate:g} Hz came; check the converter, or the plant when it is simulated",
+        )
+        self._require_healthy()
+
+    def tare(self) -> None:
+        """Tare the sensors, if configured, as soon as the bench has been at rest for long enough."""
+        if not self._config.tare:
+            return
+        reason = ""
+
+        def tared() -> bool:
+            nonlocal reason
+            response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption, may_fail=True)
+            reason = response.message
+            if not response.success:
+                time.sleep(min(self._clock.wall(0.1), 0.1))
+            return bool(response.success)
+
+        self._wait_until(tared, _TARE_TIMEOUT, lambda: f"daq: {reason}")
+
+    def start_recording(self, request: RunRequest) -> None:
+        """Open the bag."""
+        self._call("start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed)
+
+    def stop_recording(self) -> BagSummary:
+        """Close the bag and count its samples."""
+        response = self._peers.call("stop_recording", self._config.close_timeout, may_fail=True)
+        problem = "" if response.success else response.message
+        return BagSummary(response.bag, response.samples, response.lost, response.duration, problem)
+
+    # The rod
+
+    def enter(self, mode: Mode) -> None:
+        """Change the mode. If the rod may move in it, the interlocks are checked from now on."""
+        self._mode.enter(mode, "run_experiment")
+
+    def centre(self, *, always: bool = False) -> None:
+        """Home the rod, unless it is homed and stands at mid-stroke."""
+
+        def centred() -> bool:
+            servo = self._servo()
+            return servo.homed and abs(servo.position) < CENTRE_TOLERANCE
+
+        if always or not centred():
+            self._call("servo/home")
+            begin = self._clock.now()
+            timeout = self._config.home_timeout
+            self._wait_until(
+                lambda: self._servo().time > begin and centred(),
+                timeout,
+                lambda: f"servo: not homed within {timeout:g} s; the rod stands at {1e3 * self._servo().position:.2f} mm",
+            )
+
+    def enable(self) -> None:
+        """Switch the drive on."""
+        self._call("servo/enable", data=True)
+        self._wait_until(
+            lambda: self._servo().enabled, _EFFECT_TIMEOUT, "servo: the drive did not switch on; check the motor's power"
+        )
+
+    def halt(self) -> None:
+        """Stop the rod, then switch the drive off."""
+        timeout = self._config.answer_timeout
+        # The drive is switched off even if the stop was refused.
+        try:
+            self._peers.call("servo/stop", timeout)
+        finally:
+            self._peers.call("servo/enable", timeout, data=False)
+
+    def halt_all(self) -> list[str]:
+        """Stop the rod and an experiment, whatever runs; return what failed."""
+        failures = []
+        active = self._monitor.experiment_state in ("loaded", "running")
+        for step in (self.halt, self.abort_experiment) if active else (self.halt,):
+            try:
+                step()
+            except RefusedError as error:
+                failures.append(str(error))
+        return failures
+
+    def reset_faults(self) -> None:
+        """Reset servo and DAQ once their data are healthy and the rod stands."""
+        trip = self._first_trip(RESET_INTERLOCKS)
+        if trip is not None and trip.interlock == STALE_SAMPLES:
+            # The reset restarts a converter that failed.
+            self._call("daq/reset_fault", _RESET_TIMEOUT)
+        with contextlib.suppress(RefusedError):
+            self._wait_until(lambda: self._first_trip(RESET_INTERLOCKS) is None, _SAMPLE_TIMEOUT, "")
+        trip = self._first_trip(RESET_INTERLOCKS)
+        if trip is not None:
+            raise RefusedError(f"not reset, {trip.interlock}: {trip.message}")
+        self._wait_until(
+            lambda: abs(self._servo().velocity) < STANDSTILL_SPEED,
+            _EFFECT_TIMEOUT,
+            "the rod still moves; reset once it stands",
+        )
+        self._call("servo/reset_fault", _RESET_TIMEOUT)
+        self._call("daq/reset_fault", _RESET_TIMEOUT)
+        self._wait_until(
+            lambda: not (self._servo().stopped or self._servo().fault),
+            _EFFECT_TIMEOUT,
+            "servo: still in fault after its reset; look at its message",
+        )
+
+    # Internals
+
+    def _call(self, service: str, timeout: float | None = None, **fields: Any) -> Any:
+        return self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
+
+    def _wait_until(self, condition: Callable[[], bool], timeout: float, failure: str | Callable[[], str]) -> None:
+        """Wait for a condition, at most ``timeout`` bench seconds, but at least a wall second: processes need it."""
+        deadline = time.monotonic() + max(self._clock.wall(timeout), 1.0)
+        while not condition():
+            self._interruption()
+            if time.monotonic() > deadline:
+                raise RefusedError(failure if isinstance(failure, str) else failure())
+            time.sleep(min(self._clock.wall(0.01), 0.01))
+
+    def _servo(self) -> ServoStatus:
+        if self._monitor.servo is None:
+            raise RefusedError("no servo_state came; check the servo node")
+        return self._monitor.servo
+
+    def _first_trip(self, interlocks: Interlocks) -> Trip | None:
+        return first_trip(self._snapshot(), self._config.limits, self._config.interlocks, interlocks)
+
+    def _snapshot(self) -> Snapshot:
+        identifies = self._mode.current is Mode.IDENTIFICATION
+        return self._monitor.snapshot(self._clock.now(), follows_experiment=identifies)

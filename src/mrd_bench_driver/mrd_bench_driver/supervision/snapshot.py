@@ -1,0 +1,112 @@
+"""What the supervisor knows of the bench at one instant."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_bench_driver.servo.status import ServoStatus
+
+# Longest time in s between two blocks of samples whose means give a speed.
+_MAX_BLOCK_DISTANCE = 0.5
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """State of the bench at one instant. A value that has not been received yet is nan, an age is inf.
+
+    Attributes
+    ----------
+    sample_age : float
+        Age in s of the latest sample.
+    position, force : float
+        Value with the largest magnitude in the latest block of samples, in m and N.
+    speed, current : float
+        Speed of the rod in m/s between the means of the last two blocks, and mean coil current in A of the latest block.
+    servo_age : float
+        Age in s of the latest servo status.
+    servo : ServoStatus
+    setpoint_age : float
+        Age in s of the latest setpoint while an experiment runs, else 0.
+    """
+
+    sample_age: float = math.inf
+    position: float = math.nan
+    force: float = math.nan
+    speed: float = math.nan
+    current: float = math.nan
+    servo_age: float = math.inf
+    servo: ServoStatus = ServoStatus()
+    setpoint_age: float = 0.0
+
+
+class BenchMonitor:
+    """Collects what DAQ, servo and generator publish. One thread adds, any thread reads; times are bench times in s.
+
+    Attributes
+    ----------
+    sample_time, sample_period : float
+        Time of the latest sample, and sample period in s.
+    servo : ServoStatus or None
+        Latest status of the servo.
+    experiment_state : str
+        Latest state of the experiment: loaded, running, done or aborted.
+    """
+
+    def __init__(self) -> None:
+        self.sample_time = -math.inf
+        self.sample_period = math.nan
+        self.servo: ServoStatus | None = None
+        self.experiment_state = ""
+        self._setpoint_time = -math.inf
+        self._block_mean = (-math.inf, math.nan)  # time and mean position in m of the latest block
+        self._samples = Snapshot()  # only the values of the samples are filled in
+
+    def add_samples(
+        self, time: float, period: float, position: NDArray[Any], force: NDArray[Any], current: NDArray[Any]
+    ) -> None:
+        """Add a block of samples, the first at ``time``, ``period`` s apart: position in m, force in N, current in A."""
+        count = len(position)
+        if not count:
+            return
+        # The speed is taken between means of whole blocks: between single samples, noise of the LVDT would dominate it.
+        last_time, last_mean = self._block_mean
+        middle, mean = time + (count - 1) / 2 * period, float(position.mean())
+        elapsed = middle - last_time
+        self._block_mean = middle, mean
+        self.sample_period = period
+        self.sample_time = time + (count - 1) * period
+        self._samples = Snapshot(
+            position=_largest_magnitude(position),
+            force=_largest_magnitude(force),
+            speed=(mean - last_mean) / elapsed if 0 < elapsed < _MAX_BLOCK_DISTANCE else math.nan,
+            current=float(np.mean(current)),
+        )
+
+    def add_setpoint(self, now: float) -> None:
+        """Note that a setpoint was published."""
+        self._setpoint_time = now
+
+    def add_experiment_state(self, state: str, now: float) -> None:
+        """Note a state of the experiment. Its first setpoint may come after it, so the age of setpoints counts from now."""
+        self._setpoint_time = max(self._setpoint_time, now)
+        self.experiment_state = state
+
+    def snapshot(self, now: float, *, follows_experiment: bool) -> Snapshot:
+        """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""
+        servo = self.servo
+        running = follows_experiment and self.experiment_state == "running"
+        return dataclasses.replace(
+            self._samples,
+            sample_age=now - self.sample_time,
+            servo_age=math.inf if servo is None else now - servo.time,
+            servo=servo or ServoStatus(),
+            setpoint_age=now - self._setpoint_time if running else 0.0,
+        )
+
+
+def _largest_magnitude(values: NDArray[Any]) -> float:
+    return float(values[np.argmax(np.abs(values))])

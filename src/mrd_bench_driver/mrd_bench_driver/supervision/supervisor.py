@@ -1,0 +1,230 @@
+"""The supervisor: it checks the interlocks, holds the mode of the bench, and runs one procedure at a time."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from mrd_base import BenchClock
+from mrd_bench_driver.supervision.config import SupervisorConfig
+from mrd_bench_driver.supervision.errors import CancelledError, RefusedError
+from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCKS, first_trip
+from mrd_bench_driver.supervision.modes import BenchMode, Mode
+from mrd_bench_driver.supervision.operations import BenchOperations, Interruption, Peers, never_interrupted
+from mrd_bench_driver.supervision.procedure import Progress, RunOutcome, SetOutcome, run_experiment, run_set
+from mrd_bench_driver.supervision.run_requests import RunRequest, set_of_runs, single_run
+from mrd_bench_driver.supervision.snapshot import BenchMonitor
+
+# Receives the number of a run in its set, from 1, its request, the phase, elapsed time in s and duration in s.
+SetProgress = Callable[[int, RunRequest, str, float, float], None]
+
+Outcome = TypeVar("Outcome", RunOutcome, SetOutcome)
+
+
+class Supervisor:
+    """Supervises the bench.
+
+    The requests (`home`, `control`, `stop`, `reset_fault`, `run_experiment`, `run_set`) block, so that each needs a thread
+    that may wait. Whoever adds data to `monitor` calls `check_interlocks` afterwards. This and `emergency_stop` return
+    at once.
+
+    Parameters
+    ----------
+    on_mode : callable
+        Receives every mode with its reason.
+    send_emergency_stop : callable
+        Sends the emergency stop to all nodes (True), or its release (False).
+
+    Attributes
+    ----------
+    monitor : BenchMonitor
+        What the other nodes have published.
+    mode : BenchMode
+        The mode of the bench and its reason.
+    procedure : str
+        Name of the procedure that runs, or "".
+    """
+
+    def __init__(
+        self,
+        config: SupervisorConfig,
+        clock: BenchClock,
+        peers: Peers,
+        on_mode: Callable[[Mode, str], None],
+        send_emergency_stop: Callable[[bool], None],
+    ) -> None:
+        self._config, self._clock, self._peers = config, clock, peers
+        self._send_emergency_stop = send_emergency_stop
+        self._lock = threading.Lock()
+        self._stop_requested = threading.Event()
+        self.monitor = BenchMonitor()
+        self.mode = BenchMode(on_mode)
+        self.procedure = ""
+
+    # Interlocks and the emergency stop
+
+    def check_interlocks(self) -> None:
+        """Stop the bench if an interlock trips while the rod may move."""
+        mode, servo = self.mode.current, self.monitor.servo
+        if mode.may_move:
+            interlocks = HOMING_INTERLOCKS if mode is Mode.HOMING else INTERLOCKS
+            snapshot = self.monitor.snapshot(self._clock.now(), follows_experiment=mode is Mode.IDENTIFICATION)
+            trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
+            if trip is not None:
+                self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
+        elif mode is Mode.IDLE and servo is not None and servo.stopped and not self.procedure:
+            # The stop is older than this process.
+            self.emergency_stop("the servo's emergency stop is latched; call reset_fault")
+
+    def emergency_stop(self, reason: str) -> None:
+        """Stop everything at once. The stop is latched until `reset_fault`; the reason of the first stop stays."""
+        self._send_emergency_stop(True)
+        self.mode.trip(reason)
+
+    # Requests
+
+    def home(self) -> str:
+        """Home the rod; return the message of success."""
+        with self._exclusive("home"):
+            bench = self._operations()
+            bench.require_ready_to_move()
+            with self._halt_on_failure(bench):
+                self.mode.enter(Mode.HOMING, "home")
+                bench.centre(always=True)
+            bench.halt()
+            self.mode.leave("homed")
+        return "the rod stands at mid-stroke"
+
+    def control(self) -> str:
+        """Home the rod if necessary, then let it follow the topic ``setpoint``; return the message of success."""
+        with self._exclusive("control"):
+            bench = self._operations()
+            bench.require_ready_to_move()
+            with self._halt_on_failure(bench):
+                self.mode.enter(Mode.HOMING, "control")
+                bench.centre()
+                self.mode.enter(Mode.CONTROL, "control")
+                bench.enable()
+        return "the rod follows the topic setpoint"
+
+    def stop(self) -> str:
+        """Stop whatever runs; return the message of success."""
+        self._stop_requested.set()
+        try:
+            failures = self._operations().halt_all()
+        finally:
+            # A running procedure leaves its mode itself, once it has stopped everything.
+            if not self.procedure:
+                self.mode.leave("stopped")
+        if failures:
+            raise RefusedError("; ".join(failures))
+        return "stopped"
+
+    def reset_fault(self) -> str:
+        """Release the emergency stop if the inputs are healthy; return the message of success."""
+        with self._exclusive("reset_fault"):
+            if self.mode.current.may_move:
+                raise RefusedError(f"the bench is in mode {self.mode.current}; call stop first")
+            bench = self._operations(never_interrupted)
+            bench.require_servo_and_daq()
+            try:
+                bench.reset_faults()
+            except RefusedError:
+                # A node that was reset already is stopped again.
+                self._send_emergency_stop(True)
+                raise
+            self._send_emergency_stop(False)
+            if self.mode.current is Mode.FAULT:
+                self.mode.enter(Mode.IDLE, "fault reset")
+        return "reset; home or run an experiment to go on"
+
+    def run_experiment(
+        self, experiment: str, bag: str, seed: int, progress: Progress, cancelled: Callable[[], bool]
+    ) -> RunOutcome:
+        """Run one experiment, given by the text of its file. ``cancelled`` is asked during every wait."""
+
+        def work(bench: BenchOperations) -> RunOutcome:
+            return self._run(bench, single_run(experiment, bag, seed, Path(self._config.runs)), progress)
+
+        return self._run_exclusively("run_experiment", RunOutcome, work, cancelled)
+
+    def run_set(
+        self, experiments: Sequence[str], folder: str, seed: int, progress: SetProgress, cancelled: Callable[[], bool]
+    ) -> SetOutcome:
+        """Run experiments one after the other, each into its own bag in the folder."""
+
+        def work(bench: BenchOperations) -> SetOutcome:
+            requests = set_of_runs(experiments, folder, seed, Path(self._config.runs))
+
+            def progress_of(request: RunRequest) -> Progress:
+                return partial(progress, requests.index(request) + 1, request)
+
+            def check(request: RunRequest) -> None:
+                progress_of(request)("checking", 0.0, 0.0)
+                bench.require_ready()
+                bench.load(request.experiment)
+
+            return run_set(requests, check, lambda request: self._run(bench, request, progress_of(request)))
+
+        return self._run_exclusively("run_set", SetOutcome, work, cancelled)
+
+    # Internals
+
+    def _operations(self, interruption: Interruption | None = None) -> BenchOperations:
+        interruption = interruption or self._raise_if_interrupted
+        return BenchOperations(self._config, self._clock, self._peers, self.monitor, self.mode, interruption)
+
+    def _raise_if_interrupted(self) -> None:
+        self.mode.require_no_fault()
+        if self._stop_requested.is_set():
+            raise CancelledError
+
+    def _run_exclusively(
+        self,
+        name: str,
+        outcome_type: type[Outcome],
+        work: Callable[[BenchOperations], Outcome],
+        cancelled: Callable[[], bool],
+    ) -> Outcome:
+        def interruption() -> None:
+            self._raise_if_interrupted()
+            if cancelled():
+                raise CancelledError
+
+        try:
+            with self._exclusive(name):
+                return work(self._operations(interruption))
+        except RefusedError as error:
+            return outcome_type(False, False, str(error))
+
+    def _run(self, bench: BenchOperations, request: RunRequest, progress: Progress) -> RunOutcome:
+        try:
+            return run_experiment(bench, request, progress)
+        finally:
+            self.mode.leave("the experiment ended")
+
+    @contextlib.contextmanager
+    def _exclusive(self, procedure: str) -> Iterator[None]:
+        """Let one procedure run at a time; refuse others."""
+        with self._lock:
+            if self.procedure:
+                raise RefusedError(f"the bench is busy: {self.procedure}; wait for its end or call stop")
+            self.procedure = procedure
+            self._stop_requested.clear()
+        try:
+            yield
+        finally:
+            self.procedure = ""
+
+    @contextlib.contextmanager
+    def _halt_on_failure(self, bench: BenchOperations) -> Iterator[None]:
+        """Halt the rod and return to idle if the body fails; the failure itself is raised on."""
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(RefusedError):
+                bench.halt()
+            self.mode.leave("ended early")
+            raise

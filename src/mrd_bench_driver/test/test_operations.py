@@ -1,0 +1,243 @@
+"""The supervisor and its operations with fake peers, without ROS."""
+
+import dataclasses
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mrd_base import BenchClock
+from mrd_bench_driver.servo.status import ServoStatus
+from mrd_bench_driver.supervision.config import SupervisorConfig
+from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
+from mrd_bench_driver.supervision.modes import Mode
+from mrd_bench_driver.supervision.supervisor import Supervisor
+
+EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
+
+
+class FakePeers:
+    """Peers that do at once what they are asked, and whose data are published by `publish`."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.refusals: dict[str, str] = {}
+        self.effects: dict[str, Callable[[], None]] = {}
+        self.absent: tuple[str, ...] = ()
+        self.clock = BenchClock()
+        self.servo = ServoStatus(position=0.0, connected=True)
+        self.force, self.rate, self.state = 0.0, 100.0, ""
+        self.modes: list[tuple[Mode, str]] = []
+        self.emergency_stops: list[bool] = []
+        config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1)
+        self.supervisor = Supervisor(
+            config, self.clock, self, lambda mode, reason: self.modes.append((mode, reason)), self._on_emergency_stop
+        )
+        self.publish()
+
+    def publish(self) -> None:
+        now, ones = self.clock.now(), np.ones(10)
+        monitor = self.supervisor.monitor
+        monitor.add_samples(now - 9 / self.rate, 1 / self.rate, 0 * ones, self.force * ones, 0 * ones)
+        monitor.servo = dataclasses.replace(self.servo, time=now)
+        if self.state != monitor.experiment_state:
+            monitor.add_experiment_state(self.state, now)
+        self.supervisor.check_interlocks()
+
+    def _on_emergency_stop(self, stop: bool) -> None:
+        self.emergency_stops.append(stop)
+        if stop:
+            self.servo = dataclasses.replace(self.servo, stopped=True, enabled=False)
+
+    def require(self, nodes: tuple[str, ...], timeout: float, interruption: Callable[[], None]) -> None:
+        missing = [node for node in nodes if node in self.absent]
+        if missing:
+            raise RefusedError(f"not there: {', '.join(missing)}")
+
+    def check(self, service: str) -> None:
+        pass
+
+    def call(self, service: str, *_arguments: Any, may_fail: bool = False, **fields: Any) -> Any:
+        self.calls.append(service + (f" {fields['data']}" if service == "servo/enable" else ""))
+        if service in self.refusals:
+            if may_fail:
+                return SimpleNamespace(success=False, message=self.refusals[service])
+            raise RefusedError(f"{service}: {self.refusals[service]}")
+        changes: dict[str, dict[str, object]] = {
+            "servo/home": {"homed": True},
+            "servo/enable": {"enabled": fields.get("data")},
+            "servo/reset_fault": {"stopped": False, "fault": False},
+        }
+        self.servo = dataclasses.replace(self.servo, **changes.get(service, {}))
+        states = {"load_experiment": "loaded", "start_experiment": "running", "abort_experiment": "aborted"}
+        self.state = states.get(service, self.state)
+        self.effects.get(service, lambda: None)()
+        return SimpleNamespace(
+            success=True, message="", duration=0.5, rate=1000.0, bag=fields.get("bag", "/tmp/bag"), samples=500, lost=0
+        )
+
+    def set_sample_rate(self, rate: float, timeout: float, interruption: Callable[[], None]) -> None:
+        self.rate = rate
+
+
+@pytest.fixture
+def peers() -> Any:
+    """Peers whose data a thread publishes, as the executor of the node does."""
+    peers = FakePeers()
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(0.01):
+            peers.publish()
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield peers
+    ended.set()
+    thread.join()
+
+
+def never_cancelled() -> bool:
+    return False
+
+
+def run(peers: FakePeers, cancelled: Callable[[], bool] = never_cancelled, experiment: str = EXPERIMENT) -> Any:
+    return peers.supervisor.run_experiment(experiment, "/tmp/bag", 3, lambda *_progress: None, cancelled)
+
+
+def test_an_experiment_goes_through_the_modes_and_ends_in_idle(peers: FakePeers) -> None:
+    peers.effects["start_experiment"] = lambda: setattr(peers, "state", "done")
+    outcome = run(peers)
+    assert outcome.success, outcome.message
+    assert (outcome.recorded.bag, outcome.recorded.samples) == ("/tmp/bag", 500)
+    assert [mode for mode, _ in peers.modes] == [Mode.IDLE, Mode.HOMING, Mode.IDENTIFICATION, Mode.IDLE]
+    assert peers.calls[-3:] == ["servo/stop", "servo/enable False", "stop_recording"]
+    assert not peers.emergency_stops
+
+
+def test_an_interlock_ends_an_experiment_and_reset_fault_needs_health(peers: FakePeers) -> None:
+    peers.effects["start_experiment"] = lambda: setattr(peers, "force", 900.0)
+    outcome = run(peers)
+    assert outcome.message.startswith("interlock force: 900 N on the load cell")
+    assert peers.emergency_stops[0]
+    assert peers.supervisor.mode.current is Mode.FAULT
+    with pytest.raises(RefusedError, match=r"not reset, force: 900 N"):
+        peers.supervisor.reset_fault()
+    assert peers.emergency_stops[-1]
+    peers.force = 0.0
+    assert peers.supervisor.reset_fault().startswith("reset; ")
+    assert not peers.emergency_stops[-1]
+    assert peers.supervisor.mode.current is Mode.IDLE
+
+
+def test_cancel_and_stop_end_an_experiment(peers: FakePeers) -> None:
+    started = threading.Event()
+    peers.effects["start_experiment"] = started.set
+    outcome = run(peers, started.is_set)
+    assert (outcome.success, outcome.cancelled, outcome.message) == (False, True, "cancelled")
+    assert "abort_experiment" in peers.calls
+
+    started.clear()
+    results: list[Any] = []
+    thread = threading.Thread(target=lambda: results.append(run(peers)))
+    thread.start()
+    assert started.wait(5)
+    with pytest.raises(RefusedError, match="the bench is busy: run_experiment; wait for its end or call stop"):
+        peers.supervisor.home()
+    assert peers.supervisor.stop() == "stopped"
+    thread.join(5)
+    assert results[0].cancelled
+    assert peers.supervisor.mode.current is Mode.IDLE
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        ({"absent": ("generator",)}, "not there: generator"),
+        ({"refusals": {"load_experiment": "speed exceeds"}}, "load_experiment: speed exceeds"),
+        ({"refusals": {"start_recording": "bag exists"}}, "start_recording: bag exists"),
+    ],
+)
+def test_what_cannot_be_done_refuses_the_experiment(peers: FakePeers, broken: dict[str, Any], message: str) -> None:
+    for name, value in broken.items():
+        setattr(peers, name, value)
+    outcome = run(peers)
+    assert outcome.message == message
+    assert peers.supervisor.mode.current is Mode.IDLE
+    assert "start_experiment" not in peers.calls
+
+
+def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
+    assert peers.supervisor.control() == "the rod follows the topic setpoint"
+    assert peers.supervisor.mode.current is Mode.CONTROL
+    assert peers.servo.enabled
+    assert run(peers).message == "the bench is in mode control (control); call stop first"
+    assert peers.supervisor.stop() == "stopped"
+    peers.refusals["servo/home"] = "the motor is not connected"
+    peers.calls.clear()
+    with pytest.raises(RefusedError, match="the motor is not connected"):
+        peers.supervisor.home()
+    assert peers.calls == ["servo/home", "servo/stop", "servo/enable False"]
+    assert peers.modes[-1] == (Mode.IDLE, "ended early")
+
+
+def test_an_emergency_stop_ends_a_request_with_its_reason(peers: FakePeers) -> None:
+    peers.effects["servo/home"] = lambda: peers.supervisor.emergency_stop("emergency stop on the topic")
+    peers.servo = dataclasses.replace(peers.servo, position=0.01)
+    with pytest.raises(TrippedError, match="emergency stop on the topic"):
+        peers.supervisor.home()
+    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
+
+
+def test_a_stop_before_the_end_of_homing_cancels_it(peers: FakePeers) -> None:
+    stopping: list[threading.Thread] = []
+
+    def stop() -> None:
+        stopping.append(threading.Thread(target=peers.supervisor.stop))
+        stopping[0].start()
+
+    peers.servo = dataclasses.replace(peers.servo, position=0.01)
+    peers.effects["servo/home"] = stop
+    with pytest.raises(CancelledError):
+        peers.supervisor.home()
+    stopping[0].join(5)
+    assert peers.supervisor.mode.current is Mode.IDLE
+
+
+@pytest.mark.parametrize(
+    ("experiments", "message"),
+    [
+        ([], "the set has no experiments"),
+        (["name: x"], "experiment 1: duration_s is missing"),
+        ([EXPERIMENT, EXPERIMENT], "experiment 2: another one of the set has the name short"),
+        ([EXPERIMENT.replace("short", "there")], "there: exists already and is not overwritten"),
+    ],
+)
+def test_an_unusable_set_is_refused_before_anything_is_asked_of_the_bench(
+    peers: FakePeers, tmp_path: Path, experiments: list[str], message: str
+) -> None:
+    (tmp_path / "there").mkdir()
+    outcome = peers.supervisor.run_set(experiments, str(tmp_path), 3, lambda *_progress: None, never_cancelled)
+    assert not outcome.success
+    assert message in outcome.message
+    assert peers.calls == []
+
+
+def test_a_bag_without_a_name_goes_into_the_configured_folder(peers: FakePeers) -> None:
+    bags: list[str] = []
+    peers.effects["start_experiment"] = lambda: setattr(peers, "state", "done")
+    call = peers.call
+
+    def note(service: str, *arguments: Any, **fields: Any) -> Any:
+        bags.extend([fields["bag"]] if "bag" in fields else [])
+        return call(service, *arguments, **fields)
+
+    peers.call = note  # type: ignore[method-assign]
+    for experiment, name in ((EXPERIMENT, "short"), (EXPERIMENT.replace("short", "../x"), "experiment")):
+        peers.supervisor.run_experiment(experiment, "", 3, lambda *_progress: None, never_cancelled)
+        assert Path(bags[-1]).parent == Path("runs").resolve()
+        assert Path(bags[-1]).name.startswith(f"{name}-")
