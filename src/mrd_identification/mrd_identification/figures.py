@@ -1,4 +1,4 @@
-"""Pictures of a fit."""
+"""Figures of a fit."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from mrd_identification.identify import Fit, RunResult
+from mrd_identification.fit import Fit, RunResult
 
 Array = NDArray[np.float64]
 
@@ -15,7 +15,7 @@ MEASURED = "#aab4c0"
 MODELLED = "#d1495b"
 ACCENT = "#00798c"
 MOST_POINTS = 2500
-"""per line: more are not seen, and make the page heavy."""
+"""Points of a line; more would not be visible, and would make the page slow."""
 
 LAYOUT = {
     "template": "plotly_white",
@@ -26,9 +26,9 @@ LAYOUT = {
 
 
 def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
-    """Force over velocity (above) and over position (below), measured against model, for the runs that span the errors."""
+    """Draw measured and modelled force over velocity and over position, for runs from the least to the largest error."""
     chosen = _spread(results, most)
-    # One run: velocity beside position; several: one column each.
+    # One run has velocity on the left and position on the right; several runs have one column each.
     single = len(chosen) == 1
     figure = make_subplots(
         rows=1 if single else 2,
@@ -39,8 +39,8 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     )
     for index, result in enumerate(chosen):
         shown = _window(result)
-        moved = result.motion
-        for axis, (series, title) in enumerate(((moved.velocity, "velocity, mm/s"), (moved.position, "position, mm"))):
+        motion = result.motion
+        for axis, (series, title) in enumerate(((motion.velocity, "velocity, mm/s"), (motion.position, "position, mm"))):
             row, column = (1, axis + 1) if single else (axis + 1, index + 1)
             for force, name, line in (
                 (result.run.force, "measured", {"color": MEASURED, "width": 3.5}),
@@ -66,7 +66,7 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
 
 
 def force_over_time(result: RunResult) -> go.Figure:
-    """Force, its error and the coil current over time, for the liveliest seconds of a run."""
+    """Draw force, error and coil current over time, for the seconds of a run in which they vary most."""
     shown = _window(result)
     time = _rounded(result.run.time[shown], 4)
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05)
@@ -89,7 +89,7 @@ def force_over_time(result: RunResult) -> go.Figure:
 
 
 def pareto_front(fit: Fit) -> go.Figure:
-    """The front of NSGA-II, its knee, and where the polish went."""
+    """Draw the Pareto front of NSGA-II, its knee, and the result of least squares."""
     norms = fit.front.norms
     figure = go.Figure(
         go.Scatter(
@@ -124,7 +124,7 @@ def pareto_front(fit: Fit) -> go.Figure:
 
 
 def parameters(fit: Fit) -> go.Figure:
-    """Each free parameter with its 95 % interval, relative to its value."""
+    """Draw each free parameter with its 95 % interval, relative to its value."""
     shown = [e for e in fit.estimates if not e.fixed and np.isfinite(e.lower) and e.value != 0][::-1]
     relative = np.array([[e.lower / e.value, e.upper / e.value] for e in shown]).reshape(-1, 2)
     relative.sort(axis=1)
@@ -155,7 +155,7 @@ def parameters(fit: Fit) -> go.Figure:
 
 
 def correlation(fit: Fit) -> go.Figure:
-    """How the errors of the free parameters go together."""
+    """Draw the correlation of the estimates of the free parameters."""
     names = [estimate.parameter.name for estimate in fit.estimates if not estimate.fixed]
     figure = go.Figure(
         go.Heatmap(
@@ -176,24 +176,24 @@ def correlation(fit: Fit) -> go.Figure:
 
 
 def _spread(results: Sequence[RunResult], most: int) -> list[RunResult]:
-    """At most ``most`` runs from the best fitted to the worst."""
+    """Choose at most ``most`` runs, evenly from the least to the largest error."""
     ordered = sorted(results, key=lambda r: r.metrics.nrmse)
     picks = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round().astype(int))
     return [ordered[i] for i in picks]
 
 
 def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
-    """Indices of the counted stretch in which force and current vary most, thinned to what a screen shows."""
+    """Return the indices of the counted samples in which force and current vary most, not more than a line has points."""
     run, counted = result.run, result.counted
     length = min(int(seconds * run.rate), counted.stop - counted.start)
     starts = np.linspace(counted.start, counted.stop - length, 12).astype(int)
 
-    def liveliness(start: int) -> float:
+    def variation(start: int) -> float:
         part = slice(start, start + length)
         span = float(np.ptp(run.current)) or 1.0
         return float(np.std(run.force[part]) / np.std(run.force) + np.std(run.current[part]) / span)
 
-    best = max(starts, key=liveliness)
+    best = max(starts, key=variation)
     return np.arange(best, best + length, -(-length // MOST_POINTS))
 
 
@@ -202,5 +202,5 @@ def _rounded(series: Array, digits: int = 3) -> Array:
 
 
 def html(figure: go.Figure) -> str:
-    """A figure as part of a page that carries Plotly itself."""
+    """Return a figure as a part of a page that includes Plotly."""
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True}))

@@ -7,9 +7,11 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.nodes.bench_node import run_node
+from mrd_identification.fit import Fit
 from mrd_identification.fit_file import write_fit
-from mrd_identification.identify import Fit, Method, identify
+from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
+from mrd_identification.method import Method
 from mrd_identification.report import sentence, write_report
 from mrd_interfaces.action import Identify
 from mrd_runs.nodes.analysis_node import AnalysisNode
@@ -24,10 +26,9 @@ class Identifier(AnalysisNode):
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         """Identify the model that the goal asks for, and write its files."""
         method = _method(request)
-        generations = method.generations * (method.seeds if method.least_squares else 1)
 
         def progress(generation: int, nrmse: float) -> None:
-            publish(Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse))
+            publish(Identify.Feedback(generation=generation, generations=method.total_generations, nrmse=nrmse))
 
         folder = make_folder(request.output)
         runs, held_out = self.runs(request)
@@ -48,7 +49,6 @@ def _method(request: Identify.Goal) -> Method:
 
 
 def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
-    judge = fit.pooled_held_out or fit.pooled_fitted
     result.message = sentence(fit)
     result.fit = str((folder / "fit.json").resolve())
     result.report = str((folder / "fit.html").resolve())
@@ -57,7 +57,7 @@ def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
     result.value = [estimate.value for estimate in fit.estimates]
     result.lower = [estimate.lower for estimate in fit.estimates]
     result.upper = [estimate.upper for estimate in fit.estimates]
-    result.nrmse, result.e2, result.einf = judge.nrmse, judge.e2, judge.einf
+    result.nrmse, result.e2, result.einf = fit.pooled.nrmse, fit.pooled.e2, fit.pooled.einf
 
 
 def main() -> None:
