@@ -7,12 +7,15 @@ from typing import Any
 import plotly.graph_objects as go
 
 from mrd_identification import figures
-from mrd_identification.compare import Comparison, RankedModel
+from mrd_identification.compare import Comparison
 from mrd_identification.fit_file import write_fit
 from mrd_identification.json_file import finite, write_json
 from mrd_identification.report import render
 
 SCHEMA = "mrd-comparison/2"
+COLUMNS = (
+    "model", "free parameters", "NRMSE, held-out", "95 % interval", "difference to the best", "NRMSE, fitted", "time, s"
+)  # fmt: skip
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
@@ -77,7 +80,6 @@ def error_chart(comparison: Comparison) -> go.Figure:
     """Draw the held-out error of each model with its interval, and its error on the fitted runs; the best is on top."""
     entries = comparison.entries[::-1]
     names = [entry.name for entry in entries]
-    held = [entry.nrmse for entry in entries]
     figure = go.Figure(
         go.Scatter(
             x=[entry.fit.pooled_fitted.nrmse for entry in entries],
@@ -87,23 +89,13 @@ def error_chart(comparison: Comparison) -> go.Figure:
             marker={"symbol": "circle-open", "color": figures.MEASURED, "size": 10, "line": {"width": 2}},
         )
     )
-    figure.add_trace(
-        go.Scatter(
-            x=held,
-            y=names,
-            mode="markers",
-            name="held-out runs, 95 % interval",
-            marker={"color": [figures.ACCENT if entry.on_par else figures.MODELLED for entry in entries], "size": 10},
-            error_x={
-                "type": "data",
-                "symmetric": False,
-                "color": figures.MEASURED,
-                "thickness": 2,
-                "width": 5,
-                "array": [entry.upper - entry.nrmse for entry in entries],
-                "arrayminus": [entry.nrmse - entry.lower for entry in entries],
-            },
-        )
+    figure.add_scatter(
+        x=[entry.nrmse for entry in entries],
+        y=names,
+        mode="markers",
+        name="held-out runs, 95 % interval",
+        marker={"color": [figures.ACCENT if entry.on_par else figures.MODELLED for entry in entries], "size": 10},
+        error_x=figures.error_bars(*zip(*((e.nrmse - e.lower, e.upper - e.nrmse) for e in entries), strict=True)),
     )
     figure.update_xaxes(title_text="NRMSE: rms error / standard deviation of the force", rangemode="tozero")
     figure.update_yaxes(automargin=True)
@@ -126,34 +118,33 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         title=f"{len(comparison.entries)} damper models on {len(best.held_out)} held-out runs",
         sentence=sentence(comparison),
         comparison=comparison,
-        difference_text=difference_text,
+        columns=COLUMNS,
+        rows=list(zip(comparison.entries, ranking(comparison), strict=True)),
         error_chart=figures.html(error_chart(comparison)),
         loops=figures.html(figures.loops(best.held_out)),
     )
 
 
-def difference_text(comparison: Comparison, entry: RankedModel) -> str:
-    """Return the interval of the difference to the best model as text."""
-    if entry is comparison.best:
-        return "the best"
-    return "on par" if entry.on_par else f"{entry.difference_lower:.4f} … {entry.difference_upper:.4f}"
+def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
+    """Return the cells of the ranking as text, a row for each model with the columns `COLUMNS`."""
+    rows: list[tuple[str, ...]] = []
+    for entry in comparison.entries:
+        difference = "on par" if entry.on_par else f"{entry.difference_lower:.4f} … {entry.difference_upper:.4f}"
+        rows.append(
+            (
+                entry.name,
+                str(entry.free),
+                f"{entry.nrmse:.4f}",
+                f"{entry.lower:.4f} … {entry.upper:.4f}",
+                "the best" if entry is comparison.best else difference,
+                f"{entry.fit.pooled_fitted.nrmse:.4f}",
+                f"{entry.fit.elapsed:.0f}",
+            )
+        )
+    return rows
 
 
 def markdown(comparison: Comparison) -> str:
     """Return the ranking as a table in Markdown."""
-    lines = [
-        "| model | free parameters | NRMSE, held-out | 95 % interval | difference to the best | NRMSE, fitted | time, s |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for entry in comparison.entries:
-        cells = (
-            f"`{entry.name}`",
-            entry.free,
-            f"{entry.nrmse:.4f}",
-            f"{entry.lower:.4f} … {entry.upper:.4f}",
-            difference_text(comparison, entry),
-            f"{entry.fit.pooled_fitted.nrmse:.4f}",
-            f"{entry.fit.elapsed:.0f}",
-        )
-        lines.append(f"| {' | '.join(map(str, cells))} |")
-    return "\n".join(lines) + "\n"
+    rows = [(f"`{name}`", *cells) for name, *cells in ranking(comparison)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (COLUMNS, ["---"] * len(COLUMNS), *rows))

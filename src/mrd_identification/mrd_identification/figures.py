@@ -1,6 +1,7 @@
 """Figures of a fit."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -46,17 +47,15 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
                 (result.run.force, "measured", {"color": MEASURED, "width": 3.5}),
                 (result.modelled, "model", {"color": MODELLED, "width": 1.2}),
             ):
-                figure.add_trace(
-                    go.Scatter(
-                        x=_rounded(series[shown] * 1e3),
-                        y=_rounded(force[shown]),
-                        name=name,
-                        legendgroup=name,
-                        showlegend=index == axis == 0,
-                        line=line,
-                    ),
-                    row,
-                    column,
+                figure.add_scatter(
+                    x=np.round(series[shown] * 1e3, 3),
+                    y=np.round(force[shown], 3),
+                    name=name,
+                    legendgroup=name,
+                    showlegend=index == axis == 0,
+                    line=line,
+                    row=row,
+                    col=column,
                 )
             figure.update_xaxes(title_text=title, row=row, col=column)
             figure.update_yaxes(title_text="force, N" if column == 1 else None, row=row, col=column)
@@ -68,7 +67,7 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
 def force_over_time(result: RunResult) -> go.Figure:
     """Draw force, error and coil current over time, for the seconds of a run in which they vary most."""
     shown = _window(result)
-    time = _rounded(result.run.time[shown], 4)
+    time = np.round(result.run.time[shown], 4)
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05)
     force, modelled = result.run.force[shown], result.modelled[shown]
     for row, series, name, colour, width in (
@@ -77,9 +76,7 @@ def force_over_time(result: RunResult) -> go.Figure:
         (2, modelled - force, "model − measured", ACCENT, 1.2),
         (3, result.run.current[shown], "coil current", "#edae49", 1.2),
     ):
-        figure.add_trace(
-            go.Scatter(x=time, y=_rounded(series, 4), name=name, line={"color": colour, "width": width}), row, 1
-        )
+        figure.add_scatter(x=time, y=np.round(series, 4), name=name, line={"color": colour, "width": width}, row=row, col=1)
     figure.update_yaxes(title_text="force, N", row=1, col=1)
     figure.update_yaxes(title_text="error, N", row=2, col=1)
     figure.update_yaxes(title_text="current, A", row=3, col=1)
@@ -101,22 +98,12 @@ def pareto_front(fit: Fit) -> go.Figure:
             marker={"size": 7},
         )
     )
-    knee = norms[fit.front.knee]
-    figure.add_trace(
-        go.Scatter(
-            x=[knee[0]], y=[knee[1]], mode="markers", name="knee", marker={"size": 13, "symbol": "diamond", "color": ACCENT}
-        )
-    )
+    points = [("knee", norms[fit.front.knee], {"size": 13, "symbol": "diamond", "color": ACCENT})]
     if fit.method.least_squares:
-        figure.add_trace(
-            go.Scatter(
-                x=[fit.pooled_fitted.e2],
-                y=[fit.pooled_fitted.einf],
-                mode="markers",
-                name="after least squares",
-                marker={"size": 14, "symbol": "star", "color": MODELLED},
-            )
-        )
+        final = np.array([fit.pooled_fitted.e2, fit.pooled_fitted.einf])
+        points.append(("after least squares", final, {"size": 14, "symbol": "star", "color": MODELLED}))
+    for name, point, marker in points:
+        figure.add_scatter(x=point[:1], y=point[1:], mode="markers", name=name, marker=marker)
     figure.update_xaxes(title_text="e2 = √ΣE²/k, N")
     figure.update_yaxes(title_text="einf = max|E|/k, N")
     figure.update_layout(**LAYOUT, height=420)
@@ -134,15 +121,7 @@ def parameters(fit: Fit) -> go.Figure:
             y=[e.parameter.name for e in shown],
             mode="markers",
             marker={"color": MODELLED, "size": 9},
-            error_x={
-                "type": "data",
-                "symmetric": False,
-                "array": relative[:, 1] - 1,
-                "arrayminus": 1 - relative[:, 0],
-                "color": MEASURED,
-                "thickness": 2,
-                "width": 6,
-            },
+            error_x=error_bars(1 - relative[:, 0], relative[:, 1] - 1),
             hovertext=[f"{e.value:.5g} {e.parameter.unit} [{e.lower:.5g}, {e.upper:.5g}]" for e in shown],
             hoverinfo="text",
             showlegend=False,
@@ -175,6 +154,12 @@ def correlation(fit: Fit) -> go.Figure:
     return figure
 
 
+def error_bars(below: Sequence[float] | Array, above: Sequence[float] | Array) -> dict[str, Any]:
+    """Return the settings of error bars with these lengths below and above each point."""
+    bars = {"array": above, "arrayminus": below, "color": MEASURED, "thickness": 2, "width": 6}
+    return {"type": "data", "symmetric": False, **bars}
+
+
 def _spread(results: Sequence[RunResult], most: int) -> list[RunResult]:
     """Choose at most ``most`` runs, evenly from the least to the largest error."""
     ordered = sorted(results, key=lambda r: r.metrics.nrmse)
@@ -195,10 +180,6 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
 
     best = max(starts, key=variation)
     return np.arange(best, best + length, -(-length // MOST_POINTS))
-
-
-def _rounded(series: Array, digits: int = 3) -> Array:
-    return np.round(series, digits)
 
 
 def html(figure: go.Figure) -> str:

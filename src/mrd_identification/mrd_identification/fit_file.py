@@ -11,7 +11,7 @@ from mrd_identification.fit import Estimate, Fit
 from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
 
-SCHEMA = "mrd-fit/3"
+SCHEMA = "mrd-fit/4"
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "fit": metrics_json(fit.pooled_fitted),
             "held_out": metrics_json(fit.pooled_held_out) if fit.pooled_held_out else None,
             "per_run": [
-                {"run": result.run.name, "judged": judged, **metrics_json(result.metrics)}
-                for judged, results in (("fit", fit.fitted), ("held_out", fit.held_out))
+                {"run": result.run.name, "used_as": used_as, **metrics_json(result.metrics)}
+                for used_as, results in (("fit", fit.fitted), ("held_out", fit.held_out))
                 for result in results
             ],
         },

@@ -26,10 +26,6 @@ Progress = Callable[[int, float], None]
 """Called with the number of finished generations, over all searches, and the smallest NRMSE so far."""
 
 
-def no_progress(_generation: int, _nrmse: float) -> None:
-    """Report nothing."""
-
-
 @dataclass(frozen=True)
 class IdentificationTask:
     """The arguments of one identification, see `identify`."""
@@ -59,7 +55,7 @@ def identify(
     held_out: Sequence[Run] = (),
     method: Method | None = None,
     scheduler: str | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = lambda _generation, _nrmse: None,
     **options: Any,
 ) -> Fit:
     """Identify the parameters of a damper model from all runs jointly.
@@ -97,7 +93,10 @@ def identify(
 
 
 def identify_all(
-    tasks: Sequence[IdentificationTask], *, scheduler: str | None = None, progress: Progress = no_progress
+    tasks: Sequence[IdentificationTask],
+    *,
+    scheduler: str | None = None,
+    progress: Progress = lambda _generation, _nrmse: None,
 ) -> list[Fit]:
     """Identify several models, or one model from several sets of runs; see `identify`.
 
@@ -150,7 +149,9 @@ class Solution:
     elapsed: float
 
 
-def search_and_fit(runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = no_progress) -> Solution:
+def search_and_fit(
+    runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = lambda _generation, _nrmse: None
+) -> Solution:
     """Search by NSGA-II from one seed, then continue by least squares."""
     began = time.monotonic()
     problem, _ = _pose(_prepare(runs, method), model, method)

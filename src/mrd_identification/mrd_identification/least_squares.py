@@ -80,13 +80,8 @@ def levenberg_marquardt(
         gram, gradient = jacobian.T @ jacobian, jacobian.T @ (residuals * root)
         if not (np.isfinite(gram).all() and gram.any()):
             break
-        size = np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max())
         while evaluations_left > 0:
-            damped = gram + damping * np.diag(size)
-            step = bounded_step(damped, gradient, -unit[moving], 1.0 - unit[moving])
-            trial = unit.copy()
-            trial[moving] = np.clip(unit[moving] + step, 0.0, 1.0)
-            step = trial[moving] - unit[moving]
+            trial, step = _damped_step(gram, gradient, damping, unit, moving)
             expected = -(gradient @ step + 0.5 * step @ gram @ step)
             if expected <= 1e-3 * tolerance * cost or np.abs(step).max() <= tolerance * 1e-3:
                 return unit, cost
@@ -115,6 +110,15 @@ def levenberg_marquardt(
         if converged:
             break
     return unit, cost
+
+
+def _damped_step(gram: Array, gradient: Array, damping: float, unit: Array, moving: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return the next point of the unit box, and the step to it in the coordinates ``moving``."""
+    size = np.maximum(np.diag(gram), 1e-12 * np.diag(gram).max())
+    step = bounded_step(gram + damping * np.diag(size), gradient, -unit[moving], 1.0 - unit[moving])
+    trial = unit.copy()
+    trial[moving] = np.clip(unit[moving] + step, 0.0, 1.0)
+    return trial, trial[moving] - unit[moving]
 
 
 def _cost(problem: Problem, unit: Array, residuals: Array) -> float:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pymoo.algorithms.moo.nsga2 import NSGA2
-from pymoo.core.callback import Callback
 from pymoo.core.problem import Problem as PymooProblem
 from pymoo.operators.sampling.lhs import LHS
 from pymoo.optimize import minimize
@@ -39,7 +38,11 @@ class Front:
 
 
 def search(
-    problem: Problem, population: int, generations: int, seed: int, progress: Callable[[int, float], None] | None = None
+    problem: Problem,
+    population: int,
+    generations: int,
+    seed: int,
+    progress: Callable[[int, float], None] = lambda _generation, _e2: None,
 ) -> Front:
     """Search the nonlinear parameters by NSGA-II (Deb et al., 2002); the linear ones follow by variable projection.
 
@@ -68,11 +71,6 @@ def search(
         def _evaluate(self, x: Array, out: dict[str, Any], *_: Any, **__: Any) -> None:
             out["F"] = np.nan_to_num(problem.project(candidates(x))[1], posinf=_WORST)
 
-    class Report(Callback):
-        def notify(self, algorithm: Any) -> None:
-            if progress is not None:
-                progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min()))
-
     first = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
     first[0] = start[searched]
     result = minimize(
@@ -80,7 +78,7 @@ def search(
         NSGA2(pop_size=population, sampling=first),
         ("n_gen", generations),
         seed=seed,
-        callback=Report(),
+        callback=lambda algorithm: progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min())),
         verbose=False,
     )
     thetas, norms = problem.project(candidates(result.opt.get("X")))

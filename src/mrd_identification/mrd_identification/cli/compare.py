@@ -4,15 +4,18 @@ import argparse
 import sys
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from tqdm import tqdm
 
 from mrd_base import run_tool
 from mrd_identification.cli.options import add_method_arguments, add_run_arguments, read_arguments_runs, read_method
-from mrd_identification.compare import Comparison, compare
-from mrd_identification.compare_file import difference_text, fit_folder, sentence, write_comparison
+from mrd_identification.compare import compare
+from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, sentence, write_comparison
 from mrd_identification.json_file import make_folder
 from mrd_sim.models import MODELS, find_model
+
+TABLE_WIDTH = 110
+"""Characters; a narrower terminal breaks the lines of the table, and no figure is cut off."""
 
 
 def main() -> None:
@@ -53,24 +56,10 @@ def work() -> None:
             runs, models, held_out=held_out, method=method, profile=False, scheduler=arguments.scheduler, progress=progress
         )
     page = write_comparison(comparison, arguments.output)
-    Console().print(table(comparison))
-    print(f"in brackets: 95 % intervals by bootstrap over {comparison.units} {comparison.resampled}")
+    table = Table(*(Column(title, justify="right" if place else "left") for place, title in enumerate(COLUMNS)), box=None)
+    for row in ranking(comparison):
+        table.add_row(*row)
+    Console(width=max(Console().width, TABLE_WIDTH)).print(table)
+    print(f"The 95 % intervals come from a bootstrap over {comparison.units} {comparison.resampled}.")
     print(sentence(comparison))
     print(page)
-
-
-def table(comparison: Comparison) -> Table:
-    """Return the ranking as a table for a terminal."""
-    ranking = Table("model", box=None)
-    for title in ("free", "NRMSE, held-out", "difference to the best", "fitted", "s"):
-        ranking.add_column(title, justify="right", no_wrap=True)
-    for entry in comparison.entries:
-        ranking.add_row(
-            entry.name,
-            str(entry.free),
-            f"{entry.nrmse:.4f} ({entry.lower:.3f} to {entry.upper:.3f})",
-            difference_text(comparison, entry),
-            f"{entry.fit.pooled_fitted.nrmse:.4f}",
-            f"{entry.fit.elapsed:.0f}",
-        )
-    return ranking

@@ -1,9 +1,13 @@
 """Arguments that several tools share."""
 
 import argparse
+from dataclasses import fields
+from typing import get_args
 
 from mrd_base import InputError
 from mrd_identification.method import Method, parse_method
+from mrd_identification.problem import Loss
+from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS
@@ -21,12 +25,14 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
     """Add the options of the identification; those that only make sense for ``one_model`` can be left out."""
     parser.add_argument(
         "--law",
+        dest="laws",
         default="",
         metavar="LAW|COEFFICIENT=LAW,...",
         help=f"current law of all coefficients that depend on current, or of each: {', '.join(LAWS)}",
     )
     parser.add_argument(
         "--effect",
+        dest="effects",
         action="append",
         default=[],
         metavar="EFFECT",
@@ -36,13 +42,13 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
     parser.add_argument("--offsets", action="store_true", help="let each fitted run have its own force offset")
     parser.add_argument(
         "--weights",
-        choices=("samples", "runs", "force"),
+        choices=get_args(Weights),
         default=_DEFAULT.weights,
-        help="weight equally: samples, runs, or runs by the variance of their force (default %(default)s)",
+        help="give equal weight to samples, to runs, or to errors relative to the force of their run (default %(default)s)",
     )
     parser.add_argument(
         "--loss",
-        choices=("linear", "soft_l1", "huber"),
+        choices=get_args(Loss),
         default=_DEFAULT.loss,
         help="loss function of the residuals: linear, or one that is robust against outliers (default %(default)s)",
     )
@@ -56,19 +62,28 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         help="number of searches, the first with --seed; the best is kept (default %(default)s)",
     )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="compute on the dask cluster of this scheduler")
-    parser.set_defaults(fix=[], free=[], no_least_squares=False, no_profile=False)
+    parser.set_defaults(fixed=[], freed=[], least_squares=True, profile=True)
     if one_model:
         parser.add_argument(
-            "--fix", action="append", metavar="PARAMETER=VALUE", help="keep at a value in SI units; may be repeated"
+            "--fix",
+            dest="fixed",
+            action="append",
+            metavar="PARAMETER=VALUE",
+            help="keep at a value in SI units; may be repeated",
         )
         parser.add_argument(
             "--free",
+            dest="freed",
             action="append",
             metavar="PARAMETER",
             help="search a parameter that otherwise keeps its default; may be repeated",
         )
-        parser.add_argument("--no-least-squares", action="store_true", help="return the knee of the Pareto front")
-        parser.add_argument("--no-profile", action="store_true", help="omit the intervals from profiles, the slow part")
+        parser.add_argument(
+            "--no-least-squares", dest="least_squares", action="store_false", help="return the knee of the Pareto front"
+        )
+        parser.add_argument(
+            "--no-profile", dest="profile", action="store_false", help="omit the intervals from profiles, the slow part"
+        )
 
 
 def read_method(arguments: argparse.Namespace) -> Method:
@@ -83,21 +98,7 @@ def read_method(arguments: argparse.Namespace) -> Method:
         raise InputError(
             "--scheduler: the workers of a cluster do not know the effects of --effects-folder; leave one of the two out"
         )
-    return parse_method(
-        laws=arguments.law,
-        effects=tuple(arguments.effect),
-        fixed=arguments.fix,
-        freed=tuple(arguments.free),
-        offsets=arguments.offsets,
-        weights=arguments.weights,
-        loss=arguments.loss,
-        population=arguments.population,
-        generations=arguments.generations,
-        seed=arguments.seed,
-        seeds=arguments.seeds,
-        least_squares=not arguments.no_least_squares,
-        profile=not arguments.no_profile,
-    )
+    return parse_method(**{field.name: getattr(arguments, field.name) for field in fields(Method)})
 
 
 def read_arguments_runs(arguments: argparse.Namespace) -> tuple[list[Run], list[Run]]:
