@@ -56,7 +56,7 @@ def work() -> None:
             runs, models, held_out=held_out, method=method, profile=False, scheduler=arguments.scheduler, progress=progress
         )
     page = write_comparison(comparison, arguments.output)
-    table = Table(*(Column(title, justify="right" if place else "left") for place, title in enumerate(COLUMNS)), box=None)
+    table = Table(Column(COLUMNS[0], no_wrap=True), *(Column(title, justify="right") for title in COLUMNS[1:]), box=None)
     for row in ranking(comparison):
         table.add_row(*row)
     Console(width=max(Console().width, TABLE_WIDTH)).print(table)
