@@ -47,6 +47,7 @@ def simulate_experiment(model, theta, seed, seconds=5.0, rate=500.0):
 
 
 def unit_box(model):
+    """Return a problem without recordings, which scales the free parameters of a model to the unit box."""
     free = tuple(index for index, parameter in enumerate(model.parameters) if parameter.free)
     return Problem(model, [], free, model.defaults)
 
@@ -74,6 +75,11 @@ def true_parameters(model, seed=0):
 
 def with_noise(run, deviation, seed):
     return replace(run, force=run.force + deviation * np.random.default_rng(seed).standard_normal(len(run)))
+
+
+def with_force(recording: Recording, force: np.ndarray) -> Recording:
+    run = replace(recording.run, force=force)
+    return replace(recording, smoothed=replace(recording.smoothed, run=run))
 
 
 # ---------------------------------------------------------------------------------------------------------- recovery
@@ -173,7 +179,7 @@ def coverage(name, errors, *, seconds, rate, share=0.02, repeats=200, profile=Fa
     holds = []
     for _ in range(repeats):
         measured = [
-            replace(recording, run=replace(recording.run, force=force + deviation * errors(random, len(force))))
+            with_force(recording, force + deviation * errors(random, len(force)))
             for recording, force in zip(recordings, forces, strict=True)
         ]
         problem, _ = make_problem(model, measured)
@@ -310,11 +316,6 @@ def test_a_parameter_on_a_bound_has_a_profile_on_the_inner_side():
     assert result.profile_lower[0] == 0.0
     assert result.profile_upper[0] == pytest.approx(1.96 * 10.0 / speed / np.sqrt(len(problem.force)), rel=0.2)
     assert 0.0 < result.beyond[0] < 1.0
-
-
-def with_force(recording: Recording, force: np.ndarray) -> Recording:
-    run = replace(recording.run, force=force)
-    return replace(recording, smoothed=replace(recording.smoothed, run=run))
 
 
 def test_without_errors_intervals_have_no_width_and_there_are_no_warnings():
