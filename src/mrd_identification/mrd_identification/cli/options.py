@@ -64,26 +64,31 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
     parser.add_argument("--scheduler", metavar="ADDRESS", help="compute on the dask cluster of this scheduler")
     parser.set_defaults(fixed=[], freed=[], least_squares=True, profile=True)
     if one_model:
-        parser.add_argument(
-            "--fix",
-            dest="fixed",
-            action="append",
-            metavar="PARAMETER=VALUE",
-            help="keep at a value in SI units; may be repeated",
-        )
-        parser.add_argument(
-            "--free",
-            dest="freed",
-            action="append",
-            metavar="PARAMETER",
-            help="search a parameter that otherwise keeps its default; may be repeated",
-        )
-        parser.add_argument(
-            "--no-least-squares", dest="least_squares", action="store_false", help="return the knee of the Pareto front"
-        )
-        parser.add_argument(
-            "--no-profile", dest="profile", action="store_false", help="omit the intervals from profiles, the slow part"
-        )
+        _add_one_model_arguments(parser)
+
+
+def _add_one_model_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that only make sense for one model."""
+    parser.add_argument(
+        "--fix",
+        dest="fixed",
+        action="append",
+        metavar="PARAMETER=VALUE",
+        help="keep at a value in SI units; may be repeated",
+    )
+    parser.add_argument(
+        "--free",
+        dest="freed",
+        action="append",
+        metavar="PARAMETER",
+        help="search a parameter that otherwise keeps its default; may be repeated",
+    )
+    parser.add_argument(
+        "--no-least-squares", dest="least_squares", action="store_false", help="return the knee of the Pareto front"
+    )
+    parser.add_argument(
+        "--no-profile", dest="profile", action="store_false", help="omit the intervals from profiles, the slow part"
+    )
 
 
 def read_method(arguments: argparse.Namespace) -> Method:
