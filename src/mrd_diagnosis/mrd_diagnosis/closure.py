@@ -12,7 +12,8 @@ from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import GapProblem, Refit, own_error, without_each
 from mrd_diagnosis.statistics import closed, nrmse, resampled
 from mrd_identification.least_squares import levenberg_marquardt
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ from mrd_diagnosis.effect_search import LEFT_OVER, NO_GAP, Foundation
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import Scatter, refit
 from mrd_diagnosis.weighting import Ground, with_effect
-from mrd_identification.problem import in_threads, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import Effect, find_effects
 from mrd_sim.simulate import Instruments, measure_plans

@@ -27,7 +27,9 @@ from mrd_diagnosis.report.sentences import describe, human
 from mrd_diagnosis.statistics import CERTAIN, probabilities, resampled, values
 from mrd_diagnosis.weighting import Ground, first_fit
 from mrd_identification.fit_file import StoredFit
-from mrd_identification.problem import Recording, current_levels, in_threads, make_problem, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.problem import make_problem
+from mrd_identification.recording import Recording, current_levels, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.refit import SETTLED, GapProblem, Refit, refit, scaled_inverse
 from mrd_diagnosis.weighting import Ground, with_effect
-from mrd_identification.problem import in_threads
+from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mrd_diagnosis.localisation import FLOOR_ERROR, travel_since_reversal
-from mrd_identification.problem import Recording
+from mrd_identification.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import Refit, Scatter, refit
 from mrd_diagnosis.report.sentences import name_of_form
 from mrd_diagnosis.weighting import Ground, without_effect
-from mrd_identification.problem import in_threads
+from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
 
 MOST_RIVALS = 4

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.refit import GapProblem, Refit, Scatter, scaled_inverse
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording
 from mrd_runs.signals.smoothed_run import remeasure
 from mrd_sim.path import path_of
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.refit import GapProblem, Scatter, whitening
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import Problem, Recording, consecutive_forces, make_problem
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import Recording, consecutive_forces
 from mrd_identification.residual_correlation import correlation_length
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel

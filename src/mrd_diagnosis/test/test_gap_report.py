@@ -33,7 +33,8 @@ from mrd_diagnosis.report.page import content, write_gap_report
 from mrd_diagnosis.report.sentences import clause, describe, human, share
 from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import Problem, prepare_recording
+from mrd_identification.problem import Problem
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

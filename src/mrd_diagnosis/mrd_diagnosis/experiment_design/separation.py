@@ -22,7 +22,8 @@ from mrd_diagnosis.report.sentences import name_of
 from mrd_diagnosis.statistics import CERTAIN, certainty, dispersion
 from mrd_diagnosis.weighting import Ground
 from mrd_identification.least_squares import levenberg_marquardt
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording
 from mrd_runs import Run
 from mrd_runs.signals.motion import motion_errors
 from mrd_runs.signals.smoothed_run import exact_run

@@ -14,9 +14,11 @@ from mrd_base import InputError
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.report.sentences import human, share
 from mrd_diagnosis.trend.change_point import FEWEST_DATES, FEWEST_FOR_CHANGE, Growth, growth
-from mrd_identification.identify import Method, search_and_fit
+from mrd_identification.identify import search_and_fit
 from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt
-from mrd_identification.problem import Problem, Recording, make_problem, prepare_recording
+from mrd_identification.method import Method
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_identification.uncertainty import FEWEST_SPARE_BLOCKS, normal_inverse
 from mrd_runs import Run
