@@ -1,4 +1,4 @@
-"""What the benchmarks share: a motion, timing side by side, and how the figures are shown."""
+"""Shared by the benchmarks: a motion of the rod, the timing of alternatives, and the format of the figures."""
 
 import os
 import platform
@@ -22,7 +22,7 @@ console = Console(width=None if os.isatty(1) else 120, highlight=False)
 
 @njit(cache=True)
 def position(t: float) -> float:
-    """Position of the rod in m: reversals of many sizes, up to 0.13 m/s."""
+    """Return the position of the rod in m: strokes of many lengths, up to 0.13 m/s."""
     return (
         AMPLITUDES[0] * np.sin(FREQUENCIES[0] * t)
         + AMPLITUDES[1] * np.sin(FREQUENCIES[1] * t + 1.0)
@@ -32,7 +32,7 @@ def position(t: float) -> float:
 
 @njit(cache=True)
 def velocity(t: float) -> float:
-    """Its velocity in m/s."""
+    """Return the velocity of the rod in m/s."""
     return AMPLITUDES[0] * FREQUENCIES[0] * np.cos(FREQUENCIES[0] * t) + (
         AMPLITUDES[1] * FREQUENCIES[1] * np.cos(FREQUENCIES[1] * t + 1.0)
         + AMPLITUDES[2] * FREQUENCIES[2] * np.cos(FREQUENCIES[2] * t + 2.0)
@@ -41,7 +41,7 @@ def velocity(t: float) -> float:
 
 @njit(cache=True)
 def current(t: float) -> float:
-    """Coil current in A."""
+    """Return the coil current in A."""
     return 0.2 + 0.15 * np.sin(5.0 * t)
 
 
@@ -54,46 +54,46 @@ def _sampled(time_s: Array) -> tuple[Array, Array, Array]:
 
 
 def sampled(samples: int) -> tuple[Array, Array, Array, Array]:
-    """The motion at `RATE`: instants in s, position in m, velocity in m/s, current in A."""
+    """Sample the motion at `RATE`: time in s, position in m, velocity in m/s, current in A."""
     time_s = np.arange(samples) / RATE
     return time_s, *_sampled(time_s)
 
 
-def timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
-    """Time in s of ``work``."""
+def measure_time(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    """Return the time in s that ``work`` takes."""
     began = clock()
     work()
     return clock() - began
 
 
-def side_by_side(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, float]:
-    """Median processor time in s of each work on one thread, taken in turns.
+def measure_alternately(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, float]:
+    """Return the median processor time in s of each work on one thread, measured in turns.
 
-    Whatever else the machine does slows all of them or, as far as it only makes them wait, none.
+    Other load of the machine then slows all of them equally; time in which they only wait does not count.
 
     Parameters
     ----------
     works : mapping
-        By name: the work, and how many times it is done in its turn.
+        By name: the work, and how often it is repeated in its turn.
     rounds : int
     """
     measured: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds):
         for name, (work, times) in works.items():
-            measured[name] += [timed(work, time.process_time) for _ in range(times)]
+            measured[name] += [measure_time(work, time.process_time) for _ in range(times)]
     return {name: statistics.median(times) for name, times in measured.items()}
 
 
-def duration(seconds: float) -> str:
-    """A time with three digits in the unit that suits it."""
+def format_duration(seconds: float) -> str:
+    """Format a time with three digits, in s, ms or µs."""
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
         if seconds * factor >= 1.0:
             return f"{seconds * factor:.3g} {unit}"
     return f"{seconds * 1e6:.3g} µs"
 
 
-def machine() -> str:
-    """What the figures were measured on."""
+def describe_machine() -> str:
+    """Describe the machine and the versions with which the figures were measured."""
     name = platform.processor() or platform.machine()
     try:
         with open("/proc/cpuinfo") as info:

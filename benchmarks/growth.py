@@ -1,10 +1,10 @@
-"""How time and memory grow with samples and candidates, and what every model costs.
+"""How time and memory grow with samples and candidates, and the time of every model.
 
     python benchmarks/growth.py [PLOT.svg]
 
-What is measured is one generation of the search: every candidate of a population integrated over the run, its linear
-parameters eliminated, both error norms. Times are the processor's, of all threads together. Each point is a process of its
-own, so that its peak memory is its own; the run itself does not count.
+One generation of the search is measured: every candidate of a population is integrated over the run, its linear parameters
+are found by projection, and both error norms are computed. Times are processor times of all threads together. Each point is
+measured in a new process, so that its peak memory does not depend on the others; the memory of the run does not count.
 """
 
 import json
@@ -16,10 +16,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from common import Array, console, machine, sampled, timed
+from common import Array, console, describe_machine, measure_time, sampled
 from rich.table import Table
 
-from mrd_identification.problem import Problem, make_problem, prepare_recording
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import MODELS
 
@@ -29,58 +30,58 @@ FIXED_SAMPLES, FIXED_CANDIDATES = 100_000, 40
 
 
 def record(samples: int) -> Run:
-    """A run with reversals of many sizes."""
+    """Return a run with strokes of many lengths."""
     time_s, x, v, i = sampled(samples)
     return Run("benchmark", time_s, x, v, i, 100 * np.tanh(50 * v) + 2000 * v)
 
 
 def population(model_id: str, run: Run, candidates: int) -> tuple[Problem, Array]:
-    """A problem, and so many candidates all over its bounds."""
+    """Return a problem, and candidates that are uniformly distributed within its bounds."""
     problem, _ = make_problem(MODELS[model_id], [prepare_recording(run)])
     return problem, problem.theta(np.random.default_rng(0).random((candidates, len(problem.free))))
 
 
 def measure(samples: int, candidates: int) -> dict[str, float]:
-    """Processor seconds and peak bytes of one generation over a run in memory, in this process."""
+    """Measure processor time in s and peak memory in bytes of one generation in this process."""
     small, few = population("bouc_wen", record(2000), 4)
-    small.project(few)  # compiled, threads started
+    small.project(few)  # This compiles the models and starts the threads.
     problem, thetas = population("bouc_wen", record(samples), candidates)
     before = _peak()
-    seconds = timed(lambda: problem.project(thetas), time.process_time)
+    seconds = measure_time(lambda: problem.project(thetas), time.process_time)
     return {"seconds": seconds, "bytes": _peak() - before}
 
 
 def _peak() -> int:
-    """Peak memory of this process in bytes."""
+    """Return the peak memory of this process in bytes."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def in_own_process(samples: int, candidates: int) -> dict[str, float]:
-    """`measure` in a process of its own, the faster of two."""
+def measure_in_new_process(samples: int, candidates: int) -> dict[str, float]:
+    """Measure one point in a new process; the lesser value of two attempts counts."""
     command = [sys.executable, __file__, "--point", str(samples), str(candidates)]
     points = [json.loads(subprocess.run(command, check=True, capture_output=True).stdout) for _ in range(2)]
     return {key: min(point[key] for point in points) for key in ("seconds", "bytes")}
 
 
 def exponent(sizes: Sequence[float], figures: Sequence[float]) -> float:
-    """Power with which figures grow."""
+    """Return the power of the size with which figures grow."""
     return float(np.polyfit(np.log(sizes), np.log(figures), 1)[0])
 
 
-def growth() -> dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]:
-    """Points over samples and over candidates."""
+def measure_growth() -> dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]:
+    """Measure points over samples and over candidates."""
     return {
-        "samples": (SAMPLES, [in_own_process(n, FIXED_CANDIDATES) for n in SAMPLES]),
-        "candidates": (CANDIDATES, [in_own_process(FIXED_SAMPLES, n) for n in CANDIDATES]),
+        "samples": (SAMPLES, [measure_in_new_process(n, FIXED_CANDIDATES) for n in SAMPLES]),
+        "candidates": (CANDIDATES, [measure_in_new_process(FIXED_SAMPLES, n) for n in CANDIDATES]),
     }
 
 
-def show_growth(found: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]) -> None:
+def print_growth(growth: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]) -> None:
     """Print the growth as a table."""
-    table = Table(title="One generation of bouc_wen", caption=machine())
+    table = Table(title="One generation of bouc_wen", caption=describe_machine())
     for column in ("samples", "candidates", "processor s", "peak MB"):
         table.add_column(column, justify="right")
-    for axis, (sizes, points) in found.items():
+    for axis, (sizes, points) in growth.items():
         for size, point in zip(sizes, points, strict=True):
             pair = (size, FIXED_CANDIDATES) if axis == "samples" else (FIXED_SAMPLES, size)
             table.add_row(*(f"{n:,}" for n in pair), f"{point['seconds']:.3f}", f"{point['bytes'] / 1e6:.1f}")
@@ -93,14 +94,14 @@ def show_growth(found: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]
 UNITS = {"seconds": (1.0, "processor time, s"), "bytes": (1e-6, "peak memory, MB")}
 
 
-def plot(found: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]) -> str:
-    """Both growths as an SVG on logarithmic axes, each with the line of proportional growth through its last point."""
+def plot(growth: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]) -> str:
+    """Draw time and memory as an SVG on logarithmic axes, with the line of proportional growth through each last point."""
     width, height, margin, decades = 340, 220, 60, 3
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * width + 3 * margin} {2 * height + 3 * margin}" '
         'font-family="sans-serif" font-size="12"><rect width="100%" height="100%" fill="white"/>'
     ]
-    for column, (axis, (sizes, points)) in enumerate(found.items()):
+    for column, (axis, (sizes, points)) in enumerate(growth.items()):
         for row, (key, (factor, label)) in enumerate(UNITS.items()):
             left, top = margin + column * (width + margin), margin / 2 + row * (height + 1.2 * margin)
             figures = np.array([max(point[key], 1e-9) * factor for point in points])
@@ -133,8 +134,8 @@ def plot(found: dict[str, tuple[tuple[int, ...], list[dict[str, float]]]]) -> st
     return "\n".join([*parts, "</svg>\n"])
 
 
-def show_models() -> None:
-    """Print what one generation costs with every model."""
+def print_models() -> None:
+    """Print the time of one generation with every model."""
     table = Table(title="One generation, 40 candidates over 60 s at 1 kHz")
     table.add_column("model")
     table.add_column("processor s", justify="right")
@@ -143,21 +144,21 @@ def show_models() -> None:
     for name in MODELS:
         problem, thetas = population(name, run, 40)
         problem.project(thetas[:2])
-        seconds = min(timed(lambda: problem.project(thetas), time.process_time) for _ in range(2))  # noqa: B023
+        seconds = min(measure_time(lambda: problem.project(thetas), time.process_time) for _ in range(2))  # noqa: B023
         table.add_row(name, f"{seconds:.3f}", f"{1e9 * seconds / len(thetas) / len(run):.0f}")
     console.print(table)
 
 
 def main() -> None:
-    """Print the tables and, where asked to, write the plot."""
+    """Print the tables, and write the plot where its file is given."""
     if sys.argv[1:2] == ["--point"]:
         print(json.dumps(measure(*map(int, sys.argv[2:]))))
         return
-    found = growth()
-    show_growth(found)
-    show_models()
+    points = measure_growth()
+    print_growth(points)
+    print_models()
     for file in sys.argv[1:]:
-        Path(file).write_text(plot(found))
+        Path(file).write_text(plot(points))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""One candidate over a minute at 1 kHz: this bench against scipy's LSODA and against C, side by side.
+"""Time of one candidate over a minute at 1 kHz, in comparison with scipy's LSODA and with C.
 
-LSODA integrates the models' textbook equations, once written in Python and once compiled by numba as ours are, with
-the motion a compiled function of time: at rtol 1e-6, and at the power of ten that first is as accurate as ours. The C
-(bouc_wen.c) follows our scheme operation by operation, in one pass over the same path.
+LSODA integrates the textbook equations of the models, once written in Python and once compiled by numba like the models of
+this bench. The motion is a compiled function of time. The tolerance rtol is 1e-6, and the first power of ten that is as
+accurate as this bench. The C code (bouc_wen.c) has the same operations as this bench, in one pass over the same path.
 """
 
 import ctypes
@@ -14,7 +14,18 @@ from pathlib import Path as File
 from typing import Any
 
 import numpy as np
-from common import RATE, Array, console, current, duration, machine, position, sampled, side_by_side, velocity
+from common import (
+    RATE,
+    Array,
+    console,
+    current,
+    describe_machine,
+    format_duration,
+    measure_alternately,
+    position,
+    sampled,
+    velocity,
+)
 from numba import njit
 from rich.table import Table
 from scipy.integrate import odeint, solve_ivp
@@ -27,7 +38,7 @@ OURS = "this bench"
 ROUNDS = 5
 RTOL = 1e-6
 LONGEST_STEP = 5e-3
-"""s; a twelfth of the motion's shortest period or less, so that LSODA steps over no reversal."""
+"""s, at most a twelfth of the shortest period of the motion, so that LSODA does not step over a reversal."""
 C_FLAGS = ("-O3", "-march=native")
 
 
@@ -63,26 +74,26 @@ def _modified_force(s: Array, p: Array, x: Array, v: Array) -> Array:
 
 
 EQUATIONS = {
-    # by model: slopes of the states, force, and the size of each state, to which its absolute tolerance refers
+    # By model: derivatives of the states, force, and magnitude of each state, which scales its absolute tolerance.
     "bouc_wen": (_bouc_wen, _bouc_wen_force, np.array([1.0, 0.2])),
     "modified_bouc_wen": (_modified, _modified_force, np.array([1.0, 0.2, 0.01])),
 }
 
 
-def at_rest(model_id: str) -> Array:
-    """States of a damper at rest and unloaded, its coil settled."""
+def initial_states(model_id: str) -> Array:
+    """Return the states of a damper at rest and unloaded with a constant coil current."""
     return np.array([0.0, current(0.0), position(0.0)][: 2 + (model_id != "bouc_wen")])
 
 
 def with_solve_ivp(
     model_id: str, theta: Array, time_s: Array, x: Array, v: Array, rtol: float = RTOL, python: bool = False
 ) -> Array:
-    """Force in N by scipy's `solve_ivp`, its equations compiled or in ``python``."""
+    """Return the force in N by scipy's `solve_ivp`, with compiled equations or in ``python``."""
     slopes, force, size = EQUATIONS[model_id]
-    found = solve_ivp(
+    solution = solve_ivp(
         slopes.py_func if python else slopes,
         (0.0, time_s[-1]),
-        at_rest(model_id),
+        initial_states(model_id),
         "LSODA",
         time_s,
         args=(theta,),
@@ -90,15 +101,15 @@ def with_solve_ivp(
         atol=rtol * size,
         max_step=LONGEST_STEP,
     )
-    return force(found.y, theta, x, v)
+    return force(solution.y, theta, x, v)
 
 
 def with_odeint(model_id: str, theta: Array, time_s: Array, x: Array, v: Array, rtol: float = RTOL) -> Array:
-    """The same by `odeint`: the same LSODA with less of Python about it."""
+    """Return the force in N by scipy's `odeint`: the same LSODA with less overhead in Python."""
     slopes, force, size = EQUATIONS[model_id]
     states = odeint(
         slopes,
-        at_rest(model_id),
+        initial_states(model_id),
         time_s,
         args=(theta,),
         tfirst=True,
@@ -111,7 +122,7 @@ def with_odeint(model_id: str, theta: Array, time_s: Array, x: Array, v: Array, 
 
 
 def compiled_c(folder: str) -> ctypes.CDLL | None:
-    """The C models; None without a compiler."""
+    """Compile the models in C; None without a compiler."""
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         return None
@@ -122,7 +133,7 @@ def compiled_c(folder: str) -> ctypes.CDLL | None:
 
 
 def with_c(library: ctypes.CDLL, model_id: str, theta: Array, path: Path) -> tuple[Callable[[], None], Array]:
-    """A call that integrates a model in C, and the force that it fills."""
+    """Return a function that integrates a model in C, and the force that it fills."""
     is_sample = np.zeros(len(path.dt), np.int8)
     is_sample[path.samples] = 1
     force = np.empty(len(path.samples))
@@ -138,47 +149,49 @@ def with_c(library: ctypes.CDLL, model_id: str, theta: Array, path: Path) -> tup
 
 
 def compare(model_id: str, library: ctypes.CDLL | None, table: Table) -> None:
-    """Measure one model."""
+    """Measure one model and add its rows to the table."""
     model = MODELS[model_id]
     theta = model.defaults
     time_s, x, v, i = sampled(int(SECONDS * RATE))
     path = make_path(time_s, x, v, np.gradient(v, time_s), i)
     reference = with_odeint(model_id, theta, time_s, x, v, rtol=1e-12)
 
-    def nrms(force: Array) -> float:
+    def nrms_error(force: Array) -> float:
         return float(np.sqrt(np.mean((force - reference) ** 2)) / np.std(reference))
 
-    def ours() -> Array:
+    def this_bench() -> Array:
         return model.force(theta, path)
 
-    def solved(**options: Any) -> Callable[[], Array]:
+    def solver(**options: Any) -> Callable[[], Array]:
         return lambda: with_solve_ivp(model_id, theta, time_s, x, v, **options)
 
-    goal = nrms(ours())
-    equal = next((rtol for rtol in 10.0 ** -np.arange(2, 11) if nrms(solved(rtol=rtol)()) <= goal), 1e-10)
-    peers: dict[str, tuple[Callable[[], Any], int]] = {
-        OURS: (ours, 30),
-        f"scipy solve_ivp, Python, {RTOL:g}": (solved(python=True), 1),
-        f"scipy solve_ivp, compiled, {RTOL:g}": (solved(), 1),
-        f"scipy solve_ivp, compiled, {equal:g} (as accurate)": (solved(rtol=equal), 1),
+    accuracy = nrms_error(this_bench())
+    equal = next((rtol for rtol in 10.0 ** -np.arange(2, 11) if nrms_error(solver(rtol=rtol)()) <= accuracy), 1e-10)
+    alternatives: dict[str, tuple[Callable[[], Any], int]] = {
+        OURS: (this_bench, 30),
+        f"scipy solve_ivp, Python, {RTOL:g}": (solver(python=True), 1),
+        f"scipy solve_ivp, compiled, {RTOL:g}": (solver(), 1),
+        f"scipy solve_ivp, compiled, {equal:g} (as accurate)": (solver(rtol=equal), 1),
         f"scipy odeint, compiled, {RTOL:g}": (lambda: with_odeint(model_id, theta, time_s, x, v), 1),
     }
-    forces = {name: work() for name, (work, _) in peers.items()}
+    forces = {name: work() for name, (work, _) in alternatives.items()}
     if library is not None:
         name = f"C, gcc {' '.join(C_FLAGS)}"
         call, forces[name] = with_c(library, model_id, theta, path)
         call()
-        np.testing.assert_allclose(forces[name], forces[OURS], rtol=0, atol=1e-6, err_msg="C follows another scheme")
-        peers[name] = (call, 30)
-    measured = side_by_side(peers, ROUNDS)
+        np.testing.assert_allclose(
+            forces[name], forces[OURS], rtol=0, atol=1e-6, err_msg="the C code computes another force"
+        )
+        alternatives[name] = (call, 30)
+    measured = measure_alternately(alternatives, ROUNDS)
     for name, seconds in measured.items():
         ratio = seconds / measured[OURS]
         table.add_row(
             model_id if name == OURS else "",
             name,
-            duration(seconds),
+            format_duration(seconds),
             f"{ratio:.0f}" if ratio > 10 else f"{ratio:.2f}",
-            f"{nrms(forces[name]):.1e}",
+            f"{nrms_error(forces[name]):.1e}",
             f"{np.abs(forces[name] - reference).max():.1e}",
         )
     table.add_section()
@@ -186,7 +199,7 @@ def compare(model_id: str, library: ctypes.CDLL | None, table: Table) -> None:
 
 def main() -> None:
     """Print the table."""
-    table = Table(title=f"One candidate over {SECONDS} s at {RATE:g} Hz: processor time", caption=machine())
+    table = Table(title=f"One candidate over {SECONDS} s at {RATE:g} Hz: processor time", caption=describe_machine())
     for column in ("model", "by", "time", "time / ours", "NRMS error", "largest error, N"):
         table.add_column(column, justify="left" if column in ("model", "by") else "right")
     with tempfile.TemporaryDirectory() as folder:

@@ -15,8 +15,8 @@ from mrd_runs.signals.motion import smooth_motion
 RATE, DURATION, BLOCK = 1000, 600, 20
 
 
-def timed(work: Callable[[], object]) -> float:
-    """Shortest of three times in s, after a first one that compiles."""
+def shortest_time(work: Callable[[], object]) -> float:
+    """Return the shortest of three times in s, after a first call that compiles."""
     work()
     times = []
     for _ in range(3):
@@ -27,7 +27,7 @@ def timed(work: Callable[[], object]) -> float:
 
 
 def write(folder: Path) -> None:
-    """A bag of quantised sensor signals, as the DAQ reads them."""
+    """Write a bag of quantised sensor signals like those of the DAQ."""
     rng, n = np.random.default_rng(0), RATE * DURATION
     t = np.arange(n) / RATE
     x = 0.01 * np.sin(9.4 * t) + 1e-3 * np.sin(40 * t)
@@ -52,6 +52,7 @@ def write(folder: Path) -> None:
 
 
 def main() -> None:
+    """Print the times."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch, "run")
         start = time.perf_counter()
@@ -59,14 +60,14 @@ def main() -> None:
         elapsed = time.perf_counter() - start
         size = sum(file.stat().st_size for file in folder.iterdir())
         print(f"write {DURATION} s at {RATE} Hz:        {elapsed:6.3f} s, {size / 1e6:.1f} MB")
-        print(f"read_run (required: under 1 s): {timed(lambda: read_run(folder)):6.3f} s")
-        print(f"  of it read_bag:               {timed(lambda: read_bag(folder)):6.3f} s")
+        print(f"read_run (required: under 1 s): {shortest_time(lambda: read_run(folder)):6.3f} s")
+        print(f"  of it read_bag:               {shortest_time(lambda: read_bag(folder)):6.3f} s")
         run = read_run(folder)
         for n in (60_000, len(run)):
             time_n, position = run.time[:n], run.position[:n]
             acceleration = None if run.acceleration is None else run.acceleration[:n]
-            print(f"smooth {n:6d} positions:        {timed(lambda: smooth_motion(time_n, position)):6.3f} s")  # noqa: B023
-            both = timed(lambda: smooth_motion(time_n, position, acceleration))  # noqa: B023
+            print(f"smooth {n:6d} positions:        {shortest_time(lambda: smooth_motion(time_n, position)):6.3f} s")  # noqa: B023
+            both = shortest_time(lambda: smooth_motion(time_n, position, acceleration))  # noqa: B023
             print(f"  with accelerometer:           {both:6.3f} s")
 
 

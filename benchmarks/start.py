@@ -1,4 +1,4 @@
-"""How long a fresh process takes to its first results: compiling everything, or loading it from the cache (goal: 2 s)."""
+"""Time of a new process to its first results, with compilation or with a warm cache (goal: 2 s)."""
 
 import os
 import statistics
@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 
-from common import console, duration, machine
+from common import console, describe_machine, format_duration
 from rich.table import Table
 
 STARTS = 5
@@ -15,7 +15,8 @@ FIRST_USE = """
 import time; began = time.perf_counter()
 import mrd_identification
 import numpy as np
-from mrd_identification.problem import make_problem, prepare_recording
+from mrd_identification.problem import make_problem
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import MODELS
 imported = time.perf_counter()
@@ -31,25 +32,25 @@ print(imported - began, evaluated - imported, time.perf_counter() - evaluated)
 
 
 def start(cache: str) -> list[float]:
-    """Seconds of a new process: import, candidate, Jacobian, all with the interpreter's start, processor time of all."""
+    """Measure a new process, in s: import, first candidate, first Jacobian, whole process, processor time."""
     began, used = time.perf_counter(), os.times()
     environment = os.environ | {"NUMBA_CACHE_DIR": cache}
-    found = subprocess.run([sys.executable, "-c", FIRST_USE], env=environment, check=True, capture_output=True, text=True)
+    process = subprocess.run([sys.executable, "-c", FIRST_USE], env=environment, check=True, capture_output=True, text=True)
     now = os.times()
     processor = now.children_user + now.children_system - used.children_user - used.children_system
-    return [*map(float, found.stdout.split()), time.perf_counter() - began, processor]
+    return [*map(float, process.stdout.split()), time.perf_counter() - began, processor]
 
 
 def main() -> None:
     """Print the table."""
-    table = Table(title="A process's first Bouc-Wen candidate and Jacobian, 10 s at 1 kHz", caption=machine())
+    table = Table(title="A process's first Bouc-Wen candidate and Jacobian, 10 s at 1 kHz", caption=describe_machine())
     for column in ("cache", "import mrd_identification", "one candidate", "one Jacobian", "whole process", "processor time"):
         table.add_column(column, justify="left" if column == "cache" else "right")
     with tempfile.TemporaryDirectory() as cache:
         cold = start(cache)
         warm = [statistics.median(times) for times in zip(*(start(cache) for _ in range(STARTS)), strict=True)]
-    table.add_row("empty: compiles", *map(duration, cold))
-    table.add_row("warm", *map(duration, warm))
+    table.add_row("empty: compiles", *map(format_duration, cold))
+    table.add_row("warm", *map(format_duration, warm))
     console.print(table)
 
 

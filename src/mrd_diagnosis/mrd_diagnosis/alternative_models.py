@@ -9,7 +9,8 @@ from mrd_diagnosis.base_fit import global_fit
 from mrd_diagnosis.refit import Refit, refit
 from mrd_diagnosis.weighting import Weighting
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import current_levels, make_problem
+from mrd_identification.problem import make_problem
+from mrd_identification.recording import current_levels
 from mrd_sim.models import MODELS, DamperModel, find_model
 
 Array = NDArray[np.float64]

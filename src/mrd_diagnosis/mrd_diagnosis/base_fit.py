@@ -11,7 +11,8 @@ from mrd_diagnosis.null_distribution import draw_null_errors
 from mrd_diagnosis.refit import Refit, refit, scaled_inverse
 from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, Weighting
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import Problem, Recording, make_problem
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import Recording
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel
 

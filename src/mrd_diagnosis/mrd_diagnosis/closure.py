@@ -14,7 +14,8 @@ from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, nrmse_in
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import WeightedProblem, error_of_run
 from mrd_identification.least_squares import levenberg_marquardt
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,8 @@ from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import RunScatter, Weighting
-from mrd_identification.problem import in_threads, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import Effect, find_effects
 from mrd_sim.simulate import Instruments, measure_plans

@@ -39,7 +39,8 @@ from mrd_diagnosis.sentences import (
 )
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
-from mrd_identification.problem import Recording, in_threads, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.problem import Recording
+from mrd_identification.recording import Recording
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 

@@ -11,7 +11,7 @@ from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.refit import CONVERGED, Refit, refit, refit_on
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import WeightedProblem, Weighting
-from mrd_identification.problem import in_threads
+from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 
 Array = NDArray[np.float64]

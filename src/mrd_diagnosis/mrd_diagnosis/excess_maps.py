@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.signal import spectrogram
 
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_identification.problem import Recording, current_levels
+from mrd_identification.recording import Recording, current_levels
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from mrd_diagnosis.quantities import format_quantity
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.statistics import effect_parameters, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.problem import in_threads
+from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]

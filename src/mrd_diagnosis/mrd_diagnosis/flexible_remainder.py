@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.localisation import travel_since_reversal
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.problem import Recording
+from mrd_identification.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from mrd_diagnosis.diagnosis import Axis, Interval, Region, RunNoise
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.problem import Recording, current_levels
+from mrd_identification.recording import Recording, current_levels
 from mrd_sim.path import Path
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from mrd_diagnosis.effect_search import EffectFit, is_improvement, refit_with_ef
 from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import Refit, refit, refit_on
 from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, RunScatter, Weighting
-from mrd_identification.problem import in_threads
+from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
 
 MOST_ALTERNATIVES = 4

@@ -15,7 +15,8 @@ from scipy.signal import lfilter
 from scipy.spatial import cKDTree
 
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_identification.problem import Recording, consecutive_forces, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording, consecutive_forces
 from mrd_runs import Run
 from mrd_runs.signals.current import current_noise, normal_deviation, steady_current
 from mrd_runs.signals.motion import between_samples, divided, finer, motion_errors

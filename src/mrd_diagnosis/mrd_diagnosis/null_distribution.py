@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.refit import Refit, scaled_inverse
 from mrd_diagnosis.weighting import RunScatter, WeightedProblem
-from mrd_identification.problem import Recording, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording
 from mrd_runs.signals.smoothed_run import remeasure
 from mrd_sim.path import path_of
 

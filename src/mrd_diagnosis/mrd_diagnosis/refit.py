@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.weighting import WeightedProblem, Weighting, error_of_run
 from mrd_identification.least_squares import bounded_step, levenberg_marquardt
-from mrd_identification.problem import Problem, in_threads
+from mrd_identification.parallel import in_threads
+from mrd_identification.problem import Problem
 
 Array = NDArray[np.float64]
 

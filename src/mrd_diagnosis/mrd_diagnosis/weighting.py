@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_identification.problem import Problem, Recording, consecutive_forces, make_problem
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import Recording, consecutive_forces
 from mrd_identification.residual_correlation import correlation_length
 from mrd_sim.models import DamperModel
 

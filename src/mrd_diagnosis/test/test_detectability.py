@@ -10,7 +10,7 @@ from mrd_diagnosis.detectability import coverage, largest_size, simulate_base_fi
 from mrd_diagnosis.effect_search import NO_GAP
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.weighting import with_effect
-from mrd_identification.problem import prepare_recording
+from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
 from mrd_sim.simulate import measure_plans

@@ -15,7 +15,7 @@ from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.effect_search import BaseFit, refit_again, refit_with_effects, score_effects
 from mrd_diagnosis.model_comparison import ModelComparison
 from mrd_identification.fit_file import StoredFit
-from mrd_identification.problem import prepare_recording
+from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
 from mrd_sim.simulate import Instruments, measure_plans

@@ -14,7 +14,7 @@ from mrd_diagnosis.model_comparison import ModelComparison
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import Refit, RunScatter, refit
 from mrd_diagnosis.weighting import Weighting
-from mrd_identification.problem import consecutive_forces, prepare_recording
+from mrd_identification.recording import consecutive_forces, prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

@@ -7,7 +7,8 @@ import pytest
 
 from mrd_diagnosis.flexible_remainder import explainable_fraction
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import make_problem, prepare_recording
+from mrd_identification.problem import make_problem
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

@@ -48,7 +48,8 @@ from mrd_diagnosis.sentences import (
 )
 from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import Problem, prepare_recording
+from mrd_identification.problem import Problem
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

@@ -8,7 +8,7 @@ import pytest
 
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.localisation import SIGNIFICANT, maps, travel_since_reversal, where
-from mrd_identification.problem import prepare_recording
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.path import make_path
 

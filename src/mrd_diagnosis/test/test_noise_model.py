@@ -7,7 +7,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis.noise_model import distortion, repeating_period, run_noise
-from mrd_identification.problem import Recording, prepare_recording
+from mrd_identification.recording import Recording, prepare_recording
 from mrd_runs import Run, make_run
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model

@@ -18,7 +18,7 @@ from mrd_diagnosis.refit import RunScatter, refit, whitening, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed, probabilities, values
 from mrd_diagnosis.weighting import Weighting, with_effect
 from mrd_identification.least_squares import fit_least_squares
-from mrd_identification.problem import prepare_recording
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.effects import EFFECTS, find_effects

@@ -16,7 +16,8 @@ from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import to_json, write_trend
 from mrd_diagnosis.trend.trend_line import fit_trend_line
 from mrd_identification.json_file import read_schema
-from mrd_identification.problem import make_problem, prepare_recording
+from mrd_identification.problem import make_problem
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path

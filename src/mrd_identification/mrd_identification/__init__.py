@@ -2,8 +2,10 @@
 
 from mrd_identification.compare import Comparison, compare
 from mrd_identification.export import load_damper
+from mrd_identification.fit import Fit
 from mrd_identification.fit_file import read_fit, write_fit
-from mrd_identification.identify import Fit, IdentificationTask, Method, identify, identify_all
+from mrd_identification.identify import IdentificationTask, identify, identify_all
+from mrd_identification.method import Method
 from mrd_identification.metrics import Metrics, metrics
 
 __all__ = [

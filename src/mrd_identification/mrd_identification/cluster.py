@@ -9,7 +9,7 @@ from mrd_base import InputError
 R = TypeVar("R")
 
 CONNECT_TIMEOUT = 10.0
-"""s to reach a scheduler."""
+"""s, within which a scheduler has to answer."""
 
 
 def run_on_cluster(
@@ -18,24 +18,24 @@ def run_on_cluster(
     arguments: Sequence[tuple[Any, ...]],
     done: Callable[[int], None] = lambda _count: None,
 ) -> list[R]:
-    """``function(*arguments)`` of every tuple, in their order.
+    """Call ``function(*arguments)`` for every tuple on the cluster, and return the results in the order of the tuples.
 
     Parameters
     ----------
     scheduler : str
-        Address of a dask.distributed scheduler, such as ``tcp://host:8786``. Its workers need the bench installed, not its
-        files. A worker that dies costs what it was at: others do that again.
+        Address of a dask.distributed scheduler, such as ``tcp://host:8786``. Its workers need the software installed, but
+        none of the recorded files. The work of a worker that dies is done again by the others.
     function : callable
-        Importable by name, so that a worker finds it.
+        A function that a worker can import by its name.
     arguments : sequence of tuple
-        A tuple of runs that stands in several of them is sent once.
+        A tuple of runs that several of them share is sent once.
     done : callable
-        Called with the number of finished pieces after each.
+        Called after each finished piece of work with the number of finished ones.
 
     Raises
     ------
     InputError
-        When nothing answers at the address, or a piece of work goes on killing workers.
+        When nothing answers at the address, or a piece of work repeatedly kills its worker.
     """
     if not re.fullmatch(r"(\w+://)?[^\s/]+:\d+", scheduler):
         raise InputError(f"--scheduler {scheduler}: expected the address of a dask scheduler, such as tcp://host:8786")
@@ -47,15 +47,15 @@ def run_on_cluster(
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {scheduler}: no dask scheduler answers ({error}); start one first") from None
     with client:
-        runs = {id(item): item for each in arguments for item in each if isinstance(item, tuple)}
-        # Every worker gets them: what only one holds would die with it.
+        runs = {id(item): item for items in arguments for item in items if isinstance(item, tuple)}
+        # Every worker gets the runs: runs that only one worker holds would be lost with it.
         sent = dict(zip(runs, client.scatter(list(runs.values()), broadcast=True, hash=False), strict=True)) if runs else {}
-        futures = [client.submit(function, *(sent.get(id(item), item) for item in each), pure=False) for each in arguments]
+        futures = [client.submit(function, *(sent.get(id(item), item) for item in items), pure=False) for items in arguments]
         try:
             for count, _ in enumerate(as_completed(futures, loop=client.loop), 1):
                 done(count)
             return list(client.gather(futures))
         except KilledWorker as error:
-            raise InputError(f"--scheduler {scheduler}: {error}; look at the memory of its workers") from None
+            raise InputError(f"--scheduler {scheduler}: {error}; a worker may have run out of memory") from None
         finally:
             client.cancel(futures)

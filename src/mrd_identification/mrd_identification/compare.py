@@ -1,4 +1,4 @@
-"""Fit a ladder of models to the same runs and rank them by what they make of runs that they have not seen."""
+"""Fit several models to the same runs and rank them by their error on runs that were not fitted."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_identification.identify import Fit, IdentificationTask, Method, RunResult, identify_all
+from mrd_identification.fit import Fit
+from mrd_identification.identify import IdentificationTask, identify_all
+from mrd_identification.method import Method
 from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_runs import Run
 from mrd_sim.models import MODELS, find_model
@@ -17,29 +19,32 @@ from mrd_sim.models import MODELS, find_model
 Array = NDArray[np.float64]
 
 RESAMPLES = 4000
-FEWEST_STRETCHES = 10
-"""Independent stretches below which intervals would be made up."""
+"""Resamples of the bootstrap; the ends of a 95 % interval are then accurate to a few hundredths of its width."""
+
+FEWEST_SEGMENTS = 10
+"""Independent segments; a bootstrap over fewer of them gives intervals that are far too narrow."""
+
 FEWEST_RUNS = 5
-"""Judged runs from which on runs are resampled; with fewer, stretches within them."""
+"""Held-out runs; fewer are no sample of the differences between runs, and segments within them are resampled instead."""
 
 
 @dataclass(frozen=True)
-class Entry:
+class RankedModel:
     """One model of a comparison.
 
     Attributes
     ----------
     name : str
-        Id of the model, with the current law where one was asked for.
+        Id of the model, with the current law where one was given.
     fit : Fit
     nrmse : float
-        Held-out, over all judged samples.
+        Over all held-out samples.
     lower, upper : float
-        95 % bootstrap interval of it; nan where too little was judged.
-    behind : float
-        How far its NRMSE is above the best one's.
-    behind_lower, behind_upper : float
-        95 % interval of that, from the same resamples.
+        95 % bootstrap interval of ``nrmse``; nan where there is too little held-out data.
+    difference : float
+        Difference of ``nrmse`` to that of the best model.
+    difference_lower, difference_upper : float
+        95 % interval of the difference, from the same resamples.
     """
 
     name: str
@@ -47,9 +52,9 @@ class Entry:
     nrmse: float
     lower: float
     upper: float
-    behind: float
-    behind_lower: float
-    behind_upper: float
+    difference: float
+    difference_lower: float
+    difference_upper: float
 
     @property
     def free(self) -> int:
@@ -58,33 +63,38 @@ class Entry:
 
     @property
     def on_par(self) -> bool:
-        """Whether the judged runs do not tell it from the best; unknown, and no, where there are no intervals."""
-        return self.behind == 0.0 or self.behind_lower <= 0.0
+        """Whether the held-out runs do not show that the model is worse than the best one; False without an interval."""
+        return self.difference == 0.0 or self.difference_lower <= 0.0
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Models by rising held-out error.
+    """Models in the order of rising held-out error.
 
     Attributes
     ----------
-    entries : tuple of Entry
-    judged_by : str
+    entries : tuple of RankedModel
+    held_out_by : str
         "runs" or "leave-one-run-out".
     resampled : str
-        What the bootstrap drew: "runs" or "stretches".
+        What the bootstrap draws: "runs" or "segments".
     units : int
-        How many of them there are.
+        Number of these runs or segments.
     """
 
-    entries: tuple[Entry, ...]
-    judged_by: str
+    entries: tuple[RankedModel, ...]
+    held_out_by: str
     resampled: str
     units: int
 
     @property
-    def simplest(self) -> Entry:
-        """The model with the fewest parameters among those on par with the best."""
+    def best(self) -> RankedModel:
+        """The model with the least held-out error."""
+        return self.entries[0]
+
+    @property
+    def simplest(self) -> RankedModel:
+        """The model with the fewest free parameters among those on par with the best."""
         return min((entry for entry in self.entries if entry.on_par), key=lambda entry: entry.free)
 
 
@@ -103,84 +113,95 @@ def compare(
     Parameters
     ----------
     runs : sequence of Run
-        What is fitted.
+        Runs that are fitted.
     models : sequence of str, optional
-        Ids of models, each with a current law if wanted (``"bouc_wen:quadratic"``); all models of the catalogue otherwise.
+        Ids of models, each optionally with a current law (``"bouc_wen:quadratic"``); all models of the catalogue otherwise.
     held_out : sequence of Run
-        What judges; without it each run is judged by a fit to the others.
+        Runs that are not fitted; without them each run is predicted by a fit to the other runs.
     method, scheduler, **options
-        See `mrd_identification.identify.identify`. Without a method of its own, profiles are left out.
+        See `mrd_identification.identify.identify`. Without a ``method`` no profiles are computed.
     progress : callable, optional
-        Called with the share of the searches that is done.
+        Called with the finished share of the searches.
 
     Raises
     ------
     InputError
-        As `identify`; also for a single run and nothing to judge by, and for a model named twice.
+        As `identify`; also for a single run without held-out runs, and for a model that is given twice.
     """
     names = list(models or MODELS)
+    common = replace(method or Method(profile=False), **options)
     if len(set(names)) < len(names):
-        raise InputError(f"models {', '.join(names)}: expected each one once")
-    if not held_out and not replace(method or Method(), **options).least_squares:
+        raise InputError(f"models {', '.join(names)}: expected each of them once")
+    if not held_out and not common.least_squares:
         raise InputError("without least squares no run is left out in turn: give held-out runs")
     if len(runs) < 2 and not held_out:
-        raise InputError("one run and nothing to judge by: give more runs or held-out ones")
-    how = replace(method or Method(profile=False), **options)
-    cases = [_case(name, tuple(runs), tuple(held_out), how) for name in names]
-    searches = len(cases) * how.generations * how.seeds
-    fits = identify_all(cases, scheduler=scheduler, progress=lambda generation, _: progress(generation / searches))
+        raise InputError("one run and no held-out run: give at least two runs, or held-out ones")
+    tasks = [_task(name, tuple(runs), tuple(held_out), common) for name in names]
+    total = len(tasks) * common.total_generations
+    fits = identify_all(tasks, scheduler=scheduler, progress=lambda generation, _: progress(generation / total))
     return rank(names, fits)
 
 
 def rank(names: Sequence[str], fits: Sequence[Fit]) -> Comparison:
     """Order fits to the same runs by held-out NRMSE, with bootstrap intervals from common resamples."""
-    judged = [fit.held_out for fit in fits]
-    force = np.concatenate([_force(result) for result in judged[0]])
-    errors = [np.concatenate([result.modelled[result.counted] - _force(result) for result in of]) for of in judged]
-    edges = np.cumsum([0, *(len(_force(result)) for result in judged[0])])
+    results = [fit.held_out for fit in fits]
+    force = np.concatenate([result.measured_counted for result in results[0]])
+    errors = [np.concatenate([r.modelled_counted - r.measured_counted for r in fit_results]) for fit_results in results]
+    edges = np.cumsum([0, *(len(result.measured_counted) for result in results[0])])
     blocks = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-    by_runs = len(blocks) >= FEWEST_RUNS
-    # Within a run, a level of its own left aside: too few runs are no sample of what differs between them.
-    within = max(correlation_length(error[block] - error[block].mean()) for error in errors for block in blocks)
-    units = blocks if by_runs else independent_segments(blocks, within)
-    # How often each unit is drawn in each resample; the same draws for all models make their differences sharp.
-    draws = np.random.default_rng(0).multinomial(len(units), np.full(len(units), 1 / len(units)), RESAMPLES).astype(float)
-    count, total, square = (np.array([of(force[unit]) for unit in units]) for of in (len, np.sum, lambda part: part @ part))
-    squared = np.array([[error[unit] @ error[unit] for unit in units] for error in errors])
-
-    def nrmse(weights: Array) -> Array:
-        samples = weights @ count
-        variance = weights @ square / samples - (weights @ total / samples) ** 2
-        return np.asarray(np.sqrt(squared @ weights.T / samples / np.maximum(variance, 1e-300)))
-
-    found, drawn = nrmse(np.ones(len(units))), nrmse(draws)
-    if not by_runs and len(units) < FEWEST_STRETCHES:
+    resample_runs = len(blocks) >= FEWEST_RUNS
+    units = blocks if resample_runs else independent_segments(blocks, _correlation_within_runs(errors, blocks))
+    nrmse, drawn = _bootstrap(force, errors, units)
+    if not resample_runs and len(units) < FEWEST_SEGMENTS:
         drawn[:] = np.nan
-    best = int(np.argmin(found))
-    entries = []
-    for index in np.argsort(found, kind="stable"):
-        lower, upper = np.quantile(drawn[index], (0.025, 0.975))
-        behind = np.quantile(drawn[index] - drawn[best], (0.025, 0.975))
-        entries.append(
-            Entry(
-                names[index],
-                fits[index],
-                float(found[index]),
-                float(lower),
-                float(upper),
-                float(found[index] - found[best]),
-                float(behind[0]),
-                float(behind[1]),
-            )
+    best = int(np.argmin(nrmse))
+    entries = [
+        RankedModel(
+            names[index],
+            fits[index],
+            float(nrmse[index]),
+            *_interval(drawn[index]),
+            float(nrmse[index] - nrmse[best]),
+            *_interval(drawn[index] - drawn[best]),
         )
-    return Comparison(tuple(entries), fits[0].held_out_by, "runs" if by_runs else "stretches", len(units))
+        for index in np.argsort(nrmse, kind="stable")
+    ]
+    return Comparison(tuple(entries), fits[0].held_out_by, "runs" if resample_runs else "segments", len(units))
 
 
-def _force(result: RunResult) -> Array:
-    return result.run.force[result.counted]
+def _interval(drawn: Array) -> tuple[float, float]:
+    """Return the central 95 % interval of bootstrap values."""
+    lower, upper = np.quantile(drawn, (0.025, 0.975))
+    return float(lower), float(upper)
 
 
-def _case(name: str, runs: tuple[Run, ...], held_out: tuple[Run, ...], method: Method) -> IdentificationTask:
+def _correlation_within_runs(errors: Sequence[Array], blocks: Sequence[slice]) -> int:
+    """Return the longest correlation length of errors within a run, without their mean over the run."""
+    return max(correlation_length(error[block] - error[block].mean()) for error in errors for block in blocks)
+
+
+def _bootstrap(force: Array, errors: Sequence[Array], units: Sequence[slice]) -> tuple[Array, Array]:
+    """Return the NRMSE (models,) over all samples, and the NRMSE (models, resamples) of each bootstrap resample of units.
+
+    All models have the same resamples, so that the intervals of their differences are narrow.
+    """
+    random = np.random.default_rng(0)
+    draws = random.multinomial(len(units), np.full(len(units), 1 / len(units)), RESAMPLES).astype(float)
+    count = np.array([len(force[unit]) for unit in units])
+    total = np.array([np.sum(force[unit]) for unit in units])
+    square = np.array([force[unit] @ force[unit] for unit in units])
+    squared_errors = np.array([[error[unit] @ error[unit] for unit in units] for error in errors])
+
+    def nrmse(times_drawn: Array) -> Array:
+        samples = times_drawn @ count
+        variance = times_drawn @ square / samples - (times_drawn @ total / samples) ** 2
+        return np.asarray(np.sqrt(squared_errors @ times_drawn.T / samples / np.maximum(variance, 1e-300)))
+
+    return nrmse(np.ones(len(units))), nrmse(draws)
+
+
+def _task(name: str, runs: tuple[Run, ...], held_out: tuple[Run, ...], method: Method) -> IdentificationTask:
+    """Return the identification of the model that ``ID`` or ``ID:LAW`` names."""
     model, _, law = name.partition(":")
     find_model(model, law)
     return IdentificationTask(runs, model, held_out, replace(method, laws=law) if law else method)

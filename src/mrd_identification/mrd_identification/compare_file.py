@@ -1,5 +1,6 @@
-"""A comparison as files: compare.json, compare.md and compare.html, and the fit.json of each model."""
+"""Files of a comparison: compare.json, compare.md and compare.html, and the fit.json of each model."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +12,21 @@ from mrd_identification.fit_file import write_fit
 from mrd_identification.json_file import finite, write_json
 from mrd_identification.report import render
 
-SCHEMA = "mrd-comparison/1"
+SCHEMA = "mrd-comparison/2"
+COLUMNS = (
+    "model", "free parameters", "NRMSE, held-out", "95 % interval", "difference to the best", "NRMSE, fitted", "time, s"
+)  # fmt: skip
 
 
 def to_json(comparison: Comparison) -> dict[str, Any]:
-    """Content of compare.json."""
-    first = comparison.entries[0].fit
+    """Return the content of compare.json."""
+    best = comparison.best.fit
     return {
         "schema": SCHEMA,
         "runs": {
-            "fit": [result.run.name for result in first.fitted],
-            "held_out": [result.run.name for result in first.held_out],
-            "held_out_by": comparison.judged_by,
+            "fit": [result.run.name for result in best.fitted],
+            "held_out": [result.run.name for result in best.held_out],
+            "held_out_by": comparison.held_out_by,
         },
         "intervals": {"resampled": comparison.resampled, "units": comparison.units},
         "simplest_on_par": comparison.simplest.name,
@@ -33,12 +37,15 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
                 "laws": entry.fit.model.laws,
                 "free_parameters": entry.free,
                 "nrmse": {"value": entry.nrmse, "ci95": [finite(entry.lower), finite(entry.upper)]},
-                "behind_best": {"value": entry.behind, "ci95": [finite(entry.behind_lower), finite(entry.behind_upper)]},
+                "difference_to_best": {
+                    "value": entry.difference,
+                    "ci95": [finite(entry.difference_lower), finite(entry.difference_upper)],
+                },
                 "on_par": entry.on_par,
                 "nrmse_fit": entry.fit.pooled_fitted.nrmse,
                 "rmse_N": entry.fit.pooled_held_out.rmse if entry.fit.pooled_held_out else 0.0,
                 "elapsed_s": round(entry.fit.elapsed, 3),
-                "fit": f"{folder_of(entry.name)}/fit.json",
+                "fit": f"{fit_folder(entry.name)}/fit.json",
                 "warnings": list(entry.fit.warnings),
             }
             for entry in comparison.entries
@@ -46,36 +53,33 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def folder_of(name: str) -> str:
-    """Name of the folder of a model's fit."""
+def fit_folder(name: str) -> str:
+    """Return the name of the folder of a model's fit."""
     return name.replace(":", "_")
 
 
 def sentence(comparison: Comparison) -> str:
-    """The comparison in one sentence."""
-    best, simplest = comparison.entries[0], comparison.simplest
-    text = (
-        f"{best.fit.model.title} ({best.name}) predicts unseen force best: NRMSE {best.nrmse:.4f} "
-        f"[{best.lower:.4f}, {best.upper:.4f}]"
-    )
-    if best.lower != best.lower:
+    """Describe the comparison in one sentence."""
+    best, simplest = comparison.best, comparison.simplest
+    text = f"{best.fit.model.title} ({best.name}) predicts the held-out force best: NRMSE {best.nrmse:.4f}"
+    if math.isnan(best.lower):
         return (
-            f"{best.fit.model.title} ({best.name}) predicts unseen force best: NRMSE {best.nrmse:.4f}. "
-            f"No intervals: {comparison.units} independent stretches are too few; judge by more or longer runs."
+            f"{text}. There are no intervals, because the held-out runs have only {comparison.units} independent segments; "
+            "hold out more or longer runs."
         )
+    text += f" [{best.lower:.4f}, {best.upper:.4f}]"
     if simplest is best:
-        return f"{text} with {best.free} parameters; no simpler model is on par with it."
+        return f"{text} with {best.free} parameters; every simpler model is significantly worse."
     return (
-        f"{text} with {best.free} parameters; {simplest.name} with {simplest.free} is on par, at {simplest.nrmse:.4f} "
-        f"[{simplest.lower:.4f}, {simplest.upper:.4f}]."
+        f"{text} with {best.free} parameters; {simplest.name} with {simplest.free} is not significantly "
+        f"worse: {simplest.nrmse:.4f} [{simplest.lower:.4f}, {simplest.upper:.4f}]."
     )
 
 
-def ladder(comparison: Comparison) -> go.Figure:
-    """Held-out error of each model with its interval, best on top, and the fitted error beside it."""
+def error_chart(comparison: Comparison) -> go.Figure:
+    """Draw the held-out error of each model with its interval, and its error on the fitted runs; the best is on top."""
     entries = comparison.entries[::-1]
     names = [entry.name for entry in entries]
-    held = [entry.nrmse for entry in entries]
     figure = go.Figure(
         go.Scatter(
             x=[entry.fit.pooled_fitted.nrmse for entry in entries],
@@ -85,23 +89,13 @@ def ladder(comparison: Comparison) -> go.Figure:
             marker={"symbol": "circle-open", "color": figures.MEASURED, "size": 10, "line": {"width": 2}},
         )
     )
-    figure.add_trace(
-        go.Scatter(
-            x=held,
-            y=names,
-            mode="markers",
-            name="held-out runs, 95 % interval",
-            marker={"color": [figures.ACCENT if entry.on_par else figures.MODELLED for entry in entries], "size": 10},
-            error_x={
-                "type": "data",
-                "symmetric": False,
-                "color": figures.MEASURED,
-                "thickness": 2,
-                "width": 5,
-                "array": [entry.upper - entry.nrmse for entry in entries],
-                "arrayminus": [entry.nrmse - entry.lower for entry in entries],
-            },
-        )
+    figure.add_scatter(
+        x=[entry.nrmse for entry in entries],
+        y=names,
+        mode="markers",
+        name="held-out runs, 95 % interval",
+        marker={"color": [figures.ACCENT if entry.on_par else figures.MODELLED for entry in entries], "size": 10},
+        error_x=figures.error_bars(*zip(*((e.nrmse - e.lower, e.upper - e.nrmse) for e in entries), strict=True)),
     )
     figure.update_xaxes(title_text="NRMSE: rms error / standard deviation of the force", rangemode="tozero")
     figure.update_yaxes(automargin=True)
@@ -110,41 +104,47 @@ def ladder(comparison: Comparison) -> go.Figure:
 
 
 def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
-    """Write compare.json, compare.md, compare.html and each model's fit.json into ``folder``; returns the page's path."""
+    """Write compare.json, compare.md, compare.html and the fit.json of each model; return the path of the page."""
     folder = Path(folder)
     for entry in comparison.entries:
-        (folder / folder_of(entry.name)).mkdir(exist_ok=True)
-        write_fit(entry.fit, folder / folder_of(entry.name))
+        (folder / fit_folder(entry.name)).mkdir(exist_ok=True)
+        write_fit(entry.fit, folder / fit_folder(entry.name))
     write_json(to_json(comparison), "mrd_identification", "compare", folder)
     (folder / "compare.md").write_text(markdown(comparison), encoding="utf-8")
-    best = comparison.entries[0].fit
+    best = comparison.best.fit
     return render(
         "compare",
         folder,
-        title=f"{len(comparison.entries)} damper models on {len(best.held_out)} unseen runs",
+        title=f"{len(comparison.entries)} damper models on {len(best.held_out)} held-out runs",
         sentence=sentence(comparison),
         comparison=comparison,
-        ladder=figures.html(ladder(comparison)),
+        columns=COLUMNS,
+        rows=list(zip(comparison.entries, ranking(comparison), strict=True)),
+        error_chart=figures.html(error_chart(comparison)),
         loops=figures.html(figures.loops(best.held_out)),
     )
 
 
-def markdown(comparison: Comparison) -> str:
-    """The ranking as a table for a page of text."""
-    lines = [
-        "| model | free parameters | NRMSE, unseen | 95 % interval | behind the best | NRMSE, fitted | time, s |",
-        "|---|---|---|---|---|---|---|",
-    ]
+def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
+    """Return the cells of the ranking as text, a row for each model with the columns `COLUMNS`."""
+    rows: list[tuple[str, ...]] = []
     for entry in comparison.entries:
-        behind = "on par" if entry.on_par else f"{entry.behind_lower:.4f} … {entry.behind_upper:.4f}"
-        cells = (
-            f"`{entry.name}`",
-            entry.free,
-            f"{entry.nrmse:.4f}",
-            f"{entry.lower:.4f} … {entry.upper:.4f}",
-            "the best" if entry is comparison.entries[0] else behind,
-            f"{entry.fit.pooled_fitted.nrmse:.4f}",
-            f"{entry.fit.elapsed:.0f}",
+        difference = "on par" if entry.on_par else f"{entry.difference_lower:.4f} … {entry.difference_upper:.4f}"
+        rows.append(
+            (
+                entry.name,
+                str(entry.free),
+                f"{entry.nrmse:.4f}",
+                f"{entry.lower:.4f} … {entry.upper:.4f}",
+                "the best" if entry is comparison.best else difference,
+                f"{entry.fit.pooled_fitted.nrmse:.4f}",
+                f"{entry.fit.elapsed:.0f}",
+            )
         )
-        lines.append(f"| {' | '.join(map(str, cells))} |")
-    return "\n".join(lines) + "\n"
+    return rows
+
+
+def markdown(comparison: Comparison) -> str:
+    """Return the ranking as a table in Markdown."""
+    rows = [(f"`{name}`", *cells) for name, *cells in ranking(comparison)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (COLUMNS, ["---"] * len(COLUMNS), *rows))

@@ -1,4 +1,4 @@
-"""Fitted models for use elsewhere: as a Python callable, a C file, an FMU."""
+"""Fitted models for use in other software: as a Python callable, a C file or an FMU."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from mrd_sim.fmu import fmu_archive
 
 
 def load_damper(fit: str | Path) -> Damper:
-    """Damper of a fit.json: ``load_damper("fit.json").force(time, position, current)``.
+    """Return the damper that a fit.json describes: ``load_damper("fit.json").force(time, position, current)``.
 
     Raises
     ------
     InputError
-        When the file cannot be read, is no fit.json of this version, or does not fit the catalogue of models.
+        When the file cannot be read, is not a fit.json of this version, or names a model or effect that does not exist.
     """
     stored = read_fit(fit)
     try:
@@ -25,21 +25,22 @@ def load_damper(fit: str | Path) -> Damper:
 
 
 def export_damper(fit: str | Path, output: str | Path, prefix: str = "mrd") -> Damper:
-    """Write the damper of a fit.json as a C file or an FMU; refuses to overwrite.
+    """Write the damper of a fit.json as a C file or an FMU; an existing file is never overwritten.
 
     Parameters
     ----------
     fit : path
-        The fit.json.
+        Path of the fit.json.
     output : path
-        Ends in ``.c`` (see `mrd_sim.c_code.c_source`) or ``.fmu`` (see `mrd_sim.fmu.fmu_archive`).
+        Path of the new file: ``.c`` (see `mrd_sim.c_code.c_source`) or ``.fmu`` (see `mrd_sim.fmu.fmu_archive`).
     prefix : str
-        What the names in the C file begin with.
+        Prefix of the names in the C file.
 
     Raises
     ------
     InputError
-        As `load_damper`; for another ending, an existing file, a prefix that is no C name; for an FMU without C compiler.
+        As `load_damper`; also for another ending, an existing file, a prefix that is not a C name, and an FMU without a C
+        compiler.
     """
     output = Path(output)
     if output.suffix not in (".c", ".fmu"):

@@ -1,13 +1,14 @@
-"""Pictures of a fit."""
+"""Figures of a fit."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from mrd_identification.identify import Fit, RunResult
+from mrd_identification.fit import Fit, RunResult
 
 Array = NDArray[np.float64]
 
@@ -15,7 +16,7 @@ MEASURED = "#aab4c0"
 MODELLED = "#d1495b"
 ACCENT = "#00798c"
 MOST_POINTS = 2500
-"""per line: more are not seen, and make the page heavy."""
+"""Points of a line; more would not be visible, and would make the page slow."""
 
 LAYOUT = {
     "template": "plotly_white",
@@ -26,9 +27,9 @@ LAYOUT = {
 
 
 def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
-    """Force over velocity (above) and over position (below), measured against model, for the runs that span the errors."""
+    """Draw measured and modelled force over velocity and over position, for runs from the least to the largest error."""
     chosen = _spread(results, most)
-    # One run: velocity beside position; several: one column each.
+    # One run has velocity on the left and position on the right; several runs have one column each.
     single = len(chosen) == 1
     figure = make_subplots(
         rows=1 if single else 2,
@@ -39,24 +40,22 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     )
     for index, result in enumerate(chosen):
         shown = _window(result)
-        moved = result.motion
-        for axis, (series, title) in enumerate(((moved.velocity, "velocity, mm/s"), (moved.position, "position, mm"))):
+        motion = result.motion
+        for axis, (series, title) in enumerate(((motion.velocity, "velocity, mm/s"), (motion.position, "position, mm"))):
             row, column = (1, axis + 1) if single else (axis + 1, index + 1)
             for force, name, line in (
                 (result.run.force, "measured", {"color": MEASURED, "width": 3.5}),
                 (result.modelled, "model", {"color": MODELLED, "width": 1.2}),
             ):
-                figure.add_trace(
-                    go.Scatter(
-                        x=_rounded(series[shown] * 1e3),
-                        y=_rounded(force[shown]),
-                        name=name,
-                        legendgroup=name,
-                        showlegend=index == axis == 0,
-                        line=line,
-                    ),
-                    row,
-                    column,
+                figure.add_scatter(
+                    x=np.round(series[shown] * 1e3, 3),
+                    y=np.round(force[shown], 3),
+                    name=name,
+                    legendgroup=name,
+                    showlegend=index == axis == 0,
+                    line=line,
+                    row=row,
+                    col=column,
                 )
             figure.update_xaxes(title_text=title, row=row, col=column)
             figure.update_yaxes(title_text="force, N" if column == 1 else None, row=row, col=column)
@@ -66,9 +65,9 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
 
 
 def force_over_time(result: RunResult) -> go.Figure:
-    """Force, its error and the coil current over time, for the liveliest seconds of a run."""
+    """Draw force, error and coil current over time, for the seconds of a run in which they vary most."""
     shown = _window(result)
-    time = _rounded(result.run.time[shown], 4)
+    time = np.round(result.run.time[shown], 4)
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05)
     force, modelled = result.run.force[shown], result.modelled[shown]
     for row, series, name, colour, width in (
@@ -77,9 +76,7 @@ def force_over_time(result: RunResult) -> go.Figure:
         (2, modelled - force, "model − measured", ACCENT, 1.2),
         (3, result.run.current[shown], "coil current", "#edae49", 1.2),
     ):
-        figure.add_trace(
-            go.Scatter(x=time, y=_rounded(series, 4), name=name, line={"color": colour, "width": width}), row, 1
-        )
+        figure.add_scatter(x=time, y=np.round(series, 4), name=name, line={"color": colour, "width": width}, row=row, col=1)
     figure.update_yaxes(title_text="force, N", row=1, col=1)
     figure.update_yaxes(title_text="error, N", row=2, col=1)
     figure.update_yaxes(title_text="current, A", row=3, col=1)
@@ -89,7 +86,7 @@ def force_over_time(result: RunResult) -> go.Figure:
 
 
 def pareto_front(fit: Fit) -> go.Figure:
-    """The front of NSGA-II, its knee, and where the polish went."""
+    """Draw the Pareto front of NSGA-II, its knee, and the result of least squares."""
     norms = fit.front.norms
     figure = go.Figure(
         go.Scatter(
@@ -101,22 +98,12 @@ def pareto_front(fit: Fit) -> go.Figure:
             marker={"size": 7},
         )
     )
-    knee = norms[fit.front.knee]
-    figure.add_trace(
-        go.Scatter(
-            x=[knee[0]], y=[knee[1]], mode="markers", name="knee", marker={"size": 13, "symbol": "diamond", "color": ACCENT}
-        )
-    )
+    points = [("knee", norms[fit.front.knee], {"size": 13, "symbol": "diamond", "color": ACCENT})]
     if fit.method.least_squares:
-        figure.add_trace(
-            go.Scatter(
-                x=[fit.pooled_fitted.e2],
-                y=[fit.pooled_fitted.einf],
-                mode="markers",
-                name="after least squares",
-                marker={"size": 14, "symbol": "star", "color": MODELLED},
-            )
-        )
+        final = np.array([fit.pooled_fitted.e2, fit.pooled_fitted.einf])
+        points.append(("after least squares", final, {"size": 14, "symbol": "star", "color": MODELLED}))
+    for name, point, marker in points:
+        figure.add_scatter(x=point[:1], y=point[1:], mode="markers", name=name, marker=marker)
     figure.update_xaxes(title_text="e2 = √ΣE²/k, N")
     figure.update_yaxes(title_text="einf = max|E|/k, N")
     figure.update_layout(**LAYOUT, height=420)
@@ -124,7 +111,7 @@ def pareto_front(fit: Fit) -> go.Figure:
 
 
 def parameters(fit: Fit) -> go.Figure:
-    """Each free parameter with its 95 % interval, relative to its value."""
+    """Draw each free parameter with its 95 % interval, relative to its value."""
     shown = [e for e in fit.estimates if not e.fixed and np.isfinite(e.lower) and e.value != 0][::-1]
     relative = np.array([[e.lower / e.value, e.upper / e.value] for e in shown]).reshape(-1, 2)
     relative.sort(axis=1)
@@ -134,15 +121,7 @@ def parameters(fit: Fit) -> go.Figure:
             y=[e.parameter.name for e in shown],
             mode="markers",
             marker={"color": MODELLED, "size": 9},
-            error_x={
-                "type": "data",
-                "symmetric": False,
-                "array": relative[:, 1] - 1,
-                "arrayminus": 1 - relative[:, 0],
-                "color": MEASURED,
-                "thickness": 2,
-                "width": 6,
-            },
+            error_x=error_bars(1 - relative[:, 0], relative[:, 1] - 1),
             hovertext=[f"{e.value:.5g} {e.parameter.unit} [{e.lower:.5g}, {e.upper:.5g}]" for e in shown],
             hoverinfo="text",
             showlegend=False,
@@ -155,7 +134,7 @@ def parameters(fit: Fit) -> go.Figure:
 
 
 def correlation(fit: Fit) -> go.Figure:
-    """How the errors of the free parameters go together."""
+    """Draw the correlation of the estimates of the free parameters."""
     names = [estimate.parameter.name for estimate in fit.estimates if not estimate.fixed]
     figure = go.Figure(
         go.Heatmap(
@@ -175,32 +154,34 @@ def correlation(fit: Fit) -> go.Figure:
     return figure
 
 
+def error_bars(below: Sequence[float] | Array, above: Sequence[float] | Array) -> dict[str, Any]:
+    """Return the settings of error bars with these lengths below and above each point."""
+    bars = {"array": above, "arrayminus": below, "color": MEASURED, "thickness": 2, "width": 6}
+    return {"type": "data", "symmetric": False, **bars}
+
+
 def _spread(results: Sequence[RunResult], most: int) -> list[RunResult]:
-    """At most ``most`` runs from the best fitted to the worst."""
+    """Choose at most ``most`` runs, evenly from the least to the largest error."""
     ordered = sorted(results, key=lambda r: r.metrics.nrmse)
     picks = np.unique(np.linspace(0, len(ordered) - 1, min(most, len(ordered))).round().astype(int))
     return [ordered[i] for i in picks]
 
 
 def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
-    """Indices of the counted stretch in which force and current vary most, thinned to what a screen shows."""
+    """Return the indices of the counted samples in which force and current vary most, not more than a line has points."""
     run, counted = result.run, result.counted
     length = min(int(seconds * run.rate), counted.stop - counted.start)
     starts = np.linspace(counted.start, counted.stop - length, 12).astype(int)
 
-    def liveliness(start: int) -> float:
+    def variation(start: int) -> float:
         part = slice(start, start + length)
         span = float(np.ptp(run.current)) or 1.0
         return float(np.std(run.force[part]) / np.std(run.force) + np.std(run.current[part]) / span)
 
-    best = max(starts, key=liveliness)
+    best = max(starts, key=variation)
     return np.arange(best, best + length, -(-length // MOST_POINTS))
 
 
-def _rounded(series: Array, digits: int = 3) -> Array:
-    return np.round(series, digits)
-
-
 def html(figure: go.Figure) -> str:
-    """A figure as part of a page that carries Plotly itself."""
+    """Return a figure as a part of a page that includes Plotly."""
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True}))

@@ -1,4 +1,4 @@
-"""fit.json: an identified model as a file."""
+"""The file fit.json: an identified model with its intervals, metrics and Pareto front."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from mrd_identification.identify import Fit
+from mrd_identification.fit import Estimate, Fit
 from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
 
-SCHEMA = "mrd-fit/3"
+SCHEMA = "mrd-fit/4"
 
 
 @dataclass(frozen=True)
 class StoredFit:
-    """What a fit.json says of a model.
+    """The model that a fit.json describes.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class StoredFit:
     laws : mapping
         Current law by coefficient.
     effects : sequence of str
-        Ids of the effects around it.
+        Ids of the effects that act with it.
     values : mapping
         Parameters by name in SI units.
     content : mapping
@@ -39,7 +39,7 @@ class StoredFit:
 
 
 def to_json(fit: Fit) -> dict[str, Any]:
-    """Content of fit.json; floats that are not finite become null."""
+    """Return the content of fit.json; floats that are not finite become null."""
     return {
         "schema": SCHEMA,
         "model": fit.model.id,
@@ -54,30 +54,8 @@ def to_json(fit: Fit) -> dict[str, Any]:
         },
         "seed": fit.method.seed,
         "elapsed_s": round(fit.elapsed, 3),
-        "method": {
-            "search": "NSGA-II, linear parameters by variable projection",
-            "population": fit.method.population,
-            "generations": fit.method.generations,
-            "seeds": fit.method.seeds,
-            "least_squares": fit.method.least_squares,
-            "loss": fit.method.loss,
-            "weights": fit.method.weights if isinstance(fit.method.weights, str) else list(fit.method.weights),
-            "run_offsets_N": list(fit.run_offsets) if fit.method.offsets else None,
-        },
-        "parameters": {
-            estimate.parameter.name: {
-                "value": estimate.value,
-                "ci95": [finite(estimate.lower), finite(estimate.upper)],
-                "profile_ci95": [finite(estimate.profile_lower), finite(estimate.profile_upper)],
-                "by_seed": list(estimate.seeds),
-                "unit": estimate.parameter.unit,
-                "bounds": [estimate.parameter.lower, estimate.parameter.upper],
-                "fixed": estimate.fixed,
-                "on_bound": estimate.on_bound,
-                "meaning": estimate.parameter.meaning,
-            }
-            for estimate in fit.estimates
-        },
+        "method": _method_json(fit),
+        "parameters": {estimate.parameter.name: _estimate_json(estimate) for estimate in fit.estimates},
         "observables": {
             "current_A": fit.current,
             "values": {name: {"value": value, "unit": unit} for name, (value, unit) in fit.observables.items()},
@@ -96,8 +74,8 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "fit": metrics_json(fit.pooled_fitted),
             "held_out": metrics_json(fit.pooled_held_out) if fit.pooled_held_out else None,
             "per_run": [
-                {"run": result.run.name, "judged": judged, **metrics_json(result.metrics)}
-                for judged, results in (("fit", fit.fitted), ("held_out", fit.held_out))
+                {"run": result.run.name, "used_as": used_as, **metrics_json(result.metrics)}
+                for used_as, results in (("fit", fit.fitted), ("held_out", fit.held_out))
                 for result in results
             ],
         },
@@ -112,8 +90,36 @@ def to_json(fit: Fit) -> dict[str, Any]:
     }
 
 
+def _method_json(fit: Fit) -> dict[str, Any]:
+    method = fit.method
+    return {
+        "search": "NSGA-II, linear parameters by variable projection",
+        "population": method.population,
+        "generations": method.generations,
+        "seeds": method.seeds,
+        "least_squares": method.least_squares,
+        "loss": method.loss,
+        "weights": method.weights if isinstance(method.weights, str) else list(method.weights),
+        "run_offsets_N": list(fit.run_offsets) if method.offsets else None,
+    }
+
+
+def _estimate_json(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "value": estimate.value,
+        "ci95": [finite(estimate.lower), finite(estimate.upper)],
+        "profile_ci95": [finite(estimate.profile_lower), finite(estimate.profile_upper)],
+        "by_seed": list(estimate.by_seed),
+        "unit": estimate.parameter.unit,
+        "bounds": [estimate.parameter.lower, estimate.parameter.upper],
+        "fixed": estimate.fixed,
+        "on_bound": estimate.on_bound,
+        "meaning": estimate.parameter.meaning,
+    }
+
+
 def write_fit(fit: Fit, folder: str | Path) -> Path:
-    """Write fit.json into ``folder`` and return its path; the file is whole or not there."""
+    """Write fit.json into ``folder`` and return its path."""
     return write_json(to_json(fit), "mrd_identification", "fit", folder)
 
 
@@ -123,20 +129,21 @@ def read_fit(path: str | Path) -> StoredFit:
     Raises
     ------
     InputError
-        When the file cannot be read or is no fit.json of this version.
+        When the file cannot be read, or is not a fit.json of this version.
     """
     content = read_json(path, "mrd_identification", "fit", SCHEMA)
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
     return StoredFit(content["model"], content["laws"], content["effects"], values, content)
 
 
-def metrics_json(of: Metrics) -> dict[str, Any]:
+def metrics_json(metrics: Metrics) -> dict[str, Any]:
+    """Describe metrics in a JSON file."""
     return {
-        "samples": of.samples,
-        "rmse_N": of.rmse,
-        "nrmse": finite(of.nrmse),
-        "fit_percent": finite(of.fit_percent),
-        "vaf": finite(of.vaf),
-        "e2_N": of.e2,
-        "einf_N": of.einf,
+        "samples": metrics.samples,
+        "rmse_N": metrics.rmse,
+        "nrmse": finite(metrics.nrmse),
+        "fit_percent": finite(metrics.fit_percent),
+        "vaf": finite(metrics.vaf),
+        "e2_N": metrics.e2,
+        "einf_N": metrics.einf,
     }

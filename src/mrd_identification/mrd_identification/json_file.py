@@ -1,9 +1,8 @@
-"""JSON result files: each is checked against the schema that ships with its package, on writing and on reading."""
+"""JSON result files, checked on writing and on reading against the schema in the package that writes them."""
 
 import json
 import math
 from collections.abc import Mapping
-from functools import cache
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
@@ -14,14 +13,13 @@ from mrd_base import InputError
 from mrd_runs import Run
 
 
-@cache
 def read_schema(package: str, name: str) -> Any:
     """Read the JSON Schema of ``name``.json, which the package ``package`` writes."""
     return json.loads(resources.files(package).joinpath(f"schemas/{name}.schema.json").read_text())
 
 
 def make_folder(path: str) -> Path:
-    """Make the folder of the results, before anything is computed for it.
+    """Make the folder of the results; called before the computation, so that it is not lost where nothing can be written.
 
     Raises
     ------
@@ -53,18 +51,18 @@ def write_json(content: Mapping[str, Any], package: str, name: str, folder: str 
 
 
 def read_json(path: str | Path, package: str, name: str, version: str) -> Any:
-    """Read a file that `write_json` wrote as ``name``.json, with this version of its schema.
+    """Read a file that `write_json` wrote as ``name``.json with this version of the schema.
 
     Raises
     ------
     InputError
-        When the file cannot be read or is something else.
+        When the file cannot be read, or is not such a file.
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
-        found = content.get("schema") if isinstance(content, dict) else None
-        if found != version:
-            raise InputError(f"{path}: its schema is {str(found)[:40]}, expected a {name}.json of {version}")
+        schema = content.get("schema") if isinstance(content, dict) else None
+        if schema != version:
+            raise InputError(f"{path}: its schema is {str(schema)[:40]}, expected a {name}.json of {version}")
         jsonschema.validate(content, read_schema(package, name))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
@@ -72,8 +70,8 @@ def read_json(path: str | Path, package: str, name: str, version: str) -> Any:
         raise InputError(f"{path}: is not JSON ({error})") from None
     except jsonschema.ValidationError as error:
         field = "/".join(map(str, error.absolute_path)) or "the file"
-        wrong = error.message.splitlines()[0][:200]
-        raise InputError(f"{path}: {field}: {wrong}; expected a {name}.json of {version}") from None
+        message = error.message.splitlines()[0][:200]
+        raise InputError(f"{path}: {field}: {message}; expected a {name}.json of {version}") from None
     return content
 
 
@@ -94,7 +92,7 @@ def finite(value: float) -> float | None:
 
 
 def versions(*others: str) -> dict[str, str]:
-    """Return the versions of the bench, of its numerical libraries, and of ``others``."""
+    """Return the versions of this package, of its numerical libraries, and of ``others``."""
     return {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", *others)}
 
 

@@ -1,4 +1,4 @@
-"""How far a model's force is from the measured one."""
+"""Errors of a modelled force: rms error, NRMSE, variance accounted for, and two norms."""
 
 from dataclasses import dataclass
 
@@ -10,22 +10,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Metrics:
-    """Errors of a model over ``samples`` samples.
+    """Errors of a modelled force.
 
     Attributes
     ----------
     samples : int
-        k, the number of samples counted.
+        Number k of samples.
     rmse : float
         Root mean square error in N.
     nrmse : float
-        rmse / standard deviation of the measured force.
+        Normalised rms error: ``rmse`` over the standard deviation of the measured force.
     fit_percent : float
         100 (1 - nrmse).
     vaf : float
-        Variance accounted for, 100 (1 - var(error) / var(force)).
+        Variance accounted for in percent, 100 (1 - var(error) / var(force)).
     e2, einf : float
-        The two norms of the followed paper's Eq. 9 in N: sqrt(sum of squares) / k and largest error / k.
+        Norms of the error in N: square root of the sum of squares over k, and largest error over k (Eq. 9 of the paper that
+        the bench follows).
     """
 
     samples: int
@@ -38,18 +39,18 @@ class Metrics:
 
 
 def error_norms(error: Array) -> tuple[float, float]:
-    """e2 and einf, the two norms of the followed paper's Eq. 9, of errors in N."""
+    """Return `Metrics.e2` and `Metrics.einf` of errors in N."""
     k = len(error)
     return float(np.sqrt(error @ error)) / k, float(np.max(np.abs(error))) / k
 
 
 def metrics(measured: Array, modelled: Array) -> Metrics:
-    """Metrics of two equally long series of force in N."""
+    """Compare two equally long series of force in N."""
     error = measured - modelled
     e2, einf = error_norms(error)
     spread = float(np.std(measured))
     rmse = float(np.sqrt(np.mean(error**2)))
-    # A force that never varies has no scale to compare with.
+    # A constant force has no standard deviation to normalise with.
     nrmse = rmse / spread if spread > 0 else float("inf")
     vaf = 100 * (1 - float(np.var(error)) / spread**2) if spread > 0 else float("-inf")
     return Metrics(samples=len(error), rmse=rmse, nrmse=nrmse, fit_percent=100 * (1 - nrmse), vaf=vaf, e2=e2, einf=einf)

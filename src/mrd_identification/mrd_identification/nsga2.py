@@ -1,4 +1,4 @@
-"""NSGA-II over the two error norms, a whole population per evaluation."""
+"""Search by NSGA-II over the two error norms, which evaluates a whole population at once."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pymoo.algorithms.moo.nsga2 import NSGA2
-from pymoo.core.callback import Callback
 from pymoo.core.problem import Problem as PymooProblem
 from pymoo.operators.sampling.lhs import LHS
 from pymoo.optimize import minimize
@@ -15,12 +14,14 @@ from pymoo.optimize import minimize
 from mrd_identification.problem import Problem
 
 Array = NDArray[np.float64]
-_WORST = 1e30  # stands for a force that is not finite: pymoo compares numbers
+
+_WORST = 1e30
+"""N; pymoo cannot compare infinite objectives, so this stands for a force that is not finite."""
 
 
 @dataclass(frozen=True)
 class Front:
-    """Non-dominated candidates, by rising e2.
+    """The Pareto front: non-dominated candidates in the order of rising e2.
 
     Attributes
     ----------
@@ -28,7 +29,7 @@ class Front:
     norms : ndarray (candidates, 2)
         e2 and einf in N.
     knee : int
-        The candidate that gives up least of both.
+        Index of the best compromise between the two norms, see `find_knee`.
     """
 
     thetas: Array
@@ -37,9 +38,13 @@ class Front:
 
 
 def search(
-    problem: Problem, population: int, generations: int, seed: int, progress: Callable[[int, float], None] | None = None
+    problem: Problem,
+    population: int,
+    generations: int,
+    seed: int,
+    progress: Callable[[int, float], None] = lambda _generation, _e2: None,
 ) -> Front:
-    """Search by NSGA-II (Deb et al., 2002) the parameters that variable projection does not give.
+    """Search the nonlinear parameters by NSGA-II (Deb et al., 2002); the linear ones follow by variable projection.
 
     Parameters
     ----------
@@ -66,11 +71,6 @@ def search(
         def _evaluate(self, x: Array, out: dict[str, Any], *_: Any, **__: Any) -> None:
             out["F"] = np.nan_to_num(problem.project(candidates(x))[1], posinf=_WORST)
 
-    class Report(Callback):
-        def notify(self, algorithm: Any) -> None:
-            if progress is not None:
-                progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min()))
-
     first = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
     first[0] = start[searched]
     result = minimize(
@@ -78,21 +78,21 @@ def search(
         NSGA2(pop_size=population, sampling=first),
         ("n_gen", generations),
         seed=seed,
-        callback=Report(),
+        callback=lambda algorithm: progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min())),
         verbose=False,
     )
     thetas, norms = problem.project(candidates(result.opt.get("X")))
     order = np.argsort(norms[:, 0], kind="stable")
-    return Front(thetas[order], norms[order], knee(norms[order]))
+    return Front(thetas[order], norms[order], find_knee(norms[order]))
 
 
-def knee(norms: Array) -> int:
-    """Index of the knee of a front: the point farthest below the line between its ends, both norms scaled to 0..1.
+def find_knee(norms: Array) -> int:
+    """Return the index of the knee: the point farthest below the line between the ends, both norms scaled to 0..1.
 
-    Das (1999), normal-boundary characterisation of the knee. A front of one or two points has no bulge; the one with the
-    smaller sum of scaled norms is taken.
+    Das (1999), normal-boundary characterisation of the knee. A front of one or two points has no point below that line; the
+    one with the smaller sum of scaled norms is taken.
     """
     low, high = norms.min(axis=0), norms.max(axis=0)
     scaled = (norms - low) / np.where(high > low, high - low, 1.0)
-    # The ends are (0, 1) and (1, 0): distance from their line grows as the sum falls.
+    # The ends are (0, 1) and (1, 0): the distance below their line grows as the sum falls.
     return int(np.argmin(scaled.sum(axis=1)))

@@ -1,4 +1,4 @@
-"""fit.html: a fit for a person to look at."""
+"""The page fit.html, and the rendering of pages from templates."""
 
 from pathlib import Path
 from typing import Any
@@ -7,41 +7,39 @@ import jinja2
 from plotly.offline import get_plotlyjs
 
 from mrd_identification import figures
-from mrd_identification.identify import Fit
+from mrd_identification.fit import Fit
 
-_HOW = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "the fitted run itself"}
+_EVALUATED_ON = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "fitted runs"}
 
 
 def sentence(fit: Fit) -> str:
-    """The fit in one sentence."""
-    judge = fit.pooled_held_out or fit.pooled_fitted
-    fitted = "on the run it was fitted to" if len(fit.fitted) == 1 else "on the runs it was fitted to"
-    where = "on runs it has not seen" if fit.pooled_held_out else fitted
+    """Describe the error of the fit in one sentence."""
+    fitted = "on the run that it was fitted to" if len(fit.fitted) == 1 else "on the runs that it was fitted to"
+    where = "on runs that it was not fitted to" if fit.pooled_held_out else fitted
     return (
-        f"The model explains {judge.vaf:.1f} % of the force's variance {where}; "
-        f"its error is {judge.rmse:.1f} N rms, {100 * judge.nrmse:.1f} % of the force's standard deviation."
+        f"The model explains {fit.pooled.vaf:.1f} % of the variance of the force {where}; "
+        f"its rms error is {fit.pooled.rmse:.1f} N, {100 * fit.pooled.nrmse:.1f} % of the standard deviation of the force."
     )
 
 
 def write_report(fit: Fit, folder: str | Path) -> Path:
-    """Write fit.html, which needs no network, into ``folder`` and return its path."""
-    judged = fit.held_out or fit.fitted
-    metrics = fit.pooled_held_out or fit.pooled_fitted
-    worst = max(judged, key=lambda result: result.metrics.nrmse)
+    """Write fit.html, a page that needs no network, into ``folder`` and return its path."""
+    results, metrics = fit.held_out or fit.fitted, fit.pooled
+    worst = max(results, key=lambda result: result.metrics.nrmse)
     return render(
         "fit",
         folder,
         title=f"{fit.model.title} model of {len(fit.fitted)} run{'s' if len(fit.fitted) > 1 else ''}",
         sentence=sentence(fit),
-        loops=figures.html(figures.loops(judged)),
+        loops=figures.html(figures.loops(results)),
         over_time=figures.html(figures.force_over_time(worst)),
         front=figures.html(figures.pareto_front(fit)),
         intervals=figures.html(figures.parameters(fit)),
         correlation=figures.html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
         headline=[
-            (f"NRMSE, {_HOW[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
+            (f"NRMSE, {_EVALUATED_ON[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
             ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),
-            ("rmse", f"{metrics.rmse:.2f} N"),
+            ("rms error", f"{metrics.rmse:.2f} N"),
             ("variance accounted for", f"{metrics.vaf:.2f} %"),
             ("e2", f"{metrics.e2:.4f} N"),
             ("einf", f"{metrics.einf:.4f} N"),
@@ -53,8 +51,11 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
 
 
 def render(name: str, folder: str | Path, package: str = "mrd_identification", /, **content: Any) -> Path:
-    """Write ``name``.html from the template of a package into ``folder``; the file is whole or not there."""
-    loaders = [jinja2.PackageLoader(each) for each in dict.fromkeys((package, "mrd_identification"))]
+    """Write ``name``.html from the template of a package into ``folder`` and return its path.
+
+    The file is complete or absent, even when the process is interrupted.
+    """
+    loaders = [jinja2.PackageLoader(name) for name in dict.fromkeys((package, "mrd_identification"))]
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
@@ -67,5 +68,5 @@ def render(name: str, folder: str | Path, package: str = "mrd_identification", /
 
 
 def four_figures(value: float) -> str:
-    """Number with four significant figures, as a table wants it."""
+    """Format a number with four significant figures."""
     return f"{value:.4g}"

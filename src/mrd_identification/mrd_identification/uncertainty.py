@@ -1,7 +1,8 @@
 """How well the recordings determine each parameter: covariance, correlation, profile of the objective."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,17 @@ from mrd_identification.residual_correlation import correlation_length, independ
 Array = NDArray[np.float64]
 
 FEWEST_SPARE_BLOCKS = 5
-"""Independent stretches of the residual beyond the number of parameters, below which intervals would be made up."""
+"""Degrees of freedom: independent segments of the residuals beyond the number of parameters. With fewer, the covariance of
+the scores is too uncertain for intervals."""
 
 MOST_ATTEMPTS = 10
-"""At the end of a profile."""
+"""Offsets that are tried to find one end of a profile."""
 
 ROUNDING = 1e-10
-"""Share of the force below which a change of it drowns in rounding errors."""
+"""Change of the force over the force; smaller changes are dominated by rounding errors."""
+
+RISE_TOLERANCE = 0.1
+"""Relative error of the rise of the objective at the end of a profile; it moves the end by a twentieth of the interval."""
 
 
 @dataclass(frozen=True)
@@ -32,18 +37,18 @@ class Uncertainty:
     lower, upper : ndarray (free,)
         95 % interval from the covariance; nan where the parameter cannot be determined or lies on a bound.
     profile_lower, profile_upper : ndarray (free,)
-        95 % interval from the profile of the objective; ends on a bound where the objective does not rise enough before it.
-        nan where it was not computed.
+        95 % interval from the profile of the objective. It ends on a bound where the objective does not rise enough before
+        it. nan where it was not computed.
     correlation : ndarray (free, free)
     on_bound : ndarray (free,) of bool
     beyond : ndarray (free,)
-        How far beyond its bound the recordings want a parameter that lies on one, in standard deviations; else 0.
+        Distance in standard deviations from a parameter on its bound to the unbounded optimum outside; else 0.
     condition : float
         Condition number of the scaled sensitivity matrix.
-    blocks : int
-        Stretches of the residual that count as independent; with too few of them there are no intervals.
+    segments : int
+        Number of independent segments of the residuals; with too few of them there are no intervals.
     sensitivity : ndarray (samples, free)
-        Derivatives in N of the residuals to the unit coordinates; 0 where they drown in rounding errors.
+        Derivatives in N of the residuals with respect to the unit coordinates; 0 where rounding errors dominate.
     """
 
     lower: Array
@@ -54,20 +59,67 @@ class Uncertainty:
     on_bound: NDArray[np.bool_]
     beyond: Array
     condition: float
-    blocks: int
+    segments: int
     sensitivity: Array
+
+
+@dataclass(frozen=True)
+class SandwichCovariance:
+    """Normal matrix and scores of scaled parameters, from which their covariance follows.
+
+    Attributes
+    ----------
+    norm : ndarray (free,)
+        Norm in N of the derivatives with respect to each unit coordinate, by which they are scaled.
+    gram : ndarray (free, free)
+        Normal matrix of the scaled derivatives.
+    scores : ndarray (segments, free)
+        Derivative in N of half the objective of each independent segment.
+    spare : int
+        Degrees of freedom: segments beyond the parameters.
+    seen : ndarray (free,) of bool
+        Parameters inside their bounds that change the force.
+    """
+
+    norm: Array
+    gram: Array
+    scores: Array
+    spare: int
+    seen: NDArray[np.bool_]
+
+    @property
+    def student_t(self) -> float:
+        """Half the width of a 95 % interval in standard deviations."""
+        return float(stdtrit(self.spare, 0.975))
+
+    @cached_property
+    def seen_root(self) -> tuple[Array, Array]:
+        """`covariance_root` of the parameters ``seen``."""
+        return self.covariance_root(self.seen)
+
+    @cached_property
+    def half(self) -> Array:
+        """Half the width of the 95 % interval (free,) in unit coordinates; nan of parameters that are not ``seen``."""
+        half = np.full(len(self.norm), np.nan)
+        half[self.seen] = self.student_t * np.linalg.norm(self.seen_root[1], axis=1) / self.norm[self.seen]
+        return half
+
+    def covariance_root(self, among: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return the inverse normal matrix of some parameters, and a root R of their covariance R Rᵀ."""
+        inverse = normal_inverse(self.gram[np.ix_(among, among)])
+        return inverse, inverse @ self.scores[:, among].T * np.sqrt(len(self.scores) / self.spare)
 
 
 def uncertainty(
     problem: Problem, theta: Array, *, profile: bool = True, step: Callable[[], None] = lambda: None
 ) -> Uncertainty:
-    """95 % intervals of the free parameters at the optimum ``theta``.
+    """Compute 95 % intervals of the free parameters at the optimum ``theta``.
 
     Residuals of a damper model are strongly correlated in time, so the covariance is the sandwich (JᵀJ)⁻¹ M (JᵀJ)⁻¹ whose
-    middle M sums the scores Jᵀr over blocks longer than that correlation (Liang & Zeger, 1986), and Student's t counts
-    blocks, not samples. The profile (Venzon & Moolgavkar, 1988) fixes one parameter after the other and refits the rest; it
-    ends where the objective has risen as far as the covariance says that it must for 95 %, so it sees curvature and bounds.
-    A parameter on a bound has a profile on its inner side.
+    middle M sums the scores Jᵀr over segments longer than that correlation (Liang & Zeger, 1986), and the degrees of freedom
+    of Student's t count segments, not samples. The profile (Venzon & Moolgavkar, 1988) fixes one parameter after the other
+    and refits the rest. It ends where the objective has risen to what the covariance implies for 95 %, so it includes
+    curvature and bounds. A parameter on a bound has a profile on its inner side.
 
     Parameters
     ----------
@@ -76,7 +128,7 @@ def uncertainty(
     profile : bool
         Compute the profiles, the costly part.
     step : callable
-        Called after each of them.
+        Called after each profile.
     """
     unit = problem.unit(theta)
     residuals = problem.residuals(theta)
@@ -85,86 +137,100 @@ def uncertainty(
     jacobian, weighted = sensitivity * root[:, None], residuals * root
     on_bound = (unit < BOUND_TOLERANCE) | (unit > 1 - BOUND_TOLERANCE)
     norm = np.linalg.norm(jacobian, axis=0)
-    least = ROUNDING * float(np.linalg.norm(problem.force * problem.root_weight))
-    sensitivity[:, norm <= least] = norm[norm <= least] = 0.0
+    invisible = norm <= _least_force_change(problem)
+    sensitivity[:, invisible] = norm[invisible] = 0.0
     seen = (norm > 0) & ~on_bound
     count = len(unit)
-    lower, upper, profile_lower, profile_upper = np.full((4, count), np.nan)
-    correlation = np.eye(count)
-    beyond = np.zeros(count)
-    condition, blocks = np.inf, 0
-
-    def found() -> Uncertainty:
-        return Uncertainty(
-            lower, upper, profile_lower, profile_upper, correlation, on_bound, beyond, condition, blocks, sensitivity
-        )
-
+    nan = np.full(count, np.nan)
+    result = Uncertainty(nan, nan, nan, nan, np.eye(count), on_bound, np.zeros(count), np.inf, 0, sensitivity)
     if not (norm > 0).any():
-        return found()
+        return result
     scaled = jacobian / np.where(norm > 0, norm, 1.0)
     gram = scaled.T @ scaled
-    # Where there are runs enough, they are what is independent: an error that each of them repeats all over is seen, too.
-    needed = int(seen.sum()) + FEWEST_SPARE_BLOCKS + problem.run_offsets
-    enough = len(problem.blocks) >= needed
-    parts = problem.blocks if enough else independent_segments(problem.blocks, correlation_length(weighted))
-    blocks = len(parts)
-    scores = np.stack([scaled[part].T @ weighted[part] for part in parts])
-    if seen.any():
-        values = np.linalg.eigvalsh(gram[np.ix_(seen, seen)])
-        condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else np.inf
-    spare = blocks - int(seen.sum()) - problem.run_offsets
+    segments = _segments(problem, weighted, int(seen.sum()))
+    scores = np.stack([scaled[segment].T @ weighted[segment] for segment in segments])
+    result = replace(result, condition=_condition(gram[np.ix_(seen, seen)]), segments=len(segments))
+    spare = len(segments) - int(seen.sum()) - problem.run_offsets
     if spare < FEWEST_SPARE_BLOCKS:
-        return found()
-    student_t = float(stdtrit(spare, 0.975))
+        return result
+    sandwich = SandwichCovariance(norm, gram, scores, spare, seen)
+    result = _with_intervals(problem, theta, sandwich, result)
+    return _with_bounds_and_profiles(problem, theta, sandwich, result, step if profile else None)
 
-    def spread(among: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Inverse of the normal matrix of some parameters, and a root R of their covariance R Rᵀ."""
-        inverse = normal_inverse(gram[np.ix_(among, among)])
-        return inverse, inverse @ scores[:, among].T * np.sqrt(blocks / spare)
 
-    inverse, root_covariance = spread(seen)
+def _least_force_change(problem: Problem) -> float:
+    """Return the norm in N of a change of the weighted force below which rounding errors dominate."""
+    return ROUNDING * float(np.linalg.norm(problem.force * problem.root_weight))
+
+
+def _segments(problem: Problem, weighted: Array, parameters: int) -> list[slice]:
+    """Return the slices of the residuals that count as independent: whole runs, or segments within them.
+
+    Whole runs where there are enough: they also account for an error that is the same throughout a run.
+    """
+    enough = len(problem.blocks) >= parameters + FEWEST_SPARE_BLOCKS + problem.run_offsets
+    return problem.blocks if enough else independent_segments(problem.blocks, correlation_length(weighted))
+
+
+def _condition(gram: Array) -> float:
+    """Return the condition number of the sensitivities with this normal matrix."""
+    values = np.linalg.eigvalsh(gram) if gram.size else np.zeros(1)
+    return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else np.inf
+
+
+def _with_intervals(problem: Problem, theta: Array, sandwich: SandwichCovariance, result: Uncertainty) -> Uncertainty:
+    """Return the result with the intervals and the correlation of the covariance."""
+    _, root_covariance = sandwich.seen_root
     deviation = np.linalg.norm(root_covariance, axis=1)
     directions = root_covariance / np.where(deviation > 0, deviation, 1.0)[:, None]
-    correlation[np.ix_(seen, seen)] = directions @ directions.T
+    correlation = result.correlation.copy()
+    correlation[np.ix_(sandwich.seen, sandwich.seen)] = directions @ directions.T
     np.fill_diagonal(correlation, 1.0)
-    half = np.full(count, np.nan)
-    half[seen] = student_t * deviation / norm[seen]
-    scale = problem.scale(theta) * half
+    scale = problem.scale(theta) * sandwich.half
     value = theta[list(problem.free)]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         factor = np.exp(scale / value)
         lower = np.where(problem.log, value / factor, value - scale)
         upper = np.where(problem.log, value * factor, value + scale)
+    return replace(result, lower=lower, upper=upper, correlation=correlation)
 
-    best = problem.cost(theta)
+
+def _with_bounds_and_profiles(
+    problem: Problem, theta: Array, sandwich: SandwichCovariance, result: Uncertainty, step: Callable[[], None] | None
+) -> Uncertainty:
+    """Return the result with `Uncertainty.beyond` and, where ``step`` is given, with profiles."""
+    unit, norm, best = problem.unit(theta), sandwich.norm, problem.cost(theta)
+    least = _least_force_change(problem)
+    beyond = np.zeros(len(unit))
+    profile_lower, profile_upper = np.full((2, len(unit)), np.nan)
     for index in map(int, np.flatnonzero(norm > 0)):
-        among = seen.copy()
+        among = sandwich.seen.copy()
         among[index] = True
         place = int(among[:index].sum())
-        joint = inverse
-        if on_bound[index]:
-            joint, root_covariance = spread(among)
-            deviation_here = np.linalg.norm(root_covariance[place])
-            half[index] = student_t * deviation_here / norm[index]
+        (inverse, _), half = sandwich.seen_root, sandwich.half[index]
+        if result.on_bound[index]:
+            inverse, root_covariance = sandwich.covariance_root(among)
+            deviation = np.linalg.norm(root_covariance[place])
+            half = sandwich.student_t * deviation / norm[index]
             outward = 1.0 if unit[index] > 0.5 else -1.0
-            step_out = -outward * joint[place, place] * scores[:, index].sum()
-            beyond[index] = max(0.0, step_out / deviation_here) if deviation_here > 0 else 0.0
-        if not profile:
+            step_out = -outward * inverse[place, place] * sandwich.scores[:, index].sum()
+            beyond[index] = max(0.0, step_out / deviation) if deviation > 0 else 0.0
+        if step is None:
             continue
-        moved = half[index] * norm[index]  # change of the force, while the others stay
+        force_change = half * norm[index]  # while the other parameters stay
         ends = [unit[index], unit[index]]
-        if moved > least:
-            direction = np.zeros(count)
-            direction[among] = joint[:, place] / joint[place, place] / norm[among] * norm[index]
-            rise = 0.5 * moved**2 / joint[place, place]
-            ends = [_profile_end(problem, unit, index, side * half[index], direction, rise, best) for side in (-1.0, 1.0)]
+        if force_change > least:
+            direction = np.zeros(len(unit))
+            direction[among] = inverse[:, place] / inverse[place, place] / norm[among] * norm[index]
+            rise = 0.5 * force_change**2 / inverse[place, place]
+            ends = [_profile_end(problem, unit, index, side * half, direction, rise, best) for side in (-1.0, 1.0)]
         profile_lower[index], profile_upper[index] = (_value(problem, unit, index, end) for end in ends)
         step()
-    return found()
+    return replace(result, beyond=beyond, profile_lower=profile_lower, profile_upper=profile_upper)
 
 
 def normal_inverse(gram: Array) -> Array:
-    """Inverse of a normal matrix; what the recordings do not determine gets a large variance."""
+    """Return the inverse of a normal matrix; a direction that the recordings do not determine gets a large variance."""
     values, vectors = np.linalg.eigh(gram)
     return np.asarray((vectors / np.maximum(values, values.max(initial=0.0) * 1e-14)) @ vectors.T)
 
@@ -172,7 +238,7 @@ def normal_inverse(gram: Array) -> Array:
 def _profile_end(
     problem: Problem, unit: Array, index: int, half: float, direction: Array, rise: float, best: float
 ) -> float:
-    """Unit coordinate, on the side that ``half`` points to, where the refitted objective has risen by ``rise``."""
+    """Return the unit coordinate where the refitted objective has risen by ``rise``, on the side of the sign of ``half``."""
     reach = (1.0 if half > 0 else 0.0) - unit[index]
     if reach == 0.0:
         return float(unit[index])
@@ -182,15 +248,15 @@ def _profile_end(
         start = np.clip(unit + offset * direction, 0.0, 1.0)
         start[index] = unit[index] + offset
         risen = (problem.cost(problem.theta(start)) - best) / rise
-        # Where the objective is the parabola that it is near the optimum, nothing is left to refit.
+        # Where the objective still is the parabola of the optimum, a refit would not change it.
         expected = (offset / half) ** 2
-        if abs(risen - expected) > 0.1 * expected or attempt:
+        if abs(risen - expected) > RISE_TOLERANCE * expected or attempt:
             cost, refitted = _refit(problem, start, index, 0.02 * rise / best)
             risen = (cost - best) / rise
             direction = (refitted - unit) / offset
-        if abs(risen - 1.0) < 0.1 or (risen < 1.0 and offset == reach):
+        if abs(risen - 1.0) < RISE_TOLERANCE or (risen < 1.0 and offset == reach):
             break
-        # The root of the rise is nearly linear: on between two offsets, or as far again.
+        # The root of the rise is nearly linear in the offset: interpolate between two offsets, or extrapolate.
         root = np.sqrt(max(risen, 0.0))
         if risen < 1.0:
             inside, root_inside = offset, root
@@ -205,13 +271,14 @@ def _profile_end(
 
 
 def _refit(problem: Problem, start: Array, index: int, tolerance: float) -> tuple[float, Array]:
-    """Smallest objective over the parameters other than ``index``, near ``start``, and where it is."""
+    """Return the least objective near ``start`` over the parameters other than ``index``, and the point of the unit box."""
     others = np.delete(np.arange(len(start)), index)
     refitted, cost = levenberg_marquardt(problem, start, others, 10, tolerance)
     return cost, refitted
 
 
 def _value(problem: Problem, unit: Array, index: int, end: float) -> float:
-    moved = unit.copy()
-    moved[index] = np.clip(end, 0.0, 1.0)
-    return float(problem.theta(moved)[problem.free[index]])
+    """Return the value of a free parameter at the unit coordinate ``end``."""
+    shifted = unit.copy()
+    shifted[index] = np.clip(end, 0.0, 1.0)
+    return float(problem.theta(shifted)[problem.free[index]])

@@ -1,4 +1,4 @@
-"""Recordings to test with."""
+"""Recordings that several tests use."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from mrd_sim.simulate import write_csv
 
 @pytest.fixture
 def recorded(tmp_path) -> list[str]:
-    """Three runs of a damper whose force sensor lags by 20 ms."""
+    """Write three runs of a damper whose force sensor lags by 20 ms, and return their paths."""
     model = find_model("bingham", effects=["force_sensor_lag"])
     random = np.random.default_rng(1)
     time = np.arange(1500) / 250

@@ -1,10 +1,9 @@
-"""The same work on a dask cluster of separate processes gives the same results, also when a worker dies."""
+"""A dask cluster of separate processes gives the same results as this machine, also when a worker dies."""
 
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import numpy as np
@@ -16,13 +15,14 @@ from mrd_base import InputError
 from mrd_identification.cluster import run_on_cluster
 from mrd_identification.compare import compare
 
-from .test_compare import simulated
+from .test_compare import simulate
 
 
-@pytest.fixture
-def cluster(tmp_path):
-    """Address of a scheduler with two workers, each a process of its own without a nanny."""
-    address_file = tmp_path / "scheduler.json"
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Start a scheduler and two workers, each a separate process without a nanny, and return the scheduler's address."""
+    folder = tmp_path_factory.mktemp("cluster")
+    address_file = folder / "scheduler.json"
     common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     processes = [
         subprocess.Popen(
@@ -41,10 +41,7 @@ def cluster(tmp_path):
             **common,
         )
     ]
-    deadline = time.monotonic() + 30
-    while not address_file.exists():
-        assert time.monotonic() < deadline, "the scheduler did not start"
-        time.sleep(0.05)
+    wait_for(address_file.exists)
     processes += [
         subprocess.Popen(
             [
@@ -60,7 +57,7 @@ def cluster(tmp_path):
                 "127.0.0.1",
                 "--no-dashboard",
                 "--local-directory",
-                str(tmp_path),
+                str(folder),
             ],
             **common,
         )
@@ -75,41 +72,57 @@ def cluster(tmp_path):
         process.wait()
 
 
-def test_a_cluster_gives_what_this_machine_gives(cluster):
-    runs, held_out = [simulated("a", 1), simulated("b", 2)], [simulated("c", 3)]
+def test_a_cluster_gives_the_results_of_this_machine(cluster):
+    runs, held_out = [simulate("a", 1), simulate("b", 2)], [simulate("c", 3)]
     options = {"held_out": held_out, "population": 16, "generations": 4, "seeds": 2}
     here = compare(runs, ["bingham", "bouc_wen:tanh"], **options)
     there = compare(runs, ["bingham", "bouc_wen:tanh"], scheduler=cluster, **options)
-    for ours, theirs in zip(here.entries, there.entries, strict=True):
-        assert ours.name == theirs.name
-        assert np.array_equal(ours.fit.theta, theirs.fit.theta)
-        assert (ours.nrmse, ours.lower, ours.upper) == (theirs.nrmse, theirs.lower, theirs.upper)
-        assert theirs.fit.model.laws == ours.fit.model.laws
+    for local, remote in zip(here.entries, there.entries, strict=True):
+        assert local.name == remote.name
+        assert np.array_equal(local.fit.theta, remote.fit.theta)
+        assert (local.nrmse, local.lower, local.upper) == (remote.nrmse, remote.lower, remote.upper)
+        assert remote.fit.model.laws == local.fit.model.laws
 
 
-def slow_pid(data, number):
-    """Weigh a number, slowly, and say who did it."""
-    time.sleep(0.5)
+def weigh(data, number, folder):
+    """Weigh a number and return the process id; later numbers only return once the file ``go`` is there."""
+    (folder / f"started-{os.getpid()}").touch()
+    if number > 1:
+        wait_for((folder / "go").exists)
     return number * data[0].sum(), os.getpid()
 
 
-def test_a_dead_worker_costs_what_it_was_at(cluster):
-    done, data = [], (np.ones(1000),)
+def wait_for(condition, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "timed out"
+        time.sleep(0.01)
+
+
+def test_the_work_of_a_dead_worker_is_done_by_the_others(cluster, tmp_path):
+    """The last test with the cluster, which then has one worker only."""
+    data = (np.ones(1000),)
     with Client(cluster, set_as_default=False) as client:
         victim = next(iter(client.run(os.getpid).values()))
-    killer = threading.Timer(1.2, os.kill, (victim, signal.SIGKILL))
-    killer.start()
-    found = run_on_cluster(cluster, slow_pid, [(data, number) for number in range(10)], done.append)
-    assert [weighed for weighed, _ in found] == [1000 * number for number in range(10)]
-    killer.join()
+    done = []
+
+    def kill_at_first(count):
+        done.append(count)
+        if count == 1:
+            wait_for((tmp_path / f"started-{victim}").exists)
+            os.kill(victim, signal.SIGKILL)
+            (tmp_path / "go").touch()
+
+    results = run_on_cluster(cluster, weigh, [(data, number, tmp_path) for number in range(10)], kill_at_first)
+    assert [weight for weight, _ in results] == [1000 * number for number in range(10)]
     assert done == list(range(1, 11))
-    assert any(worker != victim for _, worker in found)
+    assert any(worker != victim for _, worker in results)
     assert psutil.Process(victim).status() == psutil.STATUS_ZOMBIE
 
 
 def test_no_scheduler_is_one_line(monkeypatch):
-    monkeypatch.setattr("mrd_identification.cluster.CONNECT_TIMEOUT", 1.0)
+    monkeypatch.setattr("mrd_identification.cluster.CONNECT_TIMEOUT", 0.2)
     with pytest.raises(InputError, match=r"--scheduler tcp://127\.0\.0\.1:9: no dask scheduler answers"):
-        run_on_cluster("tcp://127.0.0.1:9", slow_pid, [((), 1)])
+        run_on_cluster("tcp://127.0.0.1:9", weigh, [((), 1)])
     with pytest.raises(InputError, match="--scheduler nonsense:x:y: expected the address of a dask scheduler"):
-        run_on_cluster("nonsense:x:y", slow_pid, [((), 1)])
+        run_on_cluster("nonsense:x:y", weigh, [((), 1)])

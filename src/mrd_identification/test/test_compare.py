@@ -1,4 +1,4 @@
-"""A comparison ranks models by unseen error, with intervals from common resamples, and says which are on par."""
+"""A comparison ranks models by held-out error, with intervals from common resamples, and tells which are on par."""
 
 import json
 
@@ -14,11 +14,11 @@ from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 
-LADDER = ("linear_viscous", "bingham", "bouc_wen", "bouc_wen:quadratic")
+MODELS = ("linear_viscous", "bingham", "bouc_wen", "bouc_wen:quadratic")
 
 
-def simulated(name, seed, current=None):
-    """A run of a noisy Bouc-Wen damper along a multisine."""
+def simulate(name, seed, current=None):
+    """Simulate a noisy run of a Bouc-Wen damper along a multisine."""
     random = np.random.default_rng(seed)
     time = np.arange(0, 5, 0.004)
     position, velocity, acceleration = np.zeros((3, len(time)))
@@ -34,47 +34,48 @@ def simulated(name, seed, current=None):
 
 
 @pytest.fixture(scope="module")
-def found():
+def comparison():
     return compare(
-        [simulated("a", 1), simulated("b", 2)], LADDER, held_out=[simulated("c", 3)], population=16, generations=8, seeds=1
+        [simulate("a", 1), simulate("b", 2)], MODELS, held_out=[simulate("c", 3)], population=16, generations=8, seeds=1
     )
 
 
-def test_models_are_ranked_by_unseen_error(found):
-    assert [entry.name for entry in found.entries][2:] == ["bingham", "linear_viscous"]
-    assert {entry.name for entry in found.entries[:2]} == {"bouc_wen", "bouc_wen:quadratic"}
-    for entry in found.entries:
+def test_models_are_ranked_by_held_out_error(comparison):
+    assert [entry.name for entry in comparison.entries][2:] == ["bingham", "linear_viscous"]
+    assert {entry.name for entry in comparison.entries[:2]} == {"bouc_wen", "bouc_wen:quadratic"}
+    for entry in comparison.entries:
         assert entry.lower < entry.nrmse < entry.upper
         assert entry.nrmse == pytest.approx(entry.fit.pooled_held_out.nrmse)
-    assert found.entries[0].behind == 0.0
-    assert found.judged_by == "runs"
-    assert found.resampled == "stretches"
+    assert comparison.best.difference == 0.0
+    assert comparison.held_out_by == "runs"
+    assert comparison.resampled == "segments"
 
 
-def test_what_the_judges_cannot_tell_apart_is_on_par_and_the_simplest_is_named(found):
-    assert [entry.on_par for entry in found.entries] == [True, True, False, False]
-    assert found.simplest.name == "bouc_wen"
-    assert "bouc_wen" in sentence(found)
+def test_models_that_do_not_differ_significantly_are_on_par_and_the_simplest_is_named(comparison):
+    assert [entry.on_par for entry in comparison.entries] == [True, True, False, False]
+    assert comparison.simplest.name == "bouc_wen"
+    assert "bouc_wen" in sentence(comparison)
 
 
-def test_an_entry_is_what_identify_gives(found):
+def test_each_fit_is_what_identify_returns(comparison):
     alone = identify(
-        [simulated("a", 1), simulated("b", 2)],
+        [simulate("a", 1), simulate("b", 2)],
         "bingham",
-        held_out=[simulated("c", 3)],
+        held_out=[simulate("c", 3)],
         population=16,
         generations=8,
         seeds=1,
         profile=False,
     )
-    entry = next(entry for entry in found.entries if entry.name == "bingham")
+    entry = next(entry for entry in comparison.entries if entry.name == "bingham")
     assert np.array_equal(entry.fit.theta, alone.theta)
 
 
-def test_files_hold_to_their_schema_and_need_no_network(found, tmp_path):
-    page = write_comparison(found, tmp_path).read_text()
+def test_files_follow_their_schema_and_the_page_needs_no_network(comparison, tmp_path):
+    page = write_comparison(comparison, tmp_path).read_text()
     assert "<script src=" not in page
     content = json.loads((tmp_path / "compare.json").read_text())
+    assert content["schema"] == "mrd-comparison/2"
     jsonschema.validate(content, read_schema("mrd_identification", "compare"))
     table = (tmp_path / "compare.md").read_text()
     for model in content["models"]:
@@ -83,30 +84,30 @@ def test_files_hold_to_their_schema_and_need_no_network(found, tmp_path):
         assert model["name"] in page
 
 
-def test_with_five_judged_runs_these_are_resampled():
-    runs = [simulated(f"run{seed}", seed) for seed in range(5)]
+def test_five_held_out_runs_are_resampled():
+    runs = [simulate(f"run{seed}", seed) for seed in range(5)]
     by_runs = compare(runs, ["linear_viscous", "bingham"], population=16, generations=4, seeds=1)
-    assert by_runs.judged_by == "leave-one-run-out"
+    assert by_runs.held_out_by == "leave-one-run-out"
     assert by_runs.resampled == "runs"
     assert by_runs.units == 5
 
 
-def test_too_little_to_judge_by_gives_no_interval(tmp_path):
-    run = simulated("a", 1)
+def test_a_short_held_out_run_gives_no_interval(tmp_path):
+    run = simulate("a", 1)
     short = Run("short", run.time[:150], *(s[:150] for s in (run.position, run.velocity, run.current, run.force)))
-    found = compare([run], ["linear_viscous", "bingham"], held_out=[short], population=8, generations=2, seeds=1)
-    assert found.units < 10
-    assert all(np.isnan(entry.lower) for entry in found.entries)
-    assert [entry.on_par for entry in found.entries] == [True, False]
-    assert found.simplest is found.entries[0]
-    assert write_comparison(found, tmp_path).exists()
+    comparison = compare([run], ["linear_viscous", "bingham"], held_out=[short], population=8, generations=2, seeds=1)
+    assert comparison.units < 10
+    assert all(np.isnan(entry.lower) for entry in comparison.entries)
+    assert [entry.on_par for entry in comparison.entries] == [True, False]
+    assert comparison.simplest is comparison.best
+    assert write_comparison(comparison, tmp_path).exists()
 
 
 def test_unusable_comparisons_are_one_line():
-    run = simulated("a", 1)
-    with pytest.raises(InputError, match="nothing to judge by"):
+    run = simulate("a", 1)
+    with pytest.raises(InputError, match="one run and no held-out run"):
         compare([run], ["bingham"])
-    with pytest.raises(InputError, match="expected each one once"):
+    with pytest.raises(InputError, match="expected each of them once"):
         compare([run, run], ["bingham", "bingham"])
     with pytest.raises(InputError, match="no run is left out in turn"):
         compare([run, run], ["bingham"], least_squares=False)

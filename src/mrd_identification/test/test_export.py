@@ -1,4 +1,4 @@
-"""A fitted model outside of the bench gives the force that it gives inside."""
+"""An exported model gives the same force as the fitted one."""
 
 import ctypes
 import io
@@ -38,7 +38,7 @@ def run():
 
 @pytest.fixture(scope="module")
 def fit(run):
-    """A fit with other than the model's own current laws."""
+    """A fit with current laws that are not the default ones of the model."""
     return identify(
         [run],
         "bingham",
@@ -64,7 +64,7 @@ def test_the_callable_gives_the_force_of_the_fit(fit, path, run):
         force(run.time, run.position, run.current[:1])
 
 
-def test_the_callable_goes_block_by_block(path, run):
+def test_the_callable_gives_the_same_force_block_by_block(path, run):
     damper, whole = load_damper(path), load_damper(path)
     series = run.position, run.velocity, np.zeros(len(run)), run.current
     blocks = [damper.advance(1 / 500, *(s[k : k + 100] for s in series)) for k in range(0, len(run), 100)]
@@ -72,7 +72,7 @@ def test_the_callable_goes_block_by_block(path, run):
 
 
 @needs_compiler
-def test_c_file(fit, path, run, tmp_path):
+def test_c_file_gives_the_force_of_the_fit(fit, path, run, tmp_path):
     export_damper(path, tmp_path / "damper.c", prefix="front")
     subprocess.run(
         ["cc", "-std=c99", "-Wall", "-Werror", "-fPIC", "-shared", "damper.c", "-o", "damper.so", "-lm"],
@@ -92,7 +92,7 @@ def test_c_file(fit, path, run, tmp_path):
 
 
 @needs_compiler
-def test_fmu_by_the_tool(fit, path, tmp_path, monkeypatch, capsys):
+def test_the_tool_writes_an_fmu(fit, path, tmp_path, monkeypatch, capsys):
     output = tmp_path / "damper.fmu"
     monkeypatch.setattr(sys, "argv", ["export", str(path), "--output", str(output)])
     cli.work()

@@ -1,4 +1,4 @@
-"""The identifier node: one answer at a time, as the tools give it, and none once nobody waits."""
+"""The identifier node: the options and messages of the tool, one goal at a time, and cancelling."""
 
 import threading
 from collections.abc import Iterator
@@ -10,6 +10,8 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 
+from mrd_base import InputError
+from mrd_identification.method import Method
 from mrd_identification.nodes import identifier
 from mrd_interfaces.action import Identify
 
@@ -63,8 +65,12 @@ def client(monkeypatch) -> Iterator[Client]:
 
 
 def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
+    nowhere = str(tmp_path / "nowhere")
     for goal, words in (
         (Identify.Goal(runs=recorded, model="honey", output=str(tmp_path)), "unknown model honey"),
+        (Identify.Goal(runs=recorded, model="bingham", loss="absolute", output=str(tmp_path)), "loss 'absolute': expected"),
+        (Identify.Goal(runs=recorded, model="bingham", fixed=["offset"], output=str(tmp_path)), "fixed parameter offset:"),
+        (Identify.Goal(runs=recorded, model="bingham", effects_folder=nowhere, output=str(tmp_path)), nowhere),
         (Identify.Goal(runs=recorded, model="bingham"), "--output is empty"),
         (Identify.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
     ):
@@ -76,7 +82,37 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         assert ended.result.message
 
 
-def test_one_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch):
+def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch):
+    methods = []
+
+    def stop(*_arguments, method, **_options):
+        methods.append(method)
+        raise InputError("stopped")
+
+    monkeypatch.setattr(identifier, "identify", stop)
+    common = {"runs": recorded, "model": "bingham", "output": str(tmp_path), "least_squares": True}
+    options = {
+        "laws": "viscous=tanh",
+        "effects": ["moving_mass"],
+        "fixed": ["offset=1.5"],
+        "freed": ["creep_speed"],
+        "offsets": True,
+        "weights": "runs",
+        "loss": "huber",
+        "population": 20,
+        "generations": 5,
+        "seed": 7,
+        "seeds": 2,
+        "no_profile": True,
+    }
+    for goal in (Identify.Goal(**common), Identify.Goal(**common, **options)):
+        assert client.ended(client.send(goal)).result.message == "stopped"
+    given = {name: value for name, value in options.items() if name != "no_profile"}
+    given |= {"laws": {"viscous": "tanh"}, "fixed": {"offset": 1.5}, "profile": False}
+    assert methods == [Method(laws=""), Method(**given)]
+
+
+def test_one_goal_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch):
     going, cancelled = threading.Event(), threading.Event()
 
     def endless(*_arguments, progress, **_options):

@@ -20,7 +20,8 @@ from mrd_diagnosis.model_comparison import INITIAL_RUN_SCATTER
 from mrd_diagnosis.noise_model import run_noise
 from mrd_diagnosis.refit import run_errors
 from mrd_diagnosis.weighting import Weighting
-from mrd_identification.problem import in_threads, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run, read_runs
 from mrd_sim.models import DamperModel, find_model
 from mrd_trajectory.experiment import parse_experiment

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.base_fit import global_fit
-from mrd_identification.problem import consecutive_forces, in_threads, make_problem, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.problem import make_problem
+from mrd_identification.recording import consecutive_forces, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import DamperModel, find_model
 

@@ -10,7 +10,8 @@ from mrd_diagnosis.diagnose import fit_base
 from mrd_diagnosis.effect_search import BaseFit, refit_with_effects, score_effects
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.weighting import Weighting, with_effect
-from mrd_identification.problem import in_threads, prepare_recording
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

@@ -19,7 +19,7 @@ from mrd_diagnosis.experiment_design.separation import Foreseen, Pair, Separatio
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
-from mrd_identification.problem import in_threads
+from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS, STAGES
 from mrd_trajectory.experiment import format_experiment
 from mrd_trajectory.plan import Plan

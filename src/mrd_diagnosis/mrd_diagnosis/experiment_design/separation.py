@@ -15,7 +15,7 @@ from mrd_diagnosis.statistics import certainty, error_dispersion
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import RunScatter, WeightedProblem, Weighting, whitening
 from mrd_identification.least_squares import levenberg_marquardt
-from mrd_identification.problem import Recording
+from mrd_identification.recording import Recording
 from mrd_runs import Run
 from mrd_runs.signals.motion import motion_errors
 from mrd_runs.signals.smoothed_run import exact_run

@@ -10,9 +10,11 @@ from scipy.special import stdtrit
 
 from mrd_base import InputError
 from mrd_diagnosis.quantities import format_share
-from mrd_identification.identify import Method, search_and_fit
+from mrd_identification.identify import search_and_fit
 from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt
-from mrd_identification.problem import Problem, Recording, make_problem, prepare_recording
+from mrd_identification.method import Method
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_identification.uncertainty import FEWEST_SPARE_BLOCKS, normal_inverse
 from mrd_runs import Run

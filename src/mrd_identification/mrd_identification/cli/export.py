@@ -12,16 +12,14 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, export, say what was written."""
+    """Read the arguments, export, print what was written."""
     parser = argparse.ArgumentParser(
         prog="export", description="Write a fitted model as self-contained C source or as an FMI 2.0 co-simulation FMU."
     )
-    parser.add_argument("fit", metavar="FIT.json", help="as identify writes it")
+    parser.add_argument("fit", metavar="FIT.json", help="file that identify wrote")
+    parser.add_argument("--output", required=True, metavar="FILE.c|FILE.fmu", help="new file; its ending selects C or FMU")
     parser.add_argument(
-        "--output", required=True, metavar="FILE.c|FILE.fmu", help="must not exist; its ending chooses the form"
-    )
-    parser.add_argument(
-        "--prefix", default="mrd", metavar="NAME", help="what the names in the C file begin with (default %(default)s)"
+        "--prefix", default="mrd", metavar="NAME", help="prefix of the names in the C file (default %(default)s)"
     )
     arguments = parser.parse_args()
     damper = export_damper(arguments.fit, arguments.output, arguments.prefix)

@@ -1,12 +1,13 @@
 """Identify a damper model from recordings."""
 
 import argparse
+import math
 import sys
 
 from tqdm import tqdm
 
 from mrd_base import run_tool
-from mrd_identification.cli.options import add_method_arguments, add_run_arguments, method, read_arguments_runs
+from mrd_identification.cli.options import add_method_arguments, add_run_arguments, read_arguments_runs, read_method
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
@@ -20,7 +21,7 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, identify, write, report."""
+    """Read the arguments, identify, write the files, print the result."""
     parser = argparse.ArgumentParser(
         prog="identify",
         description="Identify a damper model from recordings by NSGA-II and least squares; writes fit.json and fit.html.",
@@ -28,28 +29,28 @@ def work() -> None:
     add_run_arguments(parser)
     parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
     add_method_arguments(parser)
-    parser.add_argument("--output", required=True, metavar="DIR", help="where fit.json and fit.html go")
+    parser.add_argument("--output", required=True, metavar="DIR", help="folder for fit.json and fit.html")
     arguments = parser.parse_args()
-    how = method(arguments)
-    find_model(arguments.model, how.laws, how.effects)
+    method = read_method(arguments)
+    find_model(arguments.model, method.laws, method.effects)
     runs, held_out = read_arguments_runs(arguments)
     folder = make_folder(arguments.output)
-    total = how.generations * (how.seeds if how.least_squares else 1)
+    total = method.total_generations
     with tqdm(total=total, desc="NSGA-II", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
 
         def progress(generation: int, nrmse: float) -> None:
             if generation == total:
-                bar.set_description_str("judging", refresh=False)
-            elif nrmse == nrmse:
+                bar.set_description_str("assessing", refresh=False)
+            elif not math.isnan(nrmse):
                 bar.set_postfix_str(f"NRMSE {nrmse:.4f}", refresh=False)
             bar.update(generation - bar.n)
 
         fit = identify(
-            runs, arguments.model, held_out=held_out, method=how, scheduler=arguments.scheduler, progress=progress
+            runs, arguments.model, held_out=held_out, method=method, scheduler=arguments.scheduler, progress=progress
         )
     write_fit(fit, folder)
     report = write_report(fit, folder)
     print(sentence(fit))
     for warning in fit.warnings:
         print(f"note: {warning}")
-    print(f"{report}")
+    print(report)

@@ -1,18 +1,22 @@
-"""Identification as a node: the action `identify` does what the tool ``identify`` does."""
+"""Identification as a node: the action `identify` offers what the tool ``identify`` offers."""
 
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.nodes.bench_node import run_node
+from mrd_identification.fit import Fit
 from mrd_identification.fit_file import write_fit
-from mrd_identification.identify import Fit, Method, identify
+from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
+from mrd_identification.method import Method, parse_method
 from mrd_identification.report import sentence, write_report
 from mrd_interfaces.action import Identify
 from mrd_runs.nodes.analysis_node import AnalysisNode
+from mrd_sim.effects import load_effects
 
 
 class Identifier(AnalysisNode):
@@ -22,12 +26,13 @@ class Identifier(AnalysisNode):
         super().__init__("identifier", Identify, "identify")
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
-        """Identify the model that the goal asks for, and write its files."""
-        method = _method(request)
-        generations = method.generations * (method.seeds if method.least_squares else 1)
+        """Identify the model of the goal and write its files."""
+        if request.effects_folder:
+            load_effects(request.effects_folder)
+        method = read_method(request)
 
         def progress(generation: int, nrmse: float) -> None:
-            publish(Identify.Feedback(generation=generation, generations=generations, nrmse=nrmse))
+            publish(Identify.Feedback(generation=generation, generations=method.total_generations, nrmse=nrmse))
 
         folder = make_folder(request.output)
         runs, held_out = self.runs(request)
@@ -37,18 +42,20 @@ class Identifier(AnalysisNode):
         _fill(result, fit, folder)
 
 
-def _method(request: Identify.Goal) -> Method:
-    default = Method()
-    return Method(
-        population=request.population or default.population,
-        generations=request.generations or default.generations,
-        seed=request.seed,
-        least_squares=request.least_squares,
-    )
+def read_method(request: Identify.Goal) -> Method:
+    """Make the method of a goal, in which 0, an empty text and an empty list stand for the default.
+
+    Raises
+    ------
+    InputError
+        For an option that cannot be used.
+    """
+    given = {field.name: getattr(request, field.name) for field in fields(Method) if field.name != "profile"}
+    options: dict[str, Any] = {name: value for name, value in given.items() if value or isinstance(value, bool)}
+    return parse_method(**options, profile=not request.no_profile)
 
 
 def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
-    judge = fit.pooled_held_out or fit.pooled_fitted
     result.message = sentence(fit)
     result.fit = str((folder / "fit.json").resolve())
     result.report = str((folder / "fit.html").resolve())
@@ -57,7 +64,7 @@ def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
     result.value = [estimate.value for estimate in fit.estimates]
     result.lower = [estimate.lower for estimate in fit.estimates]
     result.upper = [estimate.upper for estimate in fit.estimates]
-    result.nrmse, result.e2, result.einf = judge.nrmse, judge.e2, judge.einf
+    result.nrmse, result.e2, result.einf = fit.pooled.nrmse, fit.pooled.e2, fit.pooled.einf
 
 
 def main() -> None:

@@ -1,0 +1,170 @@
+"""The result of an identification: parameters with intervals, and the model's error on every run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_identification.method import Method
+from mrd_identification.metrics import Metrics, metrics
+from mrd_identification.nsga2 import Front
+from mrd_identification.recording import Recording, consecutive_modelled_forces
+from mrd_runs import Run
+from mrd_runs.signals.motion import Motion
+from mrd_sim.models import DamperModel, Parameter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One identified parameter.
+
+    Attributes
+    ----------
+    parameter : Parameter
+    value : float
+    lower, upper : float
+        95 % interval from the covariance; nan where there is none (fixed, on a bound, or not identifiable).
+    profile_lower, profile_upper : float
+        95 % interval from the profile of the objective. An end on the parameter's bound is open. nan where there is none.
+    by_seed : tuple of float
+        Value that the search from each seed ended at.
+    fixed : bool
+        Kept at ``value``, not searched.
+    on_bound : bool
+    """
+
+    parameter: Parameter
+    value: float
+    lower: float
+    upper: float
+    profile_lower: float
+    profile_upper: float
+    by_seed: tuple[float, ...]
+    fixed: bool
+    on_bound: bool
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """Measured and modelled force of one run.
+
+    Attributes
+    ----------
+    run : Run
+    motion : Motion
+        Smoothed motion of the run.
+    modelled : ndarray (n,)
+        Force in N at every sample.
+    counted : slice
+        Samples that the metrics count.
+    metrics : Metrics
+    """
+
+    run: Run
+    motion: Motion
+    modelled: Array
+    counted: slice
+    metrics: Metrics
+
+    @property
+    def measured_counted(self) -> Array:
+        """Measured force in N at the counted samples."""
+        return self.run.force[self.counted]
+
+    @property
+    def modelled_counted(self) -> Array:
+        """Modelled force in N at the counted samples."""
+        return self.modelled[self.counted]
+
+
+def evaluate_model(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> tuple[RunResult, ...]:
+    """Compare a model with runs that were recorded one after the other."""
+    modelled = consecutive_modelled_forces(model, theta, recordings)
+    return tuple(
+        RunResult(
+            recording.run, recording.motion, force, recording.counted, metrics(recording.force, force[recording.counted])
+        )
+        for recording, force in zip(recordings, modelled, strict=True)
+    )
+
+
+def pooled_metrics(results: Sequence[RunResult]) -> Metrics:
+    """Return the metrics over all counted samples of several runs."""
+    measured = np.concatenate([result.measured_counted for result in results])
+    return metrics(measured, np.concatenate([result.modelled_counted for result in results]))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """An identified model.
+
+    Attributes
+    ----------
+    model : DamperModel
+    method : Method
+    theta : ndarray (parameters,)
+    estimates : tuple of Estimate
+    front : Front
+        Pareto front, before least squares, of the search that led to the result.
+    seed_errors : tuple of float
+        NRMSE on the fitted runs of the result of each seed.
+    fitted, held_out : tuple of RunResult
+        Results on the fitted and on the held-out runs. Without held-out runs, ``held_out`` has each fitted run as predicted
+        by a fit to the other runs; with a single run it is empty.
+    held_out_by : str
+        "runs", "leave-one-run-out" or "none".
+    pooled_fitted, pooled_held_out : Metrics or None
+        Metrics over all samples of these runs.
+    run_offsets : tuple of float
+        Force offset in N of each fitted run where offsets are free, zeros otherwise.
+    correlation : ndarray (free, free)
+        Correlation of the estimates that are not fixed, in their order.
+    condition : float
+        Condition number of the scaled sensitivities.
+    elapsed : float
+        Computing time in s.
+    warnings : tuple of str
+        Sentences about what limits the trust in this fit.
+    """
+
+    model: DamperModel
+    method: Method
+    theta: Array
+    estimates: tuple[Estimate, ...]
+    front: Front
+    seed_errors: tuple[float, ...]
+    fitted: tuple[RunResult, ...]
+    held_out: tuple[RunResult, ...]
+    held_out_by: str
+    pooled_fitted: Metrics
+    pooled_held_out: Metrics | None
+    run_offsets: tuple[float, ...]
+    correlation: Array
+    condition: float
+    elapsed: float
+    warnings: tuple[str, ...]
+
+    @property
+    def current(self) -> float:
+        """Mean coil current in A of the fitted runs."""
+        return float(np.mean([result.run.current.mean() for result in self.fitted]))
+
+    @property
+    def observables(self) -> dict[str, tuple[float, str]]:
+        """Value and unit, by name, of the quantities that the recordings determine at `current`."""
+        if self.model.observables is None:
+            return {}
+        return self.model.observables(self.model.at_current(self.theta, self.current))
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name, in SI units."""
+        return dict(zip(self.model.names, map(float, self.theta), strict=True))
+
+    @property
+    def pooled(self) -> Metrics:
+        """Metrics over all held-out runs, or over the fitted runs where none was held out."""
+        return self.pooled_held_out or self.pooled_fitted

@@ -1,0 +1,159 @@
+"""Recordings as identification uses them: smoothed, laid out for integration, weighted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_runs import Run
+from mrd_runs.signals.motion import Motion
+from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
+from mrd_sim.models import DamperModel, SeriesSolutions
+from mrd_sim.path import Path, path_of
+
+Array = NDArray[np.float64]
+Weights = Literal["samples", "runs", "force"]
+
+FORGETTING_STROKE = 1e-3
+"""m. The hysteretic state at the start of a recording is unknown. After this stroke, which is several usual yield travels,
+its influence on the force has decayed."""
+
+CURRENT_DEVIATION = 0.025
+"""A. No current sensor of a bench has more noise than this (an unfiltered ACS714-05B has 19 mA), so a larger standard
+deviation is a change of the current itself."""
+
+LEAST_CURRENT_CHANGE = 1e-3
+"""A. Smaller differences of current do not change the force of a damper by a measurable amount."""
+
+NOISE_WINDOW = 0.05
+"""s, the length of the moving average that suppresses the noise of the current sensor."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run, prepared for the integration of models.
+
+    Attributes
+    ----------
+    smoothed : SmoothedRun
+        The run, its smoothed motion and its current without sensor noise.
+    path : Path
+        The smoothed signals with the vertices at reversals, along which models are integrated.
+    counted : slice
+        Samples whose residuals enter the objective.
+    weight : float
+        Factor of the squared residuals of the run.
+    """
+
+    smoothed: SmoothedRun
+    path: Path
+    counted: slice
+    weight: float = 1.0
+
+    @property
+    def run(self) -> Run:
+        """The run itself."""
+        return self.smoothed.run
+
+    @property
+    def motion(self) -> Motion:
+        """Smoothed motion of the run."""
+        return self.smoothed.motion
+
+    @property
+    def force(self) -> Array:
+        """Measured force in N at the counted samples."""
+        return self.run.force[self.counted]
+
+    def modelled(self, model: DamperModel, theta: Array) -> Array:
+        """Return the modelled force in N at the counted samples of a damper that starts at rest and unloaded."""
+        return model.force(theta, self.path)[self.counted]
+
+
+def prepare_recording(run: Run, weight: float = 1.0) -> Recording:
+    """Smooth the motion of a run and lay out the path of integration."""
+    smoothed = smooth_run(run)
+    position = smoothed.motion.position
+    stroke = np.maximum.accumulate(position) - np.minimum.accumulate(position)
+    start = int(np.argmax(stroke >= min(FORGETTING_STROKE, 0.25 * stroke[-1])))
+    return Recording(smoothed, path_of(smoothed), slice(start, len(run)), weight)
+
+
+def consecutive_modelled_forces(
+    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
+) -> list[Array]:
+    """Return the modelled force in N at every sample of runs that were recorded one after the other.
+
+    A state that outlasts a run, such as heat, is carried over to the next one. ``solutions`` is as in
+    `mrd_sim.models.DamperModel.force`.
+    """
+    forces: list[Array] = []
+    state: Array | None = None
+    for recording in recordings:
+        initial = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
+        state = initial.astype(theta.dtype)
+        forces.append(model.force(theta, recording.path, state, solutions))
+    return forces
+
+
+def consecutive_forces(
+    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
+) -> list[Array]:
+    """Return the forces of `consecutive_modelled_forces` at the counted samples only."""
+    forces = consecutive_modelled_forces(model, theta, recordings, solutions)
+    return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
+
+
+def run_weights(runs: Sequence[Run], weights: Weights | Sequence[float]) -> list[float]:
+    """Return the factor of each run's squared residuals; its mean over all samples is 1.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    weights : {"samples", "runs", "force"} or sequence of float
+        ``"samples"`` weights every sample equally, ``"runs"`` every run equally, however long it is, and ``"force"`` every
+        run by the inverse variance of its force. Numbers are relative weights, one positive number for each run.
+
+    Raises
+    ------
+    InputError
+        For numbers that are not positive, or not as many as there are runs.
+    """
+    samples = np.array([len(run) for run in runs])
+    if weights == "samples":
+        factors = np.ones(len(runs))
+    elif weights == "runs":
+        factors = 1.0 / samples
+    elif weights == "force":
+        factors = np.array([1.0 / np.var(run.force) for run in runs])
+    else:
+        try:
+            factors = np.asarray(weights, dtype=float)
+        except ValueError:
+            raise InputError(f"weights {weights!r}: expected samples, runs, force, or a number for each run") from None
+        if factors.shape != samples.shape or not (np.isfinite(factors) & (factors > 0)).all():
+            raise InputError(f"weights {weights!r}: expected {len(runs)} positive numbers, one for each fitted run")
+    return list(map(float, factors * samples.sum() / (factors @ samples)))
+
+
+def current_levels(runs: Sequence[Run]) -> tuple[int, bool]:
+    """Return how many coil currents the runs have (3 for three or more), and whether the current changes within a run."""
+    if any(current_varies(run) for run in runs):
+        return 3, True
+    means = np.sort([float(run.current.mean()) for run in runs])
+    deviation_of_mean = max(float(np.std(run.current)) / np.sqrt(len(run)) for run in runs)
+    return min(3, 1 + int(np.sum(np.diff(means) > max(LEAST_CURRENT_CHANGE, 10 * deviation_of_mean)))), False
+
+
+def current_varies(run: Run) -> bool:
+    """Whether the coil current of a run changes by more than the noise of its sensor."""
+    if np.std(run.current) > CURRENT_DEVIATION:
+        return True
+    window = max(5, int(NOISE_WINDOW * run.rate))
+    # Of white noise with standard deviation sigma, the lower quartile of the absolute differences is 0.32 sqrt(2) sigma.
+    noise = float(np.quantile(np.abs(np.diff(run.current)), 0.25)) / 0.45
+    smooth = np.convolve(run.current, np.full(window, 1 / window), "valid")
+    return bool(np.ptp(smooth) > max(LEAST_CURRENT_CHANGE, 12 * noise / np.sqrt(window)))
