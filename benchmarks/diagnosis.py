@@ -1,7 +1,7 @@
 """A diagnosis of seven runs of 15 s at 500 Hz against the whole catalogue, and each candidate's share of the time.
 
 The peer is scipy's `least_squares` (trf, its own differences) on the same white residual from the same start: what a
-candidate's refit would take with it, without leaving parts out.
+candidate's refit would take with it, without leaving folds out.
 """
 
 import resource
@@ -13,11 +13,11 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.effect_search import BaseFit, score
-from mrd_diagnosis.model_comparison import INITIAL_RUN_SCATTER
-from mrd_diagnosis.noise_model import run_noise
+from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.effect_search import score_effect
+from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import refit
-from mrd_diagnosis.weighting import Weighting, global_fit, with_effect
+from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, Weighting
 from mrd_identification.problem import in_threads, make_problem, prepare_recording
 from mrd_runs import Run
 from mrd_sim.damper import Damper
@@ -59,13 +59,13 @@ def candidates(runs: list[Run]) -> Table:
     """Time of each candidate's refit, and of the peer's."""
     recordings = in_threads(prepare_recording, runs)
     base = find_model(MODEL)
-    posed, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
-    theta = global_fit(posed, None, np.random.default_rng(0))
-    noises = run_noise(recordings, base, theta, np.random.default_rng(0))
-    weighting = Weighting(recordings, noises, INITIAL_RUN_SCATTER, {"coil_lag": 0.0}).updated(base, theta)
-    base_fit = BaseFit.of(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
+    problem, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
+    theta = global_fit(problem, None, np.random.default_rng(0))
+    noise = estimate_noise(recordings, base, theta, np.random.default_rng(0))
+    weighting = Weighting(recordings, noise, INITIAL_RUN_SCATTER, {"coil_lag": 0.0}).updated(base, theta)
+    base_fit = BaseFit.linearise(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
     table = Table("candidate", box=None)
-    for title in ("score", "refit and parts left out", "scipy, refit only", "ratio"):
+    for title in ("score", "refit and folds left out", "scipy, refit only", "ratio"):
         table.add_column(title, justify="right")
     for name, effect in EFFECTS.items():
         if effect.structural:
@@ -73,7 +73,7 @@ def candidates(runs: list[Run]) -> Table:
         model, neutral = with_effect(base, theta, name)
         problem = weighting.problem(model, neutral)
         began = time.perf_counter()
-        start = score(problem, base_fit, effect).start
+        start = score_effect(problem, base_fit, effect).start
         scored = time.perf_counter()
         refit(weighting.problem(model, start), start, weighting.folds)
         fitted = time.perf_counter()
@@ -96,10 +96,10 @@ def main() -> None:
     for effect in ("warm-up", *DAMPERS):
         runs = recorded("" if effect == "warm-up" else effect)
         began = time.perf_counter()
-        found = diagnose(runs, MODEL)
+        diagnosis = diagnose(runs, MODEL)
         times.append(time.perf_counter() - began)
-        named = ", ".join(cause.effect for cause in found.causes)
-        table.add_row(effect or "none", str(sum(map(len, runs))), found.verdict, named, duration(times[-1]))
+        named = ", ".join(cause.effect for cause in diagnosis.causes)
+        table.add_row(effect or "none", str(sum(map(len, runs))), diagnosis.verdict, named, duration(times[-1]))
     console.print(table)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
     median, longest = duration(float(np.median(times[1:]))), duration(max(times[1:]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.report.sentences import format_quantity, share
+from mrd_diagnosis.quantities import format_quantity, format_share
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -84,20 +84,21 @@ def base_of(effect: str) -> str:
     return "bingham" if EFFECTS[effect].structural else "bouc_wen"
 
 
-def told(diagnosis: Diagnosis) -> dict[str, Any]:
-    """What is kept of a diagnosis."""
+def summary(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return what is kept of a diagnosis."""
+    assert diagnosis.gap is not None
     return {
         "verdict": diagnosis.verdict,
         "causes": [cause.effect for cause in diagnosis.causes],
         "probability": [cause.probability for cause in diagnosis.causes],
         "alternatives": [alternative.effect for alternative in diagnosis.alternatives],
-        "untestable": [candidate.effects[0] for candidate in diagnosis.untestable],
+        "untestable": [untestable.effect for untestable in diagnosis.untestable],
         "nearest": list(diagnosis.nearest.effects) if diagnosis.nearest else [],
         "before": diagnosis.gap.before.value,
         "after": diagnosis.gap.after.value,
-        "floor": diagnosis.floor.value,
-        "closed": diagnosis.closed.value,
-        "ends": [diagnosis.closed.lower, diagnosis.closed.upper],
+        "floor": diagnosis.gap.noise_floor.value,
+        "closed": diagnosis.gap.closed_fraction.value,
+        "ends": [diagnosis.gap.closed_fraction.lower, diagnosis.gap.closed_fraction.upper],
         "parameters": {
             name: [value.value.value, value.value.lower, value.value.upper]
             for cause in diagnosis.causes
@@ -123,34 +124,40 @@ def work(kind: str, name: str, seed: int) -> dict[str, Any]:
     if kind == "null":
         fixed = {"exponent": 1.4} if name == "exponent" else {}
         runs = recorded(name if name in OTHER_FORMS else "bouc_wen", seed, {}, **fixed)
-        return told(diagnose(runs, "bouc_wen", seed=seed))
+        return summary(diagnose(runs, "bouc_wen", seed=seed))
     for factor in FACTORS:
         values = sized(name, factor)
         runs = recorded(base_of(name), seed, {name: values})
-        oracle = told(diagnose(runs, base_of(name), effects=[name], seed=seed))
+        oracle = summary(diagnose(runs, base_of(name), effects=[name], seed=seed))
         if oracle["closed"] >= 0.5 or values == sized(name, 2 * factor):
             break
     candidates = [effect for effect in EFFECTS if kind == "effect" or effect != name]
-    found = told(diagnose(runs, base_of(name), effects=candidates, seed=seed))
-    return found | {"size": values, "oracle": oracle["closed"], "oracle_verdict": oracle["verdict"]}
+    result = summary(diagnose(runs, base_of(name), effects=candidates, seed=seed))
+    return result | {"size": values, "oracle": oracle["closed"], "oracle_verdict": oracle["verdict"]}
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """The tables of docs/diagnosis.md."""
+    """Return the tables of docs/diagnosis.md."""
     by = {kind: [line for line in lines if line["kind"] == kind] for kind in ("effect", "null", "withheld")}
     rows = ["| effect | size | closes, true effect refitted | verdict | named | closes | size as found |", "|" + "---|" * 7]
     for line in by["effect"]:
         effect, size = line["name"], EFFECTS[line["name"]].parameters[0]
-        found = line["parameters"].get(f"{effect}.{size.name}")
+        estimate = line["parameters"].get(f"{effect}.{size.name}")
         named = ", ".join(f"`{cause}`" for cause in line["causes"]) or "–"
         if line["alternatives"]:
             named += " or " + ", ".join(f"`{other}`" for other in line["alternatives"])
         if effect in line["untestable"]:
             named = "listed as untestable"
-        rows.append(
-            f"| `{effect}` | {format_quantity(line['size'][size.name], size.unit)} | {share(line['oracle'])} | {line['verdict']} | "
-            f"{named} | {share(line['closed'])} | {format_quantity(found[0], size.unit) if found else '–'} |"
+        cells = (
+            f"`{effect}`",
+            format_quantity(line["size"][size.name], size.unit),
+            format_share(line["oracle"]),
+            line["verdict"],
+            named,
+            format_share(line["closed"]),
+            format_quantity(estimate[0], size.unit) if estimate else "–",
         )
+        rows.append(f"| {' | '.join(cells)} |")
     rows += ["", "| damper without effect | dampers | no gap | unknown effect | named |", "|" + "---|" * 5]
     for form in dict.fromkeys(line["name"] for line in by["null"]):
         of = [line for line in by["null"] if line["name"] == form]
@@ -183,7 +190,7 @@ def main() -> None:
         return
     known = {(line["kind"], line["name"], line["seed"]) for line in done}
     with arguments.results.open("a", encoding="utf-8") as stream:
-        for kind, name, seed in cases(arguments.seed, arguments.null_gradients):
+        for kind, name, seed in cases(arguments.seed, arguments.nulls):
             if (kind, name, seed) in known or kind not in arguments.kind.split(","):
                 continue
             began = time.monotonic()
