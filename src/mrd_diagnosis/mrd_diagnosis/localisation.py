@@ -100,26 +100,37 @@ def localise(
     regions: list[Region] = []
     p_values: list[float] = []
     for table in _excess_tables(recordings, noise, residuals):
-        excess, samples = table.excess.sum(axis=0), table.samples.sum(axis=0)
-        total, uniform = excess.sum(), samples / samples.sum()
-        if total <= 0.0:
-            continue
         by_block = len(recordings) < LEAST_RUNS_TO_RESAMPLE or table.bins.axis in ("run", "time")
-        units = table.excess if by_block else table.by_run()
-        drawn = rng.multinomial(len(units), np.full(len(units), 1 / len(units)), size=resamples) @ units
-        lower, upper = np.quantile(_shares(drawn), (0.025, 0.975), axis=0)
-        shares, p_of_bins = _shares(excess), _p_values(table, uniform)
-        for index in map(int, np.flatnonzero(samples >= LEAST_SAMPLES_OF_BIN)):
-            share = Interval(*(float(values[index]) for values in (shares, lower, upper)))
-            (first, last), label = table.bins.bounds[index], table.bins.labels[index]
-            lift = share.value / float(uniform[index])
-            regions.append(Region(table.bins.axis, first, last, table.bins.unit, share, lift, 1.0, label))
-            p_values.append(p_of_bins[index])
+        regions_of_axis, p_values_of_axis = _regions(table, table.excess if by_block else table.by_run(), rng, resamples)
+        regions += regions_of_axis
+        p_values += p_values_of_axis
     q_values = _q_values(np.array(p_values))
     regions = [replace(region, q_value=float(q)) for region, q in zip(regions, q_values, strict=True)]
     return tuple(
         sorted(regions, key=lambda region: (region.q_value >= THRESHOLDS.q_value, -_concentration(region), region.q_value))
     )
+
+
+def _regions(table: ExcessTable, units: Array, rng: np.random.Generator, resamples: int) -> tuple[list[Region], list[float]]:
+    """Return the regions of one axis and their p-values; none without excess.
+
+    Intervals resample the excess ``units`` (units, bins).
+    """
+    excess, samples = table.excess.sum(axis=0), table.samples.sum(axis=0)
+    if excess.sum() <= 0.0:
+        return [], []
+    uniform = samples / samples.sum()
+    drawn = rng.multinomial(len(units), np.full(len(units), 1 / len(units)), size=resamples) @ units
+    lower, upper = np.quantile(_shares(drawn), (0.025, 0.975), axis=0)
+    shares, p_values = _shares(excess), _p_values(table, uniform)
+    counted = list(map(int, np.flatnonzero(samples >= LEAST_SAMPLES_OF_BIN)))
+    regions = []
+    for index in counted:
+        share = Interval(*(float(values[index]) for values in (shares, lower, upper)))
+        (first, last), label = table.bins.bounds[index], table.bins.labels[index]
+        lift = share.value / float(uniform[index])
+        regions.append(Region(table.bins.axis, first, last, table.bins.unit, share, lift, 1.0, label))
+    return regions, [float(p_values[index]) for index in counted]
 
 
 def _excess_tables(

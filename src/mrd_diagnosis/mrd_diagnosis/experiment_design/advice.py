@@ -28,19 +28,21 @@ HIGHEST_RATE = 2000.0
 """Highest sample rate in Hz of an advised experiment."""
 
 SENSORS: Mapping[tuple[str, ...], str] = {
-    (
-        "load_cell_gain",
-        "load_cell_drift",
-    ): "Before and after the runs, hang dead weights on the load cell, and tare it with the rod free.",
-    (
-        "thermal_fade",
-        "settling",
-    ): "Record the damper's temperature too, and the same run with a cold damper, with a warm one and after a rest.",
+    ("load_cell_gain", "load_cell_drift"): (
+        "Before and after the runs, hang dead weights on the load cell, and tare it with the rod free."
+    ),
+    ("thermal_fade", "settling"): (
+        "Record the damper's temperature too, and the same run with a cold damper, with a warm one and after a rest."
+    ),
     ("backlash", "joint_play", "series_compliance"): "Add a second displacement sensor across the damper itself.",
-    ("channel_delay", "force_sensor_lag"): "Show all channels one event, such as a blow to the rod, and compare its times.",
+    ("channel_delay", "force_sensor_lag"): (
+        "Show all channels one event, such as a blow to the rod, and compare when each channel shows it."
+    ),
     ("lvdt_nonlinearity", "servo_ripple"): "Compare the position sensor with the motor's encoder or with gauge blocks.",
     ("current_sensor_error",): "Record the sensors without current, and measure the current with a shunt beside its sensor.",
-    ("mains_hum", "channel_crosstalk"): "Record with the load cell off the damper, at rest and while rod and current move.",
+    ("mains_hum", "channel_crosstalk"): (
+        "Record with the load cell off the damper, at rest and while rod and current move."
+    ),
 }
 """What to measure besides the runs, by effect; the first entry that applies counts."""
 
@@ -109,17 +111,11 @@ def advise(
     worst_pair = max(open_pairs, key=lambda pair: separations[pair].error_rate, default=None)
     if worst_pair and len(open_pairs) == len(separations):
         return _advise_sensor(worst_pair, separations[worst_pair], predictor)
-    separated = [pair for pair in separations if pair not in open_pairs]
-    between = tuple(name for name in explanations if any(name in pair for pair in separated))
-    error_rate = max(separations[pair].error_rate for pair in separated)
-    experiment = replace(planned.experiment, rate=_rate(weighting))
-    text = (
-        f"Record {experiment.name}: {experiment.description}. It tells {effect_names(between)} apart; "
-        f"{_percent(error_rate)} wrong choices are to be expected."
-    )
+    advice = _advise_experiment(planned, separations, weighting)
     if worst_pair:
-        text += f" It does not tell {effect_names(worst_pair)} apart. {_sensor_for(worst_pair, predictor)}"
-    return Advice(text, format_experiment(experiment), between, error_rate)
+        text = f"It does not tell {effect_names(worst_pair)} apart. {_sensor_for(worst_pair, predictor)}"
+        return replace(advice, text=f"{advice.text} {text}")
+    return advice
 
 
 def sensor(effects: Collection[str], other_effects: Collection[str]) -> str:
@@ -138,10 +134,23 @@ def _sensor_for(pair: Pair, predictor: Predictor) -> str:
     return sensor(effects, other_effects)
 
 
+def _advise_experiment(planned: Plan, separations: Mapping[Pair, Separation], weighting: Weighting) -> Advice:
+    """Advise an experiment that tells at least one pair of explanations apart."""
+    separated = {pair: separation for pair, separation in separations.items() if separation.is_conclusive}
+    between = tuple(dict.fromkeys(name for pair in separations for name in pair if any(name in p for p in separated)))
+    error_rate = max(separation.error_rate for separation in separated.values())
+    experiment = replace(planned.experiment, rate=_rate(weighting))
+    text = (
+        f"Record {experiment.name}: {experiment.description}. It tells {effect_names(between)} apart; "
+        f"after it, {_percent(error_rate)} of the choices would be wrong."
+    )
+    return Advice(text, format_experiment(experiment), between, error_rate)
+
+
 def _advise_sensor(pair: Pair, separation: Separation, predictor: Predictor) -> Advice:
     """Advise a sensor for a pair of explanations that no run tells apart."""
     if separation.error_rate >= THRESHOLDS.wrong_choices:
-        why = f"even after the best one, {_percent(separation.error_rate)} wrong choices are to be expected"
+        why = f"even after the best one, {_percent(separation.error_rate)} of the choices would be wrong"
     else:
         why = "they differ by less than the error of either formula"
     text = f"No run of the library would tell {effect_names(pair)} apart: {why}."
@@ -165,4 +174,4 @@ def _rate(weighting: Weighting) -> float:
 
 
 def _percent(error_rate: float) -> str:
-    return f"{100 * error_rate:.2g} %" if error_rate > 1e-4 else "below 0.01 %"
+    return f"{100 * error_rate:.2g} %" if error_rate > 1e-4 else "less than 0.01 %"
