@@ -61,7 +61,7 @@ def test_a_damper_is_odd() -> None:
 
 def test_a_motion_that_is_no_odd_multisine_is_refused() -> None:
     run = multisine(lambda t, x, v: 900 * v)
-    with pytest.raises(InputError, match="odd lines"):
+    with pytest.raises(InputError, match="expected an odd multisine"):
         distortion(run, 2 * PERIOD)
     with pytest.raises(InputError, match="at least two"):
         distortion(run, 20.0)
