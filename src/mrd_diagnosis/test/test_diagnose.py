@@ -185,7 +185,7 @@ def test_one_run_is_held_out_by_folds(delayed):
     diagnosis = diagnose(delayed[:1], "bouc_wen", effects=FEW)
     assert diagnosis.held_out_by == "blocks"
     assert [cause.effect for cause in diagnosis.causes] == ["channel_delay"]
-    assert any("one run only" in note for note in diagnosis.notes)
+    assert any("Only one run" in note for note in diagnosis.notes)
 
 
 def test_held_out_runs_judge(delayed):
