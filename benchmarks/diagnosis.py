@@ -1,23 +1,23 @@
-"""Time of a diagnosis of seven runs of 15 s at 500 Hz with all effects of the catalogue, and of each candidate's refit.
+"""A diagnosis of seven runs of 15 s at 500 Hz against the whole catalogue, and each candidate's share of the time.
 
-Each refit is compared with scipy's `least_squares` (trf, finite differences) on the same white residuals from the same
-start, which does not leave out parts of the recordings as the refit does.
+The peer is scipy's `least_squares` (trf, its own differences) on the same white residual from the same start: what a
+candidate's refit would take with it, without leaving folds out.
 """
 
 import resource
 import time
 
 import numpy as np
-from common import console, describe_machine, format_duration
+from common import console, duration, machine
 from rich.table import Table
 from scipy.optimize import least_squares
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.effect_search import Foundation, score
-from mrd_diagnosis.model_comparison import FIRST_SCATTER
-from mrd_diagnosis.noise_model import run_noise
+from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.effect_search import score_effect
+from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import refit
-from mrd_diagnosis.weighting import Ground, first_fit, with_effect
+from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, Weighting
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording
@@ -45,11 +45,11 @@ RUNS = (
     "rod: {waveform: triangle, amplitude_mm: 20, slope_mm_per_s: 8}\ncoil: {waveform: constant, level_mA: 150}",
 )
 DAMPERS = ("", "coil_lag", "moving_mass", "backlash", "gas_spring")
-"""Effects of the dampers that are diagnosed; the first damper has none."""
+"""Effects of the dampers that are diagnosed; one has none."""
 
 
 def recorded(effect: str) -> list[Run]:
-    """Simulate the seven runs of a damper."""
+    """The seven runs of a damper."""
     settings = read_settings(None)
     texts = [f"name: run_{place}\nduration_s: 15\nrate_hz: 500\n{text}" for place, text in enumerate(RUNS)]
     plans = [plan(parse_experiment(text, "run"), settings.limits, settings.force_envelope) for text in texts]
@@ -58,43 +58,39 @@ def recorded(effect: str) -> list[Run]:
 
 
 def candidates(runs: list[Run]) -> Table:
-    """Measure the time of each candidate's refit, by the diagnosis and by scipy."""
+    """Time of each candidate's refit, and of the peer's."""
     recordings = in_threads(prepare_recording, runs)
     base = find_model(MODEL)
-    base_problem, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
-    theta = first_fit(base_problem, None, np.random.default_rng(0))
-    noises = run_noise(recordings, base, theta, np.random.default_rng(0))
-    ground = Ground(recordings, noises, FIRST_SCATTER, {"coil_lag": 0.0}).after(base, theta)
-    foundation = Foundation.of(ground, refit(ground.problem(base, theta), theta, ground.parts))
+    problem, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
+    theta = global_fit(problem, None, np.random.default_rng(0))
+    noise = estimate_noise(recordings, base, theta, np.random.default_rng(0))
+    weighting = Weighting(recordings, noise, INITIAL_RUN_SCATTER, {"coil_lag": 0.0}).updated(base, theta)
+    base_fit = BaseFit.linearise(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
     table = Table("candidate", box=None)
-    for title in ("score", "refit and parts left out", "scipy, refit only", "ratio"):
+    for title in ("score", "refit and folds left out", "scipy, refit only", "ratio"):
         table.add_column(title, justify="right")
     for name, effect in EFFECTS.items():
         if effect.structural:
             continue
         model, neutral = with_effect(base, theta, name)
-        problem = ground.problem(model, neutral)
+        problem = weighting.problem(model, neutral)
         began = time.perf_counter()
-        start = score(problem, foundation, effect).start
+        start = score_effect(problem, base_fit, effect).start
         scored = time.perf_counter()
-        refit(ground.problem(model, start), start, ground.parts)
+        refit(weighting.problem(model, start), start, weighting.folds)
         fitted = time.perf_counter()
         unit = np.clip(problem.unit(start), 1e-9, 1 - 1e-9)
         least_squares(lambda at, p=problem: p.residuals(p.theta(at)), unit, bounds=(0, 1), ftol=1e-6)
-        with_scipy = time.perf_counter() - fitted
+        peer = time.perf_counter() - fitted
         table.add_row(
-            name,
-            format_duration(scored - began),
-            format_duration(fitted - scored),
-            format_duration(with_scipy),
-            f"{with_scipy / (fitted - scored):.1f}",
+            name, duration(scored - began), duration(fitted - scored), duration(peer), f"{peer / (fitted - scored):.1f}"
         )
     return table
 
 
 def main() -> None:
-    """Print the tables."""
-    console.print(f"[b]Diagnosis[/b], {describe_machine()}")
+    """Measure and print."""
+    console.print(f"[b]Diagnosis[/b], {machine()}")
     table = Table("effect of the damper", box=None)
     for title in ("samples", "verdict", "named", "time"):
         table.add_column(title, justify="right")
@@ -104,11 +100,11 @@ def main() -> None:
         began = time.perf_counter()
         diagnosis = diagnose(runs, MODEL)
         times.append(time.perf_counter() - began)
-        causes = ", ".join(cause.effect for cause in diagnosis.causes)
-        table.add_row(effect or "none", str(sum(map(len, runs))), diagnosis.verdict, causes, format_duration(times[-1]))
+        named = ", ".join(cause.effect for cause in diagnosis.causes)
+        table.add_row(effect or "none", str(sum(map(len, runs))), diagnosis.verdict, named, duration(times[-1]))
     console.print(table)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
-    median, longest = format_duration(float(np.median(times[1:]))), format_duration(max(times[1:]))
+    median, longest = duration(float(np.median(times[1:]))), duration(max(times[1:]))
     console.print(f"median {median}, longest {longest}, memory {peak:.2f} GiB")
     console.print(candidates(recorded("moving_mass")))
 

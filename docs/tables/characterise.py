@@ -1,6 +1,9 @@
-"""Write what the standard set covers into docs/characterise.md: `python docs/tables/characterise.py`, half a minute.
+"""Write the detectable sizes on the standard set into docs/characterise.md: `python docs/tables/characterise.py`.
 
-`--tried 1.5` diagnoses, too, one simulated set with each effect at 1.5 times its smallest size, and prints what is named.
+This takes half a minute.
+
+With `--tried 1.5`, one simulated set with each effect at 1.5 times its smallest size is diagnosed too, and the verdicts are
+printed.
 """
 
 import argparse
@@ -10,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.detectability import Detectability, coverage, simulate_base_fit
-from mrd_diagnosis.report.sentences import format_quantity
+from mrd_diagnosis.detectability import Detectability, detectable_sizes, simulate_base_fit
+from mrd_diagnosis.quantities import format_quantity
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
@@ -25,15 +28,15 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "characterise.md"
 BEGIN, END = "<!-- coverage: begin -->\n", "<!-- coverage: end -->\n"
 BLANK = 0.05
-"""Smaller shares are left out."""
+"""Share of the evidence below which the table is left blank."""
 MOST = 0.5
-"""Share from which an effect rests on one run."""
+"""Share of the evidence from which an effect rests on one run."""
 LEAST = 0.01
-"""Of the typical size; a table need not say how much smaller a size would show."""
+"""Share of the typical size below which the table gives no exact size."""
 
 
 def main() -> None:
-    """Compute, write."""
+    """Compute the table and write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tried", type=float, metavar="FACTOR")
     factor = parser.parse_args().tried
@@ -41,40 +44,41 @@ def main() -> None:
     files = sorted((ROOT / "config" / "experiments" / "characterise").glob("*.yaml"))
     plans = [plan(read_experiment(file), settings.limits, settings.force_envelope) for file in files]
     structural = [name for name, effect in EFFECTS.items() if effect.structural]
-    found = covered(plans, "bouc_wen", [name for name in EFFECTS if name not in structural])
-    found |= covered(plans, "bingham", structural)
-    rows = [found[name] for name in EFFECTS]
+    sizes = detectable(plans, "bouc_wen", [name for name in EFFECTS if name not in structural])
+    sizes |= detectable(plans, "bingham", structural)
+    rows = [sizes[name] for name in EFFECTS]
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     _, after = rest.split(END)
     PAGE.write_text(before + BEGIN + text([file.stem[:2] for file in files], rows) + END + after, encoding="utf-8")
     for row in rows if factor else ():
         if not row.remark:
             model = "bingham" if row.effect in structural else "bouc_wen"
-            print(tried(plans, model, row.effect, factor * row.smallest), flush=True)
+            print(tried(plans, model, row.effect, factor * row.smallest_size), flush=True)
 
 
 def damper_of(model: str, effects: Mapping[str, Mapping[str, float]] | None = None) -> Damper:
-    """A model with the parameters of the simulated bench's damper."""
+    """Return a model with the parameters of the simulated bench's damper."""
     values = parse_values(DamperConfig().parameters, "damper.parameters") | {"coil_lag": 0.0}
     names = find_model(model).names
     return Damper(model, {name: value for name, value in values.items() if name in names}, effects=effects)
 
 
-def covered(plans: list[Plan], model: str, effects: list[str]) -> dict[str, Detectability]:
-    """Coverage by effect, around a model."""
-    computed = coverage(*simulate_base_fit(plans, damper_of(model), np.random.default_rng(0)), effects)
-    return {found.effect: found for found in computed}
+def detectable(plans: list[Plan], model: str, effects: list[str]) -> dict[str, Detectability]:
+    """Return the detectability of each effect, by its id."""
+    computed = detectable_sizes(*simulate_base_fit(plans, damper_of(model), np.random.default_rng(0)), effects)
+    return {detectability.effect: detectability for detectability in computed}
 
 
 def tried(plans: list[Plan], model: str, effect: str, size: float) -> str:
-    """What a diagnosis says of one set with an effect of this size, in one line."""
+    """Return the verdict on one set with an effect of this size, in one line."""
     values = {**EFFECTS[effect].typical, EFFECTS[effect].parameters[0].name: size}
-    found = diagnose(measure_plans(plans, damper_of(model, {effect: values}), np.random.default_rng(1)), model)
-    return f"{effect} of {shown(effect, size)}: {found.verdict} {', '.join(str(cause.effect) for cause in found.causes)}"
+    diagnosis = diagnose(measure_plans(plans, damper_of(model, {effect: values}), np.random.default_rng(1)), model)
+    named = ", ".join(cause.effect for cause in diagnosis.causes)
+    return f"{effect} of {shown(effect, size)}: {diagnosis.verdict} {named}"
 
 
 def text(runs: list[str], rows: list[Detectability]) -> str:
-    """The section: what the table is, the table, what it says."""
+    """Return the section: an introduction, the table, and what follows from it."""
     header = ["effect", "smallest", "typical", *runs]
     table = [header, ["---", *["---:"] * (len(header) - 1)], *map(cells, rows)]
     newline = "\n"
@@ -94,33 +98,36 @@ more.
 
 
 def cells(row: Detectability) -> list[str]:
-    """A row of the table."""
+    """Return a row of the table."""
     least = LEAST * typical(row.effect)
-    smallest = shown(row.effect, row.smallest) if row.smallest >= least else f"< {shown(row.effect, least)}"
-    shares = [f"{100 * share:.0f}" if share >= BLANK and not row.remark else "" for share in row.shares]
+    smallest = shown(row.effect, row.smallest_size) if row.smallest_size >= least else f"< {shown(row.effect, least)}"
+    shares = [f"{100 * share:.0f}" if share >= BLANK and not row.remark else "" for share in row.information]
     return [f"`{row.effect}`", smallest, shown(row.effect, typical(row.effect)), *shares]
 
 
 def typical(effect: str) -> float:
-    """Typical size."""
+    """Return the typical size of an effect."""
     return abs(EFFECTS[effect].typical[EFFECTS[effect].parameters[0].name])
 
 
 def shown(effect: str, size: float) -> str:
-    """A size to two figures."""
+    """Return a size with two significant figures."""
     unit = EFFECTS[effect].parameters[0].unit
     return format_quantity(float(f"{size:.2g}"), unit, "" if unit else "%")
 
 
 def meaning(runs: list[str], rows: list[Detectability]) -> str:
-    """What the table says, in items."""
-    one = [f"`{r.effect}` on {runs[int(r.shares.argmax())]}" for r in rows if not r.remark and r.shares.max() >= MOST]
+    """Return what follows from the table, as a list."""
+    one = [
+        f"`{r.effect}` on {runs[int(r.information.argmax())]}" for r in rows if not r.remark and r.information.max() >= MOST
+    ]
     items = [f"Half of the evidence or more rests on one run: {', '.join(one)}. The others say little of these."]
     for row in rows:
         if row.remark:
             why = f"stays untestable: {row.remark}"
-        elif row.smallest > typical(row.effect):
-            why = f"stays untestable at its typical size and shows from {row.smallest / typical(row.effect):.2g} times that"
+        elif row.smallest_size > typical(row.effect):
+            factor = row.smallest_size / typical(row.effect)
+            why = f"stays untestable at its typical size and shows from {factor:.2g} times that"
         else:
             continue
         items.append(f"`{row.effect}` {why}. What tells: {EFFECTS[row.effect].separated_by}.")

@@ -1,4 +1,4 @@
-"""What recordings can tell of effects: the smallest_size size that they would show, and which run shows it."""
+"""Detectability: the smallest size of each effect that recordings would show, and the runs that show it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -21,28 +21,28 @@ from mrd_trajectory.plan import Plan
 
 Array = NDArray[np.float64]
 
-_FINEST = 1e-5
-"""Of the largest plausible size: smaller ones are not looked for."""
+SMALLEST_SHARE = 1e-5
+"""Share of the largest plausible size below which no smaller size is looked for."""
 
-_HUSHED = 0.01
-"""Of the noise that is left where what effects do is looked at: else they would act on the noise as well."""
+REDUCED_NOISE = 0.01
+"""Share of the noise in the recordings on which effects act; with all of it, effects would act on the noise as well."""
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """What recordings can tell of one effect.
+    """What recordings can tell about one effect.
 
     Attributes
     ----------
     effect : str
     smallest_size : float
-        Least magnitude of the effect's first parameter, in its unit, that would show; infinite where none would that is
-        plausible.
+        Smallest detectable magnitude of the effect's first parameter, in its unit; infinite where even the largest plausible
+        size is not detectable.
     unabsorbed : float
-        Share of its change of the force, at that size or else at the largest one, that the model's own parameters and
-        what differs from run to run cannot imitate.
+        Share of the effect's change of the force, at that size or else at the largest one, that the model's own parameters
+        and the scatter of the runs cannot imitate.
     information : ndarray (runs,)
-        Of each run in what they cannot: the evidence for the effect. They sum to one, or are zero where nothing changes.
+        Share of each run in the evidence for the effect. The shares sum to one, or are zero where the effect does not act.
     """
 
     effect: str
@@ -65,9 +65,10 @@ class Detectability:
 def simulate_base_fit(
     plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, instruments: Instruments | None = None
 ) -> tuple[Weighting, BaseFit]:
-    """What a diagnosis would stand on, were these plans recorded of a damper that is just as its model says.
+    """Simulate recordings of a damper without effects, and return their weighting and base fit.
 
-    The noise is in the floor, but not in the recordings: what an effect does to them is what it would do to the truth.
+    The noise is in the weighting, but hardly in the recordings: effects then change the recordings as they change the true
+    force.
 
     Parameters
     ----------
@@ -76,18 +77,21 @@ def simulate_base_fit(
     damper : Damper
     rng : numpy Generator
     instruments : Instruments, optional
-        How they measure; the scatter of runs is known.
+        Noise, filters and run scatter of the measurement; the scatter counts as known.
     """
     instruments = instruments or Instruments()
-    hushed = {e.name: _HUSHED * getattr(instruments, e.name) for e in fields(instruments) if e.name.endswith("_noise")}
+    reduced = {
+        field.name: REDUCED_NOISE * getattr(instruments, field.name)
+        for field in fields(instruments)
+        if field.name.endswith("_noise")
+    }
+    quiet_instruments = replace(instruments, run_gain=0.0, run_offset=0.0, **reduced)
     model, theta = damper.model, damper.theta
-    noisy, still = (
-        in_threads(prepare_recording, measure_plans(plans, damper, own, instruments=used))
-        for own, used in zip(
-            rng.spawn(2), (instruments, replace(instruments, run_gain=0.0, run_offset=0.0, **hushed)), strict=True
-        )
+    noisy, quiet = (
+        in_threads(prepare_recording, measure_plans(plans, damper, generator, instruments=used))
+        for generator, used in zip(rng.spawn(2), (instruments, quiet_instruments), strict=True)
     )
-    recordings = [replace(other, counted=one.counted) for one, other in zip(noisy, still, strict=True)]
+    recordings = [replace(q, counted=n.counted) for n, q in zip(noisy, quiet, strict=True)]
     weighting = Weighting(
         recordings,
         estimate_noise(noisy, model, theta, rng),
@@ -100,10 +104,10 @@ def simulate_base_fit(
 def detectable_sizes(
     weighting: Weighting, base_fit: BaseFit, effects: Sequence[str], needed: float | None = None
 ) -> list[Detectability]:
-    """Smallest sizes of effects that recordings would show beside a model, and what each run contributes.
+    """Return the smallest sizes of effects that recordings would show, and what each run contributes.
 
-    An effect shows when what it changes of the white residual, less what the model's own parameters can imitate, has so much
-    energy that a diagnosis names it, be the estimate of the noise off as it may. Its shape is the typical one.
+    An effect is detectable when its change of the white residual, without what the model's own parameters can imitate, has
+    enough energy to be named by a diagnosis even if the noise estimate is wrong. The effect has its typical shape.
 
     Parameters
     ----------
@@ -111,61 +115,61 @@ def detectable_sizes(
     base_fit : BaseFit
         The model refitted on this weighting.
     effects : sequence of str
-        Ids, of effects that the model does not have.
+        Ids of effects that the model does not have.
     needed : float, optional
-        Squared white residual that it takes; by default, what a model leaves that `Thresholds.noise_chi_square` no
-        longer takes for noise. See `mrd_diagnosis.effect_search.detection_threshold`.
+        Sum of squared white residuals that is needed. By default, it is the one that raises the reduced chi-square above
+        `Thresholds.noise_chi_square`. See `mrd_diagnosis.effect_search.detection_threshold`.
     """
     energy = (THRESHOLDS.noise_chi_square - 1.0) * weighting.samples if needed is None else needed
     return in_threads(lambda effect: _detectability(weighting, base_fit, effect, energy), find_effects(effects))
 
 
 def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, needed: float) -> Detectability:
-    model, plain = with_effect(base_fit.refit.problem.model, base_fit.refit.theta, effect.id)
-    problem = weighting.problem(model, plain)
+    model, neutral = with_effect(base_fit.refit.problem.model, base_fit.refit.theta, effect.id)
+    problem = weighting.problem(model, neutral)
     largest = largest_size(effect)
 
-    def change(log_share: float) -> tuple[Array, float]:
-        """White residual that is left of the effect at a share of its largest size, and how much of its change that is."""
-        theta = plain.copy()
-        for name, value in sized(effect, np.exp(log_share) * largest).items():
+    def unabsorbed_change(log_share: float) -> tuple[Array, float]:
+        """Return the unabsorbed change of the white residual by a share of the largest size, and its share of the change."""
+        theta = neutral.copy()
+        for name, value in scaled_effect(effect, np.exp(log_share) * largest).items():
             theta[model.names.index(f"{effect.id}.{name}")] = value
-        changed = problem.residuals(theta) - base_fit.residual
-        left = changed - base_fit.jacobian @ (base_fit.inverse @ (base_fit.jacobian.T @ changed))
-        return left, float(np.linalg.norm(left) / np.linalg.norm(changed)) if changed.any() else 1.0
+        change = problem.residuals(theta) - base_fit.residual
+        unabsorbed = change - base_fit.jacobian @ (base_fit.inverse @ (base_fit.jacobian.T @ change))
+        return unabsorbed, float(np.linalg.norm(unabsorbed) / np.linalg.norm(change)) if change.any() else 1.0
 
     def margin(log_share: float) -> float:
-        left, _ = change(log_share)
-        return float(np.log(max(float(left @ left), 1e-6 * needed) / needed))
+        unabsorbed, _ = unabsorbed_change(log_share)
+        return float(np.log(max(float(unabsorbed @ unabsorbed), 1e-6 * needed) / needed))
 
-    at, lowest = 0.0, float(np.log(_FINEST))
-    shows = margin(at) > 0.0
-    if shows:
-        at = float(brentq(margin, lowest, at, xtol=0.01)) if margin(lowest) < 0.0 else lowest
-    left, unabsorbed = change(at)
-    evidence = np.array([float(left[block] @ left[block]) for block in problem.blocks])
+    log_share, lowest = 0.0, float(np.log(SMALLEST_SHARE))
+    detectable = margin(log_share) > 0.0
+    if detectable:
+        log_share = float(brentq(margin, lowest, log_share, xtol=0.01)) if margin(lowest) < 0.0 else lowest
+    unabsorbed, share = unabsorbed_change(log_share)
+    evidence = np.array([float(unabsorbed[block] @ unabsorbed[block]) for block in problem.blocks])
     return Detectability(
         effect.id,
-        abs(largest) * float(np.exp(at)) if shows and unabsorbed >= THRESHOLDS.untestable_share else float("inf"),
-        unabsorbed,
+        abs(largest) * float(np.exp(log_share)) if detectable and share >= THRESHOLDS.untestable_share else float("inf"),
+        share,
         evidence / max(float(evidence.sum()), np.finfo(float).tiny),
     )
 
 
 def largest_size(effect: Effect) -> float:
-    """Bound of an effect's first parameter on the side of its typical value."""
+    """Return the bound of an effect's first parameter on the side of its typical value."""
     size = effect.parameters[0]
     return size.upper if effect.typical[size.name] > 0 else size.lower
 
 
-def sized(effect: Effect, size: float) -> dict[str, float]:
-    """An effect's parameters at a size: its typical shape; what else has a sign and is neutral at zero grows with it."""
+def scaled_effect(effect: Effect, size: float) -> dict[str, float]:
+    """Return an effect's parameters at a size: its typical shape, with all signed parameters scaled along."""
     first = effect.parameters[0]
     factor = size / effect.typical[first.name]
-    found = {}
+    values = {}
     for p in effect.parameters:
         value = effect.typical.get(p.name, p.default)
         if p is first or (p.default == 0.0 and p.lower < 0.0 < p.upper):
             value = float(np.clip(value * factor, p.lower, p.upper))
-        found[p.name] = value
-    return found
+        values[p.name] = value
+    return values

@@ -44,6 +44,7 @@ from mrd_identification.recording import Recording, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
+from mrd_trajectory.settings import GeneratorSettings
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -61,6 +62,7 @@ def diagnose(
     parameters: StoredFit | None = None,
     laws: str | Mapping[str, str] | None = None,
     effects: Sequence[str] = (),
+    bench: GeneratorSettings | None = None,
     seed: int = 0,
     progress: Progress = no_progress,
 ) -> Diagnosis:
@@ -80,6 +82,8 @@ def diagnose(
         Current laws; see `mrd_sim.models.DamperModel.with_laws`.
     effects : sequence of str
         Ids of the candidates; the whole catalogue when empty.
+    bench : GeneratorSettings, optional
+        Limits of the bench that an advised experiment must not exceed; by default, those of the shipped bench.
     seed : int
         The same seed and input give the same result.
     progress : callable
@@ -113,7 +117,7 @@ def diagnose(
         )
     recordings = in_threads(prepare_recording, [*runs, *held_out])
     fitted, set_aside = recordings[: len(runs)], recordings[len(runs) :]
-    return _diagnose_physics(base, theta, candidates, fitted, set_aside, findings, seed, began, progress)
+    return _diagnose_physics(base, theta, candidates, fitted, set_aside, findings, bench, seed, began, progress)
 
 
 def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | None:
@@ -144,6 +148,7 @@ def _diagnose_physics(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     findings: tuple[Finding, ...],
+    bench: GeneratorSettings | None,
     seed: int,
     began: float,
     progress: Progress,
@@ -202,7 +207,7 @@ def _diagnose_physics(
     conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
         progress("designing the next experiment", 0.95)
-    advice = advise_next(comparison, chances) if conclusive else None
+    advice = advise_next(comparison, chances, bench) if conclusive else None
     alternatives = list_alternatives(chances) if conclusive else ()
     gap = Gap(
         closure.noise_floor,

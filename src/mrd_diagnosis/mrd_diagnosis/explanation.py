@@ -20,6 +20,7 @@ from mrd_diagnosis.statistics import effect_parameters, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
+from mrd_trajectory.settings import GeneratorSettings
 
 Array = NDArray[np.float64]
 
@@ -173,8 +174,13 @@ def list_alternative_models(
     )
 
 
-def advise_next(comparison: ModelComparison, chances: Probabilities) -> Advice | None:
-    """Advise what to record to tell the least certain cause from its alternatives; None where all causes are certain."""
+def advise_next(
+    comparison: ModelComparison, chances: Probabilities, bench: GeneratorSettings | None = None
+) -> Advice | None:
+    """Advise what to record to tell the least certain cause from its alternatives; None where all causes are certain.
+
+    No advised experiment exceeds the limits of ``bench`` (default: the shipped bench).
+    """
     uncertain = [effect for effect in comparison.effects if chances[effect][effect] < THRESHOLDS.named_probability]
     if not uncertain:
         return None
@@ -187,7 +193,7 @@ def advise_next(comparison: ModelComparison, chances: Probabilities) -> Advice |
         names.append(NO_EFFECT)
     alternatives = comparison.alternatives[effect]
     refits = {name: alternatives[name] for name in names}
-    return advise(refits, comparison.weighting, without=alternatives[NO_EFFECT])
+    return advise(refits, comparison.weighting, without=alternatives[NO_EFFECT], bench=bench)
 
 
 def _force_variance(comparison: ModelComparison) -> float:

@@ -1,4 +1,4 @@
-"""How much of the gap could be explained at all: what a flexible model of the residual predicts of runs it has not seen."""
+"""Flexible model of the residual: the share of the gap that it predicts on unseen runs can be explained at least."""
 
 import itertools
 from collections.abc import Sequence
@@ -7,105 +7,105 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mrd_diagnosis.localisation import travel_since_reversal
+from mrd_diagnosis.axis_bins import travel_since_reversal
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import Recording
 
 Array = NDArray[np.float64]
 
 MOST_SAMPLES = 20_000
-"""taken evenly from all runs: more make the ceiling no surer."""
+"""Samples of all runs together, evenly spaced; more do not change the share."""
 
-WAVES = 400
-"""Random Fourier features."""
+FOURIER_FEATURES = 400
+"""Number of random Fourier features."""
 
-INTERACTING = 3
-"""Features at most that one of them depends on: physical effects join few causes, and what does generalises."""
+MOST_INTERACTING = 3
+"""Features on which a Fourier feature depends, at most: physical effects join few causes, and such a model generalises."""
 
 RIDGES = 10.0 ** np.arange(-6, 3)
-"""Candidates, relative to the mean of the normal matrix's diagonal."""
+"""Ridges that are tried, relative to the mean eigenvalue of the normal matrix."""
 
 TRAVELS = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
-"""m of travel; over these the memories of the rod's direction and of the force fade."""
+"""Travels in m over which the memories of the rod's direction and of the force fade."""
 
 TIMES = (3e-3, 12e-3, 50e-3)
-"""s; over these times the memories of current and force fade."""
+"""Times in s over which the memories of current and force fade."""
 
 CURRENTS = (0.1, 0.4)
-"""A of change; over these the memory of the current's direction fades."""
+"""Changes of current in A over which the memory of the current's direction fades."""
 
 BLOCKS = 6
-"""that take the place of runs where there is one."""
+"""Blocks that take the place of runs where there is only one run."""
 
-GAP = 0.5
-"""s between such blocks that are not used."""
+GAP_BETWEEN_BLOCKS = 0.5
+"""Time in s between such blocks that is not used."""
 
-LARGEST = 3.0
-"""standard deviations that a feature saturates at, so that an unseen run does not reach far beyond the others."""
+SATURATION = 3.0
+"""Standard deviations at which a feature saturates, so that it does not extrapolate far in an unseen run."""
 
 
 def explainable_fraction(
     recordings: Sequence[Recording], residuals: Sequence[Array], sigma_by_run: Sequence[Array], rng: np.random.Generator
 ) -> float:
-    """Share of the excess squared error that a flexible model of the residual closes on runs it has not seen.
+    """Return the share of the excess squared error that a flexible model of the residual closes on unseen runs.
 
-    The model is ridge regression on motion, current and modelled force, their memories that fade over time, travel or change
-    of current, and random Fourier features of these (Rahimi & Recht 2007). One run is left out in turn; of a single run,
-    blocks with gaps between them. The ridge for each is the one that predicts the others best; a run that is predicted worse
-    than by nothing, being unlike the others, counts as not explained.
+    The model is ridge regression on motion, current and modelled force, on their memories that fade over time, travel or
+    change of current, and on random Fourier features of these (Rahimi & Recht 2007). Each run is left out in turn; of a
+    single run, each block, with gaps between the blocks. The ridge for a run is the one that predicts the others best. A run
+    that is predicted worse than by zero, because it is unlike the others, counts as not explained.
 
-    This is no cause, and only a lower bound of what can be explained: a true effect has a better form than this.
+    The result names no cause, and it is only a lower bound of what can be explained: a true effect has a better formula.
 
     Parameters
     ----------
     recordings : sequence of Recording
     residuals : sequence of ndarray (counted samples,)
-        Measured minus modelled force in N, the run's own offset and gain taken out. The modelled force is a feature: what
-        they leave of the recordings' force must hold no noise.
+        Measured minus modelled force in N, without the run's offset and gain error. The modelled force is a feature, so that
+        it must hold no noise: it is the recorded force minus the residual.
     sigma_by_run : sequence of ndarray (counted samples,)
-        N, what of the residual is noise.
+        Standard deviation of the noise in N.
     rng : numpy.random.Generator
-        For the frequencies of the Fourier features.
+        Source of the frequencies of the Fourier features.
 
     Returns
     -------
     float
-        Between 0 and 1. An excess within `Thresholds.noise_variance_error` of the noise's variance is taken as that large,
-        so that there is nothing to explain where there is no gap.
+        Between 0 and 1. An excess within `Thresholds.noise_variance_error` of the noise variance is raised to that value, so
+        that nothing is explainable where there is no gap.
     """
     stride = -(-sum(map(len, residuals)) // MOST_SAMPLES)
-    features = np.concatenate([f[::stride] for f in _features(recordings, residuals)])
-    residual, sigma = (np.concatenate([s[::stride] for s in series]) for series in (residuals, sigma_by_run))
-    folds = _folds(recordings, [-(-len(r) // stride) for r in residuals], stride)
+    features = np.concatenate([of_run[::stride] for of_run in _features(recordings, residuals)])
+    residual, sigma = (np.concatenate([values[::stride] for values in series]) for series in (residuals, sigma_by_run))
+    folds = _folds(recordings, [-(-len(of_run) // stride) for of_run in residuals], stride)
     used = np.concatenate([np.arange(fold.start, fold.stop) for fold in folds])
     noise = float(np.sum(sigma[used] ** 2))
     excess = float(np.sum(residual[used] ** 2)) - noise
     if noise == 0.0 and excess == 0.0:
         return 0.0
     basis = _basis(features, rng)
-    # What is not noise varies, too: with 1 / sigma alone the fit would hardly look where noise is large.
+    # The excess varies as well: with the weight 1 / sigma, samples with much noise would hardly count.
     weight = 1.0 / np.sqrt(sigma**2 + max(excess, 0.0) / len(used) + 1e-300)
-    errors = _unseen(basis, residual, weight, folds)
-    others = errors.sum(axis=0) - errors
-    chosen = errors[np.arange(len(folds)), np.argmin(others, axis=1)]
+    errors = _held_out_errors(basis, residual, weight, folds)
+    of_other_folds = errors.sum(axis=0) - errors
+    chosen = errors[np.arange(len(folds)), np.argmin(of_other_folds, axis=1)]
     before = np.array([np.sum(residual[fold] ** 2) for fold in folds])
     closed = float(np.maximum(before - chosen, 0.0).sum())
     return float(np.clip(closed / max(excess, THRESHOLDS.noise_variance_error * noise), 0.0, 1.0))
 
 
 def _folds(recordings: Sequence[Recording], counts: Sequence[int], stride: int) -> list[slice]:
-    """Samples of each run; of each block, without gaps, where there is one run."""
+    """Return the samples of each run, or of each block where there is one run."""
     edges = [0, *itertools.accumulate(counts)]
     gap = 0
     if len(counts) == 1:
         edges = [int(edge) for edge in np.linspace(0, counts[0], BLOCKS + 1)]
-        gap = min(round(0.5 * GAP * recordings[0].run.rate / stride), counts[0] // (8 * BLOCKS))
+        gap = min(round(0.5 * GAP_BETWEEN_BLOCKS * recordings[0].run.rate / stride), counts[0] // (8 * BLOCKS))
     return [slice(start + gap, stop - gap) for start, stop in itertools.pairwise(edges)]
 
 
 def _features(recordings: Sequence[Recording], residuals: Sequence[Array]) -> list[Array]:
-    """Motion, current, modelled force and their memories, of each run (counted samples, features)."""
-    found = []
+    """Return motion, current, modelled force and their memories (counted samples, features) of each run."""
+    features = []
     for recording, residual in zip(recordings, residuals, strict=True):
         path, counted, time = recording.path, recording.counted, recording.run.time
         position, velocity, acceleration, current = (
@@ -124,58 +124,58 @@ def _features(recordings: Sequence[Recording], residuals: Sequence[Array]) -> li
             current,
             modelled,
             modelled * np.cumsum(modelled * velocity * step),
-            *(_faded(np.exp(-np.abs(travel) / scale), direction) for scale in TRAVELS),
-            *(modelled - _faded(np.exp(-np.abs(travel) / scale), modelled) for scale in TRAVELS),
-            *(_faded(np.exp(-np.abs(change) / scale), np.sign(change)) * direction for scale in CURRENTS),
-            *(current - _faded(np.exp(-step / scale), current) for scale in TIMES),
-            *(modelled - _faded(np.exp(-step / scale), modelled) for scale in TIMES),
+            *(_fading_memory(np.exp(-np.abs(travel) / scale), direction) for scale in TRAVELS),
+            *(modelled - _fading_memory(np.exp(-np.abs(travel) / scale), modelled) for scale in TRAVELS),
+            *(_fading_memory(np.exp(-np.abs(change) / scale), np.sign(change)) * direction for scale in CURRENTS),
+            *(current - _fading_memory(np.exp(-step / scale), current) for scale in TIMES),
+            *(modelled - _fading_memory(np.exp(-step / scale), modelled) for scale in TIMES),
         ]
-        found.append(np.stack([column[counted] for column in columns], axis=1))
-    return found
+        features.append(np.stack([column[counted] for column in columns], axis=1))
+    return features
 
 
 @njit(cache=True, nogil=True)
-def _faded(keep: Array, drive: Array) -> Array:
-    """Memory of ``drive`` of which ``keep`` is left from sample to sample."""
-    memory = np.empty_like(drive)
-    state = drive[0]
-    for k in range(len(drive)):
-        state = drive[k] + keep[k] * (state - drive[k])
+def _fading_memory(kept: Array, series: Array) -> Array:
+    """Return the memory (n,) of a series of which the share ``kept`` remains from sample to sample."""
+    memory = np.empty_like(series)
+    state = series[0]
+    for k in range(len(series)):
+        state = series[k] + kept[k] * (state - series[k])
         memory[k] = state
     return memory
 
 
 def _basis(features: Array, rng: np.random.Generator) -> Array:
-    """Features and random Fourier features of up to `INTERACTING` of them (samples, columns), of unit variance."""
-    standard = LARGEST * np.tanh(_standardised(features) / LARGEST)
-    # Each wave runs along its own few features, one wave length over a few standard deviations.
-    order = rng.random((standard.shape[1], WAVES)).argsort(axis=0)
-    many = rng.integers(1, INTERACTING + 1, WAVES)
-    frequencies = np.where(order < many, rng.standard_normal(order.shape) / np.sqrt(many), 0.0)
-    waves = np.cos(standard @ frequencies + rng.uniform(0, 2 * np.pi, WAVES))
-    return np.concatenate([_standardised(standard), _standardised(waves)], axis=1)
+    """Return the features and random Fourier features of them (samples, columns), of unit variance."""
+    saturated = SATURATION * np.tanh(_standardised(features) / SATURATION)
+    # Each Fourier feature depends on a few features of its own, with a wavelength of a few standard deviations.
+    order = rng.random((saturated.shape[1], FOURIER_FEATURES)).argsort(axis=0)
+    interacting = rng.integers(1, MOST_INTERACTING + 1, FOURIER_FEATURES)
+    frequencies = np.where(order < interacting, rng.standard_normal(order.shape) / np.sqrt(interacting), 0.0)
+    waves = np.cos(saturated @ frequencies + rng.uniform(0, 2 * np.pi, FOURIER_FEATURES))
+    return np.concatenate([_standardised(saturated), _standardised(waves)], axis=1)
 
 
 def _standardised(columns: Array) -> Array:
-    """Columns of mean 0 and variance 1, without those that do not vary."""
+    """Return the columns with mean 0 and variance 1, without those that do not vary."""
     spread = columns.std(axis=0)
     varies = spread > 1e-9 * np.abs(columns).max(axis=0)
     return np.asarray((columns[:, varies] - columns[:, varies].mean(axis=0)) / spread[varies])
 
 
-def _unseen(basis: Array, residual: Array, weight: Array, folds: Sequence[slice]) -> Array:
-    """Squared error (folds, ridges) of each fold, predicted from the others."""
-    grams, slopes = [], []
+def _held_out_errors(basis: Array, residual: Array, weight: Array, folds: Sequence[slice]) -> Array:
+    """Return the squared error (folds, ridges) of each fold, predicted from the other folds."""
+    matrices, gradients = [], []
     for fold in folds:
         scaled = basis[fold] * weight[fold, None]
-        grams.append(scaled.T @ scaled)
-        slopes.append(scaled.T @ (residual[fold] * weight[fold]))
-    gram, slope = np.sum(grams, axis=0), np.sum(slopes, axis=0)
+        matrices.append(scaled.T @ scaled)
+        gradients.append(scaled.T @ (residual[fold] * weight[fold]))
+    matrix, gradient = np.sum(matrices, axis=0), np.sum(gradients, axis=0)
     errors = np.empty((len(folds), len(RIDGES)))
     for index, fold in enumerate(folds):
-        values, vectors = np.linalg.eigh(gram - grams[index])
-        turned = vectors.T @ (slope - slopes[index])
+        values, vectors = np.linalg.eigh(matrix - matrices[index])
+        rotated = vectors.T @ (gradient - gradients[index])
         ridges = RIDGES * values.mean()
-        solutions = vectors @ (turned[:, None] / (np.maximum(values, 0.0)[:, None] + ridges))
+        solutions = vectors @ (rotated[:, None] / (np.maximum(values, 0.0)[:, None] + ridges))
         errors[index] = np.sum((residual[fold, None] - basis[fold] @ solutions) ** 2, axis=0)
     return errors

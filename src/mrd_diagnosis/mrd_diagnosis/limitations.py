@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_diagnosis.diagnosis import RunNoise, UntestableEffect
 from mrd_diagnosis.multisine import distortion
-from mrd_diagnosis.noise_model import repeating_period
+from mrd_diagnosis.repetition import repeating_period
 from mrd_identification.recording import Recording, current_levels
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel

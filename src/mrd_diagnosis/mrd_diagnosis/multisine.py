@@ -1,4 +1,4 @@
-"""Odd multisines: how much of the force is noise, how much even and odd distortion."""
+"""Odd multisines: noise, even and odd nonlinear distortion of the force."""
 
 from dataclasses import dataclass
 
@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Distortion:
-    """What the force holds beside the answer of a linear damper to an odd multisine: N rms.
+    """Levels in N rms of the force apart from the response of a linear damper to an odd multisine.
 
     Attributes
     ----------
     noise : float
-        In one period, from the scatter between periods.
+        Noise of one period, from the scatter between periods.
     even : float
-        At the even lines, which an odd damper leaves empty; noise taken off.
+        Level at the even lines, which a damper with an odd characteristic leaves empty, without noise.
     odd : float
-        At the odd lines that are not excited; noise taken off. Nan where all are.
+        Level at the odd lines that are not excited, without noise; nan where all are excited.
     periods : int
-        How many of them were compared.
+        Number of periods that were compared.
     highest : float
-        Hz, up to which was looked: three times the highest excited line, where the sample rate allows.
+        Highest frequency in Hz: three times the highest excited line, where the sample rate allows.
     """
 
     noise: float
@@ -38,14 +38,14 @@ class Distortion:
 
 
 def distortion(run: Run, period: float) -> Distortion:
-    """Levels of noise, even and odd distortion in the force under an odd multisine (Pintelon and Schoukens 2012, ch. 4).
+    """Return noise, even and odd distortion of the force under an odd multisine (Pintelon and Schoukens 2012, ch. 4).
 
     Parameters
     ----------
     run : Run
-        Its last whole periods count.
+        Only its last whole periods count.
     period : float
-        s; the inverse spaces the lines.
+        Period in s; its inverse is the spacing of the lines.
 
     Raises
     ------
@@ -62,27 +62,28 @@ def distortion(run: Run, period: float) -> Distortion:
     times = run.time[-1] + 1 / run.rate - period * periods + np.arange(periods * samples) * (period / samples)
 
     def lines(series: Array) -> tuple[Array, Array]:
-        """Mean squares (N²) of the mean over periods and of the scatter of one, by line."""
-        shaped = CubicSpline(run.time, series)(times).reshape(periods, samples)
-        spectra = np.fft.rfft(shaped, axis=1) * (np.sqrt(2.0) / samples)
+        """Return the mean squares of the mean over periods and of the scatter of one period, by line."""
+        by_period = CubicSpline(run.time, series)(times).reshape(periods, samples)
+        spectra = np.fft.rfft(by_period, axis=1) * (np.sqrt(2.0) / samples)
         return np.abs(spectra.mean(axis=0)) ** 2, np.asarray(spectra.var(axis=0, ddof=1))
 
-    moved, wander = lines(run.position)
-    line = np.arange(len(moved))
-    speed = moved * line**2
-    excited = (speed > 1e-4 * speed[1:].max()) & (moved > 30 * np.mean(wander) / periods) & (line > 0)
+    motion, motion_scatter = lines(run.position)
+    line = np.arange(len(motion))
+    speed = motion * line**2
+    excited = (speed > 1e-4 * speed[1:].max()) & (motion > 30 * np.mean(motion_scatter) / periods) & (line > 0)
     if not excited.any() or np.sum(speed[excited & (line % 2 == 0)]) > 0.1 * np.sum(speed[excited]):
         raise InputError(
-            f"run {run.name}: its motion has no odd lines of 1/{period:.4g} s alone, expected a multisine of that period_s"
+            f"run {run.name}: found a motion with lines other than odd multiples of 1/{period:.4g} s, "
+            "expected an odd multisine with this period_s"
         )
-    answer, scatter = lines(run.force)
-    inside = (line > 0) & (line <= min(3 * int(line[excited].max()), (samples - 1) // 2))
-    rest = answer - scatter / periods
-    even, odd = (inside & ~excited & (line % 2 == parity) for parity in (0, 1))
+    response, scatter = lines(run.force)
+    considered = (line > 0) & (line <= min(3 * int(line[excited].max()), (samples - 1) // 2))
+    without_noise = response - scatter / periods
+    even, odd = (considered & ~excited & (line % 2 == parity) for parity in (0, 1))
     return Distortion(
         noise=float(np.sqrt(scatter[line > 0].sum())),
-        even=float(np.sqrt(max(rest[even].sum(), 0.0))),
-        odd=float(np.sqrt(max(rest[odd].sum(), 0.0))) if odd.any() else float("nan"),
+        even=float(np.sqrt(max(without_noise[even].sum(), 0.0))),
+        odd=float(np.sqrt(max(without_noise[odd].sum(), 0.0))) if odd.any() else float("nan"),
         periods=periods,
-        highest=float(line[inside].max() / period),
+        highest=float(line[considered].max() / period),
     )

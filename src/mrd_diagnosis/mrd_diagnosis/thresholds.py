@@ -1,6 +1,6 @@
 """The thresholds by which the diagnosis decides: value, unit, meaning, and the trials on which each was chosen.
 
-`docs/trials.md` describes the trials and their seeds. A convention is a value that was taken from statistics and never tuned.
+`docs/trials.md` describes the trials and their seeds. A convention is a value from statistics that was never tuned.
 """
 
 from dataclasses import dataclass, field, fields

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_diagnosis import diagnose
-from mrd_diagnosis.diagnose import fit_base
+from mrd_diagnosis import decision, diagnose
+from mrd_diagnosis.base_fit import BaseFit, fit_base
+from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.effect_search import BaseFit, refit_again, refit_with_effects, score_effects
+from mrd_diagnosis.effect_search import refit_with_effects, score_effects
 from mrd_diagnosis.model_comparison import ModelComparison
+from mrd_diagnosis.refit import refit_on
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper
@@ -22,8 +24,6 @@ from mrd_sim.simulate import Instruments, measure_plans
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import read_settings
-
-diagnosing = sys.modules["mrd_diagnosis.diagnose"]
 
 EXPERIMENTS = {
     "multisine": """
@@ -52,7 +52,7 @@ DAMPER = {
 
 
 def cut(run, first, last):
-    """Part of a run, in s."""
+    """Return the part of a run between two times in s."""
     part = (run.time >= first) & (run.time <= last)
     series = {n: getattr(run, n)[part] for n in ("position", "velocity", "current", "force", "acceleration")}
     return replace(run, time=run.time[part] - run.time[part][0], **series)
@@ -62,7 +62,7 @@ FEW = ("coil_lag", "gas_spring", "moving_mass", "force_sensor_lag", "channel_del
 
 
 def recorded(effects=None, model="bouc_wen", seed=0, rate=250, instruments=None, only=EXPERIMENTS, **values):
-    """Runs of a damper; ``only`` names experiments, or holds others."""
+    """Return runs of a damper; ``only`` names experiments, or maps further names to experiments."""
     settings = read_settings(None)
     texts = EXPERIMENTS | (only if isinstance(only, dict) else {})
     plans = [
@@ -91,20 +91,25 @@ def explained(delayed):
 def test_the_effect_is_named_with_its_size_and_what_it_closes(explained):
     assert (explained.verdict, [cause.effect for cause in explained.causes]) == ("explained", ["channel_delay"])
     (cause,) = explained.causes
-    found = cause.parameters["channel_delay.delay"].value
-    assert found.value == pytest.approx(0.012, abs=3e-4)
-    assert 0.0 < found.upper - found.lower < 0.001
+    diagnosis = cause.parameters["channel_delay.delay"].value
+    assert diagnosis.value == pytest.approx(0.012, abs=3e-4)
+    assert 0.0 < diagnosis.upper - diagnosis.lower < 0.001
     assert cause.probability > 0.95
     assert cause.p_value < 0.01
-    assert explained.closed.value > 0.97
-    assert explained.closed.lower > 0.9
-    assert explained.floor.value < explained.after.value < 1.3 * explained.floor.value < explained.before.value
+    assert explained.gap.closed_fraction.value > 0.97
+    assert explained.gap.closed_fraction.lower > 0.9
+    assert (
+        explained.gap.noise_floor.value
+        < explained.gap.after.value
+        < 1.3 * explained.gap.noise_floor.value
+        < explained.gap.before.value
+    )
     assert explained.sentence.startswith("The force channel is late by 1")
-    assert explained.parameters["channel_delay.delay"] == found.value
+    assert explained.corrected.parameters["channel_delay.delay"] == diagnosis.value
     assert explained.held_out_by == "leave-one-run-out"
 
 
-def test_where_it_lies_is_told(explained):
+def test_the_gap_is_located(explained):
     assert explained.where
     assert explained.where[0].q_value < 0.05
     assert explained.where[0].lift > 1
@@ -113,83 +118,82 @@ def test_where_it_lies_is_told(explained):
 def test_the_same_seed_gives_the_same_answer(delayed, explained):
     again = diagnose(delayed, "bouc_wen", effects=FEW[::-1])
     assert again.sentence == explained.sentence
-    assert again.closed == explained.closed
+    assert again.gap.closed_fraction == explained.gap.closed_fraction
     assert again.candidates == explained.candidates
 
 
 def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
-    found = diagnose(delayed, "bouc_wen", effects=("gas_spring", "moving_mass"))
-    assert found.verdict == "unknown_effect"
-    assert not found.causes
-    assert found.where
-    assert "not in the catalogue" in found.sentence
-    assert found.forms
-    assert {form.effects[0] for form in found.forms} >= {"sigmoid", "bouc_wen with exponent freed"}
+    diagnosis = diagnose(delayed, "bouc_wen", effects=("gas_spring", "moving_mass"))
+    assert diagnosis.verdict == "unknown_effect"
+    assert not diagnosis.causes
+    assert diagnosis.where
+    assert "No catalogued effect explains the gap" in diagnosis.sentence
+    assert {model.name for model in diagnosis.alternative_models} >= {"sigmoid", "bouc_wen with exponent freed"}
 
 
 def test_without_an_effect_there_is_no_gap():
-    found = diagnose(recorded(seed=1), "bouc_wen", effects=FEW)
-    assert (found.verdict, found.causes, found.effects) == ("no_gap", (), ())
-    assert found.before.value < 1.2 * found.floor.value
-    smallest = {candidate.effects[0]: candidate.smallest for candidate in found.candidates}
+    diagnosis = diagnose(recorded(seed=1), "bouc_wen", effects=FEW)
+    assert (diagnosis.verdict, diagnosis.causes, diagnosis.corrected.effects) == ("no_gap", (), ())
+    assert diagnosis.gap.before.value < 1.2 * diagnosis.gap.noise_floor.value
+    smallest = {candidate.effects[0]: candidate.smallest_detectable for candidate in diagnosis.candidates}
     assert smallest["channel_delay"].endswith(("ms", "µs"))
 
 
 def test_scatter_from_run_to_run_is_no_effect():
     noisy = recorded(seed=2, instruments=Instruments(run_gain=0.03, run_offset=6.0))
-    found = diagnose(noisy, "bouc_wen")
-    assert found.verdict == "no_gap"
-    gains = np.array([trace.gain for trace in found.residuals])
+    diagnosis = diagnose(noisy, "bouc_wen")
+    assert diagnosis.verdict == "no_gap"
+    gains = np.array([residual.gain for residual in diagnosis.residuals])
     assert 0.005 < gains.std() < 0.08
 
 
 def test_parameters_alone_can_be_the_answer():
     simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"yield_force": 140.0, "viscous": 1500.0}, {})
-    found = diagnose(recorded(seed=3), "bouc_wen", parameters=simulator, effects=FEW)
-    assert found.verdict == "no_gap"
-    assert found.gap.as_given > 5 * found.before.value
-    assert "parameters" in found.sentence
+    diagnosis = diagnose(recorded(seed=3), "bouc_wen", parameters=simulator, effects=FEW)
+    assert diagnosis.verdict == "no_gap"
+    assert diagnosis.gap.as_given > 5 * diagnosis.gap.before.value
+    assert "parameters" in diagnosis.sentence
 
 
 def test_a_lag_that_the_simulator_has_is_no_candidate():
     simulator = StoredFit("bouc_wen", {}, (), DAMPER | {"coil_lag": 0.004}, {})
-    found = diagnose(recorded(seed=4, coil_lag=0.004), "bouc_wen", parameters=simulator, effects=FEW)
-    assert found.verdict == "no_gap"
-    assert "coil_lag" in {candidate.effects[0] for candidate in found.untestable}
+    diagnosis = diagnose(recorded(seed=4, coil_lag=0.004), "bouc_wen", parameters=simulator, effects=FEW)
+    assert diagnosis.verdict == "no_gap"
+    assert "coil_lag" in {untestable.effect for untestable in diagnosis.untestable}
 
 
-def test_a_model_without_hysteresis_is_told_so():
+def test_a_model_without_hysteresis_lacks_it():
     runs = recorded(seed=5)
-    found = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "channel_delay", "moving_mass"))
-    assert "pre_yield_hysteresis" in {cause.effect for cause in found.causes}
+    diagnosis = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "channel_delay", "moving_mass"))
+    assert "pre_yield_hysteresis" in {cause.effect for cause in diagnosis.causes}
 
 
-def test_beside_something_unknown_what_the_model_lacks_has_the_size_that_it_has_alone():
+def test_with_an_unknown_effect_a_structural_cause_has_the_size_that_it_has_alone():
     runs = recorded({"channel_delay": {"delay": 0.012}, "gas_spring": {"stiffness": 4000.0}})
-    found = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "gas_spring"))
-    assert found.verdict == "unknown_effect"
-    assert found.nearest.effects == ("pre_yield_hysteresis", "gas_spring")
-    (cause,) = found.causes
+    diagnosis = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "gas_spring"))
+    assert diagnosis.verdict == "unknown_effect"
+    assert diagnosis.nearest.effects == ("pre_yield_hysteresis", "gas_spring")
+    (cause,) = diagnosis.causes
     (alone,) = diagnose(runs, "bingham", effects=("pre_yield_hysteresis",)).causes
     size = "pre_yield_hysteresis.yield_travel"
     assert cause.parameters[size].value.value == pytest.approx(alone.parameters[size].value.value, rel=0.1)
-    assert found.parameters[size] == pytest.approx(found.nearest.parameters[size].value.value)
-    assert cause.parameters[size].value.value > 1.3 * found.parameters[size]
+    assert diagnosis.corrected.parameters[size] == pytest.approx(diagnosis.nearest.parameters[size].value.value)
+    assert cause.parameters[size].value.value > 1.3 * diagnosis.corrected.parameters[size]
 
 
-def test_one_run_is_judged_by_its_parts(delayed):
-    found = diagnose(delayed[:1], "bouc_wen", effects=FEW)
-    assert found.held_out_by == "blocks"
-    assert [cause.effect for cause in found.causes] == ["channel_delay"]
-    assert any("one run only" in note for note in found.notes)
+def test_one_run_is_held_out_by_folds(delayed):
+    diagnosis = diagnose(delayed[:1], "bouc_wen", effects=FEW)
+    assert diagnosis.held_out_by == "blocks"
+    assert [cause.effect for cause in diagnosis.causes] == ["channel_delay"]
+    assert any("Only one run" in note for note in diagnosis.notes)
 
 
 def test_held_out_runs_judge(delayed):
-    found = diagnose(delayed[:3], "bouc_wen", held_out=delayed[3:], effects=("channel_delay", "moving_mass"))
-    assert found.held_out_by == "runs"
-    assert [trace.held_out for trace in found.residuals] == [False, False, False, True]
-    assert [cause.effect for cause in found.causes] == ["channel_delay"]
-    assert found.closed.value > 0.9
+    diagnosis = diagnose(delayed[:3], "bouc_wen", held_out=delayed[3:], effects=("channel_delay", "moving_mass"))
+    assert diagnosis.held_out_by == "runs"
+    assert [residual.held_out for residual in diagnosis.residuals] == [False, False, False, True]
+    assert [cause.effect for cause in diagnosis.causes] == ["channel_delay"]
+    assert diagnosis.gap.closed_fraction.value > 0.9
 
 
 def test_an_odd_multisine_tells_noise_from_distortion():
@@ -198,25 +202,25 @@ def test_an_odd_multisine_tells_noise_from_distortion():
         coil: {waveform: constant, level_mA: 200}"""
     (run,) = recorded(seed=11, only={"odd": odd})
     body = cut(run, run.duration - 7.5, run.duration - 1.2)
-    found = diagnose([body], "bouc_wen", effects=("moving_mass",))
-    assert any("an odd multisine" in note and "even lines" in note for note in found.notes)
+    diagnosis = diagnose([body], "bouc_wen", effects=("moving_mass",))
+    assert any("an odd multisine" in note and "even lines" in note for note in diagnosis.notes)
 
 
 def test_faulty_recordings_stop_the_diagnosis(delayed):
     dead = replace(delayed[0], name="dead", force=np.full(len(delayed[0]), 3.0))
-    found = diagnose([*delayed[1:], dead], "bouc_wen")
-    assert found.verdict == "data_fault"
-    assert "dead" in found.sentence
-    assert not found.candidates
-    assert len(found.runs) == 4
+    diagnosis = diagnose([*delayed[1:], dead], "bouc_wen")
+    assert diagnosis.verdict == "data_fault"
+    assert "dead" in diagnosis.sentence
+    assert not diagnosis.candidates
+    assert len(diagnosis.runs) == 4
 
 
 def test_constant_currents_say_nothing_of_magnetics():
     for seed in range(4):
         runs = [cut(run, 1.5, run.duration - 1.5) for run in recorded(seed=20 + seed, only=["slow", "slow"])]
-        found = diagnose(runs, "bouc_wen", effects=("magnetic_hysteresis", "coil_lag", "moving_mass", "channel_delay"))
-        assert found.verdict == "no_gap", found.sentence
-        assert {"magnetic_hysteresis", "coil_lag"} <= {candidate.effects[0] for candidate in found.untestable}
+        diagnosis = diagnose(runs, "bouc_wen", effects=("magnetic_hysteresis", "coil_lag", "moving_mass", "channel_delay"))
+        assert diagnosis.verdict == "no_gap", diagnosis.sentence
+        assert {"magnetic_hysteresis", "coil_lag"} <= {untestable.effect for untestable in diagnosis.untestable}
 
 
 def sines(model="bouc_wen", effects=None, **values):
@@ -228,131 +232,132 @@ def sines(model="bouc_wen", effects=None, **values):
 
 
 @pytest.mark.parametrize("model", ["modified_dahl", "modified_lugre", "hyperbolic_tangent"])
-def test_at_one_speed_another_form_of_the_damper_is_not_taken_for_an_effect(model):
-    found = diagnose(sines(model), "bouc_wen", effects=("joint_play", "seal_friction", "shear_thinning"))
-    assert (found.verdict, found.causes) == ("unknown_effect", ())
-    assert found.forms[0].closed.value > max(0.95, found.nearest.closed.value)
-    assert f"another form of the damper model ({found.forms[0].effects[0]})" in found.sentence
+def test_at_one_speed_another_damper_model_is_not_taken_for_an_effect(model):
+    diagnosis = diagnose(sines(model), "bouc_wen", effects=("joint_play", "seal_friction", "shear_thinning"))
+    assert (diagnosis.verdict, diagnosis.causes) == ("unknown_effect", ())
+    assert diagnosis.alternative_models[0].closed_fraction.value > max(0.95, diagnosis.nearest.closed_fraction.value)
+    assert f"The model {diagnosis.alternative_models[0].name} removes" in diagnosis.sentence
 
 
 @pytest.mark.parametrize(
     ("closes", "left", "verdict"),
     [(0.7, 0.1, "explained"), (0.45, 0.1, "unknown_effect"), (0.7, 0.25, "unknown_effect"), (0.8, 0.25, "explained")],
 )
-def test_where_hardly_more_than_noise_is_left_half_of_the_gap_is_enough(closes, left, verdict, monkeypatch):
-    monkeypatch.setattr(diagnosing, "closed_between", lambda *_: Interval(closes, closes, closes))
-    left_of = SimpleNamespace(level=1.0 + left, noises=np.full(8, 100.0 * (1.0 + left)))
-    found = SimpleNamespace(
-        best=left_of,
-        alone=SimpleNamespace(level=2.0),
+def test_little_more_than_noise_needs_only_half_of_the_gap_to_be_closed(closes, left, verdict, monkeypatch):
+    monkeypatch.setattr(decision, "closed_fraction_between", lambda *_: Interval(closes, closes, closes))
+    comparison = SimpleNamespace(
+        best=SimpleNamespace(chi_square=1.0 + left, held_out_chi_squares=np.full(8, 100.0 * (1.0 + left))),
+        base=SimpleNamespace(chi_square=2.0),
         effects=("moving_mass",),
-        form="",
-        weighting=SimpleNamespace(parts=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
+        alternative_model="",
+        weighting=SimpleNamespace(folds=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
     )
     chances = {"moving_mass": {"moving_mass": 1.0}}
-    assert diagnosing._verdict(found, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
+    assert decision.decide(comparison, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
 
 
-def test_a_form_that_predicts_worse_than_the_other_effects_alone_is_no_rival():
-    def of(total):
-        return SimpleNamespace(total=total)
+def test_a_damper_model_that_predicts_worse_than_the_other_effects_alone_is_no_alternative():
+    def with_cost(cost):
+        return SimpleNamespace(held_out_cost=cost)
 
-    rivals = {"gas_spring": {"gas_spring": of(1.0), "": of(9.0)}, "coil_lag": {"coil_lag": of(1.0), "": of(2.0)}}
-    found = ModelComparison(None, of(99.0), (of(9.0), of(1.0)), tuple(rivals), rivals).with_alternative_models(
-        {"dahl": of(5.0), "lugre": of(7.0)}
+    alternatives = {
+        "gas_spring": {"gas_spring": with_cost(1.0), "": with_cost(9.0)},
+        "coil_lag": {"coil_lag": with_cost(1.0), "": with_cost(2.0)},
+    }
+    chain = (with_cost(9.0), with_cost(1.0))
+    comparison = ModelComparison(None, with_cost(99.0), chain, tuple(alternatives), alternatives).with_alternative_models(
+        {"dahl": with_cost(5.0), "lugre": with_cost(7.0)}
     )
-    assert found.rivals["gas_spring"][found.form].held_out_cost == 5.0
-    assert found.rivals["coil_lag"] == rivals["coil_lag"]
+    assert comparison.alternatives["gas_spring"][comparison.alternative_model].held_out_cost == 5.0
+    assert comparison.alternatives["coil_lag"] == alternatives["coil_lag"]
 
 
-def test_at_one_speed_an_effect_that_is_no_form_of_the_damper_is_named():
-    found = diagnose(sines(effects={"joint_play": {"play": 3e-4}}), "bouc_wen", effects=("joint_play", "seal_friction"))
-    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["joint_play"])
+def test_at_one_speed_an_effect_that_no_damper_model_imitates_is_named():
+    diagnosis = diagnose(sines(effects={"joint_play": {"play": 3e-4}}), "bouc_wen", effects=("joint_play", "seal_friction"))
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["joint_play"])
 
 
 def test_a_true_simulator_among_scattered_runs_is_no_gap_in_the_parameters():
     runs = recorded(seed=8, instruments=Instruments(run_gain=0.03, run_offset=8.0))
-    found = diagnose(runs, "bouc_wen", parameters=StoredFit("bouc_wen", {}, (), DAMPER, {}), effects=FEW)
-    assert found.gap.as_given < 1.3 * found.before.value
-    assert found.sentence.startswith("No gap")
+    diagnosis = diagnose(runs, "bouc_wen", parameters=StoredFit("bouc_wen", {}, (), DAMPER, {}), effects=FEW)
+    assert diagnosis.gap.as_given < 1.3 * diagnosis.gap.before.value
+    assert diagnosis.sentence.startswith("No gap")
 
 
-def test_a_second_cause_is_found_and_both_have_rivals():
+def test_a_second_cause_is_found_and_both_have_alternatives():
     runs = recorded({"coil_lag": {"lag": 0.002}, "moving_mass": {"mass": 4.0}}, seed=9)
-    found = diagnose(runs, "bouc_wen", effects=FEW)
-    assert {cause.effect for cause in found.causes} == {"coil_lag", "moving_mass"}
-    assert all(cause.probability > 0.8 for cause in found.causes)
-    likely = [cause.probability * cause.closed.value for cause in found.causes]
+    diagnosis = diagnose(runs, "bouc_wen", effects=FEW)
+    assert {cause.effect for cause in diagnosis.causes} == {"coil_lag", "moving_mass"}
+    assert all(cause.probability > 0.8 for cause in diagnosis.causes)
+    likely = [cause.probability * cause.closed_fraction.value for cause in diagnosis.causes]
     assert likely == sorted(likely, reverse=True)
 
 
-def test_a_second_cause_is_sought_where_the_form_of_the_first_could_leave_as_much():
+def test_a_second_cause_is_found_within_the_tolerance_of_the_first_formula():
     runs = recorded({"channel_delay": {"delay": 0.006}, "moving_mass": {"mass": 5.0}}, seed=9)
-    found = diagnose(runs, "bouc_wen", effects=FEW)
-    assert [cause.effect for cause in found.causes] == ["channel_delay", "moving_mass"]
-    sizes = found.causes[1].parameters["moving_mass.mass"].value
+    diagnosis = diagnose(runs, "bouc_wen", effects=FEW)
+    assert [cause.effect for cause in diagnosis.causes] == ["channel_delay", "moving_mass"]
+    sizes = diagnosis.causes[1].parameters["moving_mass.mass"].value
     assert sizes.value == pytest.approx(5.0, rel=0.1)
-    assert found.causes[1].closed.value < 0.06
+    assert diagnosis.causes[1].closed_fraction.value < 0.06
 
 
-def test_a_play_far_smaller_than_typical_promises_to_close_what_it_does_beside_a_lag():
+def test_a_play_far_smaller_than_typical_scores_best_beside_a_lag():
     runs = recorded({"backlash": {"play": 7e-5}, "force_sensor_lag": {"lag": 0.0017}}, seed=3, rate=500)
     weighting, alone, _, _ = fit_base(
         find_model("bouc_wen"), None, [prepare_recording(run) for run in runs], np.random.default_rng(0)
     )
-    (lagging,) = refit_with_effects(weighting, BaseFit.of(weighting, alone), ["force_sensor_lag"], 1)
+    (lagging,) = refit_with_effects(weighting, BaseFit.linearise(weighting, alone), ["force_sensor_lag"], 1)
     weighting = weighting.updated(lagging.refit.problem.model, lagging.refit.theta)
-    base_fit = BaseFit.of(weighting, refit_again(weighting, lagging.refit))
-    promised, *others = (
-        promise.gain for promise in score_effects(weighting, base_fit, ["backlash", *FEW, "flow_asymmetry"])
-    )
-    assert promised > 10 * max(others)
+    base_fit = BaseFit.linearise(weighting, refit_on(weighting, lagging.refit))
+    of_play, *others = (score.gain for score in score_effects(weighting, base_fit, ["backlash", *FEW, "flow_asymmetry"]))
+    assert of_play > 10 * max(others)
 
 
 def test_runs_that_were_set_aside_may_go_beyond_the_fitted():
     effect = {"channel_delay": {"delay": 0.012}}
     runs = recorded(effect, seed=10, only=["sine", "multisine", "slow", "slow"])
-    found = diagnose(runs[:2], "bouc_wen", held_out=runs[2:], effects=("channel_delay", "moving_mass"))
-    assert [trace.extrapolates for trace in found.residuals if trace.held_out] == ["stroke", "stroke"]
-    assert found.extrapolated is not None
+    diagnosis = diagnose(runs[:2], "bouc_wen", held_out=runs[2:], effects=("channel_delay", "moving_mass"))
+    assert [residual.extrapolates for residual in diagnosis.residuals if residual.held_out] == ["stroke", "stroke"]
+    assert diagnosis.gap.extrapolated is not None
 
 
 def test_heat_goes_on_from_run_to_run():
     effect = {"thermal_fade": {"fade": 2e-4}}
     runs = recorded(effect, seed=6, only=["multisine", "sine", "triangle", "slow", "multisine"])
-    found = diagnose(runs, "bouc_wen", effects=("thermal_fade", "gas_spring"))
-    fade = next(candidate for candidate in found.candidates if candidate.effects == ("thermal_fade",))
+    diagnosis = diagnose(runs, "bouc_wen", effects=("thermal_fade", "gas_spring"))
+    fade = next(candidate for candidate in diagnosis.candidates if candidate.effects == ("thermal_fade",))
     assert fade.parameters["thermal_fade.fade"].value.value == pytest.approx(2e-4, rel=0.2)
 
 
 def test_what_has_settled_is_stirred_once_also_in_runs_that_were_set_aside():
     effect = {"settling": {"excess": 0.3, "travel": 0.3}}
     runs = recorded(effect, seed=6, only=["triangle", "multisine", "sine", "slow", "multisine"])
-    found = diagnose(runs[:4], "bouc_wen", held_out=runs[4:], effects=("settling", "gas_spring"))
-    assert [cause.effect for cause in found.causes] == ["settling"]
-    assert found.after.value < 1.2 * found.floor.value
+    diagnosis = diagnose(runs[:4], "bouc_wen", held_out=runs[4:], effects=("settling", "gas_spring"))
+    assert [cause.effect for cause in diagnosis.causes] == ["settling"]
+    assert diagnosis.gap.after.value < 1.2 * diagnosis.gap.noise_floor.value
 
 
 @pytest.mark.parametrize("frequency", [50.0, 60.0])
 def test_a_hum_is_found_whichever_the_mains_are(frequency):
     runs = recorded({"mains_hum": {"amplitude": 4.0, "frequency": frequency}}, rate=500)
-    found = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
-    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["mains_hum"])
-    assert found.parameters["mains_hum.frequency"] == frequency
-    assert found.parameters["mains_hum.amplitude"] == pytest.approx(4.0, rel=0.1)
-    assert f"at {frequency:.0f} Hz" in found.sentence
+    diagnosis = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["mains_hum"])
+    assert diagnosis.corrected.parameters["mains_hum.frequency"] == frequency
+    assert diagnosis.corrected.parameters["mains_hum.amplitude"] == pytest.approx(4.0, rel=0.1)
+    assert f"at {frequency:.0f} Hz" in diagnosis.sentence
 
 
-def test_no_cap_is_said_to_show_that_the_force_never_reaches():
-    found = diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
-    cavitation = next(candidate for candidate in found.candidates if candidate.effects == ("cavitation",))
-    size, _, unit = cavitation.smallest.partition(" ")
+def test_a_detectable_cap_is_one_that_the_force_reaches():
+    diagnosis = diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
+    cavitation = next(candidate for candidate in diagnosis.candidates if candidate.effects == ("cavitation",))
+    size, _, unit = cavitation.smallest_detectable.partition(" ")
     assert unit == "per kN"
     model = find_model("bouc_wen", effects=("cavitation",))
     change = [
-        model.force(model.vector(found.parameters | {"cavitation.inverse_cap": 1e-3 * float(size)}), path)
-        - model.force(model.vector(found.parameters), path)
-        for path in (trace.recording.path for trace in found.residuals)
+        model.force(model.vector(diagnosis.corrected.parameters | {"cavitation.inverse_cap": 1e-3 * float(size)}), path)
+        - model.force(model.vector(diagnosis.corrected.parameters), path)
+        for path in (residual.recording.path for residual in diagnosis.residuals)
     ]
     assert np.abs(np.concatenate(change)).max() > 5.0
 
@@ -365,14 +370,26 @@ def test_no_cap_is_said_to_show_that_the_force_never_reaches():
         ({"runs": []}, "no runs to diagnose"),
         ({"parameters": StoredFit("bingham", {}, (), {}, {})}, "of the model bingham, expected bouc_wen"),
         ({"parameters": StoredFit("bouc_wen", {}, (), {"yield_force": 1e9}, {})}, "yield_force is 1e.09 N, expected"),
-        ({"parameters": StoredFit("bouc_wen", {}, ("backlash",), {}, {})}, "has the effects backlash around the model"),
-        ({"parameters": StoredFit("bouc_wen", {"viscous": "tanh"}, (), {}, {}), "laws": "affine"}, "has the current laws"),
+        (
+            {"parameters": StoredFit("bouc_wen", {}, ("backlash",), {}, {})},
+            "found the effects backlash in the fit, expected none",
+        ),
+        ({"parameters": StoredFit("bouc_wen", {"viscous": "tanh"}, (), {}, {}), "laws": "affine"}, "found the current laws"),
     ],
 )
 def test_bad_input(delayed, change, says):
     asked = {"runs": delayed, "model": "bouc_wen"} | change
     with pytest.raises(InputError, match=says):
         diagnose(**asked)
+
+
+def test_the_tool_refuses_an_unusable_bench_file(tmp_path, monkeypatch, delayed):
+    bench = tmp_path / "bench.yaml"
+    bench.write_text("/**: {ros__parameters: {limits: {stroke_mm: far}}}\n")
+    arguments = ["diagnose", "run.csv", "--model", "bouc_wen", "--bench", str(bench), "--output", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(InputError, match=r"bench\.yaml"):
+        diagnose_tool.work()
 
 
 def test_it_can_be_cancelled(delayed):
@@ -397,6 +414,6 @@ def test_the_whole_catalogue_names_it(effect, size):
 
     first = EFFECTS[effect].parameters[0].name
     runs = recorded({effect: dict(EFFECTS[effect].typical) | {first: size}}, seed=7, rate=500)
-    found = diagnose(runs, "bouc_wen")
-    assert found.causes[0].effect == effect
-    assert found.closed.value > 0.9
+    diagnosis = diagnose(runs, "bouc_wen")
+    assert diagnosis.causes[0].effect == effect
+    assert diagnosis.gap.closed_fraction.value > 0.9

@@ -1,4 +1,4 @@
-"""The ceiling of what could be explained: high for what follows from the path, none for noise."""
+"""The explainable share of a gap: high for an effect of the path, none for noise."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ MOTIONS = (  # Hz, m
 
 
 def campaign(effect=None, seconds=12.0, seed=0):
-    """Runs of the base with an effect, and what the refitted base leaves of them."""
+    """Return recordings of the base model with an effect, and the residuals of the refitted base model."""
     model = find_model("bouc_wen", effects=[effect]) if effect else BASE
     theta = model.vector({f"{effect}.{k}": v for k, v in EFFECTS[effect].typical.items()} if effect else {})
     recordings = []
@@ -44,30 +44,30 @@ def campaign(effect=None, seconds=12.0, seed=0):
     return recordings, [r.force - r.modelled(BASE, fitted) for r in recordings]
 
 
-def ceiling(recordings, residuals):
+def explainable(recordings, residuals):
     sigmas = [np.full(len(residual), NOISE) for residual in residuals]
     return explainable_fraction(recordings, residuals, sigmas, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("effect", ["shear_thinning", "coil_lag", "gas_spring"])
 def test_most_of_a_known_effect_can_be_explained_on_unseen_runs(effect):
-    assert ceiling(*campaign(effect)) > 0.4
+    assert explainable(*campaign(effect)) > 0.4
 
 
 def test_in_a_single_run_blocks_take_the_place_of_runs():
     recordings, residuals = campaign("shear_thinning", seconds=20.0)
-    assert ceiling(recordings[:1], residuals[:1]) > 0.4
+    assert explainable(recordings[:1], residuals[:1]) > 0.4
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_noise_cannot_be_explained(seed):
     recordings, residuals = campaign(seed=seed)
     # The true motion is known here up to rounding: nothing but noise is left.
-    assert ceiling(recordings, residuals) < 0.05
-    assert ceiling(recordings[:1], residuals[:1]) < 0.05
+    assert explainable(recordings, residuals) < 0.05
+    assert explainable(recordings[:1], residuals[:1]) < 0.05
 
 
-def test_what_has_nothing_to_do_with_the_path_cannot_be_explained():
+def test_an_error_that_is_independent_of_the_path_cannot_be_explained():
     recordings, residuals = campaign()
     random = np.random.default_rng(3)
     added = [20.0 * np.cos(2 * np.pi * random.uniform(5, 9) * np.arange(len(r)) / RATE) for r in residuals]
@@ -76,15 +76,15 @@ def test_what_has_nothing_to_do_with_the_path_cannot_be_explained():
         force = recording.run.force.copy()
         force[recording.counted] += extra
         changed.append(replace(recording, smoothed=replace(recording.smoothed, run=replace(recording.run, force=force))))
-    assert ceiling(changed, [r + extra for r, extra in zip(residuals, added, strict=True)]) < 0.05
+    assert explainable(changed, [r + extra for r, extra in zip(residuals, added, strict=True)]) < 0.05
 
 
-def test_silence_has_nothing_to_explain():
+def test_zero_residuals_have_nothing_to_explain():
     recordings, residuals = campaign()
     silent = [0.0 * r for r in residuals]
     assert explainable_fraction(recordings, silent, silent, np.random.default_rng(0)) == 0.0
 
 
-def test_the_same_seed_gives_the_same_ceiling():
-    case = campaign("coil_lag", seconds=6.0)
-    assert ceiling(*case) == ceiling(*case)
+def test_the_same_seed_gives_the_same_share():
+    runs = campaign("coil_lag", seconds=6.0)
+    assert explainable(*runs) == explainable(*runs)

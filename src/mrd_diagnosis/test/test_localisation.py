@@ -1,13 +1,15 @@
-"""The gap is found where it was put, with its share, and nowhere in noise."""
+"""The gap is located where it was put, with its share, and nowhere in noise."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from mrd_diagnosis.axis_bins import travel_since_reversal
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.localisation import SIGNIFICANT, maps, travel_since_reversal, where
+from mrd_diagnosis.excess_maps import maps
+from mrd_diagnosis.localisation import localise
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.path import make_path
@@ -44,7 +46,7 @@ def on(recordings, series):
 
 
 def noise_of(recordings, sigma=lambda r: np.full(len(r.run), NOISE), seed=0):
-    """The noise that a residual has, and one draw of it."""
+    """Return the noise of each residual, and one draw of it."""
     random = np.random.default_rng(seed)
     noises = [RunNoise(s, float(s.min()), 0.0, "residual") for s in on(recordings, sigma)]
     return noises, [n.sigma * random.standard_normal(len(n.sigma)) for n in noises]
@@ -53,7 +55,11 @@ def noise_of(recordings, sigma=lambda r: np.full(len(r.run), NOISE), seed=0):
 def regions(recordings, planted, seed=0, **options):
     noises, drawn = noise_of(recordings, seed=seed, **options)
     residuals = [n + p for n, p in zip(drawn, on(recordings, planted), strict=True)]
-    return where(recordings, noises, residuals, np.random.default_rng(seed))
+    return localise(recordings, noises, residuals, np.random.default_rng(seed))
+
+
+def is_significant(region):
+    return region.q_value < THRESHOLDS.q_value
 
 
 def speed(r):
@@ -74,27 +80,27 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("kind", PLANTED)
-def test_what_was_planted_comes_first_with_its_share(campaign, kind):
+def test_a_planted_excess_comes_first_with_its_share(campaign, kind):
     planted, label, axis = PLANTED[kind]
-    found = regions(campaign, planted)
-    assert found[0].label == label
-    assert found[0].q_value < SIGNIFICANT
-    assert found[0].share.value == pytest.approx(1.0, abs=0.05)
-    assert found[0].share.lower <= found[0].share.value <= found[0].share.upper
-    together = sum(r.share.value for r in found if r.axis == axis)
-    assert together == pytest.approx(1.0, abs=0.1)
-    assert all(r.lift > 1.0 for r in found if r.q_value < SIGNIFICANT)
-    assert [r.q_value < SIGNIFICANT for r in found] == sorted((r.q_value < SIGNIFICANT for r in found), reverse=True)
+    located = regions(campaign, planted)
+    assert located[0].label == label
+    assert is_significant(located[0])
+    assert located[0].share.value == pytest.approx(1.0, abs=0.05)
+    assert located[0].share.lower <= located[0].share.value <= located[0].share.upper
+    sum_of_shares = sum(r.share.value for r in located if r.axis == axis)
+    assert sum_of_shares == pytest.approx(1.0, abs=0.1)
+    assert all(r.lift > 1.0 for r in located if is_significant(r))
+    assert [is_significant(r) for r in located] == sorted((is_significant(r) for r in located), reverse=True)
 
 
-def test_a_uniform_excess_is_nowhere_in_particular(campaign):
+def test_a_uniform_excess_is_significant_nowhere(campaign):
     random = np.random.default_rng(1)
-    found = regions(campaign, lambda r: 3.0 * random.standard_normal(len(r.run)))
-    assert [r for r in found if r.q_value < SIGNIFICANT and r.axis != "frequency"] == []
+    located = regions(campaign, lambda r: 3.0 * random.standard_normal(len(r.run)))
+    assert [r for r in located if is_significant(r) and r.axis != "frequency"] == []
 
 
 def bursts(r):
-    """Noise that is large after reversals, as errors of the motion make it."""
+    """Return a noise that is large after reversals, as errors of the motion are."""
     return NOISE * (1.0 + 8.0 * np.exp(-since(r) / 0.2e-3))
 
 
@@ -103,35 +109,35 @@ def bursts(r):
 def test_noise_is_no_gap(campaign, sigma, runs):
     alarms = 0
     for seed in range(40):
-        found = regions(campaign[:runs], lambda r: np.zeros(len(r.run)), seed, sigma=sigma)
-        alarms += any(r.q_value < SIGNIFICANT for r in found)
+        located = regions(campaign[:runs], lambda r: np.zeros(len(r.run)), seed, sigma=sigma)
+        alarms += any(is_significant(r) for r in located)
     assert alarms <= 4
 
 
-def test_noise_that_was_taken_a_little_too_small_is_no_gap(campaign):
+def test_noise_that_is_slightly_underestimated_is_no_gap(campaign):
     noises, drawn = noise_of(campaign, bursts)
-    found = where(campaign, [replace(n, sigma=0.97 * n.sigma) for n in noises], drawn, np.random.default_rng(0))
-    assert [r for r in found if r.q_value < SIGNIFICANT] == []
+    located = localise(campaign, [replace(n, sigma=0.97 * n.sigma) for n in noises], drawn, np.random.default_rng(0))
+    assert [r for r in located if is_significant(r)] == []
 
 
-def test_uneven_noise_hides_no_excess_elsewhere(campaign):
-    found = regions(campaign, PLANTED["full current"][0], sigma=bursts)
-    assert found[0].label == "at 1 A"
-    assert found[0].share.value == pytest.approx(1.0, abs=0.1)
+def test_uneven_noise_hides_no_excess_at_other_samples(campaign):
+    located = regions(campaign, PLANTED["full current"][0], sigma=bursts)
+    assert located[0].label == "at 1 A"
+    assert located[0].share.value == pytest.approx(1.0, abs=0.1)
 
 
 def test_one_run_has_intervals_from_blocks_and_no_axis_that_does_not_vary():
     single = [recording(0, current=0.4)]
-    found = regions(single, PLANTED["after reversals"][0])
-    assert found[0].label == "within 0.2 mm after a reversal"
-    assert 0.0 < found[0].share.lower < found[0].share.upper
-    assert {r.axis for r in found} == {"time", "position", "velocity", "acceleration", "frequency", "reversal", "sign"}
+    located = regions(single, PLANTED["after reversals"][0])
+    assert located[0].label == "within 0.2 mm after a reversal"
+    assert 0.0 < located[0].share.lower < located[0].share.upper
+    assert {r.axis for r in located} == {"time", "position", "velocity", "acceleration", "frequency", "reversal", "sign"}
 
 
 def test_without_excess_there_are_no_regions(campaign):
     noises, _ = noise_of(campaign)
     silence = [np.zeros(len(n.sigma)) for n in noises]
-    assert where(campaign, noises, silence, np.random.default_rng(0)) == ()
+    assert localise(campaign, noises, silence, np.random.default_rng(0)) == ()
 
 
 def test_travel_since_reversal_counts_from_the_turning_point_between_samples():
@@ -144,7 +150,7 @@ def test_travel_since_reversal_counts_from_the_turning_point_between_samples():
     np.testing.assert_allclose(travel_since_reversal(path), expected, atol=1e-3)
 
 
-def test_maps_show_where(campaign):
+def test_maps_show_the_excess(campaign):
     planted = on(campaign, PLANTED["fast"][0])
     noises, drawn = noise_of(campaign)
     over_position, over_current, spectrum = maps(campaign, noises, [n + p for n, p in zip(drawn, planted, strict=True)])
@@ -162,11 +168,3 @@ def test_maps_show_where(campaign):
     assert spectrum.y_edges[loudest] == pytest.approx(20.0, abs=RATE / 100)
     constant = [recording(0, current=0.4)]
     assert len(maps(constant, *noise_of(constant))) == 2
-
-
-def test_many_samples_take_little_time(campaign):
-    noises, drawn = noise_of(campaign)
-    many = 4  # 60 000 samples
-    begin = time.perf_counter()
-    where(campaign * many, noises * many, drawn * many, np.random.default_rng(0))
-    assert time.perf_counter() - begin < 1.0  # alone 0.03 s; tests may share the machine

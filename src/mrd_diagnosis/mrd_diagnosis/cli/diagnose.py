@@ -1,6 +1,7 @@
 """The tool ``diagnose``: explain the gap between simulator and recordings."""
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
+from mrd_trajectory.settings import read_settings
 
 MOST_ROWS = 8
 """Candidates that the terminal shows; the page and the file list all of them."""
@@ -57,6 +59,12 @@ def work() -> None:
         "--effects", default="", metavar="ID,...", help="effects to try; ros2 run mrd_sim effects lists them (default: all)"
     )
     add_effects_folder(parser)
+    parser.add_argument(
+        "--bench",
+        metavar="FILE",
+        default=os.environ.get("MRD_BENCH"),
+        help="bench.yaml whose limits an advised experiment must not exceed; default: $MRD_BENCH",
+    )
     parser.add_argument("--seed", type=int, default=0, help="same seed, same result (default %(default)s)")
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the reports")
     arguments = parser.parse_args()
@@ -67,6 +75,7 @@ def work() -> None:
     find_model(arguments.model, laws)
     find_effects(effects)
     parameters = read_fit(arguments.parameters) if arguments.parameters else None
+    bench = read_settings(arguments.bench)
     runs, held_out = read_arguments_runs(arguments)
     folder = make_folder(arguments.output)
     with tqdm(total=100, desc="diagnosing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
@@ -82,6 +91,7 @@ def work() -> None:
             parameters=parameters,
             laws=laws or None,
             effects=effects,
+            bench=bench,
             seed=arguments.seed,
             progress=progress,
         )

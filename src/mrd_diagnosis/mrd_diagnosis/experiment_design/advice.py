@@ -1,21 +1,20 @@
-"""What to record next, so that explanations that the recordings leave open are told apart.
+"""Advice: what to record next, so that explanations that the recordings leave open are told apart.
 
-For each experiment of a library and each two explanations: how far the force that one predicts stays apart from whatever the
-other can predict once it is fitted to everything recorded so far and to that prediction (T-optimality: Hunter & Reiner 1965;
-Atkinson & Fedorov 1975).
+Each experiment of a library is judged for each pair of explanations: how far is the force that one explanation predicts from
+anything that the other one can predict after it is fitted to all recorded runs and to this prediction? This is T-optimal
+design (Hunter & Reiner 1965; Atkinson & Fedorov 1975).
 """
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Advice
-from mrd_diagnosis.effect_names import effect_name
+from mrd_diagnosis.effect_names import effect_name, effect_names
 from mrd_diagnosis.experiment_design.candidates import RATE, library
-from mrd_diagnosis.experiment_design.separation import Foreseen, Pair, Separation
+from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
@@ -23,134 +22,156 @@ from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS, STAGES
 from mrd_trajectory.experiment import format_experiment
 from mrd_trajectory.plan import Plan
-from mrd_trajectory.settings import GeneratorSettings, read_settings
+from mrd_trajectory.settings import GeneratorSettings
 
-Array = NDArray[np.float64]
-
-BENCH = read_settings(None)
+HIGHEST_RATE = 2000.0
+"""Highest sample rate in Hz of an advised experiment."""
 
 SENSORS: Mapping[tuple[str, ...], str] = {
-    ("load_cell_gain", "load_cell_drift"): "hang dead weights on the cell, and tare it with the rod free, before and after",
-    ("thermal_fade", "settling"): "record the damper's temperature too, and the same run cold, warm and after a rest",
-    ("backlash", "joint_play", "series_compliance"): "add a second displacement sensor, across the damper itself",
-    ("channel_delay", "force_sensor_lag"): "show all channels one event, such as a blow to the rod, and compare its times",
-    ("lvdt_nonlinearity", "servo_ripple"): "compare the position sensor with the motor's encoder, or with gauge blocks",
-    ("current_sensor_error",): "record the sensors without current, and the current through a shunt beside its sensor",
-    ("mains_hum", "channel_crosstalk"): "record with the load cell off the damper, at rest and while rod and current move",
+    ("load_cell_gain", "load_cell_drift"): (
+        "Before and after the runs, hang dead weights on the load cell, and tare it with the rod free."
+    ),
+    ("thermal_fade", "settling"): (
+        "Record the damper's temperature too, and the same run with a cold damper, with a warm one and after a rest."
+    ),
+    ("backlash", "joint_play", "series_compliance"): "Add a second displacement sensor across the damper itself.",
+    ("channel_delay", "force_sensor_lag"): (
+        "Show all channels one event, such as a blow to the rod, and compare when each channel shows it."
+    ),
+    ("lvdt_nonlinearity", "servo_ripple"): "Compare the position sensor with the motor's encoder or with gauge blocks.",
+    ("current_sensor_error",): "Record the sensors without current, and measure the current with a shunt beside its sensor.",
+    ("mains_hum", "channel_crosstalk"): (
+        "Record with the load cell off the damper, at rest and while rod and current move."
+    ),
 }
-"""What to measure beside the runs, by effect; the first that fits counts."""
+"""What to measure besides the runs, by effect; the first entry that applies counts."""
 
 SENSORS_OF_STAGE = {
-    "drive": "add a displacement sensor on the rod, beside the one on the drive",
-    "magnetics": "add a search coil or a Hall sensor at the piston, which shows the flux",
-    "fluid": "record the damper's temperature and its gas pressure too",
-    "structure": "add a load cell at the damper's other end",
-    "sensing": "check the load cell and its amplifier with known forces",
+    "drive": "Add a displacement sensor on the rod, besides the one on the drive.",
+    "magnetics": "Add a search coil or a Hall sensor at the piston, which shows the flux.",
+    "fluid": "Record the damper's temperature and its gas pressure too.",
+    "structure": "Add a load cell at the other end of the damper.",
+    "sensing": "Check the load cell and its amplifier with known forces.",
 }
-"""The same for any other effect."""
+"""What to measure for any other effect, by its stage."""
 
 
 def advise(
-    rivals: Mapping[str, Refit],
+    explanations: Mapping[str, Refit],
     weighting: Weighting,
     rng: np.random.Generator | None = None,
     *,
     without: Refit | None = None,
-    bench: GeneratorSettings = BENCH,
-    progress: Callable[[float], None] = lambda _share: None,
+    bench: GeneratorSettings | None = None,
+    progress: Callable[[float], None] = lambda _fraction: None,
 ) -> Advice | None:
-    """Which experiment, or else which sensor, would tell explanations apart.
+    """Advise which experiment, or else which sensor, tells explanations apart.
 
     Parameters
     ----------
-    rivals : mapping
-        Refits on the weighting by what they explain the gap by: an effect's id, another form, "" for the model alone.
+    explanations : mapping
+        Refits on the weighting by what they explain the gap by: an effect, another damper model, "" for no effect.
     weighting : Weighting
     rng : numpy Generator, optional
-        Of the errors that are drawn; the same each time without one.
+        Source of the errors that are drawn. Without one, the same errors are drawn each time.
     without : Refit, optional
-        Without what the rivals explain the gap by. An experiment then must tell them apart by more than what a form that is
-        a little off leaves of the gap, as `mrd_diagnosis.statistics.probabilities` has it.
+        The model without what the explanations explain the gap by. With it, an experiment must separate the explanations by
+        more than the error of their formulas, see `mrd_diagnosis.statistics.certainty`.
     bench : GeneratorSettings, optional
-        Whose limits no experiment exceeds; default: the shipped bench.
+        Limits that no experiment exceeds; by default, those of the shipped bench.
     progress : callable
-        Called with the share of the work that is done.
+        Called with the fraction of the work that is done.
 
     Returns
     -------
     Advice or None
-        None for fewer than two rivals. An experiment is advised where it tells at least one pair apart, with fewer wrong
-        choices than `Thresholds.wrong_choices`: the one that does so for most pairs, and among those the one that separates
+        None for fewer than two explanations. An experiment is advised if it tells at least one pair apart with fewer wrong
+        choices than `Thresholds.wrong_choices`: the one that does so for most pairs, and among these the one that separates
         them best.
     """
-    if len(rivals) < 2:
+    if len(explanations) < 2:
         return None
-    rng = rng or np.random.default_rng(0)
-    plans, done = library(bench), itertools.count(1)
-    foreseen = Foreseen.of(rivals, weighting, rng, without)
+    rng, bench = rng or np.random.default_rng(0), bench or GeneratorSettings()
+    plans, completed = library(bench), itertools.count(1)
+    predictor = Predictor.from_refits(explanations, weighting, rng, without)
 
-    def separations(each: tuple[Plan, np.random.Generator]) -> dict[Pair, Separation] | None:
-        found = foreseen.separations(each[0], bench.limits.force, each[1])
-        progress(next(done) / len(plans))
-        return found
+    def separate(item: tuple[Plan, np.random.Generator]) -> dict[Pair, Separation] | None:
+        separations = predictor.separations(item[0], bench.limits.force, item[1])
+        progress(next(completed) / len(plans))
+        return separations
 
-    distances_of = in_threads(separations, list(zip(plans, rng.spawn(len(plans)), strict=True)))
-    judged = [(planned, found) for planned, found in zip(plans, distances_of, strict=True) if found is not None]
-    if not judged:
-        pair = next(itertools.combinations(rivals, 2))
-        return Advice(
-            f"No run of the library is safe: each would exceed the bench's {bench.limits.force:g} N or another limit; "
-            f"{sensor(*(foreseen.rivals[name].effects for name in pair))}.",
-            between=pair,
-        )
-    planned, distances = max(judged, key=lambda each: _merit(*each))
-    errors = {pair: found.error_rate for pair, found in distances.items()}
-    told = {pair: errors[pair] for pair, found in distances.items() if found.tells}
-    left = max((pair for pair in errors if pair not in told), key=errors.__getitem__, default=None)
-    remedy = left and sensor(*(foreseen.rivals[name].effects for name in left))
-    if left and not told:
-        why = (
-            f"{_percent(errors[left])} wrong choices to expect even after the best one"
-            if errors[left] >= THRESHOLDS.wrong_choices
-            else "they differ by less than either may err in its form"
-        )
-        return Advice(f"No run of the library would tell {_listed(left)} apart ({why}); {remedy}.", between=left)
-    between = tuple(name for name in rivals if any(name in pair for pair in told))
-    worst = max(told.values())
-    experiment = replace(planned.experiment, rate=_rate(weighting))
-    text = f"Record {experiment.name}, {experiment.description}: it tells {_listed(between)} apart"
-    if left:
-        text += f", but not {_listed(left)} from each other: {remedy}"
-    return Advice(f"{text} ({_percent(worst)} wrong choices to expect).", format_experiment(experiment), between, worst)
+    separations_of_plans = in_threads(separate, list(zip(plans, rng.spawn(len(plans)), strict=True)))
+    safe = [(planned, of_plan) for planned, of_plan in zip(plans, separations_of_plans, strict=True) if of_plan is not None]
+    if not safe:
+        pair = next(itertools.combinations(explanations, 2))
+        text = f"No run of the library is safe: each would exceed {bench.limits.force:g} N or another limit of the bench."
+        return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
+    planned, separations = max(safe, key=lambda item: _merit(*item))
+    open_pairs = [pair for pair, separation in separations.items() if not separation.is_conclusive]
+    worst_pair = max(open_pairs, key=lambda pair: separations[pair].error_rate, default=None)
+    if worst_pair and len(open_pairs) == len(separations):
+        return _advise_sensor(worst_pair, separations[worst_pair], predictor)
+    advice = _advise_experiment(planned, separations, weighting)
+    if worst_pair:
+        text = f"It does not tell {effect_names(worst_pair)} apart. {_sensor_for(worst_pair, predictor)}"
+        return replace(advice, text=f"{advice.text} {text}")
+    return advice
 
 
-def sensor(one: Collection[str], other: Collection[str]) -> str:
-    """What to measure that tells explanations apart which no run does, given their effects."""
-    differing = [effect for effect in EFFECTS if (effect in one) != (effect in other)]
-    for effects, text in SENSORS.items():
-        if any(effect in effects for effect in differing):
+def sensor(effects: Collection[str], other_effects: Collection[str]) -> str:
+    """Return what to measure that tells explanations apart where no run does, given their effects."""
+    differing = [effect for effect in EFFECTS if (effect in effects) != (effect in other_effects)]
+    for shown, text in SENSORS.items():
+        if any(effect in shown for effect in differing):
             return text
-    # Where cause becomes reading, the earliest stage decides.
+    # The earliest stage between cause and reading decides.
     first = min((EFFECTS[effect] for effect in differing), key=lambda effect: STAGES.index(effect.stage))
-    return f"{SENSORS_OF_STAGE[first.stage]} (for {effect_name(first.id)}: {first.separated_by})"
+    return f"{SENSORS_OF_STAGE[first.stage]} Another measurement for {effect_name(first.id)}: {first.separated_by}."
 
 
-def _merit(planned: Plan, distances: Mapping[Pair, Separation]) -> tuple[int, float]:
-    """Pairs that a run tells apart; the smallest distance of these, or the largest of all, for every second of it."""
-    told = [found.squared for found in distances.values() if found.tells]
-    return len(told), (min(told) if told else max(found.squared for found in distances.values())) / planned.duration
+def _sensor_for(pair: Pair, predictor: Predictor) -> str:
+    effects, other_effects = (predictor.explanations[name].effects for name in pair)
+    return sensor(effects, other_effects)
+
+
+def _advise_experiment(planned: Plan, separations: Mapping[Pair, Separation], weighting: Weighting) -> Advice:
+    """Advise an experiment that tells at least one pair of explanations apart."""
+    separated = {pair: separation for pair, separation in separations.items() if separation.is_conclusive}
+    between = tuple(dict.fromkeys(name for pair in separations for name in pair if any(name in p for p in separated)))
+    error_rate = max(separation.error_rate for separation in separated.values())
+    experiment = replace(planned.experiment, rate=_rate(weighting))
+    text = (
+        f"Record {experiment.name}: {experiment.description}. It tells {effect_names(between)} apart; "
+        f"after it, {_percent(error_rate)} of the choices would be wrong."
+    )
+    return Advice(text, format_experiment(experiment), between, error_rate)
+
+
+def _advise_sensor(pair: Pair, separation: Separation, predictor: Predictor) -> Advice:
+    """Advise a sensor for a pair of explanations that no run tells apart."""
+    if separation.error_rate >= THRESHOLDS.wrong_choices:
+        why = f"even after the best one, {_percent(separation.error_rate)} of the choices would be wrong"
+    else:
+        why = "they differ by less than the error of either formula"
+    text = f"No run of the library would tell {effect_names(pair)} apart: {why}."
+    return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
+
+
+def _merit(planned: Plan, separations: Mapping[Pair, Separation]) -> tuple[int, float]:
+    """Return how many pairs a run tells apart, and the least squared distance of these per second of the run.
+
+    Where it tells none apart, the largest distance takes the place of the least one.
+    """
+    conclusive = [separation.squared_distance for separation in separations.values() if separation.is_conclusive]
+    decisive = min(conclusive) if conclusive else max(s.squared_distance for s in separations.values())
+    return len(conclusive), decisive / planned.duration
 
 
 def _rate(weighting: Weighting) -> float:
-    """Hz: that of the recordings, so that all can be compared, unless it is a slow one."""
+    """Return the sample rate in Hz of the recordings, so that all runs can be compared, unless it is low."""
     fastest = max(recording.run.rate for recording in weighting.recordings)
-    return float(f"{np.clip(fastest, RATE, 2000.0):.3g}")
+    return float(f"{np.clip(fastest, RATE, HIGHEST_RATE):.3g}")
 
 
-def _listed(names: Sequence[str]) -> str:
-    said = [effect_name(name) for name in names]
-    return ", ".join(said[:-1]) + f" and {said[-1]}"
-
-
-def _percent(error: float) -> str:
-    return f"{100 * error:.2g} %" if error > 1e-4 else "below 0.01 %"
+def _percent(error_rate: float) -> str:
+    return f"{100 * error_rate:.2g} %" if error_rate > 1e-4 else "less than 0.01 %"

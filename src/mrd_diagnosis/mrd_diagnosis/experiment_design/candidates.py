@@ -1,8 +1,7 @@
-"""Experiments to choose from where recordings leave a question open: none exceeds the limits of the bench."""
+"""Library of experiments from which the next one is chosen; none exceeds the limits of the bench."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
 
 from mrd_base import InputError
 from mrd_trajectory.experiment import Experiment
@@ -20,54 +19,56 @@ from mrd_trajectory.waveforms.triangle import Triangle
 from mrd_trajectory.waveforms.waveform import fields_in
 
 RATE = 500.0
-"""Hz."""
+"""Sample rate in Hz of the experiments."""
 
-SECONDS = 12.0
+DURATION = 12.0
+"""Duration in s of an experiment without its repeats."""
 
-SHRINKING, TRIALS = 0.8, 8
-"""What does not fit within the limits is made smaller by this factor, at most so many times."""
+REDUCTION, MOST_SIZES = 0.8, 8
+"""Factor by which an experiment beyond the limits is made smaller, and number of sizes that are tried."""
 
-_MM, _MA = 1e-3, 1e-3
+MM, MA = 1e-3, 1e-3
+"""One millimetre in m, one milliampere in A."""
 
 
 def _multisine(amplitude: float, highest: float, seed: int, offset: float = 0.0) -> Multisine:
-    """In mm and Hz; its period is half the run, so that what differs between the halves is noise."""
-    return Multisine(amplitude * _MM, 0.2, highest, SECONDS / 2, 1.0, seed, offset * _MM)
+    """Return an odd multisine, in mm and Hz. Its period is half the run: what differs between the halves is noise."""
+    return Multisine(amplitude * MM, 0.2, highest, DURATION / 2, 1.0, seed, offset * MM)
 
 
 def _levels(highest: float, seed: int, shortest: float = 0.03, longest: float = 0.3) -> Aprbs:
-    """Random levels from 0 to so many mA."""
-    return Aprbs(0.0, highest * _MA, shortest, longest, 12, seed)
+    """Return random levels of current from 0 to ``highest`` mA."""
+    return Aprbs(0.0, highest * MA, shortest, longest, 12, seed)
 
 
-def _at(level: float) -> Constant:
-    """In mA."""
-    return Constant(level * _MA)
+def _constant(level: float) -> Constant:
+    """Return a constant current in mA."""
+    return Constant(level * MA)
 
 
 def _candidates() -> Iterator[tuple[str, str, Waveform, Waveform]]:
-    """Name, description, what rod and coil do; on the shipped bench all of them fit within the limits as they are."""
+    """Yield name, description, and waveforms of rod and coil. All fit within the limits of the shipped bench."""
     sizes = (("large", 12.0, 8.0, 260.0), ("medium", 5.0, 8.0, 400.0), ("small", 1.0, 12.0, 480.0))
     for size, amplitude, highest, current in sizes:
-        moves, rod = f"odd multisine of {amplitude:g} mm up to {highest:g} Hz", _multisine(amplitude, highest, 1)
-        yield f"{size}_random_current", f"{moves} at random currents", rod, _levels(current, 2)
-        yield f"{size}_no_current", f"{moves} without current", rod, _at(0)
-        yield f"{size}_current", f"{moves} at constant current", rod, _at(current)
-    steps = Ladder((0.1, 0.01), 20 * _MM, 3.0)
+        motion, rod = f"odd multisine of {amplitude:g} mm up to {highest:g} Hz", _multisine(amplitude, highest, 1)
+        yield f"{size}_random_current", f"{motion} at random currents", rod, _levels(current, 2)
+        yield f"{size}_no_current", f"{motion} without current", rod, _constant(0)
+        yield f"{size}_current", f"{motion} at constant current", rod, _constant(current)
+    steps = Ladder((0.1, 0.01), 20 * MM, 3.0)
     yield "steps_at_two_speeds", "steps of current at constant 100 and 10 mm/s", steps, Prbs(0.0, 0.35, 0.06, 8, 2)
-    triangle = Triangle(20 * _MM, 0.05)
+    triangle = Triangle(20 * MM, 0.05)
     yield "slow_steps", "long steps of current at constant 50 mm/s", triangle, Prbs(0.0, 0.45, 0.3, 8, 4)
     yield "fast_steps", "fast steps of current at constant 50 mm/s", triangle, Prbs(0.0, 0.45, 0.016, 10, 5)
     loops = (0, 0.2, 0.4, 0.5, 0.4, 0.2, 0, 0.2, 0.4, 0.2, 0.3, 0.2, 0.4, 0.5, 0.3, 0.1, 0.3, 0.1, 0, 0.5)
     yield (
         "current_loops",
         "nested loops of the current at constant 30 mm/s",
-        Triangle(24 * _MM, 0.03),
+        Triangle(24 * MM, 0.03),
         Staircase(loops, 0.3),
     )
-    ladder = Ladder((0.15, 0.05, 0.015, 0.005), 18 * _MM, 1.0)
+    ladder = Ladder((0.15, 0.05, 0.015, 0.005), 18 * MM, 1.0)
     yield "speed_ladder", "triangles of 5 to 150 mm/s at three currents", ladder, Staircase((0.0, 0.12, 0.24), 4.0)
-    slow = Ladder((0.0003, 0.001, 0.003, 0.01), 2 * _MM, 1.5)
+    slow = Ladder((0.0003, 0.001, 0.003, 0.01), 2 * MM, 1.5)
     for end, side in (("inner", -1), ("outer", 1)):
         yield (
             f"slow_reversals_{end}",
@@ -75,49 +76,49 @@ def _candidates() -> Iterator[tuple[str, str, Waveform, Waveform]]:
             replace(slow, offset=side * 0.0238),
             Staircase((0.0, 0.1), 6.0),
         )
-    whole = Sine(25.8 * _MM, 1 / 6)
-    yield "whole_stroke", "two slow sines over the whole stroke, without current", whole, _at(0)
+    whole = Sine(25.8 * MM, 1 / 6)
+    yield "whole_stroke", "two slow sines over the whole stroke, without current", whole, _constant(0)
     yield "whole_stroke_current", "two slow sines over the whole stroke, at random currents", whole, _levels(400, 6)
     for end, side in (("inner", -1), ("outer", 1)):
-        fast = Sine(13 * _MM, 2.0, side * 0.0125)
-        yield f"fast_{end}", f"fast sine towards the {end} end, without current", fast, _at(0)
-    yield "fast_random_current", "fast sine at random currents", Sine(8 * _MM, 2.0), _levels(300, 7)
-    chirp = Chirp(16 * _MM, 0.5, 12.0, constant_speed=True)
-    yield "chirp_no_current", "chirp of 0.5 to 12 Hz at equal peak speed, without current", chirp, _at(0)
+        fast = Sine(13 * MM, 2.0, side * 0.0125)
+        yield f"fast_{end}", f"fast sine towards the {end} end, without current", fast, _constant(0)
+    yield "fast_random_current", "fast sine at random currents", Sine(8 * MM, 2.0), _levels(300, 7)
+    chirp = Chirp(16 * MM, 0.5, 12.0, constant_speed=True)
+    yield "chirp_no_current", "chirp of 0.5 to 12 Hz at equal peak speed, without current", chirp, _constant(0)
     yield "chirp_random_current", "chirp of 0.5 to 12 Hz at equal peak speed, at random currents", chirp, _levels(350, 8)
-    micro = Chirp(0.4 * _MM, 1.0, 10.0, constant_speed=True)
+    micro = Chirp(0.4 * MM, 1.0, 10.0, constant_speed=True)
     yield "micro_strokes", "strokes of 0.4 down to 0.04 mm at high currents", micro, Staircase((0.58, 0.2, 0.4), 1.0)
 
 
-@cache
 def library(bench: GeneratorSettings) -> tuple[Plan, ...]:
-    """Experiments of a quarter of a minute, each within the limits of a bench.
+    """Return experiments of about a quarter of a minute, each within the limits of a bench.
 
-    Those that go beyond a limit are scaled down, in motion and current; those that do not fit even then are left out. The
-    last one takes longer: it warms the damper.
+    Motion and current of an experiment beyond a limit are scaled down; one that does not fit even then is left out. The last
+    experiment takes longer, because it warms the damper.
 
-    They stand here, not in files, so that they come with the package and suit another bench's limits.
+    The experiments are code and not files, so that they come with the package and adapt to the limits of any bench.
     """
     experiments = [
-        Experiment(name, SECONDS, RATE, rod, coil, description=description) for name, description, rod, coil in _candidates()
+        Experiment(name, DURATION, RATE, rod, coil, description=description)
+        for name, description, rod, coil in _candidates()
     ]
     warm = Experiment(
         "long_and_warm",
-        SECONDS,
+        DURATION,
         RATE,
         _multisine(12, 8, 9),
-        _at(240),
+        _constant(240),
         repeats=3,
-        description=("the same fast motion for half a minute at constant current: warmth and settling"),
+        description="the same fast motion for half a minute at constant current, which warms and settles the damper",
     )
-    fitted = (within(experiment, bench) for experiment in (*experiments, warm))
-    return tuple(planned for planned in fitted if planned is not None)
+    plans = (within(experiment, bench) for experiment in (*experiments, warm))
+    return tuple(planned for planned in plans if planned is not None)
 
 
 def within(experiment: Experiment, bench: GeneratorSettings) -> Plan | None:
-    """The experiment within the limits of a bench, as large as a few trials find it; None where it does not fit."""
-    for trial in range(TRIALS):
-        factor = SHRINKING**trial
+    """Plan the largest of a few sizes of an experiment that fits within the limits of a bench; None where none fits."""
+    for reductions in range(MOST_SIZES):
+        factor = REDUCTION**reductions
         rod, coil = _scaled(experiment.rod, factor), _scaled(experiment.coil, factor)
         try:
             return plan(replace(experiment, rod=rod, coil=coil), bench.limits, bench.force_envelope)
@@ -127,9 +128,9 @@ def within(experiment: Experiment, bench: GeneratorSettings) -> Plan | None:
 
 
 def _scaled(waveform: Waveform, factor: float) -> Waveform:
-    """Levels, and the slopes between them, smaller by a factor."""
+    """Scale the levels of a waveform, and the slopes between them, by a factor."""
     changes = {}
     for field in (*fields_in(waveform, "level"), *fields_in(waveform, "level/s")):
         value = getattr(waveform, field.name)
-        changes[field.name] = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+        changes[field.name] = tuple(factor * item for item in value) if isinstance(value, tuple) else factor * value
     return replace(waveform, **changes)  # type: ignore[type-var]

@@ -1,0 +1,182 @@
+"""Bins of the axes over which the excess error is located: their bounds, their labels, and the bin of every sample."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_diagnosis.diagnosis import Axis
+from mrd_identification.recording import Recording, current_levels
+from mrd_sim.path import Path
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Labels = tuple[str, str, str]
+"""Templates of the labels of the first bin, of a bin between others, and of the last bin."""
+
+REVERSAL_EDGES = (0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)
+"""Edges in m of travel since a reversal, around the usual yield travels."""
+
+MOST_LEVELS = 9
+"""Levels of the current, at most, that have a bin each; a current with more has even bins."""
+
+LEVEL_BINS = 64
+"""Bins of the histogram in which levels of the current are looked for."""
+
+LEAST_SHARE_OF_LEVEL = 0.002
+"""Share of the samples from which a bin of the histogram belongs to a level."""
+
+WIDEST_LEVEL = 0.1
+"""Share of the range of the current within which a level counts as one value."""
+
+MOST_EVEN_BINS = 8
+"""Even bins of an axis, at most."""
+
+RANGE = (0.002, 0.998)
+"""Quantiles of the values between which the edges lie, so that outliers do not make the bins wide."""
+
+
+@dataclass(frozen=True)
+class Bins:
+    """Bins of one axis: their bounds in ``unit``, and their labels."""
+
+    axis: Axis
+    unit: str
+    bounds: Sequence[tuple[float, float]]
+    labels: Sequence[str]
+
+
+def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
+    """Return the bins of every axis but the frequency, and the bin of every counted sample; -1 is no bin."""
+    runs = [recording.run for recording in recordings]
+    motions = [recording.motion for recording in recordings]
+
+    def joined(series_of: Callable[[int], Array]) -> Array:
+        return np.concatenate([series_of(k)[recordings[k].counted] for k in range(len(runs))])
+
+    velocity = joined(lambda k: motions[k].velocity)
+    starts = np.cumsum([0.0, *(run.duration for run in runs)])
+    time = joined(lambda k: runs[k].time + starts[k])
+    position = joined(lambda k: motions[k].position)
+    acceleration = np.abs(joined(lambda k: motions[k].acceleration))
+    travel = joined(lambda k: travel_since_reversal(recordings[k].path))
+    time_labels = ("the first {} s of the recordings", "{} to {} s into the recordings", "from {} s of the recordings on")
+    travel_labels = ("within {} mm after a reversal", "{} to {} mm after a reversal", "more than {} mm after a reversal")
+    return [
+        _run_bins(recordings),
+        _bins_between("time", time, "s", 1.0, _even_edges(time), time_labels),
+        _bins_between("position", position, "m", 1e3, _even_edges(position), range_labels("positions", "mm")),
+        _bins_between("velocity", np.abs(velocity), "m/s", 1e3, log_edges(np.abs(velocity)), range_labels("speeds", "mm/s")),
+        _bins_between(
+            "acceleration", acceleration, "m/s²", 1.0, log_edges(acceleration), range_labels("accelerations", "m/s²")
+        ),
+        _current_bins(joined(lambda k: runs[k].current), current_levels(runs)[0]),
+        _bins_between("reversal", travel, "m", 1e3, np.array(REVERSAL_EDGES), travel_labels),
+        _sign_bins(velocity),
+    ]
+
+
+def travel_since_reversal(path: Path) -> Array:
+    """Return the travel in m since the rod last reversed, or since the recording began, at each sample."""
+    step = np.diff(path.position)
+    moves = np.flatnonzero(step)
+    reversals = moves[1:][step[moves[1:]] * step[moves[:-1]] < 0]
+    travel = np.append(0.0, np.cumsum(np.abs(step)))
+    at_reversal = np.zeros_like(travel)
+    at_reversal[reversals] = travel[reversals]
+    return np.asarray((travel - np.maximum.accumulate(at_reversal))[path.samples])
+
+
+def labelled_bins(axis: Axis, unit: str, edges: Array, labelled_per_unit: float, labels: Labels) -> Bins:
+    """Make bins between edges, the ends of the axis included; there are none without an inner edge.
+
+    Parameters
+    ----------
+    axis, unit : str
+    edges : ndarray (bins + 1,)
+    labelled_per_unit : float
+        Factor from ``unit`` to the unit of the labels.
+    labels : tuple of str
+    """
+    bounds = list(itertools.pairwise(map(float, edges)))
+    if len(bounds) < 2:
+        return Bins(axis, unit, [], [])
+    first, between, last = labels
+    inner = [_short(edge * labelled_per_unit) for edge in edges[1:-1]]
+    texts = [first.format(inner[0]), *(between.format(*pair) for pair in itertools.pairwise(inner)), last.format(inner[-1])]
+    return Bins(axis, unit, bounds, texts)
+
+
+def range_labels(quantity: str, unit: str) -> Labels:
+    """Return the templates of labels such as "speeds of 20 to 50 mm/s"."""
+    return f"{quantity} below {{}} {unit}", f"{quantity} of {{}} to {{}} {unit}", f"{quantity} above {{}} {unit}"
+
+
+def log_edges(values: Array, decades: float = 2.0, series: Sequence[int] = (1, 2, 5)) -> Array:
+    """Return inner edges at a series of preferred numbers within the uppermost ``decades`` of the values."""
+    high = float(np.quantile(values, RANGE[1]))
+    if high <= 0.0:
+        return np.empty(0)
+    top = int(np.floor(np.log10(high)))
+    candidates = np.outer(10.0 ** np.arange(top - np.ceil(decades), top + 1), series).ravel()
+    return np.asarray(candidates[(candidates > high / 10**decades) & (candidates < high)])
+
+
+def _even_edges(values: Array) -> Array:
+    """Return inner edges at multiples of 1, 2 or 5 times a power of ten."""
+    low, high = np.quantile(values, RANGE)
+    if high <= low:
+        return np.empty(0)
+    steps_within = MOST_EVEN_BINS - 1
+    exponent = np.floor(np.log10((high - low) / steps_within))
+    step = next(s for s in 10.0**exponent * np.array([1, 2, 5, 10]) if (high - low) / s <= steps_within)
+    return np.asarray(np.arange(np.floor(low / step) + 1, np.ceil(high / step)) * step)
+
+
+def _bins_between(
+    axis: Axis, values: Array, unit: str, labelled_per_unit: float, edges: Array, labels: Labels
+) -> tuple[Bins, Indices]:
+    """Return the bins between edges, as far as they lie within the values, and the bin of every value."""
+    low, high = float(values.min()), float(values.max())
+    inner = edges[(edges > low) & (edges < high)]
+    bins = labelled_bins(axis, unit, np.array([low, *inner, high]), labelled_per_unit, labels)
+    return bins, np.searchsorted(inner, values, "right")
+
+
+def _run_bins(recordings: Sequence[Recording]) -> tuple[Bins, Indices]:
+    places = [(float(k), float(k)) for k in range(1, len(recordings) + 1)]
+    bins = Bins("run", "", places, [f"run {recording.run.name}" for recording in recordings])
+    return bins, np.repeat(np.arange(len(recordings)), [len(recording.force) for recording in recordings])
+
+
+def _sign_bins(velocity: Array) -> tuple[Bins, Indices]:
+    bin_of_sample = np.where(velocity < 0, 0, np.where(velocity > 0, 1, -1))
+    return Bins("sign", "", [(-1.0, -1.0), (1.0, 1.0)], ["while compressing", "while extending"]), bin_of_sample
+
+
+def _current_bins(current: Array, levels: int) -> tuple[Bins, Indices]:
+    """Return a bin for each level of the current if there are few levels, and even bins otherwise."""
+    if levels < 2:
+        return Bins("current", "A", [], []), np.zeros(len(current), dtype=np.intp)
+    counts, edges = np.histogram(current, LEVEL_BINS)
+    occupied = np.flatnonzero(counts > LEAST_SHARE_OF_LEVEL * len(current))
+    gaps = np.flatnonzero(np.diff(occupied) > 1)
+    inner = 0.5 * (edges[occupied[gaps] + 1] + edges[occupied[gaps + 1]])
+    if not 1 <= len(inner) < MOST_LEVELS:
+        labels = ("up to {} A", "at {} to {} A", "above {} A")
+        return _bins_between("current", current, "A", 1.0, _even_edges(current), labels)
+    bin_of_sample = np.searchsorted(inner, current)
+    ends = [float(current.min()), *map(float, inner), float(current.max())]
+    texts = []
+    for level in range(len(inner) + 1):
+        low, middle, high = np.quantile(current[bin_of_sample == level], (0.05, 0.5, 0.95))
+        # Levels that overlap because of noise are one bin.
+        wide = high - low > WIDEST_LEVEL * np.ptp(current)
+        texts.append(f"at {_short(low)} to {_short(high)} A" if wide else f"at {_short(middle)} A")
+    return Bins("current", "A", list(itertools.pairwise(ends)), texts), bin_of_sample
+
+
+def _short(value: float) -> str:
+    return f"{round(value, 2) + 0.0:.4g}".replace("-", "\u2212")

@@ -1,0 +1,159 @@
+"""Errors of the measured motion and current, propagated through the model: they are large where the rod reverses and where
+the current switches, so they are drawn at random and the force is computed with them.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
+
+from mrd_identification.recording import Recording
+from mrd_runs import Run
+from mrd_runs.signals.current import current_noise, steady_current
+from mrd_runs.signals.motion import between_samples, divided, finer, motion_errors
+from mrd_runs.signals.smoothed_run import SmoothedRun
+from mrd_sim.models import DamperModel
+from mrd_sim.path import Path, make_path, pieces
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+HIGHEST_RATE = 250.0
+"""Rate in Hz up to which errors between the samples are drawn; what happens between faster samples does not matter."""
+
+AVERAGED_DRAWS = 3
+"""Draws of the current that are averaged. They serve for all draws of the motion, because averaging takes longer than the
+model.
+"""
+
+ERROR_AT_CORNERS = 2.5
+"""Standard deviations by which the velocity was wrong at corners of the motion in simulated runs, for each standard
+deviation of the readings' mean deviation from the smoothed motion.
+"""
+
+CORNER = 4.0
+"""Standard deviations of that mean deviation above which a corner is assumed."""
+
+MEDIAN_OF_ABSOLUTE_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
+
+LEAST_SWITCH = 1e-3
+"""Change of current in A from one sample to the next below which the coil is not switched."""
+
+WIDTH_OF_SWITCH = 1e-3
+"""Share of the sampling interval within which a switched current changes."""
+
+
+def propagated_variance(
+    recording: Recording, model: DamperModel, theta: Array, rng: np.random.Generator, draws: int
+) -> Array:
+    """Return the variance in N² of the model's force by errors of motion and current, at the counted samples."""
+    run, smoothed = recording.run, recording.smoothed
+    coarse = _error_subdivisions(smoothed)
+    # Both forces need the same vertices; otherwise their difference would count as an error.
+    parts = np.maximum(coarse, pieces(run)) if model.follows_force else np.full(len(run) - 1, coarse)
+    time, motion = finer(run.time, parts), between_samples(run.time, recording.motion, parts)
+    error_time, places = finer(run.time, coarse), divided(len(run), parts)
+    used = recording.path.current[recording.path.samples]
+    switches = _switches(smoothed.current, current_noise(run.current))
+    current_errors = _current_errors(run, smoothed.current, not np.array_equal(used, run.current), rng, draws)
+    expected = model.force(theta, recording.path)
+    squares, factor = np.zeros(len(run)), finer(_error_factor(smoothed), parts)
+    for *drawn, error in zip(*motion_errors(run.time, recording.motion, rng, draws, coarse), current_errors, strict=True):
+        position, velocity, acceleration = (
+            true + factor * np.interp(time, error_time, series) for true, series in zip(motion, drawn, strict=True)
+        )
+        current, instants = _subdivided_current(used + error, switches, parts, rng)
+        path = _switched_path(time, (position, velocity, acceleration), current, instants, rng)
+        path = replace(path, samples=path.samples[places], mains=recording.path.mains)
+        squares += (model.force(theta, path) - expected) ** 2
+    return squares[recording.counted] / draws
+
+
+def _error_subdivisions(smoothed: SmoothedRun) -> int:
+    """Return into how many parts a sampling interval is divided: one where the motion hardly changes within it."""
+    run, motion = smoothed.run, smoothed.motion
+    if motion.position_noise == 0.0:
+        return 1
+    return max(1, min(int(np.ceil(2.0 / (run.rate * motion.time_constant))), int(HIGHEST_RATE / run.rate)))
+
+
+def _subdivided_current(
+    current: Array, switches: Indices, parts: Indices, rng: np.random.Generator
+) -> tuple[Array, Indices]:
+    """Return a current with its intervals divided, and the indices there after which it switches."""
+    subdivided, places = finer(current, parts), divided(len(current), parts)
+    instants = places[switches] + rng.integers(parts[switches])
+    for start, instant, end in zip(places[switches], instants, places[switches + 1], strict=True):
+        subdivided[start : instant + 1] = subdivided[start]
+        subdivided[instant + 1 : end] = subdivided[end]
+    return subdivided, instants
+
+
+def _error_factor(smoothed: SmoothedRun) -> Array:
+    """Return the factor (n,) by which a smoothed motion errs more than its model says.
+
+    The smoother rounds corners of the motion. The readings then stay on one side of the smoothed motion.
+    """
+    run, motion = smoothed.run, smoothed.motion
+    if motion.position_noise == 0.0:
+        return np.ones(len(run))
+    length = int(np.clip(2.0 * motion.time_constant * run.rate, 3, len(run)))
+    deviation = np.convolve((run.position - motion.position) / motion.position_noise, np.full(length, length**-0.5), "same")
+    peak = maximum_filter1d(np.abs(deviation), 2 * length + 1)
+    is_corner = peak > CORNER * np.median(np.abs(deviation)) / MEDIAN_OF_ABSOLUTE_NORMAL
+    return np.where(is_corner, np.maximum(ERROR_AT_CORNERS * peak, 1.0), 1.0)
+
+
+def _current_errors(run: Run, steady: Array, averaged: bool, rng: np.random.Generator, draws: int) -> Array:
+    """Draw errors in A (draws, n) of a measured current; where it is ``averaged``, of the steady current."""
+    errors = rng.normal(0.0, current_noise(run.current), (draws, len(run)))
+    if not averaged or not errors.any():
+        return errors
+    few = np.array([steady_current(steady + error) - steady for error in errors[:AVERAGED_DRAWS]])
+    signs = rng.choice([-1.0, 1.0], draws)
+    return np.asarray(few[np.arange(draws) % len(few)] * signs[:, None])
+
+
+def _switches(current: Array, noise: float) -> Indices:
+    """Return the samples after which the current jumps: by more than noise, and far more than before and after."""
+    change = np.abs(np.diff(current))
+    padded = np.pad(change, 1)
+    neighbours = np.maximum(padded[:-2], padded[2:])
+    return np.flatnonzero(change > 3.0 * neighbours + max(6.0 * noise, LEAST_SWITCH))
+
+
+def _switched_path(
+    time: Array, motion: tuple[Array, Array, Array], current: Array, switches: Indices, rng: np.random.Generator
+) -> Path:
+    """Make a path whose current switches at once instead of ramping, at an unknown instant between two samples."""
+    if not len(switches):
+        return make_path(time, *motion, current)
+    # Two vertices close to each other are inserted, with the motion interpolated between the samples.
+    fraction = np.repeat(rng.uniform(0.0, 1.0 - WIDTH_OF_SWITCH, len(switches)), 2)
+    fraction += np.tile([0.0, WIDTH_OF_SWITCH], len(switches))
+    before = np.repeat(switches, 2)
+    step = time[before + 1] - time[before]
+
+    def insert(series: Array, values: Array) -> Array:
+        return np.insert(series, before + 1, values)
+
+    position, velocity, acceleration = motion
+    h, x, v = fraction, position[before], velocity[before]
+    x_after, v_after = position[before + 1], velocity[before + 1]
+    interpolated = (
+        (1 + 2 * h) * (1 - h) ** 2 * x
+        + h * (1 - h) ** 2 * step * v
+        + h**2 * (3 - 2 * h) * x_after
+        + h**2 * (h - 1) * step * v_after
+    )
+    path = make_path(
+        insert(time, time[before] + h * step),
+        insert(position, interpolated),
+        insert(velocity, (1 - h) * v + h * v_after),
+        insert(acceleration, (1 - h) * acceleration[before] + h * acceleration[before + 1]),
+        insert(current, current[before + np.tile([0, 1], len(switches))]),
+    )
+    is_sample = np.insert(np.ones(len(time), dtype=bool), before + 1, False)
+    return replace(path, samples=path.samples[is_sample])
