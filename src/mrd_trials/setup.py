@@ -5,7 +5,7 @@ package = "mrd_trials"
 setup(
     name=package,
     version="0.1.0",
-    description="The court: plants with withheld effects, sealed answers, scores",
+    description="Blind trials of the diagnosis: plants with withheld effects, sealed answers, scores",
     maintainer="The bench's maintainers",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",
