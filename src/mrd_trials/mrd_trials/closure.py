@@ -23,13 +23,11 @@ class ClosureMeter:
     ----------
     model_id : str
     recordings : sequence of Recording
-        All runs in order, the fresh ones last.
+        All runs in order, the fresh ones last; the known gain and offset of each run are taken out of its force.
     noise_free : sequence of Recording
         The same runs without noise.
-    measured : sequence of ndarray
-        Measured force of each run in N at the counted samples, its own gain and offset taken out.
     uncorrected : sequence of ndarray
-        Force in N of the model without effects, fitted to the runs that the diagnosis is given.
+        Force in N of the model without effects, fitted to the runs that the diagnosis is given, at the counted samples.
     given : int
         Number of those runs.
     """
@@ -37,7 +35,6 @@ class ClosureMeter:
     model_id: str
     recordings: Sequence[Recording]
     noise_free: Sequence[Recording]
-    measured: Sequence[Array]
     uncorrected: Sequence[Array]
     given: int
 
@@ -46,16 +43,18 @@ class ClosureMeter:
         cls, session: BenchSession, effects: Effects, model_id: str, given: Sequence[Run], fresh: Sequence[Run]
     ) -> "ClosureMeter":
         """Fit the model to the given runs of a plant; ``session`` and ``effects`` are those that the plant was made with."""
-        recordings = in_threads(prepare_recording, [*given, *fresh])
-        prepared = in_threads(prepare_recording, session.noise_free_runs(effects))
-        noise_free = [replace(p, counted=r.counted) for p, r in zip(prepared, recordings, strict=True)]
-        measured = [
-            (recording.force - scatter.offset) / scatter.gain
-            for recording, scatter in zip(recordings, session.scatter, strict=True)
-        ]
+
+        def without_scatter(runs: Sequence[Run]) -> list[Recording]:
+            pairs = zip(runs, session.scatter, strict=True)
+            corrected = [replace(run, force=(run.force - scatter.offset) / scatter.gain) for run, scatter in pairs]
+            return in_threads(prepare_recording, corrected)
+
+        recordings = without_scatter([*given, *fresh])
+        silent = without_scatter(session.noise_free_runs(effects))
+        noise_free = [replace(s, counted=r.counted) for s, r in zip(silent, recordings, strict=True)]
         problem, theta = fit_model(model_id, recordings[: len(given)], np.random.default_rng(session.fit_seed))
         uncorrected = consecutive_forces(problem.model, theta, recordings)
-        return cls(model_id, recordings, noise_free, measured, uncorrected, len(given))
+        return cls(model_id, recordings, noise_free, uncorrected, len(given))
 
     def on_given_runs(self, effects: Sequence[str], parameters: Mapping[str, float]) -> float:
         """Return the share of the gap on the given runs that a corrected model closes; nan without a gap."""
@@ -70,7 +69,7 @@ class ClosureMeter:
         model = find_model(self.model_id, effects=list(effects))
         theta = model.vector(parameters)
         corrected = consecutive_forces(model, theta, self.recordings)
-        measured = np.concatenate(self.measured[runs])
+        measured = np.concatenate([recording.force for recording in self.recordings[runs]])
         before = _mean_square_error(measured, np.concatenate(self.uncorrected[runs]))
         after = _mean_square_error(measured, np.concatenate(corrected[runs]))
         floor = float(np.mean(np.concatenate(self._noise(model, theta, corrected)[runs]) ** 2))
@@ -94,7 +93,7 @@ class ClosureMeter:
 def _mean_square_error(measured: Array, modelled: Array) -> float:
     """Return the mean square in N² of what a gain and an offset of all runs together leave of the errors.
 
-    The runs that a model was fitted to have a mean gain and offset, which are part of its parameters.
+    The runs that a model was fitted to have a mean gain and offset, which its parameters contain.
     """
     columns = np.stack([modelled, np.ones_like(modelled)], axis=1)
     solution, *_ = np.linalg.lstsq(columns, measured, rcond=None)
