@@ -1,1 +1,1 @@
-"""The court: plants with withheld effects, sealed answers, scores."""
+"""Blind trials of the diagnosis: plants with withheld effects, sealed answers, evaluation of the verdicts."""

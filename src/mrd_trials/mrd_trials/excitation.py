@@ -1,19 +1,17 @@
-"""What the plants of a trial are made to do: sets of runs by tier, and the recorded motion of real dampers."""
+"""Excitation of the plants: sets of runs by tier, replays of recorded runs, and random experiments."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from mrd_base import InputError
-from mrd_diagnosis.experiment_design.candidates import within
 from mrd_runs import Run, read_runs
 from mrd_runs.signals.motion import smooth_motion
-from mrd_trajectory.experiment import Experiment
-from mrd_trajectory.plan import Plan
+from mrd_trajectory.experiment import Experiment, parse_experiment
+from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
 from mrd_trajectory.waveforms import Waveform
 from mrd_trajectory.waveforms.aprbs import Aprbs
@@ -24,16 +22,23 @@ from mrd_trajectory.waveforms.multisine import Multisine
 from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.sine import Sine
 from mrd_trajectory.waveforms.staircase import Staircase
-from mrd_trials.truth import Motion
+from mrd_trajectory.waveforms.waveform import fields_in
+from mrd_trials.truth import BenchCommand
 
 STEP = 1 / 8000
-"""s, of the motion that a plant is given."""
+"""Sampling period in s of what a plant is commanded to do."""
 
-Entry = tuple[str, float, Waveform, Waveform]
-"""Name, seconds, what rod and coil do."""
+RunSpecification = tuple[str, float, Waveform, Waveform]
+"""Name, duration in s, waveform of the rod, waveform of the coil."""
 
-FRESH = 2
-"""Runs of a set that no one is given: the last ones."""
+FRESH_RUNS = 2
+"""Number of runs at the end of a set that the diagnosis is not given."""
+
+SHRINKING, TRIES = 0.8, 8
+"""An experiment beyond the bench's limits is scaled by ``SHRINKING``; at the last of ``TRIES`` it is a fifth as large."""
+
+RANDOM_SECONDS, RANDOM_RATE = 12.0, 500.0
+"""Duration in s and sample rate in Hz of a random experiment, as those of the experiments that the diagnosis recommends."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Tier:
     excitation : str
         ``rich``, ``paper``, ``sine`` or ``replay``.
     rate : float
-        Hz; of replayed runs the one they were recorded at, 0 here.
+        Sample rate in Hz; 0 for a replay, which has the rate of its recording.
     """
 
     excitation: str
@@ -56,12 +61,12 @@ class Tier:
 
 
 def parse_tier(text: str) -> Tier:
-    """From ``rich@500`` or ``replay``.
+    """Return the tier of a text such as ``rich@500`` or ``replay``.
 
     Raises
     ------
     InputError
-        For another excitation, or a rate at which nothing could be seen.
+        When the excitation is unknown, or the rate is out of range.
     """
     name, _, rate = text.partition("@")
     if name == "replay" and not rate:
@@ -75,74 +80,82 @@ def parse_tier(text: str) -> Tier:
     return Tier(name, value)
 
 
-def motions(tier: Tier, rng: np.random.Generator, recorded: Sequence[Run] = ()) -> list[tuple[str, Motion]]:
-    """Name and motion of each run; the last `FRESH` ones are for the score alone.
+def commands_of_runs(tier: Tier, rng: np.random.Generator, recorded: Sequence[Run] = ()) -> list[tuple[str, BenchCommand]]:
+    """Return name and command of each run of a set; the last `FRESH_RUNS` are for the evaluation alone.
 
     Parameters
     ----------
     tier : Tier
     rng : numpy Generator
-        Of the random waveforms.
+        Seeds the random waveforms.
     recorded : sequence of Run
-        Whose motion is replayed.
+        The runs that are replayed.
     """
     if tier.excitation == "replay":
-        return [(run.name, replayed(run)) for run in recorded]
-    seed = int(rng.integers(2**31))
-    return [(planned.experiment.name, commanded(planned)) for planned in _plans(tier, seed)]
+        return [(run.name, replay(run)) for run in recorded]
+    bench = read_settings(None)
+    specifications = SETS[tier.excitation](np.random.default_rng(int(rng.integers(2**31))))
+    plans = [_plan_within_limits(specification, tier.rate, bench) for specification in specifications]
+    return [(planned.experiment.name, command(planned)) for planned in plans if planned is not None]
 
 
-def commanded(planned: Plan) -> Motion:
-    """What a bench would tell rod and coil."""
+def command(planned: Plan) -> BenchCommand:
+    """Return what a bench commands to rod and coil during an experiment."""
     time = STEP * np.arange(int(planned.duration / STEP), dtype=float)
-    at = planned.at(time)
-    return Motion(time, at.position, at.current)
+    setpoint = planned.at(time)
+    return BenchCommand(time, setpoint.position, setpoint.current)
 
 
-def replayed(run: Run) -> Motion:
-    """The motion and current of a recording, smoothed as every recording's are."""
+def replay(run: Run) -> BenchCommand:
+    """Return the smoothed motion and the current of a recorded run."""
     time = STEP * np.arange(int(run.duration / STEP), dtype=float)
-    moved = smooth_motion(run.time, run.position, run.acceleration)
-    position = CubicHermiteSpline(run.time, moved.position, moved.velocity)(time)
-    return Motion(time, position, np.interp(time, run.time, run.current), exact=True)
+    motion = smooth_motion(run.time, run.position, run.acceleration)
+    position = CubicHermiteSpline(run.time, motion.position, motion.velocity)(time)
+    return BenchCommand(time, position, np.interp(time, run.time, run.current), exact=True)
 
 
-def read_recorded(folder: Path) -> dict[str, list[Run]]:
-    """Recordings of measured dampers by the folder they stand in, one folder a damper; none where ``folder`` has none."""
-    found = {}
-    for each in sorted(path for path in folder.glob("*") if path.is_dir()):
-        files = [str(file) for file in sorted(each.glob("*.csv")) if "quake" not in file.name]
-        if len(files) > FRESH:
-            found[each.name] = read_runs(files)
-    return found
+def recommended_command(experiment: str) -> BenchCommand:
+    """Return the command of an experiment that a diagnosis recommends, given as text."""
+    bench = read_settings(None)
+    return command(plan(parse_experiment(experiment, "next_experiment"), bench.limits, bench.force_envelope))
 
 
-# --- the sets, within the limits of the shipped bench: m, A, s, Hz
+def read_recorded_dampers(folder: Path) -> dict[str, list[Run]]:
+    """Read recordings of measured dampers by the name of their folder; a folder with too few recordings is left out."""
+    dampers = {}
+    for path in sorted(path for path in folder.glob("*") if path.is_dir()):
+        files = [str(file) for file in sorted(path.glob("*.csv")) if "quake" not in file.name]
+        if len(files) > FRESH_RUNS:
+            dampers[path.name] = read_runs(files)
+    return dampers
 
 
-def _rich(rng: np.random.Generator) -> Iterator[Entry]:
-    """What separates most effects: every speed, stroke, frequency and current, and all of them together."""
+# --- the sets, designed for the limits of the shipped bench; waveforms in m, A, s and Hz
+
+
+def _rich(rng: np.random.Generator) -> Iterator[RunSpecification]:
+    """Runs that separate most effects: all speeds, strokes, frequencies and currents."""
     seeds = [int(seed) for seed in rng.integers(1, 10_000, 6)]
     yield "switched_sine", 12.0, Sine(0.010, 1.0), Prbs(0.0, 0.32, 0.04, 9, seeds[0])
     steps = (0.0, 0.1, 0.2, 0.3, 0.4, 0.48, 0.35, 0.25, 0.15, 0.05, 0.2, 0.4, 0.3, 0.1, 0.0)
     yield "slow_stroke", 15.0, Sine(0.0255, 0.15), Staircase(steps, 1.0)
     yield "triangles", 14.0, Ladder((0.14, 0.05, 0.02, 0.008, 0.003), 0.018, 1.0), Staircase((0.0, 0.2), 7.0)
-    yield "multisine", 15.0, Multisine(0.013, 0.2, 9.0, 7.5, 1.0, seeds[1]), _levels(0.34, seeds[2])
+    yield "multisine", 15.0, Multisine(0.013, 0.2, 9.0, 7.5, 1.0, seeds[1]), _random_levels(0.34, seeds[2])
     yield "fast_sine", 8.0, Sine(0.013, 2.0, -0.011), Constant(0.0)
     yield "chirp", 14.0, Chirp(0.015, 0.5, 12.0, constant_speed=True), Constant(0.2)
     yield "current_steps", 14.0, Ladder((0.09, 0.012), 0.018, 3.5, 0.006), Prbs(0.0, 0.38, 0.07, 8, seeds[3])
-    yield "fresh_multisine", 12.0, Multisine(0.010, 0.25, 7.0, 6.0, 1.0, seeds[4]), _levels(0.3, seeds[5])
+    yield "fresh_multisine", 12.0, Multisine(0.010, 0.25, 7.0, 6.0, 1.0, seeds[4]), _random_levels(0.3, seeds[5])
     yield "fresh_sine", 8.0, Sine(0.016, 0.8, 0.004), Staircase((0.0, 0.15, 0.35, 0.25), 2.0)
 
 
-def _paper(rng: np.random.Generator) -> Iterator[Entry]:
-    """A 10 mm stroke at 1.5 Hz under a pseudo-random current, three times with other sequences."""
-    for place, seed in enumerate(rng.integers(1, 10_000, 3 + FRESH), 1):
+def _paper(rng: np.random.Generator) -> Iterator[RunSpecification]:
+    """A 10 mm stroke at 1.5 Hz under pseudo-random currents, three times with different sequences."""
+    for place, seed in enumerate(rng.integers(1, 10_000, 3 + FRESH_RUNS), 1):
         name = f"paper_{place}" if place <= 3 else f"fresh_{place}"
         yield name, 40.0, Sine(0.005, 1.5), Prbs(0.0, 0.15, 0.2, 9, int(seed))
 
 
-def _sine(_rng: np.random.Generator) -> Iterator[Entry]:
+def _sine(_rng: np.random.Generator) -> Iterator[RunSpecification]:
     """One sine at three constant currents."""
     for level in (0.0, 0.15, 0.3):
         yield f"sine_{1000 * level:.0f}mA", 15.0, Sine(0.010, 1.2), Constant(level)
@@ -150,20 +163,61 @@ def _sine(_rng: np.random.Generator) -> Iterator[Entry]:
     yield "fresh_sine_200mA", 10.0, Sine(0.010, 1.2), Constant(0.2)
 
 
-SETS: Mapping[str, Callable[[np.random.Generator], Iterator[Entry]]] = {"rich": _rich, "paper": _paper, "sine": _sine}
+SETS: Mapping[str, Callable[[np.random.Generator], Iterator[RunSpecification]]] = {
+    "rich": _rich,
+    "paper": _paper,
+    "sine": _sine,
+}
 
 
-def _levels(highest: float, seed: int) -> Aprbs:
+def random_command(rng: np.random.Generator) -> BenchCommand | None:
+    """Return the command of a random experiment, which recommended ones are compared with; None beyond the bench's limits.
+
+    Motion and current are drawn independently of each other and of the plant.
+    """
+    seed = int(rng.integers(1, 10_000))
+    rods = (
+        Sine(0.010, 1.0),
+        Sine(0.0255, 0.15),
+        Sine(0.013, 2.0, -0.011),
+        Ladder((0.1, 0.01), 0.018, 3.0),
+        Multisine(0.012, 0.2, 8.0, 6.0, 1.0, seed),
+        Chirp(0.015, 0.5, 12.0, constant_speed=True),
+    )
+    coils = (
+        Constant(0.0),
+        Constant(0.2),
+        Staircase((0.0, 0.1, 0.2), 4.0),
+        _random_levels(0.3, seed),
+        Prbs(0.0, 0.3, 0.06, 8, seed),
+    )
+    rod, coil = rods[int(rng.integers(len(rods)))], coils[int(rng.integers(len(coils)))]
+    planned = _plan_within_limits(("random", RANDOM_SECONDS, rod, coil), RANDOM_RATE, read_settings(None))
+    return None if planned is None else command(planned)
+
+
+def _random_levels(highest: float, seed: int) -> Aprbs:
     return Aprbs(0.0, highest, 0.03, 0.3, 12, seed)
 
 
-@cache
-def _bench() -> GeneratorSettings:
-    return read_settings(None)
+def _plan_within_limits(specification: RunSpecification, rate: float, bench: GeneratorSettings) -> Plan | None:
+    """Plan a run within the limits of the bench, scaled down where needed; None where it does not fit even then."""
+    name, seconds, rod, coil = specification
+    experiment = Experiment(name, seconds, rate, rod, coil)
+    for shrinks in range(TRIES):
+        factor = SHRINKING**shrinks
+        try:
+            smaller = replace(experiment, rod=_scaled(rod, factor), coil=_scaled(coil, factor))
+            return plan(smaller, bench.limits, bench.force_envelope)
+        except InputError:
+            continue
+    return None
 
 
-def _plans(tier: Tier, seed: int) -> list[Plan]:
-    """Each run as large as the bench's limits let it be."""
-    runs = SETS[tier.excitation](np.random.default_rng(seed))
-    fitted = [within(Experiment(name, seconds, tier.rate, rod, coil), _bench()) for name, seconds, rod, coil in runs]
-    return [planned for planned in fitted if planned is not None]
+def _scaled(waveform: Waveform, factor: float) -> Waveform:
+    """Return a waveform with its levels, and the slopes between them, multiplied by a factor."""
+    changes = {}
+    for entry in (*fields_in(waveform, "level"), *fields_in(waveform, "level/s")):
+        value = getattr(waveform, entry.name)
+        changes[entry.name] = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+    return replace(waveform, **changes)  # type: ignore[type-var]

@@ -1,6 +1,6 @@
-"""What is kept of a plant: the answer, what a diagnosis says of it, what one who knows the answer finds.
+"""What is stored for each plant: its ground truth, the submission of the diagnosis, the evaluation of that submission.
 
-All of it is plain data, one JSON object a plant, so that a trial can be scored years later by another version.
+All of it is plain data, one JSON object per line and plant, so that another version can score a trial years later.
 """
 
 import json
@@ -13,42 +13,48 @@ from typing import Any, Literal, TypeVar
 from mrd_base import InputError
 
 Kind = Literal["null", "single", "pair", "absent"]
-Ends = tuple[float, float, float]
-"""A value and the ends of its 95 % interval; the ends are nan where there is none."""
+"""Kind of a plant: without effect, with one or two effects of the catalogue, with an effect that the catalogue lacks."""
+
+IntervalEnds = tuple[float, float, float]
+"""A value and the ends of its 95 % interval; ends are nan where there is no interval."""
+
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a plant is: known to its maker and, once the seal is broken, to the score.
+class GroundTruth:
+    """What a plant is: known to `mrd_trials.make` and, once the sealed answers are opened, to the evaluation.
 
     Attributes
     ----------
     plant : str
     kind : {"null", "single", "pair", "absent"}
     model : str
-        The damper model that is to be fitted.
-    base, perturbed : str, bool
-        Form of the plant's damper, and whether it is another one than the fitted model can take.
+        Id of the damper model to be fitted.
+    base : str
+        Id of the plant's damper form.
+    perturbed : bool
+        Whether the fitted model cannot take that form.
     parameters : mapping
-        Of that form.
+        Parameters of the form.
     effects : mapping
-        Parameters of each effect of the plant, by id; both of the catalogue and absent from it.
+        Parameters of every effect of the plant by id, in the catalogue or not.
     causes : tuple of str
-        Those of them that the catalogue knows: what a diagnosis should name.
+        Those effects that are in the catalogue: what a diagnosis should name.
     sizes : mapping
-        What parameters of the causes amount to in the catalogue's terms, by EFFECT.PARAMETER, where the two mean the same.
+        Parameters of the causes that mean the same in the catalogue, by EFFECT.PARAMETER.
     signal_to_floor : float
         Mean square of what the effects add and the fitted model cannot take up, over that of the noise; 0 without effects.
     stratum : str
-        Of the signal to floor: ``1-3``, ``3-10``, ``>10``, or empty.
+        Stratum of the signal to floor: ``<1``, ``1-3``, ``3-10``, ``>10``, or empty without effects.
     excitation : str
         ``rich``, ``paper``, ``sine`` or ``replay``.
     rate : float
-        Hz.
+        Sample rate in Hz.
     seed : int
-        Of everything random about the plant.
+        Number of the plant, from which everything random about it is drawn.
     salt : str
-        Hex digits that keep the commitment from being guessed.
+        Hexadecimal digits that keep the commitment from being guessed.
     """
 
     plant: str
@@ -69,31 +75,31 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Named:
+class Explanation:
     """A cause that a diagnosis names, or a candidate that it lists.
 
     Attributes
     ----------
     effects : tuple of str
     probability : float
-    closed : tuple of three floats
-        Share of the explainable gap, held out.
+    closed_fraction : tuple of three floats
+        Share of the explainable gap that the effects close on held-out runs.
     sizes : mapping
-        Value and ends of each parameter, by EFFECT.PARAMETER.
-    alike : tuple of str
-        Effects that the diagnosis says it cannot tell from this one on these runs.
+        Value and interval of each parameter, by EFFECT.PARAMETER.
+    indistinguishable : tuple of str
+        Effects that, according to the diagnosis, these runs cannot tell from this one.
     """
 
     effects: tuple[str, ...]
     probability: float
-    closed: Ends
-    sizes: Mapping[str, Ends] = field(default_factory=dict)
-    alike: tuple[str, ...] = ()
+    closed_fraction: IntervalEnds
+    sizes: Mapping[str, IntervalEnds] = field(default_factory=dict)
+    indistinguishable: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Bin:
-    """Share of the excess error in one bin of one axis."""
+class GapBin:
+    """Share of the gap in one bin of one axis; the ends are those of `mrd_diagnosis.Region`."""
 
     axis: str
     lower: float
@@ -109,173 +115,185 @@ class Submission:
     ----------
     plant : str
     verdict : str
-        As of `mrd_diagnosis.diagnosis.Diagnosis`; ``failed`` where it came to none.
+        Verdict of the `mrd_diagnosis.Diagnosis`; ``failed`` where it raised an error.
     failure : str
         The error in one line.
-    causes : tuple of Named
-        One effect each; first what is likely to close most.
-    candidates : tuple of Named
-        Everything tried, best first.
+    causes : tuple of Explanation
+        One effect each; the one that is likely to close most comes first.
+    candidates : tuple of Explanation
+        Everything that was tried, best first.
     untestable : tuple of str
     nearest : tuple of str
-    floor, before, after : float
-        NRMSE, held out.
-    closed : tuple of three floats
-    where : tuple of Bin
-    advice : str
-        Text of the experiment that is advised; empty without one.
+        Effects that an unexplained gap resembles most.
+    noise_floor, before, after : float
+        Held-out NRMSE.
+    closed_fraction : tuple of three floats
+    where : tuple of GapBin
+    next_experiment : str
+        Text of the recommended experiment; empty without one.
     parameters : mapping
-        Of the model with ``effects``, by name.
+        Parameters of the corrected model, by name.
     effects : tuple of str
+        Effects of the corrected model.
     elapsed : float
-        s.
+        Duration of the diagnosis in s.
     commitment : str
-        To the answer for the plant that was judged: plants of all trials have the same names.
+        Commitment to the answer of the plant that was diagnosed: plants of all trials have the same names.
     """
 
     plant: str
     verdict: str
     failure: str = ""
-    causes: tuple[Named, ...] = ()
-    candidates: tuple[Named, ...] = ()
+    causes: tuple[Explanation, ...] = ()
+    candidates: tuple[Explanation, ...] = ()
     untestable: tuple[str, ...] = ()
     nearest: tuple[str, ...] = ()
-    floor: float = float("nan")
-    before: float = float("nan")
-    after: float = float("nan")
-    closed: Ends = (float("nan"), float("nan"), float("nan"))
-    where: tuple[Bin, ...] = ()
-    advice: str = ""
+    noise_floor: float = NAN
+    before: float = NAN
+    after: float = NAN
+    closed_fraction: IntervalEnds = (NAN, NAN, NAN)
+    where: tuple[GapBin, ...] = ()
+    next_experiment: str = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
     effects: tuple[str, ...] = ()
-    elapsed: float = float("nan")
+    elapsed: float = NAN
     commitment: str = ""
 
 
 @dataclass(frozen=True)
-class Insight:
-    """What one who knows the answer finds of a plant and of what was said of it, and what simpler methods say.
+class Evaluation:
+    """What the ground truth shows about a plant and its submission, and what baseline methods say.
 
     Attributes
     ----------
     plant : str
-    closed : float
-        Share of the explainable gap that the true causes close, refitted; nan where the catalogue lacks one.
-    where : tuple of Bin
-        Of the true gap, on the axes and bins of the submission.
-    fresh : float
-        Share of the gap that the submitted parameters close on runs that no one was given; nan where nothing was named.
-    alike : mapping
-        By cause: effects that, refitted in its place, close at least nine tenths of what it closes, it among them.
+    oracle_closure : float
+        Share of the gap that a diagnosis with only the true causes as candidates closes; nan where the catalogue lacks one.
+    true_map : tuple of GapBin
+        Shares of the true gap on the axes and bins of the submission.
+    fresh_closure : float
+        Share of the gap that the submitted parameters close on runs that the diagnosis was not given; nan without causes.
+    equivalents : mapping
+        By cause: effects that, refitted in its place, lower the error nearly as much; the cause is among them.
     rankings : mapping
-        Effects in the order in which simpler methods put them, by the method's name, best first; ``bic`` and ``in_sample``
-        hold "" where they prefer no effect. Empty where they were not asked.
-    advised, random : bool or None
-        Whether a second diagnosis names the causes, and nothing else, once the advised experiment, or a random safe one, was
-        recorded besides; None where no experiment was advised.
+        Effects in the order of each baseline method, best first; ``bic`` and ``in_sample`` hold "" where they prefer no
+        effect. Empty where the methods were not run.
+    advised_resolves, random_resolves : bool or None
+        Whether a second diagnosis names the causes and nothing else once the recommended experiment, or a random one, is
+        recorded too; None where no experiment was recommended.
     """
 
     plant: str
-    closed: float = float("nan")
-    where: tuple[Bin, ...] = ()
-    fresh: float = float("nan")
-    alike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    oracle_closure: float = NAN
+    true_map: tuple[GapBin, ...] = ()
+    fresh_closure: float = NAN
+    equivalents: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     rankings: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    advised: bool | None = None
-    random: bool | None = None
+    advised_resolves: bool | None = None
+    random_resolves: bool | None = None
 
 
-R = TypeVar("R", Answer, Submission, Insight)
+R = TypeVar("R", GroundTruth, Submission, Evaluation)
 
-_PARTS: dict[str, Any] = {"causes": Named, "candidates": Named, "where": Bin}
+_FORMATS: Mapping[type, int] = {Submission: 2, Evaluation: 2}
+"""Version of the keys of a line. An answer has none: a commitment is the hash of its line."""
+
+_NAMES: Mapping[type, str] = {GroundTruth: "answer", Submission: "submission", Evaluation: "evaluation"}
+
+_ITEMS: Mapping[tuple[type, str], Any] = {
+    (Submission, "causes"): Explanation,
+    (Submission, "candidates"): Explanation,
+    (Submission, "where"): GapBin,
+    (Evaluation, "true_map"): GapBin,
+}
+"""Class of the items of a field."""
 
 
-def to_json(record: Answer | Submission | Insight) -> str:
-    """One line; equal records give equal lines."""
-    return json.dumps(asdict(record), sort_keys=True, separators=(",", ":"))
+def to_json(record: GroundTruth | Submission | Evaluation) -> str:
+    """Return a record as one line; equal records give equal lines."""
+    version = {"format": _FORMATS[type(record)]} if type(record) in _FORMATS else {}
+    return json.dumps(version | asdict(record), sort_keys=True, separators=(",", ":"))
 
 
-def from_json(kind: type[R], line: str, where: str) -> R:
-    """Back from `to_json`.
+def from_json(kind: type[R], line: str, place: str) -> R:
+    """Return the record of a line that `to_json` wrote; ``place`` says in error messages where the line stands.
 
     Raises
     ------
     InputError
-        For what is no such line, named by ``where``.
+        When the line is not such a record.
     """
     try:
-        found = json.loads(line)
-        unknown = found.keys() - {entry.name for entry in fields(kind)}
+        values = json.loads(line)
+        found, expected = values.pop("format", None), _FORMATS.get(kind)
+        if found != expected:
+            raise ValueError(f"format {found}, expected {expected}")
+        unknown = values.keys() - {entry.name for entry in fields(kind)}
         if unknown:
             raise ValueError(f"unknown field {sorted(unknown)[0]}")
-        return kind(**{name: _restored(kind, name, value) for name, value in found.items()})
+        return kind(**{name: _restored(_ITEMS.get((kind, name)), value) for name, value in values.items()})
     except (ValueError, TypeError, AttributeError) as error:
-        text = f"{where}: is no {kind.__name__.lower()} ({error}), expected a line that the trials have written"
-        raise InputError(text) from None
+        text = f"{place}: is not an {_NAMES[kind]}" if kind is not Submission else f"{place}: is not a submission"
+        raise InputError(f"{text} ({error}), expected a line that this version of mrd_trials has written") from None
 
 
-def add_record(record: Answer | Submission | Insight, path: Path) -> None:
-    """Append to a file of records; a last line that was cut off when somebody was killed gives way."""
-    if path.exists() and not (kept := path.read_bytes()).endswith(b"\n"):
-        os.truncate(path, kept.rfind(b"\n") + 1)
+def append_record(record: GroundTruth | Submission | Evaluation, path: Path) -> None:
+    """Append a record to a file; a last line that an interruption has cut off is removed."""
+    if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
+        os.truncate(path, content.rfind(b"\n") + 1)
     with path.open("a", encoding="utf-8") as stream:
         stream.write(to_json(record) + "\n")
 
 
 def read_records(kind: type[R], path: Path) -> dict[str, R]:
-    """All records of a file by plant; none where it does not exist. A last line that was cut off is left out."""
+    """Read all records of a file by plant; none where it does not exist. A last line that was cut off is left out."""
     if not path.exists():
         return {}
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines()
     if text and not text.endswith("\n"):
         lines.pop()
-    found = [from_json(kind, line, f"{path}: line {number}") for number, line in enumerate(lines, 1)]
-    return {record.plant: record for record in found}
+    records = [from_json(kind, line, f"{path}: line {number}") for number, line in enumerate(lines, 1)]
+    return {record.plant: record for record in records}
 
 
-def completed(
+def complete_records(
     kind: type[R],
     path: Path,
     plants: Sequence[str],
     work: Callable[[Sequence[str]], Iterable[R]],
-    progress: Callable[[int, int], None] = lambda _n, _of: None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> dict[str, R]:
-    """Records of some plants: those that a file has, and what work makes of the others, each kept as soon as it is there.
+    """Return the records of some plants: those of a file, and new ones, each stored as soon as it is computed.
 
     Parameters
     ----------
     kind : type
-        Of the records.
+        Class of the records.
     path : Path
-        The file; grows.
+        The file; new records are appended.
     plants : sequence of str
     work : callable
-        Makes the records of the plants that are left to do.
+        Computes the records of the plants that the file lacks.
     progress : callable
-        Called with the number of plants that are done, and of all.
+        Called with the number of finished plants and of all plants.
     """
-    found = read_records(kind, path)
-    done = {plant: found[plant] for plant in plants if plant in found}
+    stored = read_records(kind, path)
+    done = {plant: stored[plant] for plant in plants if plant in stored}
     progress(len(done), len(plants))
     for record in work([plant for plant in plants if plant not in done]):
         done[record.plant] = record
-        add_record(record, path)
+        append_record(record, path)
         progress(len(done), len(plants))
     return done
 
 
-def _restored(kind: type, name: str, value: Any) -> Any:
-    """Tuples, and the records within, that JSON knows only as lists and objects."""
-    if name in _PARTS and kind is not Answer:
-        part = _PARTS[name]
-        return tuple(part(**{key: _frozen(entry) for key, entry in item.items()}) for item in value)
-    return _frozen(value)
-
-
-def _frozen(value: Any) -> Any:
+def _restored(item: Any, value: Any) -> Any:
+    """Return a value of JSON with its tuples, and with its items as instances of a class where there is one."""
+    if item is not None:
+        return tuple(item(**{key: _restored(None, entry) for key, entry in values.items()}) for values in value)
     if isinstance(value, list):
-        return tuple(_frozen(item) for item in value)
+        return tuple(_restored(None, entry) for entry in value)
     if isinstance(value, dict):
-        return {key: _frozen(item) for key, item in value.items()}
+        return {key: _restored(None, entry) for key, entry in value.items()}
     return value

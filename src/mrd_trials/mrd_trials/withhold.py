@@ -1,77 +1,78 @@
-"""Take the true effect out of the catalogue: whatever is named then is wrong."""
+"""Withhold the true effect from the catalogue: every effect that is named then is wrong."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from mrd_sim.effects import EFFECTS
-from mrd_trials.case import DETECTABLE
-from mrd_trials.make import Exhibit, read_trial
-from mrd_trials.pool import every
-from mrd_trials.records import Answer, Submission, completed
-from mrd_trials.run import Diagnoser, freeze, frozen, judge, read_given, read_verdicts
+from mrd_trials.parallel import run_in_processes
+from mrd_trials.records import GroundTruth, Submission, complete_records
+from mrd_trials.run import read_verdicts
+from mrd_trials.submission import diagnose_plant, installed_diagnoser, reserve_folder
+from mrd_trials.trial_design import DETECTABLE
+from mrd_trials.trial_folder import PublicPlant, read_given_runs, read_trial
 
-WITHHELD = "withheld.jsonl"
+WITHHELD_FILE = "withheld.jsonl"
 
 
-def withhold(
+def withhold_effects(
     folder: Path,
-    answers: Mapping[str, Answer],
+    answers: Mapping[str, GroundTruth],
     output: Path,
     *,
     most: int = 2,
     workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _n, _of: None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> dict[str, Submission]:
-    """Diagnose plants with one effect by a catalogue that lacks it.
+    """Diagnose plants with one detectable effect by a catalogue that lacks it.
 
     Parameters
     ----------
     folder : Path
-        Of the trial.
+        Folder of the trial.
     answers : mapping
-        See `mrd_trials.seal.unseal`.
+        Answers by plant (`mrd_trials.commitments.open_answers`).
     output : Path
-        Folder that gets `WITHHELD`; plants that stand there already are not judged again.
+        Folder that gets `WITHHELD_FILE`; plants that it holds already are not diagnosed again.
     most : int
-        Plants of each effect.
+        Largest number of plants of each effect.
     workers : int
-        Processes.
+        Number of processes.
     progress : callable
-        Called with the number of plants that are done, and of all.
+        Called with the number of finished plants and of all plants.
 
     Raises
     ------
     InputError
-        Where ``output`` holds verdicts of another diagnoser or of another trial.
+        When ``output`` holds verdicts of another diagnoser or on another trial.
     """
-    chosen: dict[str, list[Exhibit]] = {}
-    for exhibit in read_trial(folder).exhibits:
-        answer = answers[exhibit.plant]
-        if answer.kind == "single" and answer.signal_to_floor > DETECTABLE and exhibit.excitation == "rich":
-            chosen.setdefault(answer.causes[0], []).append(exhibit)
-    wanted = {exhibit.plant: exhibit for exhibits in chosen.values() for exhibit in exhibits[:most]}
-    diagnoser = frozen()
-    freeze(diagnoser, output)
-    read_verdicts(output / WITHHELD, wanted.values())
+    by_effect: dict[str, list[PublicPlant]] = {}
+    for plant in read_trial(folder).plants:
+        truth = answers[plant.plant]
+        if truth.kind == "single" and truth.signal_to_floor > DETECTABLE and plant.excitation == "rich":
+            by_effect.setdefault(truth.causes[0], []).append(plant)
+    chosen = {plant.plant: plant for plants in by_effect.values() for plant in plants[:most]}
+    reserve_folder(installed_diagnoser(), output)
+    read_verdicts(output / WITHHELD_FILE, chosen.values())
 
-    def work(plants: Sequence[str]) -> Iterator[Submission]:
-        todo = [(folder, wanted[plant], answers[plant].causes[0], diagnoser) for plant in plants]
-        return every(_without, todo, workers)
+    def work(names: Sequence[str]) -> Iterator[Submission]:
+        missing = [(folder, chosen[name], answers[name].causes[0]) for name in names]
+        return run_in_processes(_diagnose_without, missing, workers)
 
-    return completed(Submission, output / WITHHELD, list(wanted), work, progress)
-
-
-def _without(folder: Path, exhibit: Exhibit, effect: str, diagnoser: Diagnoser) -> Submission:
-    return judge(exhibit, read_given(folder, exhibit), diagnoser, [name for name in EFFECTS if name != effect])
+    return complete_records(Submission, output / WITHHELD_FILE, list(chosen), work, progress)
 
 
-def table(answers: Mapping[str, Answer], found: Mapping[str, Submission]) -> str:
-    """In Markdown: what was named where the true effect could not be."""
+def withheld_table(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submission]) -> str:
+    """Return a table in Markdown of what was named where the true effect could not be."""
     lines = ["| effect withheld | signal to floor | verdict | named | resembles |", "|" + "---|" * 5]
-    for plant, said in sorted(found.items(), key=lambda each: answers[each[0]].causes):
-        answer = answers[plant]
-        named = ", ".join(f"`{cause.effects[0]}`" for cause in said.causes) or "–"
-        nearest = ", ".join(f"`{effect}`" for effect in said.nearest) or "–"
-        lines.append(f"| `{answer.causes[0]}` | {answer.signal_to_floor:.1f} | {said.verdict} | {named} | {nearest} |")
-    wrong = sum(bool(said.causes) for said in found.values())
-    return "\n".join([*lines, "", f"Named, wrongly: {wrong} of {len(found)}."])
+    for plant, submission in sorted(submissions.items(), key=lambda item: answers[item[0]].causes):
+        truth = answers[plant]
+        named = ", ".join(f"`{cause.effects[0]}`" for cause in submission.causes) or "–"
+        nearest = ", ".join(f"`{effect}`" for effect in submission.nearest) or "–"
+        lines.append(f"| `{truth.causes[0]}` | {truth.signal_to_floor:.1f} | {submission.verdict} | {named} | {nearest} |")
+    wrong = sum(bool(submission.causes) for submission in submissions.values())
+    return "\n".join([*lines, "", f"An effect is named, wrongly, for {wrong} of {len(submissions)} plants."])
+
+
+def _diagnose_without(folder: Path, plant: PublicPlant, effect: str) -> Submission:
+    rest = [name for name in EFFECTS if name != effect]
+    return diagnose_plant(plant, read_given_runs(folder, plant), effects=rest)

@@ -4,41 +4,45 @@ import os
 
 import pytest
 
-from mrd_trials.insight import insights
-from mrd_trials.make import Recipe, make, read_trial
-from mrd_trials.run import VERDICTS, frozen, run
-from mrd_trials.score import score
-from mrd_trials.score_report import write_score_report
-from mrd_trials.seal import unseal
-from mrd_trials.tables import tables
+from mrd_trials.commitments import open_answers
+from mrd_trials.evaluate import evaluate_trial
+from mrd_trials.make import make_trial
+from mrd_trials.run import run_trial
+from mrd_trials.scoring.report import write_score_report
+from mrd_trials.scoring.score import score_trial
+from mrd_trials.scoring.tables import markdown_tables
+from mrd_trials.submission import installed_diagnoser
+from mrd_trials.trial_design import Recipe
+from mrd_trials.trial_folder import read_trial
 
-RECIPE = Recipe(30, {"rich@250": 12})
-"""Three nulls, five plants with one effect, two with two, two with an effect that the catalogue has not."""
+RECIPE = Recipe(30, {"rich@150": 12})
+"""Three null plants, five with one effect, two with two effects, two with an effect that the catalogue lacks.
 
-RIGHT = 6
-"""Of nine causes: as many as are named, less a margin of one."""
+The rate is as low as mains hum, which one pair has, allows.
+"""
+
+LEAST_NAMED = 8
+"""Of nine causes; all nine are named today."""
 
 
 @pytest.mark.timeout(900)
-def test_a_small_trial_is_judged_no_worse_than_it_was(tmp_path):
-    folder, path, verdicts = tmp_path / "trial", tmp_path / "answers.jsonl", tmp_path / "verdicts"
+def test_verdicts_on_a_small_trial_are_no_worse_than_before(tmp_path):
+    folder, path, output = tmp_path / "trial", tmp_path / "answers.jsonl", tmp_path / "verdicts"
     workers = os.cpu_count() or 1
-    make(RECIPE, folder, path, workers)
-    said = run(folder, verdicts, frozen(), workers=workers)
-    answers = unseal(path, {exhibit.plant: exhibit.commitment for exhibit in read_trial(folder).exhibits})
-    assert [each.failure for each in said.values() if each.failure] == []
-    named = {plant: {cause.effects[0] for cause in each.causes} for plant, each in said.items()}
-    found = {plant: (tuple(answers[plant].effects), said[plant].verdict, sorted(named[plant])) for plant in said}
-    assert sum(len(answer.causes) for answer in answers.values()) == 9
-    assert sum(len(named[plant] & set(answers[plant].causes)) for plant in said) >= RIGHT, found
-    assert [plant for plant, answer in answers.items() if not answer.causes and named[plant]] == [], found
+    make_trial(RECIPE, folder, path, workers)
+    submissions = run_trial(folder, output, installed_diagnoser(), workers=workers)
+    answers = open_answers(path, read_trial(folder).commitments)
+    assert [submission.failure for submission in submissions.values() if submission.failure] == []
+    named = {plant: {cause.effects[0] for cause in submission.causes} for plant, submission in submissions.items()}
+    summary = {plant: (tuple(answers[plant].effects), submissions[plant].verdict, named[plant]) for plant in answers}
+    assert sum(len(truth.causes) for truth in answers.values()) == 9
+    assert sum(len(named[plant] & set(truth.causes)) for plant, truth in answers.items()) >= LEAST_NAMED, summary
+    assert [plant for plant, truth in answers.items() if not truth.causes and named[plant]] == [], summary
 
-    # Those whose oracle is soon asked.
-    few = {plant: said[plant] for plant in sorted(said)[:2]}
-    scored = score({plant: answers[plant] for plant in few}, few, insights(folder, answers, few, verdicts))
-    assert "Goals" in tables(scored)
-    assert write_score_report(scored, verdicts).stat().st_size > 10_000
-    # Verdicts that stand are kept.
-    before = (verdicts / VERDICTS).read_text(encoding="utf-8")
-    run(folder, verdicts, frozen())
-    assert (verdicts / VERDICTS).read_text(encoding="utf-8") == before
+    few = {plant: submissions[plant] for plant in sorted(submissions)[:2]}
+    score = score_trial({plant: answers[plant] for plant in few}, few, evaluate_trial(folder, answers, few, output))
+    rich = score.by_excitation["rich"]
+    assert rich.relative_closure.median > 0.9
+    assert rich.maps.overlap.median > 0.8
+    assert "Goals" in markdown_tables(score)
+    assert write_score_report(score, output).stat().st_size > 10_000

@@ -1,4 +1,4 @@
-"""The truth generator: dissipation, convergence, what an effect changes and what it leaves, instruments, independence."""
+"""The ground truth: dissipation, convergence, what an effect changes and what it leaves, instruments, independence."""
 
 import ast
 import time
@@ -12,107 +12,120 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import mrd_trials.truth
-from mrd_trials.truth import BASES, EFFECTS, Instruments, Motion, Plant, draw, record
-from mrd_trials.truth.effects.drive import rippled
-from mrd_trials.truth.effects.sensing import transduced
-from mrd_trials.truth.instruments import sampled
-from mrd_trials.truth.integrator import in_series, stepped, values
-from mrd_trials.truth.plant import followed
+from mrd_trials.truth import (
+    DAMPER_FORMS,
+    EFFECTS,
+    BenchCommand,
+    TrueInstruments,
+    TruePlant,
+    draw_parameters,
+    draw_scatter,
+    record,
+)
+from mrd_trials.truth.effects.drive import rippled_motion
+from mrd_trials.truth.effects.sensing import transducer_reading
+from mrd_trials.truth.instruments import sample_signal
+from mrd_trials.truth.integration import damper_force, has_series_element, plant_values
+from mrd_trials.truth.recording import followed_command
 
 STEP = 1 / 8000
 
-BENCH = Instruments(500.0)
-QUIET = Instruments(
+BENCH = TrueInstruments(500.0)
+QUIET = TrueInstruments(
     500.0, position=0.0, force=0.0, current=0.0, acceleration=0.0, jitter=0.0, gain_scatter=0.0, offset_scatter=0.0
 )
 
 BLIND = {"lvdt_nonlinearity": "position", "current_sensor_error": "current", "sensor_stiction": "position"}
-"""Effects that another channel than the force shows."""
+"""Effects that only another channel than the force shows."""
 
 
-def moves(seconds: float = 4.0, step: float = STEP, exact: bool = False, seed: int = 0) -> Motion:
-    """Two sines, so that it comes to 15 mm and 0.2 m/s, and steps of the current up to 1 A."""
+def excite(seconds: float = 4.0, step: float = STEP, exact: bool = False, seed: int = 0) -> BenchCommand:
+    """Two sines that reach 15 mm and 0.2 m/s, and steps of the current up to 1 A."""
     t = np.arange(round(seconds / step)) * step
     phase = np.random.default_rng(seed).uniform(0, 2 * np.pi)
     position = 0.009 * np.sin(2 * np.pi * 1.0 * t) + 0.005 * np.sin(2 * np.pi * 3.5 * t + phase)
     current = np.interp(
         t % 1.2, [0.0, 0.299, 0.3, 0.599, 0.6, 0.899, 0.9, 1.199, 1.2], [0.0, 0.0, 1.0, 1.0, 0.3, 0.3, 0.7, 0.7, 0.0]
     )
-    return Motion(t, position, current, exact)
+    return BenchCommand(t, position, current, exact)
 
 
 def forces(
-    base: str, effects: Mapping[str, Mapping[str, float]], motions: list[Motion], instruments: Instruments = QUIET
+    form: str, effects: Mapping[str, Mapping[str, float]], motions: list[BenchCommand], instruments: TrueInstruments = QUIET
 ) -> np.ndarray:
-    recorded = record(Plant(base, {}, effects), motions, instruments, np.random.default_rng(4))
-    return np.concatenate([each.force for each in recorded])
+    recorded = record(TruePlant(form, {}, effects), motions, instruments, np.random.default_rng(4))
+    return np.concatenate([run.force for run in recorded])
 
 
 def typical(effect: str, strength: float = 1.0, seed: int = 3) -> dict[str, float]:
-    return EFFECTS[effect].drawn(np.random.default_rng(seed), strength)
+    return EFFECTS[effect].draw(np.random.default_rng(seed), strength)
 
 
-def test_shares_nothing_with_what_is_fitted() -> None:
+def test_truth_shares_nothing_with_the_fitted_models() -> None:
     files = list(Path(mrd_trials.truth.__file__).parent.rglob("*.py"))
     assert len(files) > 10
     for file in files:
         for node in ast.walk(ast.parse(file.read_text())):
-            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom):
                 assert node.level == 0
-                names = [f"{node.module}.{each.name}" for each in node.names]
+                names = [f"{node.module}.{alias.name}" for alias in node.names]
             assert all(name.startswith("mrd_trials.truth") for name in names if name.startswith("mrd_")), file
 
 
-def test_enough_is_absent_from_the_catalogue() -> None:
+def test_the_catalogue_lacks_at_least_eight_effects() -> None:
     assert sum(not effect.in_catalogue for effect in EFFECTS.values()) >= 8
-    assert {base.perturbed for base in BASES.values()} == {False, True}
+    assert {form.perturbed for form in DAMPER_FORMS.values()} == {False, True}
 
 
 @settings(max_examples=30, deadline=None)
 @given(
-    base=st.sampled_from(sorted(BASES)),
+    form=st.sampled_from(sorted(DAMPER_FORMS)),
     seed=st.integers(0, 2**16),
     current=st.floats(0.0, 1.5),
     amplitudes=st.lists(st.floats(-4e-3, 4e-3), min_size=3, max_size=3).filter(lambda a: max(map(abs, a)) > 1e-4),
 )
-def test_a_base_dissipates_over_any_closed_cycle(base: str, seed: int, current: float, amplitudes: list[float]) -> None:
-    p = values(base, draw(base, np.random.default_rng(seed)), {})
-    t = np.arange(16001) * STEP  # two periods; the second is closed in the state as well
+def test_a_damper_form_dissipates_over_any_closed_cycle(
+    form: str, seed: int, current: float, amplitudes: list[float]
+) -> None:
+    p = plant_values(form, draw_parameters(form, np.random.default_rng(seed)), {})
+    t = np.arange(16001) * STEP  # two periods; over the second, the state is closed as well
     turns = 2 * np.pi * np.array([1.0, 2.0, 5.0])[:, None]
     x = (np.array(amplitudes)[:, None] * np.sin(turns * t)).sum(axis=0)
     v = (np.array(amplitudes)[:, None] * turns * np.cos(turns * t)).sum(axis=0)
-    force = stepped(p, x, v, np.full_like(x, current), STEP, 1.0, in_series(base, {}), np.array([0.0, 0.0, 1.0]))
+    force = damper_force(
+        p, x, v, np.full_like(x, current), STEP, 1.0, has_series_element(form, {}), np.array([0.0, 0.0, 1.0])
+    )
     work = float(np.sum(0.5 * (force[8001:] + force[8000:-1]) * np.diff(x[8000:])))
     assert work > 0
 
 
-@pytest.mark.parametrize("base", BASES)
-def test_bases_have_comparable_forces(base: str) -> None:
-    force = forces(base, {}, [moves()])
+@pytest.mark.parametrize("form", DAMPER_FORMS)
+def test_damper_forms_have_comparable_forces(form: str) -> None:
+    force = forces(form, {}, [excite()])
     assert 700 < np.abs(force).max() < 1700
-    assert np.std(force - forces("bouc_wen", {}, [moves()])) < 0.45 * np.std(force)
+    assert np.std(force - forces("bouc_wen", {}, [excite()])) < 0.45 * np.std(force)
 
 
 @pytest.mark.parametrize(
-    ("base", "effect"),
-    [*((base, None) for base in BASES), *(("bouc_wen", effect) for effect in EFFECTS), ("spencer", "backlash")],
+    ("form", "effect"),
+    [*((form, None) for form in DAMPER_FORMS), *(("bouc_wen", effect) for effect in EFFECTS), ("spencer", "backlash")],
 )
-def test_converges(base: str, effect: str | None) -> None:
+def test_converges(form: str, effect: str | None) -> None:
     effects = {effect: typical(effect)} if effect else {}
-    found = [
-        record(Plant(base, {}, effects), [moves(1.5, step)], replace(QUIET, averaged=False), np.random.default_rng(0))[
+    readings = [
+        record(TruePlant(form, {}, effects), [excite(1.5, step)], replace(QUIET, averaged=False), np.random.default_rng(0))[
             0
         ].force
         for step in (STEP, STEP / 16)
     ]
-    assert np.sqrt(np.mean((found[0] - found[1]) ** 2)) < 0.25  # N: a sixth of the noise
+    assert np.sqrt(np.mean((readings[0] - readings[1]) ** 2)) < 0.25  # N: a sixth of the noise
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_without_strength_nothing_changes(effect: str) -> None:
     plain, none = (
-        record(Plant("bouc_wen", {}, effects), [moves(1.0)], BENCH, np.random.default_rng(0))[0]
+        record(TruePlant("bouc_wen", {}, effects), [excite(1.0)], BENCH, np.random.default_rng(0))[0]
         for effects in ({}, {effect: typical(effect, 0.0)})
     )
     for name in ("position", "current", "acceleration", "force"):
@@ -122,55 +135,55 @@ def test_without_strength_nothing_changes(effect: str) -> None:
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_an_effect_shows_more_the_stronger_it_is(effect: str) -> None:
     channel = BLIND.get(effect, "force")
-    plain, *found = (
-        getattr(record(Plant("bouc_wen", {}, each), [moves()], QUIET, np.random.default_rng(0))[0], channel)
-        for each in ({}, *({effect: typical(effect, strength)} for strength in (0.5, 1.0, 2.0)))
+    plain, *changed = (
+        getattr(record(TruePlant("bouc_wen", {}, effects), [excite()], QUIET, np.random.default_rng(0))[0], channel)
+        for effects in ({}, *({effect: typical(effect, strength)} for strength in (0.5, 1.0, 2.0)))
     )
-    change = [float(np.std(each - plain)) for each in found]
+    change = [float(np.std(series - plain)) for series in changed]
     assert change[0] < change[1] < change[2] * (1 + 1e-9)
     assert change[1] > {"force": 0.02, "position": 5e-6, "current": 2e-3}[channel]
-    if effect in BLIND:  # the damper itself does not know
+    if effect in BLIND:  # the force of the damper does not change
         np.testing.assert_array_equal(
-            forces("bouc_wen", {effect: typical(effect)}, [moves()]), forces("bouc_wen", {}, [moves()])
+            forces("bouc_wen", {effect: typical(effect)}, [excite()]), forces("bouc_wen", {}, [excite()])
         )
 
 
 @given(effect=st.sampled_from(sorted(EFFECTS)), seed=st.integers(0, 2**32), strengths=st.lists(st.floats(0, 10), min_size=2))
 def test_parameters_grow_with_strength_and_stay_plausible(effect: str, seed: int, strengths: list[float]) -> None:
-    drawn = [EFFECTS[effect].drawn(np.random.default_rng(seed), strength) for strength in sorted(strengths)]
-    for quantity in EFFECTS[effect].quantities:
-        own = [each[quantity.name] for each in drawn]
-        assert all(quantity.low <= value <= quantity.high for value in own)
-        if quantity.grows:
-            assert np.all(np.diff(np.abs(own)) >= 0)
-            assert len({np.sign(value) for value in own if value}) <= 1
+    drawn = [EFFECTS[effect].draw(np.random.default_rng(seed), strength) for strength in sorted(strengths)]
+    for parameter in EFFECTS[effect].parameters:
+        values = [draw[parameter.name] for draw in drawn]
+        assert all(parameter.low <= value <= parameter.high for value in values)
+        if parameter.grows:
+            assert np.all(np.diff(np.abs(values)) >= 0)
+            assert len({np.sign(value) for value in values if value}) <= 1
         else:
-            assert len(set(own)) == 1
-    assert set(EFFECTS[effect].sizes(drawn[0])) <= {f"{effect}.{name}" for name in drawn[0]}
+            assert len(set(values)) == 1
+    assert set(EFFECTS[effect].shared_sizes(drawn[0])) <= {f"{effect}.{name}" for name in drawn[0]}
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-@pytest.mark.parametrize("base", BASES)
-def test_every_effect_works_on_every_base(base: str, effect: str) -> None:
-    parameters = draw(base, np.random.default_rng(1))
+@pytest.mark.parametrize("form", DAMPER_FORMS)
+def test_every_effect_gives_finite_forces_on_every_form(form: str, effect: str) -> None:
+    parameters = draw_parameters(form, np.random.default_rng(1))
     for strength in (1.0, 6.0):
-        plant = Plant(base, parameters, {effect: typical(effect, strength)})
-        found = record(plant, [moves(1.0)], BENCH, np.random.default_rng(2))[0]
-        assert np.isfinite(found.force).all()
-        assert np.abs(found.force).max() < 3000
+        plant = TruePlant(form, parameters, {effect: typical(effect, strength)})
+        readings = record(plant, [excite(1.0)], BENCH, np.random.default_rng(2))[0]
+        assert np.isfinite(readings.force).all()
+        assert np.abs(readings.force).max() < 3000
 
 
-def test_all_effects_work_together() -> None:
+def test_all_effects_at_once_give_finite_forces() -> None:
     effects = {effect: typical(effect) for effect in EFFECTS}
-    assert np.abs(forces("spencer", effects, [moves(1.0)] * 2)).max() < 4000
+    assert np.abs(forces("spencer", effects, [excite(1.0)] * 2)).max() < 4000
 
 
 def test_heat_drift_and_sediment_carry_over() -> None:
-    same = [moves(4.0)] * 3
+    same = [excite(4.0)] * 3
 
     def ratio(effect: str, **parameters: float) -> np.ndarray:
-        found = forces("bouc_wen", {effect: {**typical(effect), **parameters}}, same) - forces("bouc_wen", {}, same)
-        return np.sqrt(np.mean(found.reshape(3, -1) ** 2, axis=1))
+        readings = forces("bouc_wen", {effect: {**typical(effect), **parameters}}, same) - forces("bouc_wen", {}, same)
+        return np.sqrt(np.mean(readings.reshape(3, -1) ** 2, axis=1))
 
     heat = ratio("thermal_fade", cooling_time=1000.0)
     assert heat[0] < 0.6 * heat[1] < 0.5 * heat[2]
@@ -180,11 +193,13 @@ def test_heat_drift_and_sediment_carry_over() -> None:
     assert np.mean(drift, axis=1) == pytest.approx([0.02 * (2.0 + 34.0 * run) for run in range(3)], rel=1e-2)
 
 
-def test_noise_is_as_declared_and_the_same_whatever_the_effect() -> None:
-    motions = [moves(20.0, seed=seed) for seed in range(2)]
-    loud, plain = (record(Plant("bouc_wen", {}), motions, each, np.random.default_rng(7)) for each in (BENCH, QUIET))
+def test_noise_is_as_declared_and_does_not_depend_on_the_effects() -> None:
+    motions = [excite(20.0, seed=seed) for seed in range(2)]
+    loud, plain = (
+        record(TruePlant("bouc_wen", {}), motions, instruments, np.random.default_rng(7)) for instruments in (BENCH, QUIET)
+    )
     still = replace(BENCH, jitter=0.0, gain_scatter=0.0)
-    calm = record(Plant("bouc_wen", {}), motions, still, np.random.default_rng(7))
+    calm = record(TruePlant("bouc_wen", {}), motions, still, np.random.default_rng(7))
     for a, b in zip(calm, plain, strict=True):
         for name in ("position", "current", "acceleration", "force"):
             noise = getattr(a, name) - getattr(b, name)
@@ -193,16 +208,27 @@ def test_noise_is_as_declared_and_the_same_whatever_the_effect() -> None:
     assert np.std(loud[0].force - plain[0].force) > np.std(calm[0].force - plain[0].force)
     effects = {"channel_crosstalk": {"from_position": 1000.0, "from_current": 0.0}}
     noisy, clean = (
-        record(Plant("bouc_wen", {}, effects), motions, each, np.random.default_rng(7)) for each in (still, QUIET)
+        record(TruePlant("bouc_wen", {}, effects), motions, instruments, np.random.default_rng(7))
+        for instruments in (still, QUIET)
     )
     for a, b, c, d in zip(noisy, clean, calm, plain, strict=True):
         np.testing.assert_allclose(a.force - b.force, c.force - d.force, atol=1e-9)
 
 
-def test_runs_scatter_in_offset_and_gain() -> None:
-    motions = [moves(0.5)] * 60
+def test_scatter_is_known_without_recording() -> None:
+    motions, bench = [excite(0.5)] * 3, replace(QUIET, gain_scatter=0.01, offset_scatter=2.0)
+    scatter = draw_scatter(bench, np.random.default_rng(6), len(motions))
     scattered, plain = (
-        np.stack([each.force for each in record(Plant("bouc_wen", {}), motions, bench, np.random.default_rng(0))])
+        record(TruePlant("bouc_wen", {}), motions, instruments, np.random.default_rng(6)) for instruments in (bench, QUIET)
+    )
+    for run, with_scatter, without in zip(scatter, scattered, plain, strict=True):
+        np.testing.assert_allclose(with_scatter.force, run.gain * without.force + run.offset, atol=1e-6)
+
+
+def test_runs_scatter_in_offset_and_gain() -> None:
+    motions = [excite(0.5)] * 60
+    scattered, plain = (
+        np.stack([run.force for run in record(TruePlant("bouc_wen", {}), motions, bench, np.random.default_rng(0))])
         for bench in (replace(QUIET, gain_scatter=0.01, offset_scatter=2.0), QUIET)
     )
     fits = np.array([np.polyfit(b, a, 1) for a, b in zip(scattered, plain, strict=True)])
@@ -211,34 +237,34 @@ def test_runs_scatter_in_offset_and_gain() -> None:
 
 
 def test_the_same_seed_gives_the_same_recordings() -> None:
-    plant = Plant("lugre", draw("lugre", np.random.default_rng(5)), {"mains_hum": {"amplitude": 2.0}})
-    one, two, other = (record(plant, [moves(1.0)] * 2, BENCH, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    plant = TruePlant("lugre", draw_parameters("lugre", np.random.default_rng(5)), {"mains_hum": {"amplitude": 2.0}})
+    one, two, other = (record(plant, [excite(1.0)] * 2, BENCH, np.random.default_rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one[1].force, two[1].force)
     assert not np.array_equal(one[1].force, other[1].force)
     assert not np.array_equal(one[0].force, one[1].force)
 
 
 @pytest.mark.parametrize("averaged", [False, True])
-def test_a_sample_is_a_mean_or_an_instant(averaged: bool) -> None:
+def test_a_sample_is_a_mean_or_an_instantaneous_value(averaged: bool) -> None:
     t = np.arange(40000) * STEP
     bench = replace(QUIET, rate=80.0, averaged=averaged)
     at = np.arange(400) / 80.0
-    found = sampled(bench, at, np.zeros_like(at), STEP, 5.0 * np.sin(2 * np.pi * 50.0 * t))
-    assert np.std(found[2:-2]) * np.sqrt(2) == pytest.approx(5.0 * (np.sinc(50.0 / 80.0) if averaged else 1.0), rel=0.02)
+    readings = sample_signal(bench, at, np.zeros_like(at), STEP, 5.0 * np.sin(2 * np.pi * 50.0 * t))
+    assert np.std(readings[2:-2]) * np.sqrt(2) == pytest.approx(5.0 * (np.sinc(50.0 / 80.0) if averaged else 1.0), rel=0.02)
 
 
 @pytest.mark.parametrize("rate", [80.0, 500.0])
-def test_hum_is_as_large_as_it_says(rate: float) -> None:
+def test_hum_has_its_amplitude_at_every_rate(rate: float) -> None:
     t = np.arange(40000) * STEP
     hum = {"mains_hum": {"amplitude": 5.0}}
-    still = Motion(t, np.zeros_like(t), np.zeros_like(t))
+    still = BenchCommand(t, np.zeros_like(t), np.zeros_like(t))
     bench = replace(QUIET, rate=rate)
-    found = forces("bouc_wen", hum, [still], bench) - forces("bouc_wen", {}, [still], bench)
-    assert np.std(found[2:-2]) * np.sqrt(2) == pytest.approx(5.0, rel=0.02)
+    readings = forces("bouc_wen", hum, [still], bench) - forces("bouc_wen", {}, [still], bench)
+    assert np.std(readings[2:-2]) * np.sqrt(2) == pytest.approx(5.0, rel=0.02)
 
 
-def test_delay_lag_and_mass_mean_what_they_say() -> None:
-    motion = moves(2.0)
+def test_delay_lag_and_mass_have_their_sizes() -> None:
+    motion = excite(2.0)
     plain = forces("bouc_wen", {}, [motion])
     late = forces("bouc_wen", {"channel_delay": {"delay": 0.008}}, [motion])
     np.testing.assert_allclose(late[10:-5], plain[6:-9], atol=1e-6)
@@ -247,15 +273,15 @@ def test_delay_lag_and_mass_mean_what_they_say() -> None:
         forces("bouc_wen", effects, [motion], instant) for effects in ({}, {"force_sensor_lag": {"lag": 0.005}})
     )
     assert np.trapezoid(prompt - lagging, dx=STEP) == pytest.approx(0.005 * (lagging[-1] - prompt[0]), abs=1e-3)
-    rod = record(Plant("bouc_wen", {}), [motion], QUIET, np.random.default_rng(0))[0].acceleration
+    rod = record(TruePlant("bouc_wen", {}), [motion], QUIET, np.random.default_rng(0))[0].acceleration
     heavy = forces("bouc_wen", {"moving_mass": {"mass": 1.5}}, [motion])
     np.testing.assert_allclose(heavy - plain, 1.5 * rod, atol=1e-9)
 
 
-def test_a_compliance_means_what_it_says() -> None:
-    """Far below the yield force all of the rod's travel is the spring's and the fluid's."""
+def test_a_compliance_has_its_size() -> None:
+    """Far below the yield force, spring and fluid share all of the rod's travel."""
     t = np.arange(16000) * STEP
-    held = Motion(t, 2e-5 * np.sin(2 * np.pi * t), np.ones_like(t), exact=True)
+    held = BenchCommand(t, 2e-5 * np.sin(2 * np.pi * t), np.ones_like(t), exact=True)
     stiff, soft = (
         np.ptp(forces("bouc_wen", effects, [held])[500:]) / 4e-5
         for effects in ({}, {"series_compliance": {"compliance": 1e-6}})
@@ -265,7 +291,7 @@ def test_a_compliance_means_what_it_says() -> None:
 
 def test_play_is_travel_without_force() -> None:
     t = np.arange(24000) * STEP
-    triangle = Motion(t, 0.02 * np.abs((t / 1.0) % 2 - 1) - 0.01, np.full_like(t, 0.5), exact=True)
+    triangle = BenchCommand(t, 0.02 * np.abs((t / 1.0) % 2 - 1) - 0.01, np.full_like(t, 0.5), exact=True)
     plant = {"backlash": {"play": 4e-4, "drag": 10.0}}
     tight, loose = (forces("bouc_wen", effects, [triangle]) for effects in ({}, plant))
     back = slice(500, 540)  # after the first turn, at 20 mm/s, 40 um a sample
@@ -275,63 +301,63 @@ def test_play_is_travel_without_force() -> None:
 
 
 @given(cubic=st.floats(-0.05, 0.05), gain=st.floats(-0.1, 0.1))
-def test_a_reading_corrected_is_the_position(cubic: float, gain: float) -> None:
+def test_a_corrected_reading_is_the_position(cubic: float, gain: float) -> None:
     x = np.linspace(-0.027, 0.027, 101)
-    read = transduced(cubic, gain, x)
+    read = transducer_reading(cubic, gain, x)
     square = (read / 0.025) ** 2
     np.testing.assert_allclose(read * (1 + gain + cubic * (0.8 * square + 0.2 * square**2)), x, atol=1e-10)
 
 
-def test_what_the_drive_does_is_consistent() -> None:
+def test_derivatives_of_the_drives_motion_are_consistent() -> None:
     t = np.arange(8000) * STEP
     for x, v, a in (
-        followed(moves(1.0).position, STEP),
-        rippled(2e-5, 1.0, 0.01 * np.sin(6 * t), 0.06 * np.cos(6 * t), -0.36 * np.sin(6 * t)),
+        followed_command(excite(1.0).position, STEP),
+        rippled_motion(2e-5, 1.0, 0.01 * np.sin(6 * t), 0.06 * np.cos(6 * t), -0.36 * np.sin(6 * t)),
     ):
         np.testing.assert_allclose(np.gradient(x, STEP)[2:-2], v[2:-2], atol=1e-4)
         np.testing.assert_allclose(np.gradient(v, STEP)[2:-2], a[2:-2], atol=0.05)
 
 
 def test_a_replayed_motion_is_exact() -> None:
-    motion = moves(1.0, exact=True)
-    found = record(Plant("bouc_wen", {}), [motion], replace(QUIET, averaged=False), np.random.default_rng(0))[0]
-    np.testing.assert_allclose(found.position, motion.position[::16], atol=1e-12)
-    np.testing.assert_allclose(found.current, motion.current[::16], atol=1e-12)
+    motion = excite(1.0, exact=True)
+    readings = record(TruePlant("bouc_wen", {}), [motion], replace(QUIET, averaged=False), np.random.default_rng(0))[0]
+    np.testing.assert_allclose(readings.position, motion.position[::16], atol=1e-12)
+    np.testing.assert_allclose(readings.current, motion.current[::16], atol=1e-12)
 
 
-@given(base=st.sampled_from(sorted(BASES)), seed=st.integers(0, 2**32))
-def test_a_draw_stays_near(base: str, seed: int) -> None:
-    drawn = draw(base, np.random.default_rng(seed))
-    assert drawn.keys() == BASES[base].nominal.keys()
-    assert all(abs(drawn[name] / value - 1) <= 0.3 + 1e-9 for name, value in BASES[base].nominal.items())
+@given(form=st.sampled_from(sorted(DAMPER_FORMS)), seed=st.integers(0, 2**32))
+def test_drawn_parameters_stay_near_their_nominal_values(form: str, seed: int) -> None:
+    drawn = draw_parameters(form, np.random.default_rng(seed))
+    assert drawn.keys() == DAMPER_FORMS[form].nominal.keys()
+    assert all(abs(drawn[name] / value - 1) <= 0.3 + 1e-9 for name, value in DAMPER_FORMS[form].nominal.items())
 
 
-def test_bad_input_is_named() -> None:
+def test_invalid_input_is_named_in_the_error() -> None:
     t = np.arange(100) * STEP
     rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match="base best: unknown"):
-        draw("best", rng)
+    with pytest.raises(ValueError, match="damper form best: unknown"):
+        draw_parameters("best", rng)
     with pytest.raises(ValueError, match="effect magic: unknown"):
-        record(Plant("dahl", {}, {"magic": {}}), [], BENCH, rng)
+        record(TruePlant("dahl", {}, {"magic": {}}), [], BENCH, rng)
     with pytest.raises(ValueError, match="effect moving_mass: has parameters none"):
-        record(Plant("dahl", {}, {"moving_mass": {}}), [], BENCH, rng)
+        record(TruePlant("dahl", {}, {"moving_mass": {}}), [], BENCH, rng)
     with pytest.raises(ValueError, match="unknown parameter sigma"):
-        record(Plant("dahl", {"sigma": 1.0}), [], BENCH, rng)
+        record(TruePlant("dahl", {"sigma": 1.0}), [], BENCH, rng)
     with pytest.raises(ValueError, match="equally spaced"):
-        Motion(t * 2, t, t)
+        BenchCommand(t * 2, t, t)
     with pytest.raises(ValueError, match="finite"):
-        Motion(t, t, t * np.nan)
+        BenchCommand(t, t, t * np.nan)
     with pytest.raises(ValueError, match="strength"):
-        EFFECTS["backlash"].drawn(rng, -1.0)
+        EFFECTS["backlash"].draw(rng, -1.0)
     with pytest.raises(ValueError, match="positive rate"):
-        Instruments(0.0)
+        TrueInstruments(0.0)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("base", "limit"), [("bouc_wen", 1.5), ("spencer", 5.0)])
-def test_is_fast_enough(base: str, limit: float) -> None:
-    motions = [moves(160 / 7)] * 7
-    forces(base, {}, motions[:1])
+@pytest.mark.parametrize(("form", "limit"), [("bouc_wen", 1.5), ("spencer", 5.0)])
+def test_is_fast_enough(form: str, limit: float) -> None:
+    motions = [excite(160 / 7)] * 7
+    forces(form, {}, motions[:1])
     begin = time.perf_counter()
-    forces(base, {}, motions)
+    forces(form, {}, motions)
     assert time.perf_counter() - begin < 2 * limit  # a loaded machine

@@ -31,7 +31,8 @@ def describe_trend(
     factor, period = (365.25, "year") if per_year else (1.0, calendar.unit)
 
     def rate(slope: Interval, style: str = "") -> str:
-        return f"{format_quantity(Interval(factor * slope.value, factor * slope.lower, factor * slope.upper), unit, style)} per {period}"
+        scaled = Interval(factor * slope.value, factor * slope.lower, factor * slope.upper)
+        return f"{format_quantity(scaled, unit, style)} per {period}"
 
     # After a bend, the slope holds from the bend on.
     has_bend = line.change is not None and line.change.kind == "bend"

@@ -1,1 +1,1 @@
-"""Tools without a graph."""
+"""Command-line tools without ROS."""

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import TypeVar
 
 from mrd_base import InputError, run_tool
-from mrd_trials.cli.options import add_answers, add_workers, answers_of, progress, workers_of
-from mrd_trials.make import SHARES, Recipe, make, read_trial
+from mrd_trials.cli.options import add_answers, add_workers, checked_workers, default_answers, progress_bar
+from mrd_trials.make import make_trial
+from mrd_trials.trial_design import SHARES, Recipe
+from mrd_trials.trial_folder import read_trial
 
 N = TypeVar("N", int, float)
 
 STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24}
-"""Plants by tier."""
+"""Number of plants by tier in the standard trial."""
 
 
 def main() -> None:
@@ -21,27 +23,26 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, make, report."""
+    """Parse the arguments, make the trial, report."""
     parser = argparse.ArgumentParser(
-        prog="make",
-        description="Make dampers with effects that nobody is told: recordings for the diagnosis, sealed answers.",
+        prog="make", description="Make dampers with withheld effects: recordings for the diagnosis, and sealed answers."
     )
-    parser.add_argument("trial", type=Path, metavar="TRIAL", help="folder to be made, or gone on with")
-    parser.add_argument("--seed", type=int, required=True, help="same seed, same plants")
+    parser.add_argument("trial", type=Path, metavar="TRIAL", help="folder of the trial; an interrupted one is continued")
+    parser.add_argument("--seed", type=int, required=True, help="the same seed gives the same plants")
     parser.add_argument(
         "--plants",
         default="",
         metavar="TIER=N,...",
-        help=f"plants by tier (default: {','.join(f'{tier}={count}' for tier, count in STANDARD.items())})",
+        help=f"number of plants by tier (default: {','.join(f'{tier}={count}' for tier, count in STANDARD.items())})",
     )
     parser.add_argument(
         "--shares",
         default="",
         metavar="KIND=SHARE,...",
-        help=f"of each kind (default: {','.join(f'{kind}={share:g}' for kind, share in SHARES.items())})",
+        help=f"share of each kind of plant (default: {','.join(f'{kind}={share:g}' for kind, share in SHARES.items())})",
     )
     parser.add_argument(
-        "--recorded", default="", metavar="FOLDER", help="recordings of measured dampers, one folder a damper"
+        "--recorded", default="", metavar="FOLDER", help="recordings of measured dampers, one folder for each damper"
     )
     add_answers(parser)
     add_workers(parser)
@@ -51,12 +52,12 @@ def work() -> None:
     plants = _pairs(arguments.plants, "--plants", _count) or STANDARD
     shares = _pairs(arguments.shares, "--shares", float) or SHARES
     recipe = Recipe(arguments.seed, dict(plants), dict(shares), arguments.recorded)
-    answers = arguments.answers or answers_of(arguments.trial)
-    with progress("making") as show:
-        left_out = make(recipe, arguments.trial, answers, workers_of(arguments), show)
+    answers = arguments.answers or default_answers(arguments.trial)
+    with progress_bar("making") as show:
+        left_out = make_trial(recipe, arguments.trial, answers, checked_workers(arguments), show)
     for text in left_out:
         print(f"left out: {text}")
-    print(f"{len(read_trial(arguments.trial).exhibits)} plants in {arguments.trial}; answers, sealed, in {answers}")
+    print(f"{len(read_trial(arguments.trial).plants)} plants in {arguments.trial}; sealed answers in {answers}")
 
 
 def _count(text: str) -> int:
@@ -66,12 +67,12 @@ def _count(text: str) -> int:
 
 
 def _pairs(text: str, option: str, number: Callable[[str], N]) -> dict[str, N]:
-    found = {}
+    pairs = {}
     for part in filter(None, text.split(",")):
         name, _, value = part.partition("=")
         try:
-            found[name] = number(value)
+            pairs[name] = number(value)
         except ValueError:
             expected = "a whole number from 0" if number is _count else "a number"
             raise InputError(f"{option}: found {part!r}, expected NAME= and {expected}") from None
-    return found
+    return pairs

@@ -1,12 +1,13 @@
-"""Let the diagnosis judge the plants of a trial."""
+"""Diagnose the plants of a trial."""
 
 import argparse
 from collections import Counter
 from pathlib import Path
 
 from mrd_base import run_tool
-from mrd_trials.cli.options import add_trial, add_workers, progress, workers_of
-from mrd_trials.run import frozen, run
+from mrd_trials.cli.options import add_trial, add_workers, checked_workers, progress_bar
+from mrd_trials.run import run_trial
+from mrd_trials.submission import installed_diagnoser
 
 
 def main() -> None:
@@ -15,27 +16,27 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, diagnose, report."""
+    """Parse the arguments, diagnose, report."""
     parser = argparse.ArgumentParser(
-        prog="run", description="Diagnose every plant of a trial, one verdict each; goes on where it was interrupted."
+        prog="run", description="Diagnose every plant of a trial, one verdict each; an interrupted run is continued."
     )
     add_trial(parser)
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where the verdicts go")
-    parser.add_argument("--seed", type=int, default=0, help="of every diagnosis (default %(default)s)")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the verdicts")
+    parser.add_argument("--seed", type=int, default=0, help="seed of every diagnosis (default %(default)s)")
     parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="work on the dask cluster of this scheduler")
     add_workers(parser)
     arguments = parser.parse_args()
-    with progress("diagnosing") as show:
-        found = run(
+    with progress_bar("diagnosing") as show:
+        submissions = run_trial(
             arguments.trial,
             arguments.output,
-            frozen(arguments.seed),
-            workers=workers_of(arguments),
+            installed_diagnoser(arguments.seed),
+            workers=checked_workers(arguments),
             scheduler=arguments.scheduler,
             progress=show,
         )
-    counts = Counter(each.verdict for each in found.values())
+    counts = Counter(submission.verdict for submission in submissions.values())
     print(", ".join(f"{verdict}: {count}" for verdict, count in counts.most_common()))
-    for each in found.values():
-        if each.failure:
-            print(f"{each.plant} failed: {each.failure}")
+    for submission in submissions.values():
+        if submission.failure:
+            print(f"{submission.plant} failed: {submission.failure}")

@@ -1,16 +1,16 @@
-"""Open the seal and score the verdicts."""
+"""Open the sealed answers and score the verdicts."""
 
 import argparse
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
-from mrd_trials.cli.options import add_answers, add_trial, add_workers, progress, unsealed, workers_of
-from mrd_trials.insight import insights
-from mrd_trials.make import read_trial
-from mrd_trials.run import VERDICTS, read_verdicts
-from mrd_trials.score import score
-from mrd_trials.score_report import write_score_report
-from mrd_trials.tables import tables
+from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_workers, progress_bar, read_answers
+from mrd_trials.evaluate import evaluate_trial
+from mrd_trials.run import VERDICTS_FILE, read_verdicts
+from mrd_trials.scoring.report import write_score_report
+from mrd_trials.scoring.score import score_trial
+from mrd_trials.scoring.tables import markdown_tables
+from mrd_trials.trial_folder import read_trial
 
 
 def main() -> None:
@@ -19,21 +19,26 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, check the commitments, score, report."""
+    """Parse the arguments, check the commitments, evaluate, score, report."""
     parser = argparse.ArgumentParser(
-        prog="score", description="Open the seal of a trial, check the commitments, score the verdicts; writes score.html."
+        prog="score",
+        description="Open the sealed answers of a trial, check the commitments, score the verdicts; writes score.html.",
     )
     add_trial(parser)
-    parser.add_argument("verdicts", type=Path, metavar="DIR", help="folder that run wrote; gets the score too")
+    parser.add_argument("verdicts", type=Path, metavar="DIR", help="folder that run wrote; the score is written into it too")
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
-    submissions = read_verdicts(arguments.verdicts / VERDICTS, read_trial(arguments.trial).exhibits)
+    submissions = read_verdicts(arguments.verdicts / VERDICTS_FILE, read_trial(arguments.trial).plants)
     if not submissions:
-        raise InputError(f"{arguments.verdicts}: holds no verdicts, so the answers stay sealed; name what run wrote to")
-    answers = unsealed(arguments)
-    with progress("asking one who knows, and simpler methods") as show:
-        found = insights(arguments.trial, answers, submissions, arguments.verdicts, workers_of(arguments), show)
-    scored = score(answers, submissions, found)
-    print(tables(scored))
-    print(write_score_report(scored, arguments.verdicts))
+        raise InputError(
+            f"{arguments.verdicts}: holds no verdicts, so the answers stay sealed; name the folder that run wrote"
+        )
+    answers = read_answers(arguments)
+    with progress_bar("evaluating") as show:
+        evaluations = evaluate_trial(
+            arguments.trial, answers, submissions, arguments.verdicts, checked_workers(arguments), show
+        )
+    score = score_trial(answers, submissions, evaluations)
+    print(markdown_tables(score))
+    print(write_score_report(score, arguments.verdicts))

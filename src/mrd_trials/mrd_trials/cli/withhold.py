@@ -1,11 +1,11 @@
-"""Judge plants by a catalogue that lacks their effect."""
+"""Diagnose plants by a catalogue that lacks their effect."""
 
 import argparse
 from pathlib import Path
 
 from mrd_base import run_tool
-from mrd_trials.cli.options import add_answers, add_trial, add_workers, progress, unsealed, workers_of
-from mrd_trials.withhold import table, withhold
+from mrd_trials.cli.options import add_answers, add_trial, add_workers, checked_workers, progress_bar, read_answers
+from mrd_trials.withhold import withheld_table, withhold_effects
 
 
 def main() -> None:
@@ -14,20 +14,27 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse, diagnose, report."""
+    """Parse the arguments, diagnose, report."""
     parser = argparse.ArgumentParser(
         prog="withhold",
-        description="Take each effect of the catalogue away in turn and diagnose plants that have it: any name is wrong.",
+        description="Remove each effect from the catalogue in turn and diagnose plants that have it: any name is wrong.",
     )
     add_trial(parser)
-    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="where the verdicts go")
-    parser.add_argument("--plants", type=int, default=2, metavar="N", help="of each effect, at most (default %(default)s)")
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the verdicts")
+    parser.add_argument(
+        "--plants", type=int, default=2, metavar="N", help="most plants of each effect (default %(default)s)"
+    )
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
-    answers = unsealed(arguments)
-    with progress("diagnosing") as show:
-        found = withhold(
-            arguments.trial, answers, arguments.output, most=arguments.plants, workers=workers_of(arguments), progress=show
+    answers = read_answers(arguments)
+    with progress_bar("diagnosing") as show:
+        submissions = withhold_effects(
+            arguments.trial,
+            answers,
+            arguments.output,
+            most=arguments.plants,
+            workers=checked_workers(arguments),
+            progress=show,
         )
-    print(table(answers, found))
+    print(withheld_table(answers, submissions))

@@ -1,23 +1,25 @@
-"""The truth: dampers, effects and instruments of their own, that share no physics with the models that are fitted.
+"""The ground truth: dampers, effects and instruments that share no physics with the models that are fitted.
 
-Signs: a rod that moves out is positive, so is a force that resists it. SI throughout.
+Signs: the position of a rod that moves out is positive, and so is a force that resists this. All units are SI.
 """
 
-from mrd_trials.truth.bases import BASES, Base, draw
-from mrd_trials.truth.effects import EFFECTS, Quantity, TrueEffect
-from mrd_trials.truth.instruments import Instruments, Recorded
-from mrd_trials.truth.plant import Motion, Plant, record
+from mrd_trials.truth.damper_forms import DAMPER_FORMS, DamperForm, draw_parameters
+from mrd_trials.truth.effects import EFFECTS, EffectParameter, TrueEffect
+from mrd_trials.truth.instruments import Readings, TrueInstruments
+from mrd_trials.truth.recording import BenchCommand, RunScatter, TruePlant, draw_scatter, record
 
 __all__ = [
-    "BASES",
+    "DAMPER_FORMS",
     "EFFECTS",
-    "Base",
-    "Instruments",
-    "Motion",
-    "Plant",
-    "Quantity",
-    "Recorded",
+    "BenchCommand",
+    "DamperForm",
+    "EffectParameter",
+    "Readings",
+    "RunScatter",
     "TrueEffect",
-    "draw",
+    "TrueInstruments",
+    "TruePlant",
+    "draw_parameters",
+    "draw_scatter",
     "record",
 ]

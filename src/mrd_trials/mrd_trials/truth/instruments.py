@@ -1,6 +1,6 @@
-"""Instruments: what is read of a channel, when, and with which noise."""
+"""Instruments: what is read of a channel, at which times, and with which noise."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,23 +9,23 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Instruments:
-    """How a bench reads.
+class TrueInstruments:
+    """How a bench reads its channels, and how runs scatter.
 
     Attributes
     ----------
     rate : float
-        Hz.
+        Sample rate in Hz.
     averaged : bool
         Whether a sample is the mean over the sampling period around its time, or the value at that instant.
     position, force, current, acceleration : float
-        Standard deviation of white noise on each sample, SI.
+        Standard deviation of the white noise of each channel in SI units.
     jitter : float
-        s, standard deviation of when a sample is truly taken.
+        Standard deviation in s of the time at which a sample is truly taken.
     gain_scatter : float
-        Standard deviation of the damper's force from run to run, relative.
+        Relative standard deviation of the damper's force from run to run.
     offset_scatter : float
-        N, standard deviation of the load cell's zero from run to run.
+        Standard deviation in N of the load cell's zero from run to run.
     """
 
     rate: float
@@ -51,17 +51,21 @@ class Instruments:
         if not 0.0 < self.rate < np.inf or not all(0.0 <= noise < np.inf for noise in noises):
             raise ValueError(f"instruments {self}: expected a positive rate and no negative noise")
 
+    def without_noise(self) -> "TrueInstruments":
+        """Return the instruments without noise and jitter; runs scatter as before."""
+        return replace(self, position=0.0, force=0.0, current=0.0, acceleration=0.0, jitter=0.0)
+
 
 @dataclass(frozen=True)
-class Recorded:
-    """One recording, at even times from 0; arrays of (samples,).
+class Readings:
+    """The readings of one run at even times from 0; all arrays have the shape (samples,).
 
     Attributes
     ----------
     time : ndarray
-        s.
+        Time in s.
     position, current, acceleration, force : ndarray
-        m, A, m/s² and N, as they are read.
+        Readings in m, A, m/s² and N.
     """
 
     time: Array
@@ -71,13 +75,13 @@ class Recorded:
     force: Array
 
 
-def sampled(instruments: Instruments, time: Array, jitter: Array, step: float, signal: Array) -> Array:
-    """A signal given every ``step`` from 0, as it is read at ``time``, without noise."""
+def sample_signal(instruments: TrueInstruments, time: Array, jitter: Array, step: float, signal: Array) -> Array:
+    """Return a signal, given every ``step`` from 0, as it is read at ``time``, without noise."""
     given = np.arange(len(signal)) * step
-    at = time + jitter
+    taken = time + jitter
     if not instruments.averaged:
-        return np.interp(at, given, signal)
+        return np.interp(taken, given, signal)
     half = min(0.5 / instruments.rate, 0.5 * given[-1])
-    middle = np.clip(at, half, given[-1] - half)  # at the ends the window stays inside
+    middle = np.clip(taken, half, given[-1] - half)  # the averaging window stays inside the signal
     area = np.concatenate([[0.0], np.cumsum(0.5 * step * (signal[1:] + signal[:-1]))])
     return np.asarray((np.interp(middle + half, given, area) - np.interp(middle - half, given, area)) / (2 * half))

@@ -1,18 +1,18 @@
-"""Coil: from the current that flows to the one that the fluid feels, and to the one that is read."""
+"""Effects of the coil: from the current that flows to the current that acts on the fluid and to the one that is read."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mrd_trials.truth.effects.declare import TrueEffect, Values, size, within
+from mrd_trials.truth.effects.true_effect import PlantValues, TrueEffect, shape, size
 
 Array = NDArray[np.float64]
 
 KNEE = 1.5
-"""Sharpness of the saturation: between an exponential approach (1.2) and a root of squares (2)."""
+"""Sharpness of the saturation, between an exponential approach (about 1.2) and a root of squares (2)."""
 
 REVERSAL = 2.0
-"""Change of current over which a magnetisation loop is crossed, in half widths; below 2 the loop would bulge backwards."""
+"""Change of current over which a magnetisation loop is crossed, in half widths; below 2, the loop would bulge backwards."""
 
 EFFECTS = (
     TrueEffect(
@@ -25,28 +25,28 @@ EFFECTS = (
     TrueEffect(
         "coil_lag",
         "Flux follows the current late, and falls later still",
-        (size("lag", 0.015, 0.06), within("falling", 0.1, 0.6)),
+        (size("lag", 0.015, 0.06), shape("falling", 0.1, 0.6)),
     ),
 )
 
 
 @njit(cache=True, nogil=True)
-def effective(p: Values, current: Array, step: float, memory: Array) -> Array:
-    """Current that acts, from the one that flows.
+def acting_current(p: PlantValues, current: Array, step: float, memory: Array) -> Array:
+    """Return the current that acts on the fluid, from the current that flows.
 
-    First flux diffusion with two time constants, then a magnetisation that relaxes towards the side of the change as the
-    current changes (a Duhem form, as Coleman and Hodgdon's), then the curve of the iron.
+    Flux diffusion with two time constants comes first, then a magnetisation that relaxes towards the side of the change as
+    the current changes (a Duhem form, as Coleman and Hodgdon's), then the magnetisation curve of the iron.
 
     Parameters
     ----------
-    p : Values
+    p : PlantValues
     current : ndarray (samples,)
     step : float
-        s.
+        Sampling period in s.
     memory : ndarray (3,)
-        Lagged current, magnetisation (-1 to 1) and whether both are set; kept up to date.
+        Lagged current, magnetisation (-1 to 1) and whether both are set; updated in place.
     """
-    found = np.empty_like(current)
+    acting = np.empty_like(current)
     if memory[2] == 0.0:
         memory[0], memory[1], memory[2] = current[0], 0.0, 1.0
     rising, falling = 0.0, 0.0
@@ -66,5 +66,5 @@ def effective(p: Values, current: Array, step: float, memory: Array) -> Array:
             now = max(now - width * memory[1], 0.0)
         if bend > 0.0:
             now = now / (1.0 + (bend * abs(now)) ** KNEE) ** (1.0 / KNEE)
-        found[i] = now
-    return found
+        acting[i] = now
+    return acting

@@ -1,21 +1,21 @@
-"""Sensing: from the force on the rod and its position to what is written down."""
+"""Effects of sensing: from the force on the rod and its position to what is recorded."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from mrd_trials.truth.effects.declare import TrueEffect, size
+from mrd_trials.truth.effects.true_effect import TrueEffect, size
 
 Array = NDArray[np.float64]
 
 MAINS = 50.0
-"""Hz."""
+"""Mains frequency in Hz."""
 
 RATED = 0.025
-"""m, where the transducer's curve is given."""
+"""Position in m at which the curve of the transducer is given."""
 
 QUINTIC = 0.2
-"""Share of a transducer's curve that grows with the fifth power of its reading, not the third."""
+"""Share of a transducer's curve that grows with the fifth power of its reading; the rest grows with the third."""
 
 EFFECTS = (
     TrueEffect(
@@ -35,19 +35,19 @@ EFFECTS = (
 )
 
 
-def transduced(cubic: float, gain: float, position: Array) -> Array:
-    """Reading of a transducer at a position, whose error grows with the reading."""
+def transducer_reading(cubic: float, gain: float, position: Array) -> Array:
+    """Return the reading of a transducer at a position; its error grows with the reading."""
     reading = position.copy()
-    for _ in range(30):  # contracts: the whole error is below a fifth
+    for _ in range(30):  # the iteration contracts: the error is below a fifth of the reading
         square = (reading / RATED) ** 2
         reading = position / (1.0 + gain + cubic * square * (1.0 - QUINTIC + QUINTIC * square))
     return reading
 
 
 def lagged(lag: float, signal: Array, step: float) -> Array:
-    """First-order lag, exact for a polygon; at rest at first."""
+    """Return a signal behind a first-order lag, exactly for a polygon; the lag begins at rest."""
     if lag == 0.0:
         return signal
     keep = np.exp(-step / lag)
-    late = (1.0 - keep) * lag / step  # share of the step by which a ramp is behind
+    late = (1.0 - keep) * lag / step  # share of the step by which a ramp lags behind
     return np.asarray(lfilter([1.0 - late, late - keep], [1.0, -keep], signal, zi=[late * signal[0]])[0])

@@ -1,22 +1,22 @@
-"""Structure: seals, guides, stops, joints and masses around the fluid."""
+"""Effects of the structure: seals, guides, stops, joints and masses around the fluid."""
 
 import math
 
 from numba import njit
 
-from mrd_trials.truth.effects.declare import TrueEffect, Values, size, within
+from mrd_trials.truth.effects.true_effect import PlantValues, TrueEffect, shape, size
 
-BRISTLE, GUIDE = 25e-6, 40e-6
-"""m, travel over which the friction of the seal, and of the guide, turns."""
+SEAL_TRAVEL, GUIDE_TRAVEL = 25e-6, 40e-6
+"""Travel in m over which the friction of the seal, and that of the guide, changes its direction."""
 
-ROUND = 5e-4
-"""m, within which the friction of the guide has its least."""
+GUIDE_ROUNDING = 5e-4
+"""Distance in m from its centre within which the friction of the guide is rounded off."""
 
-EVEN_DEPTH = 5e-3
-"""m, where a Hertzian stop presses as much as 5e6 N/m² times the depth squared."""
+STOP_DEPTH = 5e-3
+"""Depth in m at which the force of a Hertzian stop is 5e6 N/m² times the depth squared."""
 
 REBOUND = 0.5
-"""s/m, share of a stop's force by which a metre per second inwards adds to it (Hunt and Crossley)."""
+"""Relative increase of a stop's force per inward speed in s/m (Hunt and Crossley)."""
 
 EFFECTS = (
     TrueEffect(
@@ -29,69 +29,72 @@ EFFECTS = (
     TrueEffect(
         "joint_play",
         "Free travel in the damper's joint",
-        (size("play", 3e-4, 2e-3), within("resistance", 15e3, 40e3, logarithmic=True)),
+        (size("play", 3e-4, 2e-3), shape("resistance", 15e3, 40e3, logarithmic=True)),
         ("play",),
         in_series=True,
     ),
     TrueEffect(
         "seal_friction",
         "Dry friction of the seal",
-        (size("coulomb", 40.0, 120.0), within("stiction", 0.2, 1.0), within("stribeck_speed", 1e-3, 1e-2, logarithmic=True)),
+        (size("coulomb", 40.0, 120.0), shape("stiction", 0.2, 1.0), shape("stribeck_speed", 1e-3, 1e-2, logarithmic=True)),
     ),
     TrueEffect(
         "side_load_friction",
         "Friction that grows away from a centre",
-        (size("slope", 1500.0, 3000.0), within("centre", -5e-3, 5e-3)),
+        (size("slope", 1500.0, 3000.0), shape("centre", -5e-3, 5e-3)),
         ("slope", "centre"),
     ),
-    TrueEffect("end_stop", "Bump stops", (size("hardness", 1.0, 10.0), within("limit", 5e-3, 9e-3))),
+    TrueEffect("end_stop", "Bump stops", (size("hardness", 1.0, 10.0), shape("limit", 5e-3, 9e-3))),
     TrueEffect("moving_mass", "Mass between load cell and damper", (size("mass", 1.5, 5.0),), ("mass",)),
 )
 
 
 @njit(cache=True, nogil=True)
-def swept(q: float, dx: float, travel: float, level: float) -> float:
-    """Deflection of bristles, 1 at Coulomb's friction, that tend to ``level`` in the direction of ``dx``; exact."""
+def bristle_deflection(deflection: float, dx: float, travel: float, level: float) -> float:
+    """Return the deflection of bristles (1 at Coulomb friction), which tends to ``level`` in the direction of ``dx``."""
     end = level if dx > 0.0 else -level
-    return end + (q - end) * math.exp(-abs(dx) / (travel * level))
+    return end + (deflection - end) * math.exp(-abs(dx) / (travel * level))
 
 
 @njit(cache=True, nogil=True)
-def stribeck(p: Values, v: float) -> float:
-    """Friction at a steady speed over Coulomb's."""
+def stribeck_factor(p: PlantValues, v: float) -> float:
+    """Return the friction at a steady speed over the Coulomb friction."""
     if p.seal_friction_stiction == 0.0:
         return 1.0
     return 1.0 + p.seal_friction_stiction / (1.0 + (v / p.seal_friction_stribeck_speed) ** 2)
 
 
 @njit(cache=True, nogil=True)
-def guided(p: Values, x: float) -> float:
-    """N, friction of the guide in either direction."""
-    off = x - p.side_load_friction_centre
-    return p.side_load_friction_slope * (math.sqrt(off * off + ROUND * ROUND) - ROUND)
+def guide_friction(p: PlantValues, x: float) -> float:
+    """Return the magnitude of the guide's friction in N."""
+    distance = x - p.side_load_friction_centre
+    return p.side_load_friction_slope * (math.sqrt(distance * distance + GUIDE_ROUNDING * GUIDE_ROUNDING) - GUIDE_ROUNDING)
 
 
 @njit(cache=True, nogil=True)
-def stopped(p: Values, x: float, v: float) -> float:
-    """N, of a Hertzian contact with some loss, at either end."""
+def stop_force(p: PlantValues, x: float, v: float) -> float:
+    """Return the force (N) of the end stops, Hertzian contacts with some loss."""
     if p.end_stop_hardness == 0.0:
         return 0.0
     depth = abs(x) - p.end_stop_limit
     if depth <= 0.0:
         return 0.0
     inwards = v if x > 0.0 else -v
-    force = p.end_stop_hardness * 5e6 * math.sqrt(EVEN_DEPTH) * depth * math.sqrt(depth) * max(1.0 + REBOUND * inwards, 0.0)
+    force = p.end_stop_hardness * 5e6 * math.sqrt(STOP_DEPTH) * depth * math.sqrt(depth) * max(1.0 + REBOUND * inwards, 0.0)
     return force if x > 0.0 else -force
 
 
 @njit(cache=True, nogil=True)
-def loose(g: float, play: float, force: float, resistance: float, drag: float, step: float) -> float:
-    """Offset of a joint with play after a step: a film is squeezed out ever slower, and a drag must be overcome first."""
+def joint_offset(offset: float, play: float, force: float, resistance: float, drag: float, step: float) -> float:
+    """Return the offset of a joint with play after a step.
+
+    A force beyond the drag squeezes out a film, which becomes slower towards the end of the play.
+    """
     if play == 0.0:
         return 0.0
     half = 0.5 * play
     pull = max(abs(force) - drag, 0.0)
     if force < 0.0:
         pull = -pull
-    film = 1.0 - g / half if force > 0.0 else 1.0 + g / half
-    return min(max(g + step * pull / resistance * max(film, 0.02), -half), half)
+    film = 1.0 - offset / half if force > 0.0 else 1.0 + offset / half
+    return min(max(offset + step * pull / resistance * max(film, 0.02), -half), half)

@@ -1,0 +1,94 @@
+"""A plant on the bench: what the bench commands, and how the plant is measured."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from mrd_runs import Run
+from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers
+from mrd_trials.trial_design import PlantDesign
+from mrd_trials.truth import (
+    BenchCommand,
+    Readings,
+    RunScatter,
+    TrueInstruments,
+    TruePlant,
+    draw_parameters,
+    draw_scatter,
+    record,
+)
+
+Effects = Mapping[str, Mapping[str, float]]
+"""Parameters of effects by id."""
+
+
+@dataclass(frozen=True)
+class BenchSession:
+    """All runs of a plant in one session on the bench, with any effects.
+
+    Attributes
+    ----------
+    names, commands : tuple
+        Name and command of each run in order; the last `FRESH_RUNS` are for the evaluation alone.
+    instruments : TrueInstruments
+    plant : TruePlant
+        The plant without effects.
+    noise_seed : int
+        Seed of everything that differs from run to run.
+    effect_seed : int
+        Seed of the signs and shapes of the effects.
+    fit_seed : int
+        Seed of the fit that measures the strength of the effects.
+    """
+
+    names: tuple[str, ...]
+    commands: tuple[BenchCommand, ...]
+    instruments: TrueInstruments
+    plant: TruePlant
+    noise_seed: int
+    effect_seed: int
+    fit_seed: int
+
+    @classmethod
+    def from_design(cls, design: PlantDesign, recorded: str = "") -> "BenchSession":
+        """Return the session of a design, always the same; ``recorded`` is as in `mrd_trials.trial_design.Recipe`."""
+        command_rng, form_rng, seed_rng = np.random.default_rng(design.seed).spawn(3)
+        source: Sequence[Run] = read_recorded_dampers(Path(recorded))[design.damper] if design.damper else ()
+        named = commands_of_runs(design.tier, command_rng, source)
+        rate = design.tier.rate or source[0].rate
+        noise, effect, fit = map(int, seed_rng.integers(2**62, size=3))
+        plant = TruePlant(design.form, draw_parameters(design.form, form_rng), {})
+        instruments = TrueInstruments(rate=rate, averaged=rate > 100.0)
+        names, commands = tuple(name for name, _ in named), tuple(command for _, command in named)
+        return cls(names, commands, instruments, plant, noise, effect, fit)
+
+    def record(self, effects: Effects, further: Sequence[BenchCommand] = ()) -> list[Readings]:
+        """Record all runs, and ``further`` ones after them."""
+        return self._record([*self.commands, *further], effects)
+
+    def given_runs(self, effects: Effects) -> list[Run]:
+        """Record only the runs that the diagnosis is given; they are the same as among all runs."""
+        readings = self._record(self.commands[:-FRESH_RUNS], effects)
+        return [as_run(name, run) for name, run in zip(self.names[:-FRESH_RUNS], readings, strict=True)]
+
+    def noise_free_runs(self, effects: Effects) -> list[Run]:
+        """Record all runs without noise and jitter; each has the same scatter as with them."""
+        silent = replace(self, instruments=self.instruments.without_noise())
+        return [as_run(name, run) for name, run in zip(self.names, silent.record(effects), strict=True)]
+
+    @property
+    def scatter(self) -> list[RunScatter]:
+        """Scatter of every run."""
+        return draw_scatter(self.instruments, np.random.default_rng(self.noise_seed), len(self.commands))
+
+    def _record(self, commands: Sequence[BenchCommand], effects: Effects) -> list[Readings]:
+        plant = replace(self.plant, effects=effects)
+        return record(plant, commands, self.instruments, np.random.default_rng(self.noise_seed))
+
+
+def as_run(name: str, readings: Readings) -> Run:
+    """Return readings as a run of the bench's software; where the velocity matters, that software smooths the motion."""
+    velocity = np.gradient(readings.position, readings.time)
+    return Run(name, readings.time, readings.position, velocity, readings.current, readings.force, readings.acceleration)

@@ -1,0 +1,101 @@
+"""How far a corrected model closes the gap, measured against the noise that the ground truth knows exactly."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording, consecutive_forces, prepare_recording
+from mrd_runs import Run
+from mrd_sim.models import DamperModel, find_model
+from mrd_trials.bench_session import BenchSession, Effects
+from mrd_trials.reference_fit import fit_model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ClosureMeter:
+    """A plant with the model fitted to it without effects, against which corrected models are measured.
+
+    Attributes
+    ----------
+    model_id : str
+    recordings : sequence of Recording
+        All runs in order, the fresh ones last; the known gain and offset of each run are taken out of its force.
+    noise_free : sequence of Recording
+        The same runs without noise.
+    uncorrected : sequence of ndarray
+        Force in N of the model without effects, fitted to the runs that the diagnosis is given, at the counted samples.
+    given : int
+        Number of those runs.
+    """
+
+    model_id: str
+    recordings: Sequence[Recording]
+    noise_free: Sequence[Recording]
+    uncorrected: Sequence[Array]
+    given: int
+
+    @classmethod
+    def from_session(
+        cls, session: BenchSession, effects: Effects, model_id: str, given: Sequence[Run], fresh: Sequence[Run]
+    ) -> "ClosureMeter":
+        """Fit the model to the given runs of a plant; ``session`` and ``effects`` are those that the plant was made with."""
+
+        def without_scatter(runs: Sequence[Run]) -> list[Recording]:
+            pairs = zip(runs, session.scatter, strict=True)
+            corrected = [replace(run, force=(run.force - scatter.offset) / scatter.gain) for run, scatter in pairs]
+            return in_threads(prepare_recording, corrected)
+
+        recordings = without_scatter([*given, *fresh])
+        silent = without_scatter(session.noise_free_runs(effects))
+        noise_free = [replace(s, counted=r.counted) for s, r in zip(silent, recordings, strict=True)]
+        problem, theta = fit_model(model_id, recordings[: len(given)], np.random.default_rng(session.fit_seed))
+        uncorrected = consecutive_forces(problem.model, theta, recordings)
+        return cls(model_id, recordings, noise_free, uncorrected, len(given))
+
+    def on_given_runs(self, effects: Sequence[str], parameters: Mapping[str, float]) -> float:
+        """Return the share of the gap on the given runs that a corrected model closes; nan without a gap."""
+        return self._closed_fraction(effects, parameters, slice(0, self.given))
+
+    def on_fresh_runs(self, effects: Sequence[str], parameters: Mapping[str, float]) -> float:
+        """Return the share of the gap on the fresh runs that a corrected model closes; nan without a gap."""
+        return self._closed_fraction(effects, parameters, slice(self.given, None))
+
+    def _closed_fraction(self, effects: Sequence[str], parameters: Mapping[str, float], runs: slice) -> float:
+        """Return 1 - (after² - floor²) / (before² - floor²) of the rms errors on some runs."""
+        model = find_model(self.model_id, effects=list(effects))
+        theta = model.vector(parameters)
+        corrected = consecutive_forces(model, theta, self.recordings)
+        measured = np.concatenate([recording.force for recording in self.recordings[runs]])
+        before = _mean_square_error(measured, np.concatenate(self.uncorrected[runs]))
+        after = _mean_square_error(measured, np.concatenate(corrected[runs]))
+        floor = float(np.mean(np.concatenate(self._noise(model, theta, corrected)[runs]) ** 2))
+        return (before - after) / (before - floor) if before > floor else np.nan
+
+    def _noise(self, model: DamperModel, theta: Array, forces: Sequence[Array]) -> list[Array]:
+        """Return what noise contributes to the errors of each run in N.
+
+        It is the difference between the errors on the recordings and those on the same runs without noise: noise of the
+        force sensor, and noise of the measured motion and current carried through the model.
+        """
+        silent_forces = consecutive_forces(model, theta, self.noise_free)
+        return [
+            (recording.force - force) - (silent.force - silent_force)
+            for recording, force, silent, silent_force in zip(
+                self.recordings, forces, self.noise_free, silent_forces, strict=True
+            )
+        ]
+
+
+def _mean_square_error(measured: Array, modelled: Array) -> float:
+    """Return the mean square in N² of what a gain and an offset of all runs together leave of the errors.
+
+    The runs that a model was fitted to have a mean gain and offset, which its parameters contain.
+    """
+    columns = np.stack([modelled, np.ones_like(modelled)], axis=1)
+    solution, *_ = np.linalg.lstsq(columns, measured, rcond=None)
+    return float(np.mean((measured - columns @ solution) ** 2))

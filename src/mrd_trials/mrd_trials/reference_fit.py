@@ -1,0 +1,127 @@
+"""Reference fit of a damper model to a plant without effects, and the signal of effects over its noise floor."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_identification.least_squares import fit_least_squares
+from mrd_identification.parallel import in_threads
+from mrd_identification.problem import Problem, make_problem
+from mrd_identification.recording import Recording, consecutive_forces, prepare_recording
+from mrd_runs import Run
+from mrd_sim.models import DamperModel, find_model
+
+Array = NDArray[np.float64]
+
+STARTS = 16
+"""Random points of which the best are fitted; few are enough because linear parameters follow from the others."""
+
+NEAR_TARGET = 0.25
+"""Logarithmic distance from the target at which the signal to floor is near enough: well within a stratum."""
+
+
+@dataclass(frozen=True)
+class ReferenceFit:
+    """A model fitted to the runs of a plant without effects.
+
+    Attributes
+    ----------
+    model : DamperModel
+    theta : ndarray (parameters,)
+    errors : ndarray (samples,)
+        Modelled minus measured force in N.
+    counted : tuple of slice
+        Samples of each run that count.
+    nuisance : ndarray (samples, k)
+        Orthonormal basis of what the model's parameters, and an offset and a gain of each run, can imitate.
+    floor : float
+        Root mean square in N of what the fit leaves.
+    """
+
+    model: DamperModel
+    theta: Array
+    errors: Array
+    counted: tuple[slice, ...]
+    nuisance: Array
+    floor: float
+
+    @classmethod
+    def from_runs(cls, model_id: str, runs: Sequence[Run], rng: np.random.Generator) -> "ReferenceFit":
+        """Fit a model to runs of a plant without effects."""
+        recordings = in_threads(prepare_recording, runs)
+        problem, theta = fit_model(model_id, recordings, rng)
+        forces = consecutive_forces(problem.model, theta, recordings)
+        offsets_and_gains = np.zeros((len(problem.force), 2 * len(recordings)))
+        for place, (block, force) in enumerate(zip(problem.blocks, forces, strict=True)):
+            offsets_and_gains[block, 2 * place], offsets_and_gains[block, 2 * place + 1] = 1.0, force
+        nuisance = orthonormal_basis(np.hstack([problem.jacobian(problem.unit(theta)), offsets_and_gains]))
+        errors = problem.errors(theta)
+        remainder = errors - nuisance @ (nuisance.T @ errors)
+        counted = tuple(recording.counted for recording in recordings)
+        return cls(problem.model, theta, errors, counted, nuisance, float(np.sqrt(np.mean(remainder**2))))
+
+    def unexplained_change(self, runs: Sequence[Run]) -> Array:
+        """Return what effects change in the errors (samples,) and the model cannot take up, in N.
+
+        ``runs`` are recorded with the effects, under the same commands and with the same noise as those of the fit.
+        """
+        prepared = in_threads(prepare_recording, runs)
+        recordings = [replace(recording, counted=part) for recording, part in zip(prepared, self.counted, strict=True)]
+        forces = consecutive_forces(self.model, self.theta, recordings)
+        change = np.concatenate([f - r.force for f, r in zip(forces, recordings, strict=True)]) - self.errors
+        return np.asarray(change - self.nuisance @ (self.nuisance.T @ change))
+
+    def signal_to_floor(self, runs: Sequence[Run]) -> float:
+        """Return the mean square of `unexplained_change` over that of the floor."""
+        return float(np.mean(self.unexplained_change(runs) ** 2) / self.floor**2)
+
+
+def fit_model(model_id: str, recordings: Sequence[Recording], rng: np.random.Generator) -> tuple[Problem, Array]:
+    """Fit a damper model without effects by least squares, and return the problem and the parameters (parameters,).
+
+    Of random points, the best are fitted briefly, and the best of these to the end (multi-start).
+    """
+    problem, _ = make_problem(find_model(model_id), recordings, fixed={"coil_lag": 0.0})  # the lag is an effect
+    units = np.vstack([problem.unit(problem.model.defaults), rng.random((STARTS, len(problem.free)))])
+    thetas, norms = problem.project(problem.theta(units))
+    best = np.argsort(norms[:, 0], kind="stable")[: 1 + STARTS // 20]
+    brief = [fit_least_squares(problem, theta, 15) for theta in thetas[best]]
+    return problem, fit_least_squares(problem, min(brief, key=lambda fit: fit[1])[0], 100)[0]
+
+
+def orthonormal_basis(columns: Array) -> Array:
+    """Return an orthonormal basis (samples, k) of the span of columns; directions that hardly differ count once."""
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+    gram = columns.T @ columns / np.outer(size, size)
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > 1e-10 * len(gram)
+    return np.asarray((columns / size) @ (vectors[:, kept] / np.sqrt(values[kept])))
+
+
+def find_strength(
+    target: float, signal_at: Callable[[float], float], strongest: float, evaluations: int = 8
+) -> tuple[float, float]:
+    """Return the strength, at most ``strongest``, at which the signal to floor comes near a target; and that signal.
+
+    The signal grows about with the square of the strength, so a secant on logarithmic scales is used. Beyond a threshold,
+    such as that of a void, it grows much faster: where the secant leaves the bracket of strengths that are known to be too
+    weak and too strong, the bracket is halved.
+    """
+    strength, weak, strong = 1.0, 0.0, np.inf
+    known: list[tuple[float, float]] = []
+    for _ in range(evaluations):
+        signal = max(signal_at(strength), 1e-9)
+        known.append((strength, signal))
+        if abs(np.log(signal / target)) < NEAR_TARGET or (strength >= strongest and signal < target):
+            break
+        weak, strong = (max(weak, strength), strong) if signal < target else (weak, min(strong, strength))
+        slope = 2.0
+        if len(known) > 1:
+            (a, signal_a), (b, signal_b) = known[-2:]
+            slope = float(np.clip(np.log(signal_b / signal_a) / np.log(b / a), 0.5, 6.0))
+        strength = float(min(strength * np.exp(np.clip(np.log(target / signal) / slope, -3.0, 3.0)), strongest))
+        if not weak < strength < strong:
+            strength = float(np.sqrt(max(weak, 0.1 * strong) * strong))
+    return min(known, key=lambda pair: abs(np.log(pair[1] / target)))

@@ -1,0 +1,118 @@
+"""Which verdicts and names the plants get: mistakes, verdicts by kind of plant, confusion of effects."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
+from mrd_trials.scoring.rates import Rate
+
+VERDICTS = ("no_gap", "explained", "ambiguous", "unknown_effect", "data_fault", "failed")
+EXCITATIONS = ("rich", "paper", "sine", "replay")
+
+KINDS = ("null", "null, another form", "single, weak", "single", "pair", "absent")
+
+_NOT_NAMED = "not named"
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Counts by row and column."""
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    counts: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def from_counter(cls, rows: Iterable[str], columns: Iterable[str], counter: Counter[tuple[str, str]]) -> "Counts":
+        """Arrange counts by (row, column)."""
+        rows, columns = tuple(rows), tuple(columns)
+        return cls(rows, columns, tuple(tuple(counter[row, column] for column in columns) for row in rows))
+
+
+@dataclass(frozen=True)
+class MistakeRates:
+    """What should not happen.
+
+    Attributes
+    ----------
+    null, null_fitted, null_other : Rate
+        Anything is named without any effect: on all such plants, on dampers of the fitted form, on those of another form.
+    false_unknown : Rate
+        An unknown effect is claimed on a damper of the fitted form without any effect.
+    absent : Rate
+        Anything wrong is named where the effect is not in the catalogue.
+    needless_unknown : Rate
+        An unknown effect is claimed on a damper of the fitted form with detectable causes that the catalogue has.
+    """
+
+    null: Rate
+    null_fitted: Rate
+    null_other: Rate
+    false_unknown: Rate
+    absent: Rate
+    needless_unknown: Rate
+
+    @classmethod
+    def from_results(cls, results: PlantResults) -> "MistakeRates":
+        """Count mistakes."""
+        nulls = select(results, kind="null")
+        fitted, other = select(nulls, perturbed=False), select(nulls, perturbed=True)
+        solvable = [
+            result
+            for result in select(results, perturbed=False)
+            if result.detectable and result.true_causes and result.true_causes == result.truth.effects.keys()
+        ]
+        return cls(
+            null=Rate.from_outcomes([result.false_alarm for result in nulls]),
+            null_fitted=Rate.from_outcomes([result.false_alarm for result in fitted]),
+            null_other=Rate.from_outcomes([result.false_alarm for result in other]),
+            false_unknown=Rate.from_outcomes([result.abstains for result in fitted]),
+            absent=Rate.from_outcomes([result.false_alarm for result in select(results, kind="absent")]),
+            needless_unknown=Rate.from_outcomes([result.abstains for result in solvable]),
+        )
+
+
+def count_verdicts(results: PlantResults) -> Counts:
+    """Count verdicts by excitation and kind of plant."""
+    counter = Counter((f"{result.truth.excitation}: {_kind(result)}", result.submission.verdict) for result in results)
+    rows = [f"{excitation}: {kind}" for excitation in excitations(results) for kind in KINDS]
+    other_verdicts = sorted({verdict for _, verdict in counter} - set(VERDICTS))
+    present = {row for row, _ in counter}
+    return Counts.from_counter([row for row in rows if row in present], [*VERDICTS, *other_verdicts], counter)
+
+
+def count_confusion(results: PlantResults) -> Counts:
+    """Count what is named first by ground truth, or else the verdict; each cause of a pair has a row of its own."""
+    pairs = select(results, kind="pair")
+    entries = [
+        *sorted((result.truth.causes[0], _first_named(result)) for result in select(results, kind="single")),
+        *sorted((f"{cause}, of a pair", _named_for(result, cause)) for result in pairs for cause in result.truth.causes),
+        *sorted((_kind(result), _first_named(result)) for result in results if result.truth.kind in ("null", "absent")),
+    ]
+    columns = sorted({column for _, column in entries}, key=lambda column: (column in (*VERDICTS, _NOT_NAMED), column))
+    return Counts.from_counter(dict.fromkeys(row for row, _ in entries), columns, Counter(entries))
+
+
+def excitations(results: PlantResults) -> list[str]:
+    """Return the excitations that occur, and ``rich``, in their usual order."""
+    present = {"rich", *(result.truth.excitation for result in results)}
+    return sorted(present, key=lambda name: (EXCITATIONS.index(name) if name in EXCITATIONS else len(EXCITATIONS), name))
+
+
+def _first_named(result: PlantResult) -> str:
+    return next(iter(result.claimed), result.submission.verdict)
+
+
+def _named_for(result: PlantResult, cause: str) -> str:
+    """Return what stands for one cause of a pair: the cause itself, else a wrong name, else the verdict."""
+    if cause in result.claimed:
+        return cause
+    without_name = _NOT_NAMED if result.named else result.submission.verdict
+    return next((effect for effect in result.claimed if effect not in result.true_causes), without_name)
+
+
+def _kind(result: PlantResult) -> str:
+    if result.truth.kind == "null" and result.truth.perturbed:
+        return "null, another form"
+    return "single, weak" if result.truth.kind == "single" and not result.detectable else result.truth.kind

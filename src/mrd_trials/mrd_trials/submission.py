@@ -1,0 +1,143 @@
+"""What is submitted: the verdict of the installed diagnosis on one plant."""
+
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+from mrd_base import InputError
+from mrd_diagnosis import Diagnosis, Interval, diagnose
+from mrd_runs import Run
+from mrd_trials.records import Explanation, GapBin, IntervalEnds, Submission
+from mrd_trials.trial_folder import PublicPlant
+
+DIAGNOSIS_PACKAGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_identification", "mrd_diagnosis")
+"""Packages whose code decides what a diagnosis says."""
+
+DIAGNOSER_FILE = "diagnoser.json"
+
+
+@dataclass(frozen=True)
+class Diagnoser:
+    """What diagnoses: code and options, recorded so that everybody can check them.
+
+    Attributes
+    ----------
+    version : str
+    code, catalogue : str
+        SHA-256 of the sources of `DIAGNOSIS_PACKAGES`, and of the effects among them.
+    seed : int
+        Seed of every diagnosis.
+    """
+
+    version: str
+    code: str
+    catalogue: str
+    seed: int
+
+
+def installed_diagnoser(seed: int = 0) -> Diagnoser:
+    """Return the diagnoser that is installed here."""
+    roots = {name: Path(_origin(name)).parent for name in DIAGNOSIS_PACKAGES}
+    code, catalogue = _hash_sources(list(roots.values())), _hash_sources([roots["mrd_sim"] / "effects"])
+    return Diagnoser(version("mrd_diagnosis"), code, catalogue, seed)
+
+
+def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:
+    """Reserve a folder for the verdicts of one diagnoser; the folder is made where it does not exist.
+
+    Raises
+    ------
+    InputError
+        When it holds verdicts of another diagnoser.
+    """
+    output.mkdir(parents=True, exist_ok=True)
+    path = output / DIAGNOSER_FILE
+    text = json.dumps(vars(diagnoser), indent=1) + "\n"
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise InputError(
+            f"{output}: holds verdicts of another diagnoser, see {path}; the code or the options changed since: "
+            "name another --output, or go back to that version"
+        )
+    path.write_text(text, encoding="utf-8")
+
+
+def diagnose_plant(plant: PublicPlant, runs: Sequence[Run], seed: int = 0, effects: Sequence[str] = ()) -> Submission:
+    """Diagnose one plant with some effects of the catalogue as candidates, all by default; an error is a submission too."""
+    start = time.monotonic()
+    try:
+        diagnosis = diagnose(runs, plant.model, effects=effects, seed=seed)
+    except Exception as error:  # every error counts as a failure of the diagnosis
+        text = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        elapsed = time.monotonic() - start
+        return Submission(plant.plant, "failed", failure=text, elapsed=elapsed, commitment=plant.commitment)
+    return submission_of(plant, diagnosis)
+
+
+def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
+    """Return what is stored of a diagnosis. Nothing else in this package reads a `mrd_diagnosis.Diagnosis`."""
+    causes = tuple(
+        Explanation(
+            effects=(cause.effect,),
+            probability=cause.probability,
+            closed_fraction=_ends(cause.closed_fraction),
+            sizes={name: _ends(value.value) for name, value in cause.parameters.items()},
+            indistinguishable=tuple(
+                alternative.effect for alternative in diagnosis.alternatives if alternative.instead_of == cause.effect
+            ),
+        )
+        for cause in diagnosis.causes
+    )
+    candidates = tuple(
+        Explanation(
+            candidate.effects, candidate.probability, _ends(candidate.closed_fraction), {}, candidate.indistinguishable
+        )
+        for candidate in diagnosis.candidates
+    )
+    submission = Submission(
+        plant=plant.plant,
+        verdict=diagnosis.verdict,
+        causes=causes,
+        candidates=candidates,
+        untestable=tuple(entry.effect for entry in diagnosis.untestable),
+        nearest=diagnosis.nearest.effects if diagnosis.nearest else (),
+        where=tuple(GapBin(region.axis, region.lower, region.upper, region.share.value) for region in diagnosis.where),
+        next_experiment=diagnosis.next_experiment.experiment if diagnosis.next_experiment else "",
+        elapsed=diagnosis.elapsed,
+        commitment=plant.commitment,
+    )
+    if diagnosis.gap is None or diagnosis.corrected is None:
+        return submission
+    return replace(
+        submission,
+        noise_floor=diagnosis.gap.noise_floor.value,
+        before=diagnosis.gap.before.value,
+        after=diagnosis.gap.after.value,
+        closed_fraction=_ends(diagnosis.gap.closed_fraction),
+        parameters=dict(diagnosis.corrected.parameters),
+        effects=diagnosis.corrected.effects,
+    )
+
+
+def _ends(interval: Interval) -> IntervalEnds:
+    return interval.value, interval.lower, interval.upper
+
+
+def _origin(package: str) -> str:
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        raise InputError(f"package {package} is not installed; run: make build")
+    return spec.origin
+
+
+def _hash_sources(roots: Sequence[Path]) -> str:
+    """Return the SHA-256 of all Python sources below some folders."""
+    digest = hashlib.sha256()
+    for root in roots:
+        for file in sorted(root.rglob("*.py")):
+            digest.update(str(file.relative_to(root.parent)).encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()

@@ -1,0 +1,72 @@
+"""The design of a trial: shares of the kinds, turns of the effects, the same plants from the same seed."""
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from mrd_base import InputError
+from mrd_trials.trial_design import Recipe, design_trial, stratum
+from mrd_trials.truth import EFFECTS
+
+
+def test_every_kind_has_its_share_and_every_effect_its_turn():
+    designs, left_out = design_trial(Recipe(1, {"rich@500": 200, "sine@500": 20}))
+    assert left_out == []
+    assert Counter(design.kind for design in designs if design.tier.excitation == "rich") == {
+        "null": 50,
+        "single": 80,
+        "pair": 30,
+        "absent": 40,
+    }
+    assert len({design.plant for design in designs}) == 220
+    known = {name for name, effect in EFFECTS.items() if effect.in_catalogue}
+    rich = [design for design in designs if design.tier.excitation == "rich"]
+    singles = Counter(design.effects[0] for design in rich if design.kind == "single")
+    assert singles.keys() == known
+    assert max(singles.values()) - min(singles.values()) <= 1
+    assert {design.effects[0] for design in rich if design.kind == "absent"} == EFFECTS.keys() - known
+    nulls = [design for design in rich if design.kind == "null"]
+    assert sum(design.form != "bouc_wen" for design in nulls) == len(nulls) // 2
+    assert all(len(set(design.effects)) == 2 for design in rich if design.kind == "pair")
+
+
+def test_the_same_recipe_gives_the_same_plants_and_another_seed_others():
+    recipe = Recipe(1, {"rich@500": 40})
+    assert design_trial(recipe) == design_trial(recipe)
+    assert design_trial(recipe) != design_trial(replace(recipe, seed=2))
+
+
+def test_names_of_plants_say_nothing():
+    designs, _ = design_trial(Recipe(1, {"rich@500": 100}))
+    kinds = [design.kind for design in designs]
+    assert kinds != sorted(kinds)
+    assert len(set(kinds[:20])) == 4
+
+
+@pytest.mark.parametrize(
+    ("recipe", "message"),
+    [
+        (Recipe(1, {"slow@500": 3}), "tier slow@500: expected replay, or one of rich"),
+        (Recipe(1, {"rich@fast": 3}), "tier rich@fast"),
+        (Recipe(1, {"rich@1": 3}), "10 to 4000 Hz"),
+        (Recipe(1, {"rich@500": 3}, {"null": 0.5}), "add up to 1"),
+        (Recipe(1, {"rich@500": 3}, {"ghost": 1.0}), "expected shares of"),
+    ],
+)
+def test_a_recipe_that_cannot_be_made_is_refused(recipe, message):
+    with pytest.raises(InputError, match=message):
+        design_trial(recipe)
+
+
+def test_a_replay_without_recordings_is_left_out_and_reported(tmp_path):
+    designs, left_out = design_trial(Recipe(1, {"replay": 4, "sine@100": 2}, recorded=str(tmp_path)))
+    assert len(designs) == 2
+    assert left_out == [f"4 plants of the tier replay: no recordings in {tmp_path}"]
+
+
+@pytest.mark.parametrize(
+    ("signal_to_floor", "name"), [(0.0, ""), (0.5, "<1"), (1.0, "1-3"), (2.9, "1-3"), (3.0, "3-10"), (10.0, ">10")]
+)
+def test_strata(signal_to_floor, name):
+    assert stratum(signal_to_floor) == name
