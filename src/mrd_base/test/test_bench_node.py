@@ -39,7 +39,7 @@ def test_a_node_that_cannot_start_as_configured_says_one_line(arguments, line):
     assert node.returncode == 2
     assert line in node.stderr
     assert node.stderr.count("\n") == 1
-    assert "Config(" not in node.stdout
+    assert "TinySettings(" not in node.stdout
 
 
 def test_parameters_without_ros_args_are_refused_not_ignored():
@@ -72,7 +72,7 @@ def test_parameters_become_the_configuration_and_every_signal_closes_the_node(tm
 """)
     node = start("--ros-args", "--params-file", str(file), "-p", "offset_mm:=3", "-p", "gains:=[1, 3]")
     assert node.stdout.readline() == (
-        "Config(time_scale=2.0, limits=Limits(stroke=0.04, force=800.0), port='/dev/ttyUSB0', gains=(1.0, 3.0), "
+        "TinySettings(time_scale=2.0, limits=RodLimits(stroke=0.04, force=800.0), port='/dev/ttyUSB0', gains=(1.0, 3.0), "
         "offset=0.003, rate=25.0)\n"
     )
     node.send_signal(end)
@@ -83,7 +83,7 @@ def test_parameters_become_the_configuration_and_every_signal_closes_the_node(tm
 def test_a_running_node_reports_its_health_and_takes_only_dynamic_parameters():
     process = start("--ros-args", "-r", "__ns:=/bench")
     try:
-        assert process.stdout.readline().startswith("Config(")
+        assert process.stdout.readline().startswith("TinySettings(")
         rclpy.init()
         listener = rclpy.create_node("listener")
         heard = []

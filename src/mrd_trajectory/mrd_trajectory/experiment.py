@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
-from mrd_base.config import key_of, parse_yaml
+from mrd_base.config import parse_yaml, yaml_key
 from mrd_trajectory.transition import KINDS
 from mrd_trajectory.waveforms import UNITS, Constant, Waveform, name_of, waveform_type
 
@@ -71,7 +71,7 @@ def format_experiment(experiment: Experiment) -> str:
         if isinstance(value, Waveform):
             mapping[field.name] = {"waveform": name_of(value), **to_mapping(value, units=UNITS[field.name])}
         elif value != field.default:
-            mapping[key_of(field)[0]] = value
+            mapping[yaml_key(field)[0]] = value
     return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline, PPoly
 
 from mrd_base import InputError
-from mrd_base.config import key_of
+from mrd_base.config import yaml_key
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
@@ -193,7 +193,7 @@ def _coil(experiment: Experiment, limits: Limits) -> PPoly:
         remedy = _reduce(experiment.coil, "coil", limits.current_max / high)
         _refuse("coil: current", high * 1e3, limits.current_max * 1e3, "mA", remedy)
     if low < limits.current_min - room:
-        keys = " or ".join(key_of(field, UNITS["coil"])[0] for field in fields_in(experiment.coil, "level"))
+        keys = " or ".join(yaml_key(field, UNITS["coil"])[0] for field in fields_in(experiment.coil, "level"))
         raise InputError(
             f"coil: current {low * 1e3:.4g} mA is below {limits.current_min * 1e3:.4g} mA; change {keys} so that it is not"
         )
@@ -218,7 +218,7 @@ def _rod(experiment: Experiment, limits: Limits, moving: Limits) -> PPoly:
 def _moves(shape: Holds, experiment: Experiment, limits: Limits) -> PPoly:
     """Rest at each level; a move to the next starts when its time comes."""
     _check_position(experiment.rod, float(np.abs(shape.levels).max()), limits)
-    seconds = " or ".join(key_of(field)[0] for field in fields_in(experiment.rod, "s"))
+    seconds = " or ".join(yaml_key(field)[0] for field in fields_in(experiment.rod, "s"))
     changes = np.diff(shape.levels, prepend=np.nan) != 0
     times, levels = shape.times[changes], shape.levels[changes]
     ends = np.append(times[1:], max(experiment.duration, times[-1] + 1e-3))
@@ -318,7 +318,7 @@ def _reduce(waveform: Waveform, channel: str, factor: float, unit: str = "level"
     """Remedy: the parameters that bring the levels (or slopes) down by a factor."""
     changes = []
     for field in fields_in(waveform, unit):
-        key, to_si = key_of(field, UNITS[channel])
+        key, to_si = yaml_key(field, UNITS[channel])
         value = getattr(waveform, field.name)
         if isinstance(value, tuple):
             changes.append(f"{key} by the factor {_below(factor):.4g}")
@@ -332,7 +332,7 @@ def _slower(waveform: Waveform, factor: float) -> str:
     if fields_in(waveform, "level/s"):
         return _reduce(waveform, "rod", factor, "level/s")
     remedy = _reduce(waveform, "rod", factor)
-    frequencies = " and ".join(key_of(field)[0] for field in fields_in(waveform, "Hz"))
+    frequencies = " and ".join(yaml_key(field)[0] for field in fields_in(waveform, "Hz"))
     return remedy + (f", or lower {frequencies}" if frequencies else "")
 
 

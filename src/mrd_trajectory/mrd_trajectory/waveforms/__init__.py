@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from mrd_base import InputError
-from mrd_base.config import key_of
+from mrd_base.config import yaml_key
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
 from mrd_trajectory.waveforms.constant import Constant
@@ -66,8 +66,8 @@ def waveform_table() -> list[WaveformParameter]:
     return [
         WaveformParameter(
             name,
-            key_of(field, UNITS["rod"])[0],
-            key_of(field, UNITS["coil"])[0],
+            yaml_key(field, UNITS["rod"])[0],
+            yaml_key(field, UNITS["coil"])[0],
             "required" if field.default is dataclasses.MISSING else str(field.default),
             field.metadata["doc"],
         )
