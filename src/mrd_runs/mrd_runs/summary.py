@@ -1,4 +1,4 @@
-"""What a run is, in a dozen figures."""
+"""Summary of a run: its length, its ranges and its noise."""
 
 from dataclasses import dataclass
 
@@ -10,24 +10,24 @@ from mrd_runs.signals.motion import smooth_motion
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures of a run, in SI units.
+    """Figures of a run.
 
     Attributes
     ----------
     duration : float
-        s.
+        Duration in s.
     rate : float
-        Hz.
+        Mean sampling rate in Hz.
     samples, lost : int
-        Present; missing by their sequence numbers.
+        Number of samples, and number of samples missing by their sequence numbers.
     stroke : float
-        m, peak to peak.
+        Stroke in m, peak to peak.
     peak_speed : float
-        m/s.
+        Largest speed in m/s.
     reversals : int
-        Changes of the direction of motion.
+        Number of changes of direction.
     force, current : tuple of float
-        Smallest and largest, N and A.
+        Smallest and largest value, in N and A.
     position_noise : float
         Standard deviation of the position readings, m.
     """
@@ -45,7 +45,7 @@ class Summary:
 
 
 def summarise(run: Run) -> Summary:
-    """Figures of a run."""
+    """Return the summary of a run."""
     smoothed = smooth_motion(run.time, run.position, run.acceleration)
     return Summary(
         run.duration,
@@ -62,7 +62,10 @@ def summarise(run: Run) -> Summary:
 
 
 def count_reversals(velocity: np.ndarray) -> int:
-    """Changes of direction, between stretches faster than a fiftieth of the peak speed: standstill has no direction."""
+    """Return the number of changes of direction.
+
+    Samples slower than a fiftieth of the peak speed do not count: noise changes the sign of the velocity at standstill.
+    """
     slow = np.abs(velocity).max() / 50
     direction = np.sign(velocity[np.abs(velocity) > slow])
     return int(np.count_nonzero(np.diff(direction)))

@@ -18,9 +18,11 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, read_bag
-from mrd_runs.blocks import LAYOUT, SERIES, _decode_singly, _decode_table, decode_blocks
+from mrd_runs.blocks import LAYOUT, SERIES, decode_as_table, decode_blocks, decode_with_rosbags
+from mrd_runs.completeness import check_completeness
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
-from mrd_runs.description import check_recording
+
+TYPES = typestore()
 
 
 def test_every_sample_comes_back_bit_by_bit(tmp_path: Path, columns, fill_bag) -> None:
@@ -55,7 +57,7 @@ def test_type_hashes_are_those_of_ros() -> None:
     for file in files:
         described = json.loads(file.read_text())
         own = next(entry for entry in described["type_hashes"] if entry["type_name"].endswith(f"/{file.stem}"))
-        assert typestore().hash_rihs01(own["type_name"]) == own["hash_string"]
+        assert TYPES.hash_rihs01(own["type_name"]) == own["hash_string"]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
@@ -172,9 +174,9 @@ def test_damaged_file_never_gives_more_than_one_line(
 
 def write_sqlite(path: Path, columns, block) -> Path:
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/bench/samples", SAMPLES_TYPE, typestore=typestore())
+        connection = writer.add_connection("/bench/samples", SAMPLES_TYPE, typestore=TYPES)
         for first in range(0, 1000, 20):
-            cdr = typestore().serialize_cdr(block(columns, first, first + 20), SAMPLES_TYPE)
+            cdr = TYPES.serialize_cdr(block(columns, first, first + 20), SAMPLES_TYPE)
             writer.write(connection, first * 1_000_000, cdr)
     return path
 
@@ -202,7 +204,7 @@ def test_truncated_sqlite(tmp_path: Path, columns, make_block) -> None:
 def test_bag_without_samples_lists_its_topics(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "other") as writer:
         writer.add_topic("/chatter", "std_msgs/msg/String")
-        writer.write_message("/chatter", 1, typestore().types["std_msgs/msg/String"]("hello"))
+        writer.write_message("/chatter", 1, TYPES.types["std_msgs/msg/String"]("hello"))
     with pytest.raises(InputError, match=r"no topic of type .*BenchSamples; topics in it: /chatter \(std_msgs/msg/String\)"):
         read_run(tmp_path / "other")
 
@@ -245,7 +247,7 @@ def test_folder_of_several_files_without_metadata_is_refused(tmp_path: Path, col
 def test_unreadable_run_info_is_not_blamed_on_the_samples(tmp_path: Path, columns, fill_bag) -> None:
     with fill_bag(tmp_path / "run", columns) as writer:
         writer.add_topic("/run_info", "std_msgs/msg/String", latched=True)
-        writer.write_message("/run_info", 0, typestore().types["std_msgs/msg/String"]("{no json"))
+        writer.write_message("/run_info", 0, TYPES.types["std_msgs/msg/String"]("{no json"))
     with pytest.raises(InputError, match=r"run: run_info or calibration cannot be read"):
         read_run(tmp_path / "run")
 
@@ -258,7 +260,7 @@ def test_missing_blocks_are_counted_and_leave_a_gap_in_time(tmp_path: Path, colu
     assert len(run) == 940
     assert np.diff(run.time).max() == pytest.approx(0.041)
     np.testing.assert_array_equal(run.time, np.delete(columns["time_s"], [*range(200, 240), *range(600, 620)]))
-    found = check_recording(tmp_path / "run", "/samples", writer.counts)
+    found = check_completeness(tmp_path / "run", "/samples", writer.counts)
     assert (found.samples, found.lost) == (940, 60)
     assert "60 of 1000 samples are missing" in found.problem
 
@@ -266,8 +268,8 @@ def test_missing_blocks_are_counted_and_leave_a_gap_in_time(tmp_path: Path, colu
 def test_check_finds_what_the_file_lacks(tmp_path: Path, columns, fill_bag) -> None:
     writer = fill_bag(tmp_path / "run", columns)
     writer.close()
-    assert check_recording(tmp_path / "run", "/samples", writer.counts).problem == ""
-    assert "3 of /samples" in check_recording(tmp_path / "run", "/samples", {"/samples": 53}).problem
+    assert check_completeness(tmp_path / "run", "/samples", writer.counts).problem == ""
+    assert "3 of /samples" in check_completeness(tmp_path / "run", "/samples", {"/samples": 53}).problem
 
 
 def test_daq_restarted_during_the_recording(tmp_path: Path, columns, make_block) -> None:
@@ -310,26 +312,26 @@ def test_nan_in_a_bag(tmp_path: Path, columns, fill_bag) -> None:
 
 
 def test_layout_is_that_of_the_definition() -> None:
-    assert typestore().fielddefs[SAMPLES_TYPE][1] == LAYOUT
+    assert TYPES.fielddefs[SAMPLES_TYPE][1] == LAYOUT
 
 
 @settings(max_examples=80, deadline=None)
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=6), st.text("abc/", max_size=9), st.integers(0, 2**40))
 def test_table_decoder_agrees_with_rosbags(counts: list[int], frame: str, sequence: int) -> None:
-    types = typestore().types
+    types = TYPES.types
     rng = np.random.default_rng(0)
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](-5, 999), frame)
     messages = [
         bytes(
-            typestore().serialize_cdr(
+            TYPES.serialize_cdr(
                 types[SAMPLES_TYPE](header, 1e-3, sequence, *(rng.normal(size=count) for _ in SERIES)), SAMPLES_TYPE
             )
         )
         for count in counts
     ]
-    expected = _decode_singly(messages, typestore())
-    found = decode_blocks(messages, typestore())
-    assert _decode_table(messages[:1]) is not None or counts[0] == 0
+    expected = decode_with_rosbags(messages, TYPES)
+    found = decode_blocks(messages, TYPES)
+    assert decode_as_table(messages[:1]) is not None or counts[0] == 0
     for name in ("stamp", "period", "sequence", "count"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
     for name in SERIES:

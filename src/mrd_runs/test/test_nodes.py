@@ -20,7 +20,7 @@ from mrd_interfaces.msg import BenchSamples, Calibration, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs import read_run
 from mrd_runs.bag import read_bag
-from mrd_runs.blocks import _decode_table
+from mrd_runs.blocks import decode_as_table
 
 PERIOD = 0.02  # s, of the blocks
 
@@ -161,7 +161,7 @@ def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path)
     assert run.info["versions"]["mrd_runs"]
     bag = read_bag(tmp_path / "run")
     assert [message.position for message in bag.decode("/setpoint")] == [0.001]
-    assert _decode_table(bag.topics["/samples"].messages) is not None  # the fast way is the one that ROS's bytes take
+    assert decode_as_table(bag.topics["/samples"].messages) is not None  # the fast way is the one that ROS's bytes take
 
     # A second run by the same recorder is as good, and the first one is not touched.
     before = (tmp_path / "run/run.mcap").read_bytes()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
-from mrd_runs.import_csv import import_run
+from mrd_runs.bag_import import import_run
 
 
 def test_csv_comes_back_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -102,12 +102,12 @@ def test_other_columns_in_other_units(columns) -> None:
         (b"time_s,position_m,force_N\n0,0,0\n", r"column current_A is missing \(found: time_s, position_m, force_N\)"),
         (b"time_s;position_m;current_A;force_N\n0;0;0;0\n", "columns are separated by commas"),
         (b"0,0,0,0\n", "column time_s, position_m, current_A, force_N is missing"),
-        (b"\x00\x01\x02\xff" * 100, "is no text"),
-        (b"\x89PNG\r\n\x1a\n\xff\xfe", "is no text"),
+        (b"\x00\x01\x02\xff" * 100, "is not text"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe", "is not text"),
         (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0,zero,0\n", "line 3: current_A is 'zero', expected a number"),
         (b"time_s,position_m,current_A,force_N\n0,0,0,0\n\n1,0,,0\n", "line 4: current_A is nothing"),
         (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0\n", "line 3: has 2 cells, expected 4"),
-        (b"time_s,position_m,current_A,force_N,force_N\n0,0,0,0,0\n", "column force_N stands 2 times"),
+        (b"time_s,position_m,current_A,force_N,force_N\n0,0,0,0,0\n", "column force_N appears 2 times"),
     ],
 )
 def test_unusable_files(tmp_path: Path, content: bytes, message: str) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run
-from mrd_runs.import_csv import import_run
+from mrd_runs.bag_import import import_run
 from mrd_runs.summary import count_reversals, summarise
 
 
@@ -56,13 +56,13 @@ def test_times_without_a_ros_stamp_come_back(tmp_path: Path, columns, write_csv,
     np.testing.assert_array_equal(read_run(tmp_path / "bags/run").time, read_run(file).time)
 
 
-@pytest.mark.parametrize("failing", ["typestore", "_stamps"])
+@pytest.mark.parametrize("failing", ["format_run_info", "file_format"])
 def test_failed_import_leaves_nothing_behind(tmp_path: Path, columns, write_csv, monkeypatch, failing: str) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise InputError("no")
 
     run = read_run(write_csv(tmp_path / "run.csv", columns))
-    monkeypatch.setattr(f"mrd_runs.import_csv.{failing}", fail)
+    monkeypatch.setattr(f"mrd_runs.bag_import.{failing}", fail)
     with pytest.raises(InputError, match="no"):
         import_run(run, tmp_path / "new/bags/run")
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
@@ -79,10 +79,10 @@ def test_recording_longer_than_stamps_reach(tmp_path: Path, columns, write_csv) 
 def test_folders_are_not_imported(tmp_path: Path, columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", columns).close()
     assert tool("import_csv", tmp_path / "run", "--output", tmp_path / "bags").stderr.endswith(
-        "run: is a bag already; expected a CSV file\n"
+        "run: is a bag or a folder; expected a CSV file\n"
     )
     assert tool("import_csv", tmp_path, "--output", tmp_path / "bags").stderr.endswith(
-        f"{tmp_path}: is a folder; expected a CSV file\n"
+        f"{tmp_path}: is a bag or a folder; expected a CSV file\n"
     )
 
 

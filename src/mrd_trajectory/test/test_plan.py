@@ -369,13 +369,13 @@ def test_a_noisy_trace_needs_its_low_pass(trace):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"has no column time_s \(found: nothing\)"),
-        ("time_s,x\n0,0\n", r"has no column position_m \(found: time_s, x\)"),
-        ("time_s,position_m\n0,0\n1,0\n2,0\n", "has 3 samples, expected at least 4"),
-        ("time_s,position_m\n0,0\n1,0\n1,0\n2,0\n9,0\n", "time_s does not increase at sample 2"),
-        ("time_s,position_m\n0,0\n1,nan\n2,0\n3,0\n9,0\n", "sample 1 is not finite"),
-        ("time_s,position_m\n0,0\n1,a\n2,0\n3,0\n9,0\n", "holds something that is no number"),
-        ("time_s,position_m\n0,0\n1\n2,0\n3,0\n9,0\n", "has a row with fewer cells than the header"),
+        ("", "is empty; expected the header time_s,position_m and samples"),
+        ("time_s,x\n0,0\n", r"column position_m is missing \(found: time_s, x\)"),
+        ("time_s,position_m\n0,0\n1,0\n2,0\n", "holds 3 samples, expected at least 4"),
+        ("time_s,position_m\n0,0\n1,0\n1,0\n2,0\n9,0\n", "line 4: time_s is 1 after 1, expected increasing time"),
+        ("time_s,position_m\n0,0\n1,nan\n2,0\n3,0\n9,0\n", "line 3: position_m is nan, expected a finite number"),
+        ("time_s,position_m\n0,0\n1,a\n2,0\n3,0\n9,0\n", "line 3: position_m is 'a', expected a number"),
+        ("time_s,position_m\n0,0\n1\n2,0\n3,0\n9,0\n", "line 3: has 1 cells, expected 2"),
         ("time_s,position_m\n0,0\n1,0\n2,0\n3,0\n", r"lasts 3 s, less than duration_s 4; reduce duration_s"),
     ],
 )

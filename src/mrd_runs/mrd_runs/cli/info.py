@@ -1,4 +1,4 @@
-"""Tell what recordings are."""
+"""Show the figures of recordings."""
 
 import argparse
 from collections.abc import Callable
@@ -33,14 +33,14 @@ _ROWS: dict[str, Callable[[Run, Summary], str]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="info", description="Tell what recordings are.")
+    parser = argparse.ArgumentParser(prog="info", description=__doc__)
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap, .db3 or CSV file")
     arguments = parser.parse_args()
     run_tool(lambda: show(arguments.runs))
 
 
 def show(paths: list[str]) -> None:
-    """Print a table for each run."""
+    """Print a table of each run."""
     runs = read_runs(paths)
     console = Console(highlight=False)
     for run in runs:
