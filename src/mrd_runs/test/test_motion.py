@@ -10,7 +10,9 @@ from scipy.signal import savgol_filter
 
 from mrd_base import InputError
 from mrd_runs import make_run
-from mrd_runs.signals.motion import MotionModel, _quantisation_variance, _smooth, smooth_motion
+from mrd_runs.signals.motion import smooth_motion
+from mrd_runs.signals.motion_model import MotionModel, Segment, smooth_by_model
+from mrd_runs.signals.quantisation import quantisation_step, quantisation_variance, rounding_error
 from mrd_runs.signals.smoothed_run import smooth_run
 
 FREQUENCIES = 0.5 * np.arange(1, 16, 2)
@@ -81,18 +83,19 @@ def test_steady_gains_are_those_of_the_full_recursion() -> None:
 def test_matches_the_direct_solution() -> None:
     """The smoothed states are the best linear estimate: solved here as one dense least-squares problem."""
     rng = np.random.default_rng(5)
-    n, order, pace = 40, 4, 0.3
-    steps = np.append(rng.uniform(0.5, 1.5, n - 1), 1.0)
+    n, order, relative_interval = 40, 4, 0.3
+    intervals = np.append(rng.uniform(0.5, 1.5, n - 1), 1.0)
     reading = np.cumsum(rng.normal(size=n))
-    states, variance = _smooth(steps, reading, np.zeros(n), MotionModel(order, pace, noise=2.0))
-    h = steps * pace
+    model = MotionModel(order, relative_interval, noise=2.0)
+    states, variance = smooth_by_model(Segment(intervals, reading, np.zeros(n)), model)
+    h = intervals * relative_interval
     precision, rhs = np.zeros((n * order, n * order)), np.zeros(n * order)
     for k in range(n - 1):
         F = expm(np.eye(order, k=1) * h[k])
         # Simpson's rule, composite: exact enough and independent of the closed form.
         at = np.linspace(0, h[k], 201)
         columns = np.array([expm(np.eye(order, k=1) * s)[:, -1] for s in at])
-        Q = pace * simpson(columns[:, :, None] * columns[:, None, :], x=at, axis=0)
+        Q = relative_interval * simpson(columns[:, :, None] * columns[:, None, :], x=at, axis=0)
         both = np.hstack([-F, np.eye(order)])
         part = slice(k * order, (k + 2) * order)
         precision[part, part] += both.T @ np.linalg.solve(Q, both)
@@ -103,9 +106,11 @@ def test_matches_the_direct_solution() -> None:
     expected = (covariance @ rhs).reshape(n, order)
     # To a hundredth of the noise: as far as the prior of the first state is felt.
     np.testing.assert_allclose(states[:, 0], expected[:, 0], atol=1e-2)
-    np.testing.assert_allclose(states[:, 1], expected[:, 1] * pace, atol=1e-2)
+    np.testing.assert_allclose(states[:, 1], expected[:, 1] * relative_interval, atol=1e-2)
     # In the middle, where neither the prior nor the symmetry of the ends matters.
-    np.testing.assert_allclose(variance[10:-10], 2.0 * pace**2 * np.diag(covariance)[1::order][10:-10], rtol=1e-3)
+    np.testing.assert_allclose(
+        variance[10:-10], 2.0 * relative_interval**2 * np.diag(covariance)[1::order][10:-10], rtol=1e-3
+    )
 
 
 def test_accelerometer_helps_and_its_gain_and_offset_are_found() -> None:
@@ -167,11 +172,21 @@ def test_gap_in_time() -> None:
     assert (smoothed.velocity_std > 0).all()
 
 
-def test_step_of_the_digits() -> None:
+def test_step_of_a_quantised_channel() -> None:
     rng = np.random.default_rng(10)
     values = 0.01 * np.sin(np.arange(5000) / 50)
-    assert _quantisation_variance(np.round(values / 5e-6) * 5e-6 + 0.0123) == pytest.approx((5e-6) ** 2 / 12, rel=0.2)
-    assert _quantisation_variance(values + rng.normal(0, 5e-6, 5000)) < 1e-29
+    quantised, noisy = np.round(values / 5e-6) * 5e-6 + 0.0123, values + rng.normal(0, 5e-6, 5000)
+    assert quantisation_step(quantised, rounding_error(quantised)) == pytest.approx(5e-6, rel=1e-6)
+    assert quantisation_variance(quantised, 1e-15) == pytest.approx((5e-6) ** 2 / 12, rel=0.2)
+    assert quantisation_step(noisy, rounding_error(noisy)) == 0.0
+    assert quantisation_variance(noisy, 1e-15) < 1e-29
+
+
+@pytest.mark.parametrize(
+    ("readings", "step"), [(np.full(100, 3.0), 0.0), (np.arange(100) * 0.8, 0.8), (np.repeat([0.0, 0.5, 2.0], 40), 0.5)]
+)
+def test_step_of_any_channel(readings: np.ndarray, step: float) -> None:
+    assert quantisation_step(readings, rounding_error(readings)) == pytest.approx(step, rel=1e-9)
 
 
 def test_too_short() -> None:
