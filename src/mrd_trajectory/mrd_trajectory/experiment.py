@@ -12,7 +12,7 @@ import yaml
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
 from mrd_base.config import parse_yaml, yaml_key
 from mrd_trajectory.transition import KINDS
-from mrd_trajectory.waveforms import UNITS, Constant, Waveform, name_of, waveform_type
+from mrd_trajectory.waveforms import CHANNEL_UNITS, Constant, Waveform, waveform_name, waveform_type
 
 # Column of a trace that holds a channel's levels.
 _COLUMNS = {"rod": "position_m", "coil": "current_A"}
@@ -69,7 +69,7 @@ def format_experiment(experiment: Experiment) -> str:
     for field in dataclasses.fields(experiment):
         value = getattr(experiment, field.name)
         if isinstance(value, Waveform):
-            mapping[field.name] = {"waveform": name_of(value), **to_mapping(value, units=UNITS[field.name])}
+            mapping[field.name] = {"waveform": waveform_name(value), **to_mapping(value, units=CHANNEL_UNITS[field.name])}
         elif value != field.default:
             mapping[yaml_key(field)[0]] = value
     return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
@@ -83,7 +83,7 @@ def write_experiment(experiment: Experiment, path: str | Path) -> None:
 def _experiment(mapping: dict[str, Any], where: str, folder: Path | None) -> Experiment:
     waveforms = {
         channel: _waveform(mapping[channel], channel, f"{where}: {channel}", folder)
-        for channel in UNITS
+        for channel in CHANNEL_UNITS
         if channel in mapping
     }
     return from_mapping(Experiment, {**mapping, **waveforms}, where)
@@ -97,8 +97,8 @@ def _waveform(mapping: Any, channel: str, where: str, folder: Path | None) -> Wa
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     parameters = {key: value for key, value in mapping.items() if key != "waveform"}
-    waveform = from_mapping(cls, parameters, where, units=UNITS[channel])
+    waveform = from_mapping(cls, parameters, where, units=CHANNEL_UNITS[channel])
     try:
-        return waveform.placed(folder, _COLUMNS[channel])
+        return waveform.resolved(folder, _COLUMNS[channel])
     except InputError as error:
         raise InputError(f"{where}: {error}") from None

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_base import InputError, from_mapping, to_mapping
-from mrd_trajectory.waveforms import UNITS, WAVEFORMS, Smooth, waveform_table, waveform_type
+from mrd_trajectory.waveforms import CHANNEL_UNITS, WAVEFORMS, Smooth, waveform_table, waveform_type
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
 from mrd_trajectory.waveforms.ladder import Ladder
@@ -40,15 +40,15 @@ def test_every_waveform_of_the_catalogue_has_an_example():
 
 @pytest.mark.parametrize("name", WAVEFORMS)
 def test_waveform_survives_yaml(name):
-    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=UNITS["rod"])
-    mapping = to_mapping(waveform, units=UNITS["rod"])
+    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=CHANNEL_UNITS["rod"])
+    mapping = to_mapping(waveform, units=CHANNEL_UNITS["rod"])
     assert mapping.items() >= EXAMPLES[name].items()
-    assert from_mapping(waveform_type(name), mapping, name, units=UNITS["rod"]) == waveform
+    assert from_mapping(waveform_type(name), mapping, name, units=CHANNEL_UNITS["rod"]) == waveform
 
 
 @pytest.mark.parametrize("name", [name for name in WAVEFORMS if name != "trace"])
 def test_the_same_fields_give_the_same_shape_and_cover_the_duration(name):
-    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=UNITS["rod"])
+    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=CHANNEL_UNITS["rod"])
     shape, again = waveform.shape(5.0), waveform.shape(5.0)
     if isinstance(shape, Smooth):
         times = np.linspace(0, 5, 1001)

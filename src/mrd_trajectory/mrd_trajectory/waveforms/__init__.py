@@ -18,7 +18,7 @@ from mrd_trajectory.waveforms.staircase import Staircase
 from mrd_trajectory.waveforms.step import Step
 from mrd_trajectory.waveforms.trace import Trace
 from mrd_trajectory.waveforms.triangle import Triangle
-from mrd_trajectory.waveforms.waveform import UNITS, Corners, Holds, Samples, Shape, Smooth, Waveform
+from mrd_trajectory.waveforms.waveform import CHANNEL_UNITS, Corners, Holds, Samples, Shape, Smooth, Waveform
 
 WAVEFORMS: MappingProxyType[str, type[Waveform]] = MappingProxyType(
     {
@@ -45,7 +45,7 @@ def waveform_type(name: object) -> type[Waveform]:
     return WAVEFORMS[name]
 
 
-def name_of(waveform: Waveform) -> str:
+def waveform_name(waveform: Waveform) -> str:
     """Name of a waveform in the catalogue."""
     return next(name for name, cls in WAVEFORMS.items() if cls is type(waveform))
 
@@ -66,8 +66,8 @@ def waveform_table() -> list[WaveformParameter]:
     return [
         WaveformParameter(
             name,
-            yaml_key(field, UNITS["rod"])[0],
-            yaml_key(field, UNITS["coil"])[0],
+            yaml_key(field, CHANNEL_UNITS["rod"])[0],
+            yaml_key(field, CHANNEL_UNITS["coil"])[0],
             "required" if field.default is dataclasses.MISSING else str(field.default),
             field.metadata["doc"],
         )
@@ -77,7 +77,7 @@ def waveform_table() -> list[WaveformParameter]:
 
 
 __all__ = [
-    "UNITS",
+    "CHANNEL_UNITS",
     "WAVEFORMS",
     "Constant",
     "Corners",
@@ -87,7 +87,7 @@ __all__ = [
     "Smooth",
     "Waveform",
     "WaveformParameter",
-    "name_of",
+    "waveform_name",
     "waveform_table",
     "waveform_type",
 ]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeated
+from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeat_pattern
 
 
 @dataclass(frozen=True)
@@ -31,4 +31,4 @@ class Ladder(Waveform):
         steps = quarters[:, None] * [1.0, 2.0, 1.0]
         starts = np.cumsum(steps) - steps.ravel()
         levels = np.repeat(slopes, cycles)[:, None] * quarters[:, None] * [0.0, 1.0, -1.0]
-        return Corners(*repeated(starts, self.offset + levels.ravel(), len(slopes) * self.hold, duration))
+        return Corners(*repeat_pattern(starts, self.offset + levels.ravel(), len(slopes) * self.hold, duration))

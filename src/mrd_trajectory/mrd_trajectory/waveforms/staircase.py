@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field, repeated
+from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field, repeat_pattern
 
 
 @dataclass(frozen=True)
@@ -19,4 +19,4 @@ class Staircase(Waveform):
         if duration / self.hold > 1e6:
             raise InputError("the staircase has more than a million steps; raise hold_s")
         count = len(self.levels)
-        return Holds(*repeated(np.arange(count) * self.hold, self.levels, count * self.hold, duration))
+        return Holds(*repeat_pattern(np.arange(count) * self.hold, self.levels, count * self.hold, duration))

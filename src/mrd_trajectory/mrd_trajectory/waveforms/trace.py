@@ -26,7 +26,7 @@ class Trace(Waveform):
     scale: float = quantity(1.0, "", "factor on the levels", lower=-1e6, upper=1e6)
     cutoff: float = quantity(0.0, "Hz", "of a zero-phase low-pass against noise; 0: none", lower=0, upper=1e4)
 
-    def placed(self, folder: Path | None, column: str) -> Self:
+    def resolved(self, folder: Path | None, column: str) -> Self:
         if folder is None and not Path(self.file).is_absolute():
             raise InputError(f"file {self.file} is relative, and its folder is not known here; give the full path")
         return dataclasses.replace(self, file=str((folder or Path()) / self.file), column=self.column or column)

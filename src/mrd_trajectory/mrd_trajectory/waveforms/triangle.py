@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from mrd_base import InputError
-from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeated, slope_field
+from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeat_pattern, slope_field
 
 
 @dataclass(frozen=True)
@@ -18,5 +18,5 @@ class Triangle(Waveform):
         quarter = self.amplitude / self.slope
         if duration / quarter > 1e6:
             raise InputError("the triangle has more than a million corners; raise its amplitude or reduce its slope")
-        times, levels = repeated([0.0, quarter, 3 * quarter], [0.0, 1.0, -1.0], 4 * quarter, duration)
+        times, levels = repeat_pattern([0.0, quarter, 3 * quarter], [0.0, 1.0, -1.0], 4 * quarter, duration)
         return Corners(times, self.offset + self.amplitude * levels)
