@@ -39,20 +39,20 @@ WAVEFORMS: MappingProxyType[str, type[Waveform]] = MappingProxyType(
 
 
 def waveform_type(name: object) -> type[Waveform]:
-    """Class of a waveform by its name in the catalogue."""
+    """Return the class of a waveform by its name in the catalogue."""
     if not isinstance(name, str) or name not in WAVEFORMS:
         raise InputError(f"unknown waveform {name} (known: {', '.join(WAVEFORMS)})")
     return WAVEFORMS[name]
 
 
 def waveform_name(waveform: Waveform) -> str:
-    """Name of a waveform in the catalogue."""
+    """Return the name of a waveform in the catalogue."""
     return next(name for name, cls in WAVEFORMS.items() if cls is type(waveform))
 
 
 @dataclass(frozen=True)
 class WaveformParameter:
-    """One row of the catalogue's table."""
+    """A row of the table of all parameters."""
 
     waveform: str
     rod_key: str
@@ -62,7 +62,7 @@ class WaveformParameter:
 
 
 def waveform_table() -> list[WaveformParameter]:
-    """Every parameter of every waveform by its YAML keys, for help texts and documentation."""
+    """Return every parameter of every waveform with its YAML keys."""
     return [
         WaveformParameter(
             name,

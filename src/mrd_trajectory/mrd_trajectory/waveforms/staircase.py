@@ -1,4 +1,4 @@
-"""Levels one after the other."""
+"""A sequence of levels."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,9 @@ from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field, repe
 
 @dataclass(frozen=True)
 class Staircase(Waveform):
-    """Each level in turn for ``hold``, from the first again after the last."""
+    """Hold each level for ``hold``; after the last level, start again."""
 
-    levels: tuple[float, ...] = level_field("in the order of their turns")
+    levels: tuple[float, ...] = level_field("in their order in time")
     hold: float = quantity(unit="s", doc="time at each level", lower=1e-3, upper=3600)
 
     def shape(self, duration: float) -> Holds:

@@ -1,4 +1,4 @@
-"""A recorded trace."""
+"""A recorded trace from a CSV file."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _FEWEST_SAMPLES = 4
 
 @dataclass(frozen=True)
 class Trace(Waveform):
-    """A column of a CSV file over its ``time_s``, in SI units."""
+    """Follow a column of a CSV file over its column ``time_s``, both in SI units."""
 
     file: str = quantity(unit="", doc="CSV with a header; relative to the experiment's file")
     column: str = quantity("", "", "of the levels; default position_m (m) for the rod, current_A (A) for the coil")

@@ -1,4 +1,4 @@
-"""A triangle: constant speed to and fro."""
+"""A triangle, for constant speeds in both directions."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, re
 
 @dataclass(frozen=True)
 class Triangle(Waveform):
-    """Straight lines between ``offset ± amplitude`` at one slope, starting upwards from ``offset``."""
+    """Go between ``offset ± amplitude`` at a constant slope, starting upwards from ``offset``."""
 
     amplitude: float = level_field("half of peak to peak", lower=1e-6)
     slope: float = slope_field("steepness of the lines")
