@@ -42,18 +42,6 @@ def rms(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("accelerometer", [False, True])
-@pytest.mark.parametrize("jitter", [0.0, 4e-4])
-def test_spread_of_velocity_is_what_the_smoother_says(accelerometer: bool, jitter: float) -> None:
-    run = measured(accelerometer, 1500, jitter=jitter)
-    motion = smooth_run(run).motion
-    _, velocity, _ = motion_errors(run.time, motion, np.random.default_rng(3), 400)
-    ratio = np.sqrt(np.mean(velocity**2, axis=0)) / motion.velocity_std
-    # 400 draws tell a standard deviation to 3.5 %.
-    assert np.abs(ratio - 1).max() < 0.2
-    assert ratio.mean() == pytest.approx(1, abs=0.02)
-
-
-@pytest.mark.parametrize("accelerometer", [False, True])
 def test_spread_is_that_of_the_actual_errors(accelerometer: bool) -> None:
     run = measured(accelerometer)
     smoothed = smooth_run(run).motion

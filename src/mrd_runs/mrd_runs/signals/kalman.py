@@ -220,99 +220,46 @@ def _filter(intervals, position, acceleration, start, density, gain, variance): 
 
 @njit(cache=True, nogil=True)
 def smooth_states(intervals, position, acceleration, start, density, gain, variance):  # type: ignore[no-untyped-def]
-    """Return the smoothed x, ẋ, ẍ (n, 3) and the variance (n,) of the smoothed ẋ."""
+    """Return the smoothed x, ẋ, ẍ (n, 3)."""
     states, innovations, which, covariances = _filter(intervals, position, acceleration, start, density, gain, variance)
     n, order = states.shape
-    smooth, velocity_variance = np.empty((n, 3)), np.empty(n)
-    P, work, diagonal = np.empty((order, order)), np.empty((order, order)), np.zeros(order)
-    K, C = np.zeros(order), np.zeros(order)
+    smooth, score = np.empty((n, 3)), np.zeros(order)
+    P, K, C = np.empty((order, order)), np.zeros(order), np.zeros(order)
     F, Q, unit_Q = np.zeros((order, order)), np.zeros((order, order)), _unit_process_covariance(order)
-    r, N = np.zeros(order), np.zeros((order, order))
     f = g = 1.0  # inverse variances of the predictions
-    spread = 0.0
-    steady, last = False, 0.0
+    last = 0.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
             if abs(intervals[k] - last) > 1e-6 * last:
                 last = intervals[k]
                 _set_transition(last, density, unit_Q, F, Q)
-                steady = False
-            for i in range(order - 1, 0, -1):  # r ← Fᵀ r
+            for i in range(order - 1, 0, -1):  # score ← Fᵀ score
                 for j in range(i):
-                    r[i] += F[j, i] * r[j]
+                    score[i] += F[j, i] * score[j]
         predicted = covariances[which[k]]
-        same = k < n - 1 and which[k] == which[k + 1]
-        steady = steady and same
-        if not same:
+        if k == n - 1 or which[k] != which[k + 1]:
             P[:, :] = predicted
             f = 1 / _update_covariance(P, 0, 1.0, 1.0, K)
             if gain != 0.0:
                 g = 1 / _update_covariance(P, 2, gain, variance, C)
         if gain != 0.0:
-            _update_score(r, 2, gain, innovations[k, 1] * g, C)
-        _update_score(r, 0, 1.0, innovations[k, 0] * f, K)
-        if not steady:
-            if k < n - 1:
-                _propagate_information(N, F, work)
-            if gain != 0.0:
-                _update_information(N, 2, gain, g, C, work)
-            _update_information(N, 0, 1.0, f, K, work)
-            spread = predicted[1, 1]
-            for i in range(order):
-                for j in range(order):
-                    spread -= predicted[1, i] * N[i, j] * predicted[j, 1]
-            steady = _converged(N, diagonal) and same
+            _update_score(score, 2, gain, innovations[k, 1] * g, C)
+        _update_score(score, 0, 1.0, innovations[k, 0] * f, K)
         for i in range(3):
             value = states[k, i]
             for j in range(order):
-                value += predicted[i, j] * r[j]
+                value += predicted[i, j] * score[j]
             smooth[k, i] = value
-        velocity_variance[k] = spread
-    return smooth, velocity_variance
+    return smooth
 
 
 @njit(cache=True, nogil=True)
-def _update_score(r, element, gain, weighted_innovation, K):  # type: ignore[no-untyped-def]
-    """r ← Lᵀ r + H e/V for a reading, with L = I - K H."""
+def _update_score(score, element, gain, weighted_innovation, K):  # type: ignore[no-untyped-def]
+    """Score ← Lᵀ score + H e/V for a reading, with L = I - K H."""
     inner = 0.0
-    for i in range(len(r)):
-        inner += K[i] * r[i]
-    r[element] += gain * (weighted_innovation - inner)
-
-
-@njit(cache=True, nogil=True)
-def _propagate_information(N, F, work):  # type: ignore[no-untyped-def]
-    """N ← Fᵀ N F, in place."""
-    order = N.shape[0]
-    for i in range(order):
-        for j in range(order):
-            value = N[i, j]
-            for k in range(i):
-                value += F[k, i] * N[k, j]
-            work[i, j] = value
-    for i in range(order):
-        for j in range(order):
-            value = work[i, j]
-            for k in range(j):
-                value += work[i, k] * F[k, j]
-            N[i, j] = value
-
-
-@njit(cache=True, nogil=True)
-def _update_information(N, element, gain, weight, K, work):  # type: ignore[no-untyped-def]
-    """N ← Lᵀ N L + Hᵀ H/V for a reading, with L = I - K H and ``weight`` = 1/V."""
-    order = len(K)
-    total = 0.0
-    for i in range(order):
-        value = 0.0
-        for j in range(order):
-            value += N[i, j] * K[j]
-        work[0, i] = value
-        total += K[i] * value
-    for i in range(order):
-        N[i, element] -= gain * work[0, i]
-        N[element, i] -= gain * work[0, i]
-    N[element, element] += gain * gain * (total + weight)
+    for i in range(len(score)):
+        inner += K[i] * score[i]
+    score[element] += gain * (weighted_innovation - inner)
 
 
 @njit(cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 This is the one place where the software differentiates a measured position. How much to smooth is estimated from the run
 itself (`mrd_runs.signals.motion_model`). A Kalman filter and a fixed-interval smoother (Durbin and Koopman 2012, §4.4 and
-§6.4) then give all derivatives at every sample, with the variance of the velocity.
+§6.4) then give all derivatives at every sample. `motion_errors` draws what they may be wrong by.
 """
 
 import math
@@ -40,8 +40,6 @@ class Motion:
     ----------
     position, velocity, acceleration : ndarray (n,)
         Position in m, velocity in m/s, acceleration in m/s².
-    velocity_std : ndarray (n,)
-        Standard deviation of `velocity` in m/s, according to the model.
     position_noise : float
         Standard deviation of the position readings in m.
     order : int
@@ -59,7 +57,6 @@ class Motion:
     position: Array
     velocity: Array
     acceleration: Array
-    velocity_std: Array
     position_noise: float
     order: int
     time_constant: float
@@ -96,7 +93,7 @@ def smooth_motion(time: Array, position: Array, acceleration: Array | None = Non
         raise InputError(f"{len(time)} samples, expected at least {_FEWEST_SAMPLES} to differentiate a motion")
     if np.ptp(position) == 0.0:
         zeros = np.zeros_like(position)
-        return Motion(position.copy(), zeros, zeros.copy(), zeros.copy(), 0.0, ORDERS[0], math.inf)
+        return Motion(position.copy(), zeros, zeros.copy(), 0.0, ORDERS[0], math.inf)
     intervals, interval = _relative_intervals(time)
     # Positions count from the first one, so that a large offset costs no digits.
     readings = Segment(intervals, position - position[0], np.zeros_like(position))
@@ -224,12 +221,11 @@ def _relative_intervals(time: Array) -> tuple[Array, float]:
 
 def _motion(readings: Segment, interval: float, origin: float, model: MotionModel, note: str = "") -> Motion:
     """Smooth readings by a model and return the motion in SI units; ``origin`` is the first position."""
-    states, variance = smooth_by_model(readings, model)
+    states = smooth_by_model(readings, model)
     return Motion(
         states[:, 0] + origin,
         states[:, 1] / interval,
         states[:, 2] / interval**2,
-        np.sqrt(np.maximum(variance, 0.0)) / interval,
         math.sqrt(model.noise),
         model.order,
         interval / model.relative_interval,

@@ -133,10 +133,10 @@ def fit_accelerometer_model(readings: Segment, least_noise: float, position_mode
     return model, ""
 
 
-def smooth_by_model(readings: Segment, model: MotionModel) -> tuple[Array, Array]:
-    """Return the smoothed x, ẋ, ẍ (n, 3) and the variance (n,) of ẋ."""
+def smooth_by_model(readings: Segment, model: MotionModel) -> Array:
+    """Return the smoothed x, ẋ, ẍ (n, 3)."""
     h = model.relative_interval
-    states, variance = smooth_states(
+    states = smooth_states(
         readings.intervals * h,
         readings.position,
         readings.acceleration / h**2,
@@ -145,11 +145,8 @@ def smooth_by_model(readings: Segment, model: MotionModel) -> tuple[Array, Array
         model.gain,
         model.kernel_variance,
     )
-    # At the first samples, the wide initial covariance leaves no digits for the variance. It is that at the last samples,
-    # because the model is the same backwards in time.
-    count = min(2 * model.order, len(variance) // 2)
-    variance[:count] = variance[: -count - 1 : -1]
-    return states * h ** np.arange(3.0), variance * model.noise * h**2
+    smoothed: Array = states * h ** np.arange(3.0)
+    return smoothed
 
 
 def _log_likelihood(n: float, squares: float, logs: float, least_noise: float) -> tuple[float, float]:

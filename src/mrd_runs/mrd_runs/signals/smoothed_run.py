@@ -57,5 +57,4 @@ def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
 
 def exact_run(run: Run, acceleration: Array) -> SmoothedRun:
     """Return a run whose series are exact, as those of a simulated run are."""
-    velocity_std = np.zeros(len(run))
-    return SmoothedRun(run, Motion(run.position, run.velocity, acceleration, velocity_std, 0.0, 3, math.inf), run.current)
+    return SmoothedRun(run, Motion(run.position, run.velocity, acceleration, 0.0, 3, math.inf), run.current)
