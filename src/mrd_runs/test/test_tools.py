@@ -111,8 +111,9 @@ def test_reversals(cycles: int) -> None:
 
 
 def test_summary(columns) -> None:
-    figures = summarise(make_run("run", columns))
-    assert figures.stroke == pytest.approx(0.02, rel=0.01)
-    assert figures.peak_speed == pytest.approx(0.01 * 2 * np.pi * 1.5, rel=0.02)
-    assert figures.reversals == 3
-    assert figures.rate == pytest.approx(1000)
+    rows = summarise(make_run("run", columns, {"source": "here"}))
+    assert float(rows["stroke"].split()[0]) == pytest.approx(20, rel=0.01)
+    assert float(rows["peak speed"].split()[0]) == pytest.approx(10 * 2 * np.pi * 1.5, rel=0.02)
+    assert rows["reversals"] == "3"
+    assert rows["rate"] == "1000 Hz"
+    assert "seed" not in rows

@@ -75,11 +75,6 @@ def format_experiment(experiment: Experiment) -> str:
     return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
 
 
-def write_experiment(experiment: Experiment, path: str | Path) -> None:
-    """Write an experiment to a YAML file."""
-    Path(path).write_text(format_experiment(experiment), encoding="utf-8")
-
-
 def _build_experiment(mapping: dict[str, Any], where: str, folder: Path | None) -> Experiment:
     waveforms = {
         channel: _build_waveform(mapping[channel], channel, f"{where}: {channel}", folder)

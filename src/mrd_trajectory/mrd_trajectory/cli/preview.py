@@ -2,7 +2,6 @@
 
 import argparse
 import os
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +39,7 @@ def main() -> None:
 
 def _preview(arguments: argparse.Namespace) -> None:
     if arguments.waveforms:
-        print(_table(("waveform", "under rod", "under coil", "default", "meaning"), *map(astuple, waveform_table())))
+        print(_table(("waveform", "under rod", "under coil", "default", "meaning"), *waveform_table()))
     if not arguments.experiment:
         return
     settings = read_settings(arguments.bench)
@@ -69,7 +68,7 @@ def _read_plan(file: Path, settings: GeneratorSettings) -> Plan:
         raise InputError(f"{file}: {error}") from None
 
 
-_HEADER = ("run", "s", "position, mm", "speed, mm/s", "current, mA", "force, N", "what it tells apart")
+_HEADER = ("run", "s", "position, mm", "speed, mm/s", "current, mA", "force, N", "purpose")
 
 
 def _row(planned: Plan) -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """The catalogue of waveforms. A new one is a file and a line in `WAVEFORMS`."""
 
 import dataclasses
-from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 from mrd_base import InputError
 from mrd_base.config import yaml_key
@@ -50,8 +50,7 @@ def waveform_name(waveform: Waveform) -> str:
     return next(name for name, cls in WAVEFORMS.items() if cls is type(waveform))
 
 
-@dataclass(frozen=True)
-class WaveformParameter:
+class WaveformParameter(NamedTuple):
     """A row of the table of all parameters."""
 
     waveform: str
