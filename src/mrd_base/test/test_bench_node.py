@@ -1,4 +1,4 @@
-"""A node as a process: what it takes, what it refuses, how it ends."""
+"""A node as a process: the parameters that it accepts and refuses, and how it ends."""
 
 import signal
 import subprocess

@@ -25,7 +25,7 @@ from mrd_runs.blocks import decode_as_table
 PERIOD = 0.02  # s, of the blocks
 
 
-class Bench:
+class FakeDaq:
     """Publishes blocks of samples, calls services, runs nodes."""
 
     def __init__(self) -> None:
@@ -127,13 +127,13 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    bench = Bench()
+def bench() -> Iterator[FakeDaq]:
+    bench = FakeDaq()
     yield bench
     bench.close()
 
 
-def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path) -> None:
+def test_recording_is_complete_and_explains_itself(bench: FakeDaq, tmp_path: Path) -> None:
     bench.calibration.publish(
         Calibration(quantity=["position"], unit=["m"], channel=["ai0"], gain=[0.005], zero=[0.1], device="simulated")
     )
@@ -177,7 +177,7 @@ def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path)
     assert recorder.wait(10) == 0
 
 
-def test_missing_samples_are_told(bench: Bench, tmp_path: Path) -> None:
+def test_missing_samples_are_told(bench: FakeDaq, tmp_path: Path) -> None:
     bench.run("recorder")
     assert bench.start_recording(tmp_path / "none").success
     nothing = bench.stop_recording()
@@ -192,7 +192,7 @@ def test_missing_samples_are_told(bench: Bench, tmp_path: Path) -> None:
     assert "40 of" in stopped.message
 
 
-def test_recorder_refuses_impossible_folders(bench: Bench, tmp_path: Path) -> None:
+def test_recorder_refuses_impossible_folders(bench: FakeDaq, tmp_path: Path) -> None:
     bench.run("recorder")
     (tmp_path / "file").write_text("")
     assert "exists already" in bench.start_recording(tmp_path / "file").message
@@ -201,7 +201,7 @@ def test_recorder_refuses_impossible_folders(bench: Bench, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
-def test_signals_close_the_bag(bench: Bench, tmp_path: Path, sign: int) -> None:
+def test_signals_close_the_bag(bench: FakeDaq, tmp_path: Path, sign: int) -> None:
     recorder = bench.run("recorder")
     bench.start_recording(tmp_path / "run")
     bench.stream()
@@ -213,8 +213,8 @@ def test_signals_close_the_bag(bench: Bench, tmp_path: Path, sign: int) -> None:
     assert len(run) >= 500
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_killed_recorder_loses_at_most_a_second(bench: Bench, tmp_path: Path, seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_killed_recorder_loses_at_most_a_second(bench: FakeDaq, tmp_path: Path, seed: int) -> None:
     recorder = bench.run("recorder")
     bench.start_recording(tmp_path / "run")
     bench.stream()
@@ -235,19 +235,19 @@ def test_killed_recorder_loses_at_most_a_second(bench: Bench, tmp_path: Path, se
         np.testing.assert_array_equal(run.force, np.arange(len(run)))
 
 
-def test_replay_loses_nothing_and_keeps_the_stamps(bench: Bench, tmp_path: Path, make_columns, fill_bag) -> None:
-    columns = make_columns(40_000)
+def test_replay_loses_nothing_and_keeps_the_stamps(bench: FakeDaq, tmp_path: Path, make_columns, fill_bag) -> None:
+    columns = make_columns(20_000)
     fill_bag(tmp_path / "run", columns).close()
     heard = bench.hear()
     replay = bench.run("replay", bag=tmp_path / "run", speed=0.0, wait_for_subscriber=True, max_rate_hz=1000.0)
-    bench.until(lambda: len(heard) == 2000, timeout=40)
+    bench.until(lambda: len(heard) == 1000, timeout=40)
     assert replay.wait(10) == 0
     np.testing.assert_array_equal(np.concatenate([block.force for block in heard]), columns["force_N"])
-    assert [block.sequence for block in heard] == list(range(0, 40_000, 20))
+    assert [block.sequence for block in heard] == list(range(0, 20_000, 20))
     assert (heard[1].header.stamp.sec, heard[1].header.stamp.nanosec) == (1_700_000_000, 20_000_000)
 
 
-def test_replay_keeps_to_its_speed(bench: Bench, tmp_path: Path, make_columns, fill_bag) -> None:
+def test_replay_keeps_to_its_speed(bench: FakeDaq, tmp_path: Path, make_columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", make_columns(8000)).close()
     heard = bench.hear()
     bench.run("replay", bag=tmp_path / "run", speed=4.0, wait_for_subscriber=True)
@@ -267,9 +267,9 @@ def test_replay_keeps_to_its_speed(bench: Bench, tmp_path: Path, make_columns, f
         ({"bag": "/nowhere/run", "speed": -1.0}, "speed"),
     ],
 )
-def test_replay_refuses_in_one_line(bench: Bench, parameters: dict[str, object], message: str) -> None:
+def test_replay_refuses_in_one_line(bench: FakeDaq, parameters: dict[str, object], message: str) -> None:
     replay = bench.run("replay", **parameters)
-    _, said = replay.communicate(timeout=20)
+    _, stderr = replay.communicate(timeout=20)
     assert replay.returncode == 2
-    assert message in said
-    assert said.count("\n") == 1
+    assert message in stderr
+    assert stderr.count("\n") == 1
