@@ -41,6 +41,6 @@ def test_processes_agree_on_the_time(scale):
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])
-def test_time_must_pass(scale):
+def test_time_scale_must_be_positive(scale):
     with pytest.raises(ValueError, match="expected > 0"):
         BenchClock(scale)

@@ -73,7 +73,7 @@ def test_millimetres_become_the_nearest_float_in_metres(micrometres):
     assert to_mapping(limits)["stroke_mm"] == micrometres / 1000
 
 
-def test_keys_carry_the_unit_and_nested_sections_nest():
+def test_keys_have_the_unit_and_nested_dataclasses_are_sections():
     assert to_mapping(Settings(), units=UNITS) == {
         "limits": {"stroke_mm": 55.0, "current_A": 1.0},
         "amplitude_mm": 10.0,
@@ -106,7 +106,7 @@ def test_keys_carry_the_unit_and_nested_sections_nest():
         ([], "demo.yaml: found list [], expected a mapping of names to values"),
     ],
 )
-def test_a_refusal_says_where_what_and_what_was_expected(mapping, message):
+def test_a_refusal_names_the_field_the_value_and_what_was_expected(mapping, message):
     with pytest.raises(InputError) as refusal:
         from_mapping(Settings, mapping, "demo.yaml", units=UNITS)
     assert message in str(refusal.value)
@@ -129,7 +129,7 @@ keys = st.sampled_from(["limits", "amplitude_mm", "level_mA", "count", "port", "
 
 
 @given(st.dictionaries(keys, json_like))
-def test_any_mapping_is_taken_or_refused(mapping):
+def test_any_mapping_is_accepted_or_refused(mapping):
     try:
         config = from_mapping(Settings, mapping, "x", units=UNITS)
     except InputError:
@@ -158,7 +158,7 @@ def test_any_text_is_yaml_or_refused(text):
         ("a:\n  b: {c: 1, c: 1}", "x: line 2 is not YAML (the key c appears twice, first in line 2; remove one)"),
     ],
 )
-def test_yaml_that_cannot_be_used_is_refused_in_one_line(text, message):
+def test_unusable_yaml_is_refused_in_one_line(text, message):
     with pytest.raises(InputError) as refusal:
         parse_yaml(text, "x")
     assert str(refusal.value).startswith(message)
@@ -173,7 +173,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         read_yaml(tmp_path / "bytes.yaml")
 
 
-def test_a_node_reads_its_section_over_the_shared_one(tmp_path):
+def test_the_section_of_a_node_overrides_the_shared_section(tmp_path):
     file = tmp_path / "bench.yaml"
     file.write_text("""
 /**:

@@ -49,7 +49,7 @@ def test_ctrl_c_ends_a_tool_with_130():
     assert (tool.returncode, stderr) == (130, "interrupted\n")
 
 
-def test_a_reader_who_leaves_early_causes_no_complaint():
+def test_a_closed_pipe_causes_no_error_message():
     pipeline = ["bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "bash", sys.executable, "-c", PROGRAM, "chatter"]
     shell = subprocess.run(pipeline, capture_output=True, text=True)
     assert (shell.returncode, shell.stdout, shell.stderr) == (0, "line 0\n", "")

@@ -1,4 +1,4 @@
-"""Bags: what is written comes back, whatever the end."""
+"""Bags: every message that was written is read back, however the writer ended."""
 
 import json
 import os
@@ -25,7 +25,7 @@ from mrd_runs.definitions import SAMPLES_TYPE, typestore
 TYPES = typestore()
 
 
-def test_every_sample_comes_back_bit_by_bit(tmp_path: Path, columns, fill_bag) -> None:
+def test_every_sample_is_read_back_bit_by_bit(tmp_path: Path, columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", columns).close()
     for path in (tmp_path / "run", tmp_path / "run/run.mcap"):
         run = read_run(path)
@@ -50,14 +50,14 @@ def test_bag_is_an_ordinary_one(tmp_path: Path, columns, fill_bag) -> None:
 
 
 def test_type_hashes_are_those_of_ros() -> None:
-    """Or `ros2 bag play` would refuse the types."""
+    """`ros2 bag play` refuses types with other hashes."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     files = [file for prefix in prefixes for file in Path(prefix).glob("share/mrd_interfaces/msg/*.json")]
     assert files
     for file in files:
         described = json.loads(file.read_text())
-        own = next(entry for entry in described["type_hashes"] if entry["type_name"].endswith(f"/{file.stem}"))
-        assert TYPES.hash_rihs01(own["type_name"]) == own["hash_string"]
+        entry = next(entry for entry in described["type_hashes"] if entry["type_name"].endswith(f"/{file.stem}"))
+        assert TYPES.hash_rihs01(entry["type_name"]) == entry["hash_string"]
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
@@ -95,7 +95,7 @@ def test_flushed_messages_survive_without_a_close(tmp_path: Path, columns, fill_
 
 
 def test_writing_flushes_by_the_stamps_and_by_the_wall(tmp_path: Path, columns, fill_bag) -> None:
-    """1 s of samples in no time: at most a flush period of it is held back."""
+    """Of 1 s of samples written at once, at most a flush period is held back."""
     writer = fill_bag(tmp_path / "fast", columns)
     assert len(read_run(tmp_path / "fast")) >= 1000 - FLUSH_PERIOD * 1000 - 20
     writer.close()
@@ -140,12 +140,12 @@ def test_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path, columns, w
     lengths = [0]
     for end in range(1, len(whole_bag), len(whole_bag) // 60):
         cut.write_bytes(whole_bag[:end])
-        found = read_or_refuse(cut)
-        if isinstance(found, str):
-            assert "\n" not in found
+        result = read_or_refuse(cut)
+        if isinstance(result, str):
+            assert "\n" not in result
         else:
-            np.testing.assert_array_equal(found.position, columns["position_m"][: len(found)])
-            lengths.append(len(found))
+            np.testing.assert_array_equal(result.position, columns["position_m"][: len(result)])
+            lengths.append(len(result))
     assert len(set(lengths)) > 3
     assert lengths == sorted(lengths)
 
@@ -168,8 +168,8 @@ def test_damaged_file_never_gives_more_than_one_line(
     damaged[at : at + len(junk)] = junk
     file = tmp_path_factory.getbasetemp() / "damaged.mcap"
     file.write_bytes(damaged)
-    found = read_or_refuse(file)
-    assert not isinstance(found, str) or "\n" not in found
+    result = read_or_refuse(file)
+    assert not isinstance(result, str) or "\n" not in result
 
 
 def write_sqlite(path: Path, columns, block) -> Path:
@@ -244,7 +244,7 @@ def test_folder_of_several_files_without_metadata_is_refused(tmp_path: Path, col
     assert len(read_run(tmp_path / "run/run_1.mcap")) == 1000
 
 
-def test_unreadable_run_info_is_not_blamed_on_the_samples(tmp_path: Path, columns, fill_bag) -> None:
+def test_unreadable_run_info_is_named(tmp_path: Path, columns, fill_bag) -> None:
     with fill_bag(tmp_path / "run", columns) as writer:
         writer.add_topic("/run_info", "std_msgs/msg/String", latched=True)
         writer.write_message("/run_info", 0, TYPES.types["std_msgs/msg/String"]("{no json"))
@@ -260,12 +260,12 @@ def test_missing_blocks_are_counted_and_leave_a_gap_in_time(tmp_path: Path, colu
     assert len(run) == 940
     assert np.diff(run.time).max() == pytest.approx(0.041)
     np.testing.assert_array_equal(run.time, np.delete(columns["time_s"], [*range(200, 240), *range(600, 620)]))
-    found = check_completeness(tmp_path / "run", "/samples", writer.counts)
-    assert (found.samples, found.lost) == (940, 60)
-    assert "60 of 1000 samples are missing" in found.problem
+    completeness = check_completeness(tmp_path / "run", "/samples", writer.counts)
+    assert (completeness.samples, completeness.lost) == (940, 60)
+    assert "60 of 1000 samples are missing" in completeness.problem
 
 
-def test_check_finds_what_the_file_lacks(tmp_path: Path, columns, fill_bag) -> None:
+def test_check_counts_missing_messages(tmp_path: Path, columns, fill_bag) -> None:
     writer = fill_bag(tmp_path / "run", columns)
     writer.close()
     assert check_completeness(tmp_path / "run", "/samples", writer.counts).problem == ""
@@ -330,12 +330,12 @@ def test_table_decoder_agrees_with_rosbags(counts: list[int], frame: str, sequen
         for count in counts
     ]
     expected = decode_with_rosbags(messages, TYPES)
-    found = decode_blocks(messages, TYPES)
+    decoded = decode_blocks(messages, TYPES)
     assert decode_as_table(messages[:1]) is not None or counts[0] == 0
     for name in ("stamp", "period", "sequence", "count"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(decoded, name), getattr(expected, name))
     for name in SERIES:
-        np.testing.assert_array_equal(found.series[name], expected.series[name])
+        np.testing.assert_array_equal(decoded.series[name], expected.series[name])
 
 
 def test_blocks_of_unequal_series(tmp_path: Path, columns, make_block) -> None:
@@ -349,7 +349,7 @@ def test_blocks_of_unequal_series(tmp_path: Path, columns, make_block) -> None:
 
 
 def test_reading_needs_no_ros(tmp_path: Path, columns, fill_bag) -> None:
-    """A plain interpreter reads a bag, definitions and all, where nothing of ROS can be imported or found."""
+    """A plain interpreter reads a bag where no part of ROS can be imported."""
     fill_bag(tmp_path / "run", columns).close()
     code = """
         import sys

@@ -1,4 +1,4 @@
-"""The differentiator."""
+"""Smoothed motion."""
 
 import math
 import time
@@ -67,7 +67,7 @@ def test_less_is_known_at_the_ends() -> None:
 
 
 def test_steady_gains_are_those_of_the_full_recursion() -> None:
-    """A clock that is uneven by less than anything matters takes the other path through the kernels."""
+    """With a slightly uneven clock, the kernels never use settled gains."""
     t = np.arange(3000) / 1000
     x, _, a = multisine(t)
     rng = np.random.default_rng(4)
@@ -141,7 +141,7 @@ def test_accelerometer_helps_and_its_gain_and_offset_are_found() -> None:
         (lambda a, rng: rng.normal(0, 1.0, len(a)), "accelerometer not used"),
     ],
 )
-def test_useless_accelerometer_is_left_out(spoil, word: str) -> None:  # type: ignore[no-untyped-def]
+def test_useless_accelerometer_is_not_used(spoil, word: str) -> None:  # type: ignore[no-untyped-def]
     t = np.arange(8000) / 1000
     x, _, a = multisine(t)
     rng = np.random.default_rng(7)

@@ -1,4 +1,4 @@
-"""What the smoothed motion may be wrong by."""
+"""Errors of the smoothed motion."""
 
 import numpy as np
 import pytest
@@ -46,9 +46,9 @@ def test_spread_is_that_of_the_actual_errors(accelerometer: bool) -> None:
     run = measured(accelerometer)
     smoothed = smooth_run(run).motion
     assert (smoothed.accelerometer is not None) == accelerometer
-    found = smoothed.position, smoothed.velocity, smoothed.acceleration
+    series = smoothed.position, smoothed.velocity, smoothed.acceleration
     drawn = motion_errors(run.time, smoothed, np.random.default_rng(4), 8)
-    for values, true, errors in zip(found, multisine(run.time), drawn, strict=True):
+    for values, true, errors in zip(series, multisine(run.time), drawn, strict=True):
         assert 1 / 1.5 < rms(values - true) / rms(errors) < 1.5
 
 
@@ -100,8 +100,8 @@ def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
     motion = smooth_run(run).motion
     values, errors = between_samples(run.time, motion, 8), motion_errors(run.time, motion, rng, 8, 8)
     true = exact, np.gradient(exact, 1 / 1600)
-    for found, right, drawn in zip(values, true, errors, strict=False):
-        wrong = found - right[: len(exact) - every + 1 : every // 8]
+    for estimate, right, drawn in zip(values, true, errors, strict=False):
+        wrong = estimate - right[: len(exact) - every + 1 : every // 8]
         assert drawn.shape == (8, len(finer(t, 8)))
         assert 1 / 1.5 < rms(wrong[4::8]) / rms(drawn[:, 4::8]) < 1.5
     assert rms(errors[0][:, 4::8]) > 1.2 * rms(errors[0][:, ::8])

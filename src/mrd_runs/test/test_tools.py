@@ -60,7 +60,7 @@ def test_imported_csv_reads_sample_for_sample(tool, tmp_path: Path, make_columns
         assert back.info["imported_from"] == file.name
 
 
-def test_import_overwrites_nothing_and_writes_nothing_half(tool, tmp_path: Path, columns, write_csv) -> None:
+def test_import_overwrites_nothing_and_leaves_no_part_behind(tool, tmp_path: Path, columns, write_csv) -> None:
     good = write_csv(tmp_path / "good.csv", columns)
     (tmp_path / "bad.csv").write_text("time_s\n1\n")
     result = tool("import_csv", good, tmp_path / "bad.csv", "--output", tmp_path / "bags")
@@ -77,7 +77,7 @@ def test_import_overwrites_nothing_and_writes_nothing_half(tool, tmp_path: Path,
 
 
 @pytest.mark.parametrize("start", [-5.0, 2.0**31 - 0.5, 1e11])
-def test_times_without_a_ros_stamp_come_back(tmp_path: Path, columns, write_csv, start: float) -> None:
+def test_times_without_a_ros_stamp_are_read_back(tmp_path: Path, columns, write_csv, start: float) -> None:
     file = write_csv(tmp_path / "run.csv", columns | {"time_s": start + columns["time_s"]})
     import_run(read_run(file), tmp_path / "bags/run")
     np.testing.assert_array_equal(read_run(tmp_path / "bags/run").time, read_run(file).time)
@@ -113,7 +113,7 @@ def test_folders_are_not_imported(tool, tmp_path: Path, columns, fill_bag) -> No
     )
 
 
-def test_info_tells_what_a_run_is(tool, tmp_path: Path, columns, fill_bag) -> None:
+def test_info_shows_the_summary(tool, tmp_path: Path, columns, fill_bag) -> None:
     writer = fill_bag(tmp_path / "run", columns, skip=(3,))
     writer.flush()
     result = tool("info", tmp_path / "run")

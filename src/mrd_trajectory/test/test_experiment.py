@@ -1,4 +1,4 @@
-"""Experiments: YAML in, YAML out, and one clear line for everything that is wrong."""
+"""Experiments are read from YAML and written to it; errors are one clear line."""
 
 import math
 from pathlib import Path
@@ -33,7 +33,7 @@ def test_levels_are_mm_for_the_rod_and_mA_for_the_coil():
     assert (experiment.repeats, experiment.transition) == (1, "quintic")
 
 
-def test_channels_left_out_rest():
+def test_omitted_channels_are_constant_at_zero():
     experiment = parse({key: GOOD[key] for key in ("name", "duration_s", "rate_hz")})
     assert experiment.rod.level == experiment.coil.level == 0
 
@@ -88,7 +88,7 @@ mappings = st.fixed_dictionaries(
 
 @settings(deadline=None)
 @given(mappings)
-def test_an_experiment_survives_yaml(mapping):
+def test_an_experiment_is_read_back_from_its_yaml(mapping):
     experiment = parse(mapping)
     assert parse_experiment(format_experiment(experiment), "again") == experiment
 
@@ -129,7 +129,7 @@ def test_wrong_experiments_are_refused_in_one_line(change, message):
 
 
 @pytest.mark.parametrize("text", ["", "- 1\n", "name: [", "\x00", "just words"])
-def test_what_is_no_experiment_is_refused_in_one_line(text):
+def test_text_that_is_not_an_experiment_is_refused_in_one_line(text):
     with pytest.raises(InputError, match=r"^x\.yaml:") as caught:
         parse_experiment(text, "x.yaml")
     assert "\n" not in str(caught.value)

@@ -120,9 +120,9 @@ def test_streams_the_plan_and_comes_to_rest(bench, start_generator):
     assert np.median(np.diff(stamps)) == pytest.approx(0.01, rel=0.1)
     at = expected.at(stamps - start)
     for field, values in zip(("position", "velocity", "acceleration", "coil_current"), at, strict=True):
-        heard = np.array([getattr(message, field) for message in bench.setpoints])
+        received = np.array([getattr(message, field) for message in bench.setpoints])
         # The stamp is cut to nanoseconds, so a switch of the coil may fall on either side of it.
-        close = np.isclose(heard, values, atol=1e-5)
+        close = np.isclose(received, values, atol=1e-5)
         assert close.mean() > 0.98, field
         assert close.all() or field == "coil_current"
     last = bench.setpoints[-1]
@@ -137,7 +137,7 @@ def test_streams_the_plan_and_comes_to_rest(bench, start_generator):
     assert process.wait(timeout=10) == 0
 
 
-def test_what_exceeds_the_limits_is_not_loaded_and_forgets_the_one_before(bench, start_generator):
+def test_an_experiment_beyond_the_limits_unloads_the_previous_one(bench, start_generator):
     start_generator("limits.stroke_mm:=30.0")
     assert bench.call("load_experiment", experiment=TEXT).success
     refused = bench.call("load_experiment", experiment=TEXT.replace("amplitude_mm: 5", "amplitude_mm: 14"))
@@ -165,7 +165,7 @@ def test_abort_and_emergency_stop_end_the_setpoints(bench, start_generator):
         assert len(bench.setpoints) == count
 
 
-def test_a_latched_emergency_stop_keeps_it_from_starting(bench, start_generator):
+def test_a_latched_emergency_stop_prevents_the_start(bench, start_generator):
     bench.stop.publish(Bool(data=True))  # before the generator lives: latched
     start_generator()
     assert bench.call("load_experiment", experiment=TEXT).success
@@ -179,7 +179,7 @@ def test_a_latched_emergency_stop_keeps_it_from_starting(bench, start_generator)
     bench.until(lambda: bench.setpoints)
 
 
-def test_after_a_stall_it_does_not_go_on(bench, start_generator):
+def test_a_stall_aborts_the_run(bench, start_generator):
     # A stopped process, not a stopped `ros2 run`: the stand-in replaces itself by the node.
     process = start_generator()
     assert bench.call("load_experiment", experiment=TEXT).success
@@ -194,7 +194,7 @@ def test_after_a_stall_it_does_not_go_on(bench, start_generator):
     assert len(bench.setpoints) == count
 
 
-def test_a_wrong_parameter_is_one_line(start_generator):
+def test_a_wrong_parameter_is_refused_in_one_line(start_generator):
     process = start_generator("setpoint_rate:=100.0")
     _, err = process.communicate(timeout=20)
     assert process.returncode == 2

@@ -1,4 +1,4 @@
-"""Transitions: their ends, their continuity, the limits, and how short they are."""
+"""Transitions meet their ends, are continuous, keep the limits, and are short."""
 
 import numpy as np
 import pytest
