@@ -71,6 +71,7 @@ class BagWriter:
         self.path = Path(path)
         if self.path.exists():
             raise InputError(f"{path}: exists already and is not overwritten; give another folder or remove it")
+        self.types = typestore()
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         # Compression halves the file and makes reading faster; writing takes a tenth longer (benchmarks/read_bag.py).
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -78,7 +79,6 @@ class BagWriter:
             self._writer.open()
         except OSError as error:
             raise InputError(f"{path}: cannot be made ({error.strerror})") from None
-        self.types = typestore()
         self._connections: dict[str, Connection] = {}
         self._flushed_at = time.monotonic()
         self._first_unflushed: int | None = None
@@ -233,7 +233,7 @@ def _storage_file(path: Path) -> Path:
         files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
         if not files:
             if (path / "metadata.yaml").exists():
-                raise InputError(f"{path}: the bag's storage file is missing; expected it beside metadata.yaml")
+                raise InputError(f"{path}: the bag's storage file is missing; expected it next to metadata.yaml")
             raise InputError(f"{path}: is a folder without an .mcap or .db3 file; expected a bag")
         if len(files) > 1 and not (path / "metadata.yaml").exists():
             names = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")

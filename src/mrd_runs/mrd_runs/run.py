@@ -35,7 +35,7 @@ class Run:
     temperature : ndarray (n,) or None
         Temperature of the damper in K.
     info : mapping
-        Facts beside the samples: source, checksum, experiment, calibration, versions, seed, notes (see `read_run`).
+        Facts about the recording: source, checksum, experiment, calibration, versions, seed, notes (see `read_run`).
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Facts about a recording beside its samples: the message ``run_info`` that opens every bag, and the calibration."""
+"""Facts about a recording: the message ``run_info``, with which every bag starts, and the calibration."""
 
 import importlib.metadata
 import json

@@ -12,7 +12,7 @@ from mrd_runs.run import Run
 
 Array = NDArray[np.float64]
 
-# Fewer samples than these identify nothing.
+# A recording with fewer samples is too short to identify a model from.
 FEWEST_SAMPLES = 50
 
 # Magnitude of each column that no damper bench exceeds, and the unit to suspect beyond it.
@@ -45,7 +45,7 @@ def make_run(
         Equally long columns: ``time_s``, ``position_m``, ``current_A``, ``force_N``, and optionally ``velocity_mps``,
         ``acceleration_mps2``, ``temperature_C``.
     info : mapping, optional
-        Facts beside the samples. Notes of the checks are appended to its ``notes``.
+        Facts about the recording. Notes of the checks are appended to its ``notes``.
     where : str, optional
         Prefix of error messages, by default ``name``.
     place : callable, optional

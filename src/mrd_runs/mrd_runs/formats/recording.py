@@ -20,7 +20,7 @@ class Recording:
     columns : dict of str to ndarray (n,)
         Columns as `make_run` takes them.
     info : mapping
-        What the file says beside the samples; ``notes``, ``lost`` and ``recovered`` at least (see `read_run`).
+        Facts about the recording, among them ``notes``, ``lost`` and ``recovered`` (see `read_run`).
     place : callable
         Returns how an error message names the sample of an index.
     """

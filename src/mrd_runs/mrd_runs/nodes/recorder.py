@@ -1,4 +1,4 @@
-"""Records runs: one bag for each start_recording, closed by stop_recording or on any way out."""
+"""Recorder: writes one bag for each start_recording; stop_recording or the end of the node closes it."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# A gap between two readings counts as a multiple of the step within this share of the step, ...
+# Largest distance of a gap from a multiple of the step, as a share of the step; scaled digits are that exact.
 _TOLERANCE = 1e-3
-# ... and readings are quantised when this share of the gaps are multiples. Averaged or unquantised readings have fewer.
+# Smallest share of the gaps that are multiples of the step; averaged or unquantised readings have fewer.
 _MULTIPLES = 0.99
 
 

@@ -15,7 +15,7 @@ from mrd_trajectory.settings import GeneratorSettings
 
 
 class Generator(BenchNode[GeneratorSettings]):
-    """Publishes the setpoints of one experiment for each time that it is loaded and started.
+    """Publishes the setpoints of an experiment once after it was loaded and started.
 
     The rod must be at rest at mid-stroke when an experiment starts; the client that starts it is responsible for that. When
     the setpoints end early, the servo brings the rod to rest.
