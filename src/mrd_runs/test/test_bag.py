@@ -138,7 +138,7 @@ def test_killed_writer_loses_less_than_a_second(tmp_path: Path, delay: float) ->
 def test_file_cut_anywhere_gives_a_prefix_or_one_line(tmp_path: Path, columns, whole_bag, read_or_refuse) -> None:
     cut = tmp_path / "cut.mcap"
     lengths = [0]
-    for end in range(1, len(whole_bag), len(whole_bag) // 60):
+    for end in range(1, len(whole_bag), len(whole_bag) // 40):
         cut.write_bytes(whole_bag[:end])
         result = read_or_refuse(cut)
         if isinstance(result, str):
@@ -158,7 +158,7 @@ def test_file_cut_after_closing_is_refused(tmp_path: Path, columns, fill_bag) ->
         read_run(tmp_path / "run")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(at=st.integers(0, 10**6), junk=st.binary(min_size=1, max_size=40))
 def test_damaged_file_never_gives_more_than_one_line(
     tmp_path_factory, whole_bag, read_or_refuse, at: int, junk: bytes

@@ -92,6 +92,12 @@ class Segment:
         fit: Array = np.linalg.lstsq(powers, self.position[chosen], rcond=None)[0] * derivatives
         return fit
 
+    def kernel_arguments(self, model: MotionModel) -> tuple[Array, Array, Array, Array, float, float, float]:
+        """Return the arguments that the kernels share, in their units."""
+        h = model.relative_interval
+        start = self.start(model.order, h)
+        return self.intervals * h, self.position, self.acceleration / h**2, start, h, model.gain, model.kernel_variance
+
     def spread(self, length: int) -> list["Segment"]:
         """Return evenly spread segments of a length, or this one where they would cover it."""
         if len(self.position) <= _SEGMENTS * length:
@@ -135,18 +141,8 @@ def fit_accelerometer_model(readings: Segment, least_noise: float, position_mode
 
 def smooth_by_model(readings: Segment, model: MotionModel) -> Array:
     """Return the smoothed x, ẋ, ẍ (n, 3)."""
-    h = model.relative_interval
-    states = smooth_states(
-        readings.intervals * h,
-        readings.position,
-        readings.acceleration / h**2,
-        readings.start(model.order, h),
-        h,
-        model.gain,
-        model.kernel_variance,
-    )
-    smoothed: Array = states * h ** np.arange(3.0)
-    return smoothed
+    states: Array = smooth_states(*readings.kernel_arguments(model)) * model.relative_interval ** np.arange(3.0)
+    return states
 
 
 def _log_likelihood(n: float, squares: float, logs: float, least_noise: float) -> tuple[float, float]:
@@ -159,15 +155,7 @@ def _evaluate(segments: Sequence[Segment], least_noise: float, model: MotionMode
     """Return the model with its noise variance, offset and likelihood."""
     sums, h = np.zeros((2, 5)), model.relative_interval
     for segment in segments:
-        sums += innovation_sums(
-            segment.intervals * h,
-            segment.position,
-            segment.acceleration / h**2,
-            segment.start(model.order, h),
-            h,
-            model.gain,
-            model.kernel_variance,
-        )
+        sums += innovation_sums(*segment.kernel_arguments(model))
     total = sums.sum(axis=0)
     # The innovations depend linearly on the offset of the accelerometer, so its best value is a weighted mean.
     offset = total[2] / total[3] if total[3] > 0 else 0.0
