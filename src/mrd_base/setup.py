@@ -5,7 +5,7 @@ package = "mrd_base"
 setup(
     name=package,
     version="0.1.0",
-    description="What all packages share: input errors, configuration, bench time, exit status of tools, base of nodes",
+    description="What every part of the bench shares: input errors, configuration, the bench clock, the base of a node",
     maintainer="The bench's maintainers",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

@@ -5,7 +5,7 @@ package = "mrd_runs"
 setup(
     name=package,
     version="0.1.0",
-    description="Recordings: the Run, bags, recorder, replay, import",
+    description="What a recording is: the Run, bags, recorder, replay, import",
     maintainer="The bench's maintainers",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

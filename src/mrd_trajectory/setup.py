@@ -5,7 +5,7 @@ package = "mrd_trajectory"
 setup(
     name=package,
     version="0.1.0",
-    description="Setpoints of rod and coil: waveforms, transitions, experiments, limits, plans",
+    description="What the rod and the coil should do: waveforms, transitions, experiments, limits",
     maintainer="The bench's maintainers",
     maintainer_email="maintainers@example.org",
     license="Apache-2.0",

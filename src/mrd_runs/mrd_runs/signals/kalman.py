@@ -113,22 +113,6 @@ def _converged(P, diagonal):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _predict(interval, last, steady, density, unit_Q, F, Q, P, work, diagonal):  # type: ignore[no-untyped-def]
-    """Predict the covariance over an interval; return the interval of ``F`` and whether the Kalman gains have settled.
-
-    With equal intervals the gains settle, and from then on the covariance is not computed again.
-    """
-    even = abs(interval - last) <= 1e-6 * last
-    if not even:
-        last = interval
-        _set_transition(last, density, unit_Q, F, Q)
-    if not (steady and even):
-        _predict_covariance(P, F, Q, work)
-        steady = _converged(P, diagonal) and even
-    return last, steady
-
-
-@njit(cache=True, nogil=True)
 def innovation_sums(intervals, position, acceleration, start, density, gain, variance):  # type: ignore[no-untyped-def]
     """Return sums over the innovations e (errors of the one-step predictions) with variance V.
 
@@ -176,7 +160,14 @@ def innovation_sums(intervals, position, acceleration, start, density, gain, var
                 sums[1, 2] += e * o * g
                 sums[1, 3] += o * o * g
                 sums[1, 4] += log_g
-        last, steady = _predict(intervals[k], last, steady, density, unit_Q, F, Q, P, work, diagonal)
+        # With equal intervals the gains settle; from then on, only the state is computed.
+        even = abs(intervals[k] - last) <= 1e-6 * last
+        if not even:
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
+        if not (steady and even):
+            _predict_covariance(P, F, Q, work)
+            steady = _converged(P, diagonal) and even
         _predict_state(state, F)
         if gain != 0.0:
             _predict_state(response, F)
@@ -213,7 +204,13 @@ def _filter(intervals, position, acceleration, start, density, gain, variance): 
             innovations[k, 1] = acceleration[k] - gain * state[2]
             for i in range(order):
                 state[i] += C[i] * innovations[k, 1]
-        last, steady = _predict(intervals[k], last, steady, density, unit_Q, F, Q, P, work, diagonal)
+        even = abs(intervals[k] - last) <= 1e-6 * last
+        if not even:
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
+        if not (steady and even):
+            _predict_covariance(P, F, Q, work)
+            steady = _converged(P, diagonal) and even
         _predict_state(state, F)
     return states, innovations, which, covariances
 
@@ -285,8 +282,13 @@ def draw_errors(intervals, parts, normal, density, gain, variance):  # type: ign
                     _update_covariance(P, 2, gain, variance, K)
             covariances[stored] = P
         which[k] = stored
-        last, steady = _predict(intervals[k], last, steady, density, unit_Q, F, Q, P, work, diagonal)
-        steady = steady and parts == 1
+        even = abs(intervals[k] - last) <= 1e-6 * last
+        if not even:
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
+        if not (steady and even):
+            _predict_covariance(P, F, Q, work)
+            steady = _converged(P, diagonal) and even and parts == 1
 
     drawn = np.empty((3, count, n))
     J, root = np.zeros((order, order)), _covariance_root(covariances[which[n - 1]])
