@@ -1,18 +1,18 @@
-"""A ROS domain of one's own: simulated benches and tests must never hear a real one, nor each other."""
+"""An exclusive ROS domain for a process, so that simulated benches and tests neither reach a real bench nor each other."""
 
 import fcntl
 import os
 import tempfile
 from pathlib import Path
 
-_LAST = 101  # higher domains share their ports with the system's short-lived ones
-_claims: list[int] = []
+# Higher domains use ports that Linux also gives to short-lived connections.
+_LAST_DOMAIN = 101
 
 
 def claim_domain() -> int:
-    """Put this process and its children into a domain that no other caller on this machine has, until the process ends.
+    """Put this process and its children into a ROS domain that no other caller on this machine has.
 
-    Sets ``ROS_DOMAIN_ID`` in the environment; call it before ROS starts.
+    Sets ``ROS_DOMAIN_ID`` in the environment; call it before ROS is started. The domain is free again when the process ends.
 
     Returns
     -------
@@ -22,21 +22,21 @@ def claim_domain() -> int:
     Raises
     ------
     RuntimeError
-        When all are taken.
+        When all domains are in use.
     """
-    for offset in range(_LAST):
-        domain = 1 + (os.getpid() + offset) % _LAST
+    for offset in range(_LAST_DOMAIN):
+        domain = 1 + (os.getpid() + offset) % _LAST_DOMAIN
         try:
-            claim = os.open(Path(tempfile.gettempdir(), f"mrd_domain_{domain}.lock"), os.O_CREAT | os.O_RDWR, 0o666)
-        except OSError:  # another user's
+            lock = os.open(Path(tempfile.gettempdir(), f"mrd_domain_{domain}.lock"), os.O_CREAT | os.O_RDWR, 0o666)
+        except OSError:  # the file belongs to another user
             continue
         try:
-            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            os.close(claim)
+            os.close(lock)
             continue
-        _claims.append(claim)
+        # The lock's file descriptor stays open, and the domain is taken, until the process ends.
         os.environ["ROS_DOMAIN_ID"] = str(domain)
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # env.sh has its own way to that
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # env.sh configures the middleware instead
         return domain
-    raise RuntimeError(f"all ROS domains from 1 to {_LAST} are taken by other simulated benches and tests")
+    raise RuntimeError(f"all ROS domains from 1 to {_LAST_DOMAIN} are used by other simulated benches and tests")

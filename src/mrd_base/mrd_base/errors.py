@@ -1,8 +1,8 @@
-"""The one error that means: what was given cannot be used."""
+"""The error that all packages raise for unusable input."""
 
 
 class InputError(ValueError):
-    """Unusable input, said in one line: which file, field or sample, what was found, what was expected, what to do.
+    """Unusable input, described in one line: which file, field or sample, what was found, what was expected, what to do.
 
-    Tools print the line and leave with status 2; nodes refuse the request with it.
+    Tools print the line and exit with status 2; nodes refuse the request with it.
     """

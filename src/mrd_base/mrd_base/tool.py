@@ -1,4 +1,4 @@
-"""How every command-line tool ends."""
+"""The exit status of every command-line tool."""
 
 import os
 import sys
@@ -8,10 +8,10 @@ from mrd_base.errors import InputError
 
 
 def run_tool(work: Callable[[], None]) -> None:
-    """Run ``work`` and leave the process as the tools' contract says.
+    """Run the work of a command-line tool and set the exit status of the process.
 
-    Status 0 when done, 2 after `InputError` or a file that cannot be read or written (one line on stderr), 130 after
-    Ctrl-C.
+    The status is 0 on success; 2 after an `InputError` or a file that cannot be read or written, with one line on stderr;
+    and 130 after Ctrl-C.
     """
     try:
         work()
@@ -23,7 +23,7 @@ def run_tool(work: Callable[[], None]) -> None:
         print("interrupted", file=sys.stderr)
         sys.exit(130)
     except BrokenPipeError:
-        # The reader of our output (``head``, a pager) has left: what is still to come goes nowhere, without a complaint.
+        # The reader of the output (``head``, a pager) has closed it. Python would complain when it flushes the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
         print(f"error: {error.filename or 'files'}: {error.strerror or error}", file=sys.stderr)

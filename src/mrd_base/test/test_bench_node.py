@@ -1,4 +1,4 @@
-"""A node as a process: what it takes, what it refuses, how it ends."""
+"""A node as a process: the parameters that it accepts and refuses, and how it ends."""
 
 import signal
 import subprocess
@@ -34,21 +34,21 @@ def start(*arguments):
         (["--bogus"], "error: unknown ROS arguments ['--bogus']"),
     ],
 )
-def test_a_node_that_cannot_start_as_configured_says_one_line(arguments, line):
+def test_an_invalid_configuration_ends_the_node_with_one_line(arguments, line):
     node = subprocess.run([*NODE, "--ros-args", *arguments], capture_output=True, text=True, timeout=20)
     assert node.returncode == 2
     assert line in node.stderr
     assert node.stderr.count("\n") == 1
-    assert "Config(" not in node.stdout
+    assert "TinySettings(" not in node.stdout
 
 
-def test_parameters_without_ros_args_are_refused_not_ignored():
+def test_parameters_without_ros_args_are_refused():
     node = subprocess.run([*NODE, "-p", "port:=/dev/x"], capture_output=True, text=True, timeout=20)
     assert node.stderr == "error: unknown argument -p; parameters and remappings stand after --ros-args\n"
     assert node.returncode == 2
 
 
-def test_the_command_line_goes_before_the_section_of_the_node_in_a_file(tmp_path):
+def test_the_command_line_takes_precedence_over_a_parameter_file(tmp_path):
     file = tmp_path / "bench.yaml"
     file.write_text("/**/tiny:\n  ros__parameters: {port: /dev/file, limits: {stroke_mm: 40.0, force_N: 5.0}}\n")
     node = start("--ros-args", "--params-file", str(file), "-p", "port:=/dev/line", "-p", "limits.stroke_mm:=30")
@@ -72,7 +72,7 @@ def test_parameters_become_the_configuration_and_every_signal_closes_the_node(tm
 """)
     node = start("--ros-args", "--params-file", str(file), "-p", "offset_mm:=3", "-p", "gains:=[1, 3]")
     assert node.stdout.readline() == (
-        "Config(time_scale=2.0, limits=Limits(stroke=0.04, force=800.0), port='/dev/ttyUSB0', gains=(1.0, 3.0), "
+        "TinySettings(time_scale=2.0, limits=RodLimits(stroke=0.04, force=800.0), port='/dev/ttyUSB0', gains=(1.0, 3.0), "
         "offset=0.003, rate=25.0)\n"
     )
     node.send_signal(end)
@@ -80,14 +80,14 @@ def test_parameters_become_the_configuration_and_every_signal_closes_the_node(tm
     assert (node.returncode, stdout, stderr) == (0, "closed\n", "")
 
 
-def test_a_running_node_reports_its_health_and_takes_only_dynamic_parameters():
+def test_a_running_node_publishes_diagnostics_and_accepts_only_dynamic_parameters():
     process = start("--ros-args", "-r", "__ns:=/bench")
     try:
-        assert process.stdout.readline().startswith("Config(")
+        assert process.stdout.readline().startswith("TinySettings(")
         rclpy.init()
         listener = rclpy.create_node("listener")
-        heard = []
-        listener.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+        received = []
+        listener.create_subscription(DiagnosticArray, "/diagnostics", received.append, 10)
         client = listener.create_client(SetParameters, "/bench/tiny/set_parameters")
         assert client.wait_for_service(timeout_sec=10)
 
@@ -104,11 +104,11 @@ def test_a_running_node_reports_its_health_and_takes_only_dynamic_parameters():
         assert not set_parameter("limits.stroke_mm", 90.0).successful
 
         deadline = time.monotonic() + 10
-        while not heard and time.monotonic() < deadline:
+        while not received and time.monotonic() < deadline:
             rclpy.spin_once(listener, timeout_sec=0.1)
-        (status,) = heard[0].status
+        (status,) = received[0].status
         assert (status.name, status.level, status.message) == ("bench/tiny: state", status.OK, "ok")
-        assert seconds(heard[0].header.stamp) == pytest.approx(time.time(), abs=5)
+        assert seconds(received[0].header.stamp) == pytest.approx(time.time(), abs=5)
         listener.destroy_node()
     finally:
         rclpy.try_shutdown()

@@ -11,14 +11,14 @@ from mrd_base.config import parse_yaml
 
 
 @dataclass(frozen=True)
-class Limits:
+class Bounds:
     stroke: float = quantity(0.055, "mm", "travel of the damper", lower=1e-3, upper=0.1)
     current: float = quantity(1.0, "A", lower=-2, upper=2)
 
 
 @dataclass(frozen=True)
-class Config:
-    limits: Limits = Limits()
+class Settings:
+    limits: Bounds = Bounds()
     amplitude: float = quantity(0.01, "mm")
     level: float = quantity(0.15, "level")
     count: int = quantity(3, doc="of repeats", lower=1, upper=10**6)
@@ -41,8 +41,8 @@ class Ordered:
 UNITS = {"level": "mA"}
 lengths = st.floats(-1e3, 1e3, allow_subnormal=False).filter(lambda x: x == 0 or abs(x) > 1e-12)
 configs = st.builds(
-    Config,
-    limits=st.builds(Limits, stroke=st.floats(1e-3, 0.1), current=st.floats(-2, 2, allow_subnormal=False)),
+    Settings,
+    limits=st.builds(Bounds, stroke=st.floats(1e-3, 0.1), current=st.floats(-2, 2, allow_subnormal=False)),
     amplitude=lengths,
     level=lengths,
     count=st.integers(1, 10**6),
@@ -60,7 +60,7 @@ def numbers(config):
 
 @given(configs)
 def test_what_is_written_is_read_back(config):
-    back = from_mapping(Config, to_mapping(config, units=UNITS), "x", units=UNITS)
+    back = from_mapping(Settings, to_mapping(config, units=UNITS), "x", units=UNITS)
     assert numbers(back) == pytest.approx(numbers(config), rel=1e-14, abs=0)
     assert (back.count, back.port, back.enabled) == (config.count, config.port, config.enabled)
 
@@ -68,13 +68,13 @@ def test_what_is_written_is_read_back(config):
 @given(st.integers(1000, 100_000))
 def test_millimetres_become_the_nearest_float_in_metres(micrometres):
     """So that a number in YAML equals the default written in SI, and a bound includes its own value."""
-    limits = from_mapping(Limits, {"stroke_mm": micrometres / 1000}, "x")
+    limits = from_mapping(Bounds, {"stroke_mm": micrometres / 1000}, "x")
     assert limits.stroke == micrometres / 1e6
     assert to_mapping(limits)["stroke_mm"] == micrometres / 1000
 
 
-def test_keys_carry_the_unit_and_nested_sections_nest():
-    assert to_mapping(Config(), units=UNITS) == {
+def test_keys_have_the_unit_and_nested_dataclasses_are_sections():
+    assert to_mapping(Settings(), units=UNITS) == {
         "limits": {"stroke_mm": 55.0, "current_A": 1.0},
         "amplitude_mm": 10.0,
         "level_mA": 150.0,
@@ -101,14 +101,14 @@ def test_keys_carry_the_unit_and_nested_sections_nest():
         ({"count": 2.0}, "count: found float 2.0, expected a whole number (of repeats)"),
         ({"count": 10**400}, "expected 1 to 1e+06"),
         ({"enabled": "yes"}, "enabled: found str 'yes', expected bool"),
-        ({"gains_mm": []}, "gains_mm: found list [], expected a list of at least one"),
+        ({"gains_mm": []}, "gains_mm: found list [], expected a list of at least one value"),
         ({"gains_mm": [1, "x"]}, "gains_mm[1]: found str 'x', expected a finite number"),
         ([], "demo.yaml: found list [], expected a mapping of names to values"),
     ],
 )
-def test_a_refusal_says_where_what_and_what_was_expected(mapping, message):
+def test_a_refusal_names_the_field_the_value_and_what_was_expected(mapping, message):
     with pytest.raises(InputError) as refusal:
-        from_mapping(Config, mapping, "demo.yaml", units=UNITS)
+        from_mapping(Settings, mapping, "demo.yaml", units=UNITS)
     assert message in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
@@ -129,9 +129,9 @@ keys = st.sampled_from(["limits", "amplitude_mm", "level_mA", "count", "port", "
 
 
 @given(st.dictionaries(keys, json_like))
-def test_any_mapping_is_taken_or_refused(mapping):
+def test_any_mapping_is_accepted_or_refused(mapping):
     try:
-        config = from_mapping(Config, mapping, "x", units=UNITS)
+        config = from_mapping(Settings, mapping, "x", units=UNITS)
     except InputError:
         return
     assert all(map(math.isfinite, numbers(config)))
@@ -154,11 +154,11 @@ def test_any_text_is_yaml_or_refused(text):
         ("", "x: is empty, expected a mapping"),
         ("# nothing\n", "x: is empty, expected a mapping"),
         ("- 1", "x: holds list, expected a mapping"),
-        ("a: 1\nb: 2\n'a': 3", "x: line 3 is not YAML (the key a is there twice, first in line 1; remove one)"),
-        ("a:\n  b: {c: 1, c: 1}", "x: line 2 is not YAML (the key c is there twice, first in line 2; remove one)"),
+        ("a: 1\nb: 2\n'a': 3", "x: line 3 is not YAML (the key a appears twice, first in line 1; remove one)"),
+        ("a:\n  b: {c: 1, c: 1}", "x: line 2 is not YAML (the key c appears twice, first in line 2; remove one)"),
     ],
 )
-def test_yaml_that_cannot_be_used_is_refused_in_one_line(text, message):
+def test_unusable_yaml_is_refused_in_one_line(text, message):
     with pytest.raises(InputError) as refusal:
         parse_yaml(text, "x")
     assert str(refusal.value).startswith(message)
@@ -173,7 +173,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         read_yaml(tmp_path / "bytes.yaml")
 
 
-def test_a_node_reads_its_section_over_the_shared_one(tmp_path):
+def test_the_section_of_a_node_overrides_the_shared_section(tmp_path):
     file = tmp_path / "bench.yaml"
     file.write_text("""
 /**:

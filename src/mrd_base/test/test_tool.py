@@ -1,7 +1,6 @@
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -45,13 +44,12 @@ def test_ctrl_c_ends_a_tool_with_130():
         [sys.executable, "-c", PROGRAM, "wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert tool.stdout.readline() == "ready\n"
-    time.sleep(0.05)
     tool.send_signal(signal.SIGINT)
     _, stderr = tool.communicate(timeout=10)
     assert (tool.returncode, stderr) == (130, "interrupted\n")
 
 
-def test_a_reader_who_leaves_early_causes_no_complaint():
+def test_a_closed_pipe_causes_no_error_message():
     pipeline = ["bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "bash", sys.executable, "-c", PROGRAM, "chatter"]
     shell = subprocess.run(pipeline, capture_output=True, text=True)
     assert (shell.returncode, shell.stdout, shell.stderr) == (0, "line 0\n", "")

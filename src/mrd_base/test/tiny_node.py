@@ -7,26 +7,26 @@ from mrd_base.nodes.bench_node import BenchNode, run_node
 
 
 @dataclass(frozen=True)
-class Limits:
+class RodLimits:
     stroke: float = quantity(0.055, "mm", "travel of the damper", lower=1e-3, upper=1)
     force: float = quantity(800.0, "N")
 
 
 @dataclass(frozen=True)
-class Config:
+class TinySettings:
     time_scale: float = quantity(1.0, lower=0.01, upper=100)
-    limits: Limits = Limits()
+    limits: RodLimits = RodLimits()
     port: str = quantity("/dev/ttyUSB0", doc="serial line")
     gains: tuple[float, ...] = quantity((1.0, 2.0))
     offset: float | None = quantity(None, "mm")
     rate: float = quantity(25.0, "Hz", lower=1, upper=2000)
 
 
-class TinyNode(BenchNode[Config]):
+class TinyNode(BenchNode[TinySettings]):
     dynamic = frozenset({"rate_hz"})
 
     def __init__(self) -> None:
-        super().__init__("tiny", Config)
+        super().__init__("tiny", TinySettings)
         self.accept_parameter("rate_hz", self.config.rate, self.set_rate)
         print(self.config, flush=True)
 

@@ -1,7 +1,7 @@
-"""Bags: writing one that survives every end, reading one that did not end well.
+"""Bags: writing them so that a killed process loses little, and reading them also when they were not closed.
 
-A bag is an ordinary rosbag2 folder (MCAP, version 9) that ``ros2 bag info`` and ``ros2 bag play`` take. Everything in it has
-reached the operating system after `FLUSH_PERIOD` at the latest, so that a killed process loses no more than that.
+A bag is an ordinary rosbag2 folder (MCAP, version 9), which ``ros2 bag info`` and ``ros2 bag play`` understand. Every
+message reaches the operating system within `FLUSH_PERIOD`, so that a killed process loses no more than that.
 """
 
 import os
@@ -24,35 +24,42 @@ from rosbags.typesys.store import Typestore
 from mrd_base import InputError
 from mrd_runs.definitions import empty_typestore, typestore
 
-# s, on the wall and between the first and the last message not yet handed to the operating system.
+# Longest time in s that a message waits before it goes to the operating system, by the wall clock and by the stamps.
 FLUSH_PERIOD = 0.25
 
-_FOREVER = QosTime(9223372036, 854775807)  # as ROS writes an infinite duration
+_INFINITE = QosTime(9223372036, 854775807)  # as ROS writes an infinite duration
 
 
 def qos(depth: int, latched: bool = False) -> Qos:
-    """Reliable quality of service, as the bench's topics have it (`mrd_base.nodes.bench_node`)."""
+    """Return the reliable quality of service of the bench's topics (`mrd_base.nodes.bench_node`)."""
     durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
     return Qos(
         QosHistory.KEEP_LAST,
         depth,
         QosReliability.RELIABLE,
         durability,
-        _FOREVER,
-        _FOREVER,
+        _INFINITE,
+        _INFINITE,
         QosLiveliness.AUTOMATIC,
-        _FOREVER,
+        _INFINITE,
         False,
     )
 
 
 class BagWriter:
-    """Writes one bag; a context manager that closes it whatever happens.
+    """Writes one bag; as a context manager it closes the bag in every case.
 
     Parameters
     ----------
     path : path
-        Folder of the bag; must not exist.
+        Folder of the bag; it must not exist.
+
+    Attributes
+    ----------
+    types : Typestore
+        Types of the messages.
+    counts : dict of str to int
+        Number of messages written to each topic.
 
     Raises
     ------
@@ -64,8 +71,9 @@ class BagWriter:
         self.path = Path(path)
         if self.path.exists():
             raise InputError(f"{path}: exists already and is not overwritten; give another folder or remove it")
+        self.types = typestore()
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
-        # Halves the file and reads faster, for a tenth more time in writing (benchmarks/read_bag.py).
+        # Compression halves the file and makes reading faster; writing takes a tenth longer (benchmarks/read_bag.py).
         self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
             self._writer.open()
@@ -73,7 +81,7 @@ class BagWriter:
             raise InputError(f"{path}: cannot be made ({error.strerror})") from None
         self._connections: dict[str, Connection] = {}
         self._flushed_at = time.monotonic()
-        self._first_pending: int | None = None
+        self._first_unflushed: int | None = None
         self.counts: dict[str, int] = {}
         self.flush()
 
@@ -84,9 +92,9 @@ class BagWriter:
         self.close()
 
     def add_topic(self, topic: str, message_type: str, *, depth: int = 1, latched: bool = False) -> None:
-        """Announce a topic; its messages may then be written."""
+        """Add a topic; after that, its messages can be written."""
         self._connections[topic] = self._writer.add_connection(
-            topic, message_type, typestore=typestore(), offered_qos_profiles=[qos(depth, latched)]
+            topic, message_type, typestore=self.types, offered_qos_profiles=[qos(depth, latched)]
         )
         self.counts[topic] = 0
 
@@ -94,30 +102,30 @@ class BagWriter:
         """Write a serialised message; ``stamp`` in ns."""
         self._writer.write(self._connections[topic], stamp, cdr)
         self.counts[topic] += 1
-        if self._first_pending is None:
-            self._first_pending = stamp
+        if self._first_unflushed is None:
+            self._first_unflushed = stamp
         elapsed = time.monotonic() - self._flushed_at
-        if max(elapsed, 1e-9 * (stamp - self._first_pending)) >= FLUSH_PERIOD:
+        if max(elapsed, 1e-9 * (stamp - self._first_unflushed)) >= FLUSH_PERIOD:
             self.flush()
 
     def write_message(self, topic: str, stamp: int, message: Any) -> None:
-        """Write a message object of `mrd_runs.definitions.typestore`; ``stamp`` in ns."""
-        cdr = typestore().serialize_cdr(message, self._connections[topic].msgtype)
+        """Write a message object of `types`; ``stamp`` in ns."""
+        cdr = self.types.serialize_cdr(message, self._connections[topic].msgtype)
         self.write(topic, stamp, bytes(cdr))
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system; call it regularly where messages may stop coming.
+        """Pass all messages to the operating system; call this regularly, because messages may stop arriving.
 
-        rosbags itself has no such call: it holds up to a mebibyte back.
+        rosbags has no such method; it keeps up to a mebibyte in memory.
         """
         storage: Any = self._writer.storage
         if storage.chunk.msgs:
             storage.close_chunk()
         storage.bio.flush()
-        self._flushed_at, self._first_pending = time.monotonic(), None
+        self._flushed_at, self._first_unflushed = time.monotonic(), None
 
     def close(self) -> None:
-        """Complete the bag; a second call does nothing."""
+        """Complete the bag. A second call does nothing."""
         if self._writer.storage is None:
             return
         storage: Any = self._writer.storage
@@ -130,8 +138,8 @@ class BagWriter:
 
 
 @dataclass(frozen=True)
-class Topic:
-    """What a bag holds of one topic: its type and the serialised messages in the order of their log times (ns)."""
+class RecordedTopic:
+    """A topic of a bag: its message type, and its serialised messages in the order of their log times in ns."""
 
     message_type: str
     stamps: list[int] = field(default_factory=list)
@@ -140,27 +148,27 @@ class Topic:
 
 @dataclass(frozen=True)
 class Bag:
-    """The content of a bag.
+    """Content of a bag.
 
     Attributes
     ----------
-    topics : mapping of str to Topic
-        All topics; only those asked for have messages.
+    topics : mapping of str to RecordedTopic
+        All topics of the bag, without messages where only other topics were read.
     types : Typestore
-        The types as the bag defines them.
+        Message types as the bag defines them.
     file : Path
-        The storage file.
+        Storage file.
     recovered : bool
         Whether the bag had not been closed.
     """
 
-    topics: Mapping[str, Topic]
+    topics: Mapping[str, RecordedTopic]
     types: Typestore
     file: Path
     recovered: bool = False
 
     def decode(self, topic: str) -> list[Any]:
-        """Messages of a topic as objects."""
+        """Return the messages of a topic as objects."""
         entry = self.topics[topic]
         return [self.types.deserialize_cdr(message, entry.message_type) for message in entry.messages]
 
@@ -168,43 +176,42 @@ class Bag:
 def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Bag:
     """Read a bag folder, an ``.mcap`` or a ``.db3`` file.
 
-    An MCAP file whose writer was killed is read as far as it goes.
+    An MCAP file whose writer was killed is read up to its end.
 
     Parameters
     ----------
     path : path
         Folder or file.
     topics : collection of str, optional
-        Last parts of the names of the topics whose messages are read (``samples`` takes ``/bench/samples``); all when
-        absent.
+        Last parts of the names of the topics to read (``samples`` selects ``/bench/samples``); all topics by default.
 
     Raises
     ------
     InputError
-        When there is nothing to read, it is damaged, or no bag.
+        When there is nothing to read, or it is damaged or not a bag.
     """
     path = Path(path)
     file = _storage_file(path)
-    # rosbags and mcap let many kinds of errors about damaged bytes through (struct, index, decompression, SQLite, YAML).
+    # rosbags and mcap raise many kinds of errors for damaged bytes (struct, index, decompression, SQLite, YAML).
     try:
         return _read_closed(path, file, topics)
     except Exception as error:
         problem = error
-    if file.suffix == ".mcap" and not _ended(file):
+    if file.suffix == ".mcap" and not _has_end(file):
         if (file.parent / "metadata.yaml").exists():
             raise InputError(
-                f"{file}: was closed and has lost its end since (metadata.yaml tells of a complete bag); "
+                f"{file}: was closed and has lost its end since (metadata.yaml describes a complete bag); "
                 "take another copy, or move the file away from its metadata.yaml to read what is left"
             )
         with suppress(Exception):
             return _recover(file, topics)
-    raise InputError(f"{path}: cannot be read as a bag ({_line(problem)}); expected a rosbag2 recording")
+    raise InputError(f"{path}: cannot be read as a bag ({_one_line(problem)}); expected a rosbag2 recording")
 
 
 def _read_closed(path: Path, file: Path, topics: Collection[str] | None) -> Bag:
     with Reader(path if path.is_dir() and (path / "metadata.yaml").exists() else file) as reader:
-        entries = {connection.topic: Topic(connection.msgtype) for connection in reader.connections}
-        wanted = [connection for connection in reader.connections if _asked(connection.topic, topics)]
+        entries = {connection.topic: RecordedTopic(connection.msgtype) for connection in reader.connections}
+        wanted = [connection for connection in reader.connections if _selected(connection.topic, topics)]
         if wanted:
             for connection, stamp, data in reader.messages(wanted):
                 entries[connection.topic].stamps.append(stamp)
@@ -213,11 +220,11 @@ def _read_closed(path: Path, file: Path, topics: Collection[str] | None) -> Bag:
     return Bag(entries, _types(definitions), file)
 
 
-def _line(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _asked(topic: str, topics: Collection[str] | None) -> bool:
+def _selected(topic: str, topics: Collection[str] | None) -> bool:
     return topics is None or topic.rsplit("/", 1)[-1] in topics
 
 
@@ -226,7 +233,7 @@ def _storage_file(path: Path) -> Path:
         files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
         if not files:
             if (path / "metadata.yaml").exists():
-                raise InputError(f"{path}: the bag's storage file is missing; expected it beside metadata.yaml")
+                raise InputError(f"{path}: the bag's storage file is missing; expected it next to metadata.yaml")
             raise InputError(f"{path}: is a folder without an .mcap or .db3 file; expected a bag")
         if len(files) > 1 and not (path / "metadata.yaml").exists():
             names = ", ".join(file.name for file in files[:5]) + (", ..." if len(files) > 5 else "")
@@ -242,8 +249,8 @@ def _storage_file(path: Path) -> Path:
 _MAGIC = b"\x89MCAP0\r\n"
 
 
-def _ended(file: Path) -> bool:
-    """Whether an MCAP file has its end, or is none at all."""
+def _has_end(file: Path) -> bool:
+    """Whether an MCAP file has its end; also True for a file of another kind."""
     with file.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
             return True
@@ -252,21 +259,21 @@ def _ended(file: Path) -> bool:
 
 
 def _recover(file: Path, topics: Collection[str] | None) -> Bag:
-    """Read an MCAP file without its end."""
+    """Read an MCAP file that has no end."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    entries: dict[str, Topic] = {}
-    # Where the file breaks off, the reader meets half a record or half a compressed chunk.
+    entries: dict[str, RecordedTopic] = {}
+    # At the end of the file, the reader fails on half a record or half a compressed chunk.
     with suppress(Exception), file.open("rb") as stream:
         for record in StreamReader(stream).records:
             if isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
-                entries.setdefault(record.topic, Topic(schemas[record.schema_id].name))
+                entries.setdefault(record.topic, RecordedTopic(schemas[record.schema_id].name))
             elif isinstance(record, Message):
                 topic = channels[record.channel_id].topic
-                if _asked(topic, topics):
+                if _selected(topic, topics):
                     entries[topic].stamps.append(record.log_time)
                     entries[topic].messages.append(record.data)
     formats = {"ros2msg": Format.MSG, "ros2idl": Format.IDL}
@@ -277,14 +284,13 @@ def _recover(file: Path, topics: Collection[str] | None) -> Bag:
 
 
 def _types(definitions: Iterable[tuple[str, Format, str]]) -> Typestore:
-    """Types as the bag defines them; all as the bench does where an old bag leaves one of them undefined."""
-    store, missing = empty_typestore(), False
+    """Return the types as the bag defines them, or as the bench does where an old bag has no definition of one."""
+    store = empty_typestore()
     for name, kind, text in definitions:
         if name in store.fielddefs:
             continue
         if kind == Format.NONE:
-            missing = True
-            continue
+            return typestore()
         parsed = get_types_from_msg(text, name) if kind == Format.MSG else get_types_from_idl(text)
         store.register({key: value for key, value in parsed.items() if key not in store.fielddefs})
-    return typestore() if missing else store
+    return store

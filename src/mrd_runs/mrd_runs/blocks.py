@@ -1,7 +1,7 @@
-"""Blocks of samples as they stand serialised in a bag, decoded many at a time.
+"""Blocks of samples (BenchSamples messages): decoding them, and putting their samples on one clock.
 
-Ten minutes at 1 kHz are 30 000 blocks. Decoding them one by one takes as long as everything else in reading a run; blocks of
-one length have one layout, so numpy takes them as a table.
+Ten minutes at 1 kHz are 30 000 blocks, and decoding them one by one takes as long as the rest of reading a run. Messages of
+the same length have the same layout, so that numpy decodes all of them as one table.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
+from mrd_base import InputError
 from mrd_runs.definitions import SAMPLES_TYPE
 
 Array = NDArray[np.float64]
 SERIES = ("position", "force", "coil_current", "acceleration")
 _LITTLE_ENDIAN = b"\x00\x01"
 
-# The fields that `_decode_table` knows, as rosbags writes them; a bag with others is decoded by rosbags.
+# The fields that `decode_as_table` knows, as rosbags describes them. For other fields, rosbags decodes the messages.
 _SERIES_TYPE = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("float64", 0)), 0))
 LAYOUT = [
     ("header", (Nodetype.NAME, "std_msgs/msg/Header")),
@@ -32,18 +33,18 @@ LAYOUT = [
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks (m,) and their samples (n,), in the order given.
+    """Decoded blocks (m,) and their samples (n,), in the order of recording.
 
     Attributes
     ----------
     stamp : ndarray (m,) of int64
-        ns, of the first sample.
+        Time of the first sample of each block, in ns.
     period : ndarray (m,)
-        s.
+        Sampling period in s.
     sequence : ndarray (m,) of int64
-        Number of the first sample.
+        Number of the first sample of each block.
     count : ndarray (m,) of int64
-        Samples in the block.
+        Number of samples in each block.
     series : dict of str to ndarray (n,)
         Samples of all blocks, by field of the message.
     """
@@ -54,37 +55,59 @@ class Blocks:
     count: NDArray[np.int64]
     series: dict[str, Array]
 
+    @property
+    def sequence_jumps(self) -> NDArray[np.int64]:
+        """Jumps (m - 1,) of the sample numbers: > 0 where samples are missing, < 0 where the DAQ started to count again."""
+        jumps: NDArray[np.int64] = self.sequence[1:] - (self.sequence + self.count)[:-1]
+        return jumps
+
+    @property
+    def lost(self) -> int:
+        """Number of samples that are missing by their sequence numbers."""
+        return int(self.sequence_jumps.clip(min=0).sum())
+
+    def starting_at(self, first: int) -> "Blocks":
+        """Return the blocks from an index on."""
+        skipped = int(self.count[:first].sum())
+        return Blocks(
+            self.stamp[first:],
+            self.period[first:],
+            self.sequence[first:],
+            self.count[first:],
+            {name: values[skipped:] for name, values in self.series.items()},
+        )
+
 
 def decode_blocks(messages: Sequence[bytes], types: Typestore) -> Blocks:
-    """Decode serialised BenchSamples.
+    """Decode serialised BenchSamples messages.
 
     Parameters
     ----------
     messages : sequence of bytes
-        CDR, as in the bag.
+        CDR encoding, as in the bag.
     types : Typestore
-        The types as the bag defines them.
+        Message types as the bag defines them.
 
     Raises
     ------
     ValueError, struct.error or another error of rosbags
-        For damaged bytes, or series of unequal lengths in a block.
+        For damaged bytes, or for series of unequal length in a block.
     """
-    usual = types.fielddefs[SAMPLES_TYPE][1] == LAYOUT
+    known_layout = types.fielddefs[SAMPLES_TYPE][1] == LAYOUT
     parts = []
     for _, group in groupby(messages, key=len):
         same_length = list(group)
-        part = _decode_table(same_length) if usual else None
-        parts.append(part or _decode_singly(same_length, types))
+        part = decode_as_table(same_length) if known_layout else None
+        parts.append(part or decode_with_rosbags(same_length, types))
     return _join(parts)
 
 
-def _decode_table(messages: list[bytes]) -> Blocks | None:
-    """Decode messages of one length as a table; None when they have not one layout."""
+def decode_as_table(messages: list[bytes]) -> Blocks | None:
+    """Decode messages of the same length as a table; return None when their layouts differ."""
     first = messages[0]
     if len(first) < 44 or first[:2] != _LITTLE_ENDIAN:
         return None
-    # After four bytes of encapsulation numbers are aligned to their size; the frame's name is padded.
+    # CDR: after four bytes of encapsulation, every number is aligned to its size, so the name of the frame is padded.
     frame = int.from_bytes(first[12:16], "little")
     after_frame = 4 + -(-(12 + frame) // 8) * 8
     if after_frame + 20 > len(first):
@@ -117,12 +140,13 @@ def _decode_table(messages: list[bytes]) -> Blocks | None:
     )
 
 
-def _decode_singly(messages: list[bytes], types: Typestore) -> Blocks:
+def decode_with_rosbags(messages: list[bytes], types: Typestore) -> Blocks:
+    """Decode messages one by one; slower than `decode_as_table`, for any layout."""
     decoded: list[Any] = [types.deserialize_cdr(message, SAMPLES_TYPE) for message in messages]
     for block in decoded:
         lengths = {name: len(getattr(block, name)) for name in SERIES}
         if len(set(lengths.values())) > 1:
-            raise ValueError(f"a block has series of unequal lengths {lengths}")
+            raise ValueError(f"a block has series of unequal lengths: {lengths}")
     return Blocks(
         np.array([block.header.stamp.sec * 10**9 + block.header.stamp.nanosec for block in decoded], np.int64),
         np.array([block.sample_period for block in decoded], np.float64),
@@ -141,3 +165,60 @@ def _join(parts: list[Blocks]) -> Blocks:
         np.concatenate([empty, *(part.count for part in parts)]),
         {name: np.concatenate([np.empty(0), *(part.series[name] for part in parts)]) for name in SERIES},
     )
+
+
+def sample_columns(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[str, Any]]:
+    """Return the samples as columns for `make_run`, with times on the clock of the DAQ.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        In the order of recording.
+    where : str
+        Prefix of error messages.
+
+    Returns
+    -------
+    columns : dict of str to ndarray (n,)
+    timing : dict
+        ``lost`` (number of missing samples), ``jitter_s`` (standard deviation of the stamps about the sample clock),
+        ``first_stamp_s``.
+    """
+    columns = {
+        "position_m": blocks.series["position"],
+        "current_A": blocks.series["coil_current"],
+        "force_N": blocks.series["force"],
+        "acceleration_mps2": blocks.series["acceleration"],
+    }
+    # A bench without accelerometer sends NaN.
+    if np.isnan(columns["acceleration_mps2"]).all():
+        del columns["acceleration_mps2"]
+    if len(blocks.stamp) == 0:
+        return {"time_s": np.empty(0), **columns}, {"lost": 0, "jitter_s": 0.0}
+    usable = np.isfinite(blocks.period) & (blocks.period > 0)
+    if not usable.all():
+        index = int(np.argmin(usable))
+        raise InputError(f"{where}: block {index} has the sample period {blocks.period[index]} s, expected a positive one")
+    time, jitter = _sample_times(blocks)
+    timing = {"lost": blocks.lost, "jitter_s": jitter, "first_stamp_s": float(blocks.stamp[0] * 1e-9)}
+    return {"time_s": time, **columns}, timing
+
+
+def _sample_times(blocks: Blocks) -> tuple[Array, float]:
+    """Return the times (n,) of the samples since the first one, in s, and the jitter of the stamps in s."""
+    elapsed = 1e-9 * (blocks.stamp - blocks.stamp[0])
+    # A segment ends where the DAQ was restarted or its rate was changed. Within a segment the sample numbers tell the time;
+    # the stamps tell when the segment starts.
+    rate_changes = np.abs(np.diff(blocks.period)) > 1e-9 * blocks.period[0]
+    cuts = np.flatnonzero((blocks.sequence_jumps < 0) | rate_changes) + 1
+    times, jitter = [], 0.0
+    for first, last in zip([0, *cuts], [*cuts, len(elapsed)], strict=True):
+        # Dividing by a whole rate gives 0.007, multiplying by the period gives 0.007000000000000001.
+        rate = 1 / blocks.period[first]
+        rate = round(rate) if abs(rate - round(rate)) < 1e-6 * rate else rate
+        count = blocks.count[first:last]
+        numbers = blocks.sequence[first:last] - blocks.sequence[first]
+        jitter = max(jitter, float(np.std(elapsed[first:last] - numbers / rate)))
+        number_in_block = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        times.append(elapsed[first] + (np.repeat(numbers, count) + number_in_block) / rate)
+    return np.concatenate(times), jitter

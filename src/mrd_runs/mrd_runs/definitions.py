@@ -1,7 +1,6 @@
-"""The message definitions that a bag carries, as rosbags types; no ROS is needed."""
+"""Message definitions that a bag contains, as rosbags types; no ROS is needed."""
 
 import os
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,11 @@ SAMPLES_TYPE = "mrd_interfaces/msg/BenchSamples"
 
 
 def interface_folder() -> Path:
-    """Folder with the ``.msg`` files of mrd_interfaces: of the environment entered, else beside this package."""
+    """Return the folder with the ``.msg`` files of mrd_interfaces, in the active environment or beside this package."""
     prefixes = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
-    beside = [parent / "mrd_interfaces" for parent in Path(__file__).resolve().parents]
     candidates = [prefix / "share/mrd_interfaces" for prefix in prefixes]
-    # A source tree (src/mrd_interfaces/msg), an install tree of separate prefixes, a merged one.
-    for folder in beside:
+    # Beside this package in a source tree (src/mrd_interfaces/msg), in separate install prefixes, or in a merged prefix.
+    for folder in (parent / "mrd_interfaces" for parent in Path(__file__).resolve().parents):
         candidates += [folder, folder / "share/mrd_interfaces", folder.parent / "share/mrd_interfaces"]
     for candidate in candidates:
         if (candidate / "msg/BenchSamples.msg").is_file():
@@ -30,13 +28,12 @@ def interface_folder() -> Path:
 
 
 def empty_typestore() -> Typestore:
-    """A typestore with the standard messages of ROS 2 Jazzy only."""
+    """Return a typestore with the standard messages of ROS 2 Jazzy only."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-@cache
 def typestore() -> Typestore:
-    """The typestore with the standard messages and those of mrd_interfaces."""
+    """Return a typestore with the standard messages of ROS 2 Jazzy and those of mrd_interfaces."""
     store = empty_typestore()
     for file in sorted(interface_folder().glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"mrd_interfaces/msg/{file.stem}"))
@@ -44,6 +41,6 @@ def typestore() -> Typestore:
 
 
 def type_name(message_type: Any) -> str:
-    """Full name of a ROS message class, as bags have it."""
+    """Return the full name of a ROS message class, as bags have it."""
     package, kind, _ = message_type.__module__.split(".")
     return f"{package}/{kind}/{message_type.__name__}"

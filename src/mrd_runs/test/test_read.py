@@ -1,4 +1,4 @@
-"""CSV files, unusable input of every kind, many runs at once."""
+"""CSV files, unusable input of every kind, several runs."""
 
 import pickle
 import shutil
@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
-from mrd_runs.import_csv import import_run
+from mrd_runs.bag_import import import_run
 
 
-def test_csv_comes_back_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
+def test_csv_is_read_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
     shuffled = {"remark": np.zeros(1000)} | dict(reversed(list(columns.items())))
     shuffled["temperature_C"] = np.linspace(20, 30, 1000)
     run = read_run(write_csv(tmp_path / "run.csv", shuffled))
@@ -29,7 +29,7 @@ def test_csv_comes_back_bit_by_bit_in_any_order(tmp_path: Path, columns, write_c
     assert run.rate == pytest.approx(1000)
 
 
-def test_velocity_of_the_recording_is_taken(tmp_path: Path, columns, write_csv) -> None:
+def test_recorded_velocity_is_used(tmp_path: Path, columns, write_csv) -> None:
     columns["velocity_mps"] = 0.0942 * np.cos(2 * np.pi * 1.5 * columns["time_s"])
     run = read_run(write_csv(tmp_path / "run.csv", columns))
     np.testing.assert_array_equal(run.velocity, columns["velocity_mps"])
@@ -102,12 +102,12 @@ def test_other_columns_in_other_units(columns) -> None:
         (b"time_s,position_m,force_N\n0,0,0\n", r"column current_A is missing \(found: time_s, position_m, force_N\)"),
         (b"time_s;position_m;current_A;force_N\n0;0;0;0\n", "columns are separated by commas"),
         (b"0,0,0,0\n", "column time_s, position_m, current_A, force_N is missing"),
-        (b"\x00\x01\x02\xff" * 100, "is no text"),
-        (b"\x89PNG\r\n\x1a\n\xff\xfe", "is no text"),
+        (b"\x00\x01\x02\xff" * 100, "is not text"),
+        (b"\x89PNG\r\n\x1a\n\xff\xfe", "is not text"),
         (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0,zero,0\n", "line 3: current_A is 'zero', expected a number"),
         (b"time_s,position_m,current_A,force_N\n0,0,0,0\n\n1,0,,0\n", "line 4: current_A is nothing"),
         (b"time_s,position_m,current_A,force_N\n0,0,0,0\n1,0\n", "line 3: has 2 cells, expected 4"),
-        (b"time_s,position_m,current_A,force_N,force_N\n0,0,0,0,0\n", "column force_N stands 2 times"),
+        (b"time_s,position_m,current_A,force_N,force_N\n0,0,0,0,0\n", "column force_N appears 2 times"),
     ],
 )
 def test_unusable_files(tmp_path: Path, content: bytes, message: str) -> None:
@@ -133,8 +133,8 @@ def test_any_bytes_give_a_run_or_one_line(tmp_path_factory, read_or_refuse, cont
     file = tmp_path_factory.getbasetemp() / "any.csv"
     for text in (content, b"time_s,position_m,current_A,force_N\n" + content):
         file.write_bytes(text)
-        found = read_or_refuse(file)
-        assert not isinstance(found, str) or "\n" not in found
+        result = read_or_refuse(file)
+        assert not isinstance(result, str) or "\n" not in result
 
 
 @settings(max_examples=50, deadline=None)
@@ -148,7 +148,7 @@ def test_every_number_survives_the_csv(tmp_path_factory, positions: list[float])
     assert np.isfinite(run.velocity).all()
 
 
-def test_names_are_unique_and_recordings_given_once(tmp_path: Path, make_columns, write_csv) -> None:
+def test_names_are_unique_and_the_same_recording_is_refused(tmp_path: Path, make_columns, write_csv) -> None:
     for index, folder in enumerate(("a", "b")):
         (tmp_path / folder).mkdir()
         write_csv(tmp_path / folder / "run.csv", make_columns(seed=index))
@@ -169,7 +169,7 @@ def test_csv_and_the_bag_made_of_it_are_the_same_recording(tmp_path: Path, make_
     assert len(read_runs([file, write_csv(tmp_path / "other.csv", other)])) == 2
 
 
-def test_runs_travel_to_other_processes(columns) -> None:
+def test_runs_can_be_pickled(columns) -> None:
     run = make_run("run", columns)
     copy = pickle.loads(pickle.dumps(run))
     np.testing.assert_array_equal(copy.velocity, run.velocity)

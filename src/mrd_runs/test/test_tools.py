@@ -1,23 +1,50 @@
-"""The tools `info` and `import_csv`, as processes."""
+"""The tools `info` and `import_csv`."""
 
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run
-from mrd_runs.import_csv import import_run
+from mrd_runs.bag_import import import_run
+from mrd_runs.cli import import_csv, info
 from mrd_runs.summary import count_reversals, summarise
 
 
-def tool(name: str, *arguments: object) -> subprocess.CompletedProcess[str]:
-    command = ["ros2", "run", "mrd_runs", name, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, env=None)
+class Result(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def test_imported_csv_reads_sample_for_sample(tmp_path: Path, make_columns, write_csv) -> None:
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Result]:
+    def run(name: str, *arguments: object) -> Result:
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        try:
+            {"import_csv": import_csv.main, "info": info.main}[name]()
+        except SystemExit as end:
+            return Result(int(end.code or 0), *capsys.readouterr())
+        return Result(0, *capsys.readouterr())
+
+    return run
+
+
+def test_executables_run_as_processes(tmp_path: Path) -> None:
+    for name, arguments in (
+        ("import_csv", [tmp_path / "absent.csv", "--output", tmp_path]),
+        ("info", [tmp_path / "absent"]),
+    ):
+        process = subprocess.run(["ros2", "run", "mrd_runs", name, *map(str, arguments)], capture_output=True, text=True)
+        assert (process.returncode, process.stdout, process.stderr.count("\n")) == (2, "", 1)
+
+
+def test_imported_csv_reads_sample_for_sample(tool, tmp_path: Path, make_columns, write_csv) -> None:
     uneven = make_columns(777, seed=1)
     uneven["time_s"] = 12.5 + np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 777))
     uneven["temperature_C"] = np.linspace(20, 31, 777)
@@ -33,7 +60,7 @@ def test_imported_csv_reads_sample_for_sample(tmp_path: Path, make_columns, writ
         assert back.info["imported_from"] == file.name
 
 
-def test_import_overwrites_nothing_and_writes_nothing_half(tmp_path: Path, columns, write_csv) -> None:
+def test_import_overwrites_nothing_and_leaves_no_part_behind(tool, tmp_path: Path, columns, write_csv) -> None:
     good = write_csv(tmp_path / "good.csv", columns)
     (tmp_path / "bad.csv").write_text("time_s\n1\n")
     result = tool("import_csv", good, tmp_path / "bad.csv", "--output", tmp_path / "bags")
@@ -50,19 +77,19 @@ def test_import_overwrites_nothing_and_writes_nothing_half(tmp_path: Path, colum
 
 
 @pytest.mark.parametrize("start", [-5.0, 2.0**31 - 0.5, 1e11])
-def test_times_without_a_ros_stamp_come_back(tmp_path: Path, columns, write_csv, start: float) -> None:
+def test_times_without_a_ros_stamp_are_read_back(tmp_path: Path, columns, write_csv, start: float) -> None:
     file = write_csv(tmp_path / "run.csv", columns | {"time_s": start + columns["time_s"]})
     import_run(read_run(file), tmp_path / "bags/run")
     np.testing.assert_array_equal(read_run(tmp_path / "bags/run").time, read_run(file).time)
 
 
-@pytest.mark.parametrize("failing", ["typestore", "_stamps"])
+@pytest.mark.parametrize("failing", ["format_run_info", "file_format"])
 def test_failed_import_leaves_nothing_behind(tmp_path: Path, columns, write_csv, monkeypatch, failing: str) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise InputError("no")
 
     run = read_run(write_csv(tmp_path / "run.csv", columns))
-    monkeypatch.setattr(f"mrd_runs.import_csv.{failing}", fail)
+    monkeypatch.setattr(f"mrd_runs.bag_import.{failing}", fail)
     with pytest.raises(InputError, match="no"):
         import_run(run, tmp_path / "new/bags/run")
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
@@ -76,17 +103,17 @@ def test_recording_longer_than_stamps_reach(tmp_path: Path, columns, write_csv) 
     assert not (tmp_path / "bags").exists()
 
 
-def test_folders_are_not_imported(tmp_path: Path, columns, fill_bag) -> None:
+def test_folders_are_not_imported(tool, tmp_path: Path, columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", columns).close()
     assert tool("import_csv", tmp_path / "run", "--output", tmp_path / "bags").stderr.endswith(
-        "run: is a bag already; expected a CSV file\n"
+        "run: is a bag or a folder; expected a CSV file\n"
     )
     assert tool("import_csv", tmp_path, "--output", tmp_path / "bags").stderr.endswith(
-        f"{tmp_path}: is a folder; expected a CSV file\n"
+        f"{tmp_path}: is a bag or a folder; expected a CSV file\n"
     )
 
 
-def test_info_tells_what_a_run_is(tmp_path: Path, columns, fill_bag) -> None:
+def test_info_shows_the_summary(tool, tmp_path: Path, columns, fill_bag) -> None:
     writer = fill_bag(tmp_path / "run", columns, skip=(3,))
     writer.flush()
     result = tool("info", tmp_path / "run")
@@ -96,7 +123,7 @@ def test_info_tells_what_a_run_is(tmp_path: Path, columns, fill_bag) -> None:
     writer.close()
 
 
-def test_info_refuses_in_one_line(tmp_path: Path) -> None:
+def test_info_refuses_in_one_line(tool, tmp_path: Path) -> None:
     result = tool("info", tmp_path / "absent")
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
@@ -111,8 +138,9 @@ def test_reversals(cycles: int) -> None:
 
 
 def test_summary(columns) -> None:
-    figures = summarise(make_run("run", columns))
-    assert figures.stroke == pytest.approx(0.02, rel=0.01)
-    assert figures.peak_speed == pytest.approx(0.01 * 2 * np.pi * 1.5, rel=0.02)
-    assert figures.reversals == 3
-    assert figures.rate == pytest.approx(1000)
+    rows = summarise(make_run("run", columns, {"source": "here"}))
+    assert float(rows["stroke"].split()[0]) == pytest.approx(20, rel=0.01)
+    assert float(rows["peak speed"].split()[0]) == pytest.approx(10 * 2 * np.pi * 1.5, rel=0.02)
+    assert rows["reversals"] == "3"
+    assert rows["rate"] == "1000 Hz"
+    assert "seed" not in rows

@@ -1,1 +1,1 @@
-"""What the rod and the coil should do: waveforms, transitions, experiments, limits."""
+"""Setpoints of rod and coil: waveforms, transitions, experiments, limits, plans."""

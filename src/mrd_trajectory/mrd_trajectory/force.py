@@ -1,4 +1,4 @@
-"""Largest force to expect of the damper, before anything moves."""
+"""Largest force to expect of the damper, to check an experiment before the rod moves."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from mrd_base import quantity
 
-# Works element by element on arrays as on single numbers.
+# The methods take and return single numbers or arrays.
 T = TypeVar("T", float, NDArray[np.float64])
 
 
 @dataclass(frozen=True)
 class ForceEnvelope:
-    """Bingham envelope of the damper's force, affine in the coil current (Stanway, Sproston & Stevens 1987).
+    """Bingham model (Stanway, Sproston & Stevens 1987) of the largest force of the damper, affine in the coil current.
 
     The defaults were fitted to measured dampers of the RD-8040-1 class at 0 to 1 A.
     """
@@ -26,21 +26,21 @@ class ForceEnvelope:
     viscosity_slope: float = quantity(4304.0, "N s/m/A", "rise of the viscosity with the current", lower=0, upper=1e6)
 
     def force(self, speed: T, current: T) -> T:
-        """Largest force in N at speeds in m/s and currents in A, both ≥ 0."""
+        """Return the largest force in N at speeds in m/s and currents in A, both ≥ 0."""
         return self.at_rest(current) + self.slope(current) * speed
 
     def at_rest(self, current: T) -> T:
-        """Largest force in N before the fluid flows."""
+        """Return the largest force in N before the fluid yields."""
         return self.offset + self.yield_force + self.yield_slope * current
 
     def slope(self, current: T) -> T:
-        """Rise of the largest force with the speed, in N·s/m."""
+        """Return the slope of the largest force over the speed, in N·s/m."""
         return self.viscosity + self.viscosity_slope * current
 
     def current(self, force: float, speed: T) -> T:
-        """Current in A at which the force is reached at a speed; negative where the speed alone exceeds it."""
+        """Return the current in A that gives a force in N at a speed; negative where the speed alone gives more."""
         return (force - self.force(speed, 0.0 * speed)) / (self.yield_slope + self.viscosity_slope * speed)
 
     def speed(self, force: float, current: T) -> T:
-        """Speed in m/s at which the force is reached at a current; negative where the current alone exceeds it."""
+        """Return the speed in m/s that gives a force in N at a current; negative where the current alone gives more."""
         return (force - self.at_rest(current)) / self.slope(current)

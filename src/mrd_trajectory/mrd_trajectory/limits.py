@@ -1,4 +1,4 @@
-"""What the bench may do: limits on motion, force and current."""
+"""Limits of bench and damper on motion, force and current."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,11 @@ from mrd_base import quantity
 class Limits:
     """Limits of bench and damper; the section ``limits`` of bench.yaml.
 
-    The position is 0 at mid-stroke, so that the rod may be anywhere within ± half of ``stroke`` less ``margin``.
+    The position is 0 at mid-stroke. Its magnitude may be up to half of ``stroke`` less ``margin``.
     """
 
     stroke: float = quantity(0.055, "mm", "travel of the damper, end to end (LORD RD-8040-1: 55 mm)", lower=1e-3, upper=1)
-    margin: float = quantity(0.0015, "mm", "kept free at either end of the stroke", lower=0, upper=0.1)
+    margin: float = quantity(0.0015, "mm", "kept free at both ends of the stroke", lower=0, upper=0.1)
     speed: float = quantity(0.2, "mm/s", "of the rod", lower=1e-3, upper=2)
     acceleration: float = quantity(10.0, "m/s2", "of the rod", lower=0.01, upper=200)
     jerk: float = quantity(1000.0, "m/s3", "of the rod", lower=0.1, upper=1e6)
@@ -23,5 +23,5 @@ class Limits:
 
     @property
     def reach(self) -> float:
-        """Largest allowed distance from mid-stroke in m."""
+        """Largest allowed distance of the rod from mid-stroke, in m."""
         return self.stroke / 2 - self.margin

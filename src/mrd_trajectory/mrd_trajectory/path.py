@@ -1,4 +1,4 @@
-"""Piecewise polynomials of time: one form for every motion, with exact derivatives."""
+"""Paths: position or current as piecewise polynomials of time, with exact derivatives."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,38 +9,44 @@ from scipy.interpolate import PPoly
 
 Array = NDArray[np.float64]
 
-# Coefficients of every path, so that paths can be joined: quintic.
-_ORDER = 6
+# Number of coefficients of a quintic; paths with fewer are padded so that they can be concatenated.
+_COEFFICIENTS = 6
 
 
-class State(NamedTuple):
-    """Where the rod is and how it moves: m, m/s, m/s²."""
+class MotionState(NamedTuple):
+    """Position (m), velocity (m/s) and acceleration (m/s²) of the rod at an instant."""
 
     position: float
     velocity: float = 0.0
     acceleration: float = 0.0
 
 
-REST = State(0.0)
+# At rest at mid-stroke.
+REST = MotionState(0.0)
 
 
-def state_at(path: PPoly, time: float) -> State:
-    """State on a path at one time; at a break, the one after it."""
-    return State(*(float(path(time, nu)) for nu in range(3)))
+def state_at(path: PPoly, time: float) -> MotionState:
+    """Return the state on a path at a time; at a break between two pieces, that of the later piece."""
+    return MotionState(*(float(path(time, derivative)) for derivative in range(3)))
 
 
-def hermite(times: Array, level: Array, rate: Array, curvature: Array) -> PPoly:
-    """Quintic spline through points with given first and second derivatives.
+def end_state(path: PPoly) -> MotionState:
+    """Return the state at the end of a path."""
+    return state_at(PPoly(path.c[:, -1:], path.x[-2:]), float(path.x[-1]))
+
+
+def quintic_hermite(times: Array, level: Array, rate: Array, curvature: Array) -> PPoly:
+    """Return the quintic Hermite interpolation of points with given first and second derivatives.
 
     Parameters
     ----------
     times, level, rate, curvature : ndarray (n,)
-        Strictly increasing times; values and derivatives there. n ≥ 2.
+        Strictly increasing times, and values and derivatives at them; n ≥ 2.
 
     Returns
     -------
     PPoly
-        Twice continuously differentiable; between points its error is of sixth order in their spacing.
+        Twice continuously differentiable; its error is of sixth order in the spacing of the points.
     """
     h = np.diff(times)
     x, v, a = level[:-1], rate[:-1], curvature[:-1]
@@ -55,10 +61,10 @@ def hermite(times: Array, level: Array, rate: Array, curvature: Array) -> PPoly:
     )
 
 
-def from_jerk(start: State, durations: Sequence[float], jerks: Sequence[float]) -> PPoly:
-    """Path from a state through pieces of constant jerk; pieces without duration are left out."""
+def constant_jerk_path(start: MotionState, durations: Sequence[float], jerks: Sequence[float]) -> PPoly:
+    """Return the path from a state through pieces of constant jerk; pieces without duration are omitted."""
     pieces = [(h, j) for h, j in zip(durations, jerks, strict=True) if h > 0] or [(0.0, 0.0)]
-    coefficients, times = np.zeros((_ORDER, len(pieces))), np.zeros(len(pieces) + 1)
+    coefficients, times = np.zeros((_COEFFICIENTS, len(pieces))), np.zeros(len(pieces) + 1)
     x, v, a = start
     for i, (h, j) in enumerate(pieces):
         coefficients[2:, i] = j / 6, a / 2, v, x
@@ -67,17 +73,17 @@ def from_jerk(start: State, durations: Sequence[float], jerks: Sequence[float]) 
     return PPoly(coefficients, times)
 
 
-def resting(position: float, duration: float) -> PPoly:
-    """Rest at one position."""
-    return from_jerk(State(position), [duration], [0.0])
+def rest_path(position: float, duration: float) -> PPoly:
+    """Return a path that rests at a position."""
+    return constant_jerk_path(MotionState(position), [duration], [0.0])
 
 
-def joined(paths: Sequence[PPoly]) -> PPoly:
-    """Paths one after the other, each from the end of the one before."""
+def concatenate(paths: Sequence[PPoly]) -> PPoly:
+    """Return the paths one after the other, each starting at the end time of the one before."""
     coefficients, times = [], [np.zeros(1)]
     for path in paths:
         if path.x[-1] > path.x[0]:
-            missing = _ORDER - len(path.c)
+            missing = _COEFFICIENTS - len(path.c)
             coefficients.append(np.pad(path.c, ((missing, 0), (0, 0))))
             times.append(times[-1][-1] + path.x[1:] - path.x[0])
     if not coefficients:
@@ -86,24 +92,25 @@ def joined(paths: Sequence[PPoly]) -> PPoly:
 
 
 def cut(path: PPoly, duration: float) -> PPoly:
-    """The first ``duration`` of a path that starts at 0."""
+    """Return the first ``duration`` s of a path that starts at time 0."""
     count = int(np.searchsorted(path.x, duration * (1 - 1e-12)))
     return PPoly(path.c[:, :count], np.append(path.x[:count], duration))
 
 
 def extremes(path: PPoly, derivative: int = 0) -> tuple[float, float]:
-    """Smallest and largest value of a derivative of a path, between its breaks as well as at them."""
+    """Return the smallest and the largest value of a derivative of a path."""
     function = path.derivative(derivative)
     roots = function.derivative().roots(discontinuity=False, extrapolate=False)
-    inner = function(roots[np.isfinite(roots)])
+    at_roots = function(roots[np.isfinite(roots)])
+    # At a break both pieces count: the start of every piece, and its end by Horner's scheme.
     ends = np.zeros(len(path.x) - 1)
     for row in function.c:
         ends = ends * np.diff(path.x) + row
-    values = np.concatenate([function.c[-1], ends, inner])
+    values = np.concatenate([function.c[-1], ends, at_roots])
     return float(values.min()), float(values.max())
 
 
-def largest(path: PPoly, derivative: int = 0) -> float:
-    """Largest magnitude of a derivative of a path."""
+def largest_magnitude(path: PPoly, derivative: int = 0) -> float:
+    """Return the largest magnitude of a derivative of a path."""
     low, high = extremes(path, derivative)
     return max(-low, high)

@@ -1,4 +1,4 @@
-"""What the generator and the tools take from bench.yaml."""
+"""Settings of the generator and of the tools, from bench.yaml."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from mrd_trajectory.limits import Limits
 
 @dataclass(frozen=True)
 class GeneratorSettings:
-    """Section ``generator`` of bench.yaml, with the shared ``limits``."""
+    """Section ``generator`` of bench.yaml, with the shared section ``limits``."""
 
     time_scale: float = bench_time_scale()
     setpoint_rate: float = quantity(100.0, "Hz", "setpoints per second", lower=1, upper=2000)
@@ -21,7 +21,7 @@ class GeneratorSettings:
 
 
 def read_settings(bench: str | Path | None) -> GeneratorSettings:
-    """Settings from a bench.yaml; the defaults without one."""
+    """Read the settings from a bench.yaml; return the defaults without one."""
     if bench is None:
         return GeneratorSettings()
     return from_mapping(GeneratorSettings, read_node_parameters(bench, "generator"), str(bench))

@@ -1,4 +1,4 @@
-"""The standard set of experiments: within the limits of the shipped bench, and as wide as they allow."""
+"""The standard set of experiments keeps the limits of the shipped bench and uses their range."""
 
 import dataclasses
 from pathlib import Path
@@ -26,7 +26,7 @@ def test_the_runs_are_numbered_in_the_order_of_their_recording(plans):
     assert [name[:3] for name in names] == [f"{number:02}_" for number in range(1, len(names) + 1)]
 
 
-def test_each_says_what_it_tells_apart_and_needs_no_file_beside_it(plans):
+def test_each_has_a_description_and_needs_no_other_file(plans):
     for p in plans:
         assert 40 < len(p.experiment.description) < 125, p.experiment.name
         assert parse_experiment(format_experiment(p.experiment), "text") == p.experiment
@@ -48,7 +48,7 @@ def test_the_set_reaches_as_far_as_the_limits_allow(plans):
     assert reached.max() > 0.99
 
 
-def test_long_shares_of_the_set_move_at_constant_speeds_two_decades_apart(plans):
+def test_the_set_has_seconds_of_constant_speed_in_four_decades(plans):
     setpoints = [p.at(p.times()) for p in plans]
     steady = np.concatenate([np.abs(s.velocity[np.abs(s.acceleration) < 1e-6]) for s in setpoints])
     seconds, edges = np.histogram(np.log10(steady[steady > 1e-5]), [-4, -3, -2, -1, 0])

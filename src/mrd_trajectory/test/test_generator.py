@@ -1,4 +1,4 @@
-"""The generator as a process: it streams what it was asked to, when it was asked to, and stops."""
+"""The generator as a process: it publishes the setpoints of a started experiment, and stops."""
 
 import signal
 import subprocess
@@ -30,8 +30,8 @@ coil: {waveform: prbs, low_mA: 0, high_mA: 150, bit_s: 0.2}
 SCALE = 2.0
 
 
-class Bench:
-    """The rest of the bench: hears the generator and calls it."""
+class Client:
+    """Client of the generator: receives its setpoints and states, and calls its services."""
 
     def __init__(self):
         self.node = rclpy.create_node("rest_of_the_bench", namespace="test")
@@ -87,7 +87,7 @@ def start_generator():
 @pytest.fixture
 def bench():
     rclpy.init()
-    bench = Bench()
+    bench = Client()
     yield bench
     bench.node.destroy_node()
     rclpy.shutdown()
@@ -120,9 +120,9 @@ def test_streams_the_plan_and_comes_to_rest(bench, start_generator):
     assert np.median(np.diff(stamps)) == pytest.approx(0.01, rel=0.1)
     at = expected.at(stamps - start)
     for field, values in zip(("position", "velocity", "acceleration", "coil_current"), at, strict=True):
-        heard = np.array([getattr(message, field) for message in bench.setpoints])
+        received = np.array([getattr(message, field) for message in bench.setpoints])
         # The stamp is cut to nanoseconds, so a switch of the coil may fall on either side of it.
-        close = np.isclose(heard, values, atol=1e-5)
+        close = np.isclose(received, values, atol=1e-5)
         assert close.mean() > 0.98, field
         assert close.all() or field == "coil_current"
     last = bench.setpoints[-1]
@@ -137,7 +137,7 @@ def test_streams_the_plan_and_comes_to_rest(bench, start_generator):
     assert process.wait(timeout=10) == 0
 
 
-def test_what_exceeds_the_limits_is_not_loaded_and_forgets_the_one_before(bench, start_generator):
+def test_an_experiment_beyond_the_limits_unloads_the_previous_one(bench, start_generator):
     start_generator("limits.stroke_mm:=30.0")
     assert bench.call("load_experiment", experiment=TEXT).success
     refused = bench.call("load_experiment", experiment=TEXT.replace("amplitude_mm: 5", "amplitude_mm: 14"))
@@ -148,26 +148,24 @@ def test_what_exceeds_the_limits_is_not_loaded_and_forgets_the_one_before(bench,
     assert bench.setpoints == []
 
 
-@pytest.mark.parametrize("how", ["abort", "emergency stop"])
-def test_a_stop_stops_the_stream(bench, start_generator, how):
+def test_abort_and_emergency_stop_end_the_setpoints(bench, start_generator):
     start_generator()
-    assert bench.call("load_experiment", experiment=TEXT).success
-    assert bench.call("start_experiment").success
-    bench.until(lambda: len(bench.setpoints) > 20)
-    if how == "abort":
-        assert bench.call("abort_experiment").success
-    else:
-        bench.stop.publish(Bool(data=True))
-    bench.until(lambda: bench.states[-1] == "aborted")
-    count = len(bench.setpoints)
-    bench.during(0.3)
-    assert len(bench.setpoints) == count
-    assert not bench.call("start_experiment").success
-    bench.during(0.2)
-    assert len(bench.setpoints) == count
+    for end in (lambda: bench.call("abort_experiment"), lambda: bench.stop.publish(Bool(data=True))):
+        assert bench.call("load_experiment", experiment=TEXT).success
+        assert bench.call("start_experiment").success
+        count = len(bench.setpoints)
+        bench.until(lambda count=count: len(bench.setpoints) > count + 20)
+        end()
+        bench.until(lambda: bench.states[-1] == "aborted")
+        count = len(bench.setpoints)
+        bench.during(0.3)
+        assert len(bench.setpoints) == count
+        assert not bench.call("start_experiment").success
+        bench.during(0.2)
+        assert len(bench.setpoints) == count
 
 
-def test_a_latched_emergency_stop_keeps_it_from_starting(bench, start_generator):
+def test_a_latched_emergency_stop_prevents_the_start(bench, start_generator):
     bench.stop.publish(Bool(data=True))  # before the generator lives: latched
     start_generator()
     assert bench.call("load_experiment", experiment=TEXT).success
@@ -181,7 +179,7 @@ def test_a_latched_emergency_stop_keeps_it_from_starting(bench, start_generator)
     bench.until(lambda: bench.setpoints)
 
 
-def test_after_a_stall_it_does_not_go_on(bench, start_generator):
+def test_a_stall_aborts_the_run(bench, start_generator):
     # A stopped process, not a stopped `ros2 run`: the stand-in replaces itself by the node.
     process = start_generator()
     assert bench.call("load_experiment", experiment=TEXT).success
@@ -196,7 +194,7 @@ def test_after_a_stall_it_does_not_go_on(bench, start_generator):
     assert len(bench.setpoints) == count
 
 
-def test_a_wrong_parameter_is_one_line(start_generator):
+def test_a_wrong_parameter_is_refused_in_one_line(start_generator):
     process = start_generator("setpoint_rate:=100.0")
     _, err = process.communicate(timeout=20)
     assert process.returncode == 2

@@ -1,4 +1,4 @@
-"""Plans: within every limit, continuous, from rest to rest; and refusals whose remedy works."""
+"""Plans keep every limit, are continuous and go from rest to rest; the remedies of refusals work."""
 
 import re
 from pathlib import Path
@@ -170,19 +170,19 @@ def test_the_body_is_the_waveform():
         np.testing.assert_allclose(at.acceleration, -0.008 * w**2 * np.sin(w * time), atol=1e-4)
 
 
-def test_the_way_to_a_gentle_waveform_is_gentle():
+def test_the_lead_in_to_a_gentle_waveform_is_gentle():
     p = planned({"waveform": "staircase", "levels_mm": [20.0], "hold_s": 1.0})
     peaks = {peak.quantity: peak for peak in p.peaks}
     assert peaks["speed"].value == pytest.approx(100, rel=1e-5)
     assert peaks["acceleration"].value <= 2.5 * (1 + 1e-5)
 
 
-def test_the_way_to_a_fast_waveform_takes_what_it_needs():
+def test_the_lead_in_to_a_fast_waveform_is_faster():
     p = planned({"waveform": "sine", "amplitude_mm": 20.0, "frequency_hz": 1.4})
     assert np.abs(p.at(np.linspace(0, p.body[0], 1000)).velocity).max() > 0.1  # beyond the gentle pace
 
 
-def test_whole_periods_repeat_without_a_seam():
+def test_whole_periods_repeat_without_a_transition():
     p = planned({"waveform": "sine", "amplitude_mm": 8.0, "frequency_hz": 1.0}, repeats=3, duration_s=2.0)
     assert p.period == 2.0
     assert p.body[1] - p.body[0] == 6.0
@@ -282,10 +282,10 @@ def test_refusals_name_value_limit_and_a_remedy_that_works(rod, coil, message):
     line = refusal(rod, coil)
     assert re.search(message, line)
     # Doing what the message says reveals the next limit at most, never the same again.
-    said = []
+    refused_quantities = []
     while line:
-        said.append(" ".join(line.split()[:2]))
-        assert len(set(said)) == len(said), line
+        refused_quantities.append(" ".join(line.split()[:2]))
+        assert len(set(refused_quantities)) == len(refused_quantities), line
         target = coil if line.startswith("coil") or "_mA from" in line else rod
         for key, value in re.findall(r"(\w+) from \S+ to (-?[\d.]+)", line.split(", or ")[0]):
             target[key] = float(value)
@@ -311,7 +311,7 @@ def test_refusals_name_value_limit_and_a_remedy_that_works(rod, coil, message):
         ),
     ],
 )
-def test_motions_without_time_are_refused(rod, message):
+def test_motions_that_take_too_long_are_refused(rod, message):
     with pytest.raises(InputError, match=message):
         planned(rod)
 
@@ -326,7 +326,7 @@ def test_a_negative_current_is_refused():
         planned(coil={"waveform": "sine", "amplitude_mA": 50.0, "frequency_hz": 1.0})
 
 
-def test_an_overtight_force_limit_is_said_to_be_that():
+def test_a_force_limit_that_no_motion_keeps_is_named():
     with pytest.raises(InputError, match=r"expected force .*162 N exceeds 100 N; raise limits\.force_N"):
         planned(limits=Limits(force=100.0))
 
@@ -369,13 +369,13 @@ def test_a_noisy_trace_needs_its_low_pass(trace):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"has no column time_s \(found: nothing\)"),
-        ("time_s,x\n0,0\n", r"has no column position_m \(found: time_s, x\)"),
-        ("time_s,position_m\n0,0\n1,0\n2,0\n", "has 3 samples, expected at least 4"),
-        ("time_s,position_m\n0,0\n1,0\n1,0\n2,0\n9,0\n", "time_s does not increase at sample 2"),
-        ("time_s,position_m\n0,0\n1,nan\n2,0\n3,0\n9,0\n", "sample 1 is not finite"),
-        ("time_s,position_m\n0,0\n1,a\n2,0\n3,0\n9,0\n", "holds something that is no number"),
-        ("time_s,position_m\n0,0\n1\n2,0\n3,0\n9,0\n", "has a row with fewer cells than the header"),
+        ("", "is empty; expected the header time_s,position_m and samples"),
+        ("time_s,x\n0,0\n", r"column position_m is missing \(found: time_s, x\)"),
+        ("time_s,position_m\n0,0\n1,0\n2,0\n", "holds 3 samples, expected at least 4"),
+        ("time_s,position_m\n0,0\n1,0\n1,0\n2,0\n9,0\n", "line 4: time_s is 1 after 1, expected increasing time"),
+        ("time_s,position_m\n0,0\n1,nan\n2,0\n3,0\n9,0\n", "line 3: position_m is nan, expected a finite number"),
+        ("time_s,position_m\n0,0\n1,a\n2,0\n3,0\n9,0\n", "line 3: position_m is 'a', expected a number"),
+        ("time_s,position_m\n0,0\n1\n2,0\n3,0\n9,0\n", "line 3: has 1 cells, expected 2"),
         ("time_s,position_m\n0,0\n1,0\n2,0\n3,0\n", r"lasts 3 s, less than duration_s 4; reduce duration_s"),
     ],
 )

@@ -1,4 +1,4 @@
-"""preview: what it prints and writes, and how it ends."""
+"""The tool `preview`: its output, its page and its exit status."""
 
 import sys
 from pathlib import Path
@@ -26,7 +26,7 @@ def run(monkeypatch, capsys):
     return run
 
 
-def test_prints_duration_and_peaks_beside_limits(run):
+def test_prints_duration_peaks_and_limits(run):
     status, out, err = run(PAPER)
     assert (status, err) == (0, "")
     lines = [line.split() for line in out.splitlines()]
@@ -71,7 +71,7 @@ def test_unusable_arguments_end_with_2(run, arguments):
     assert err.strip()
 
 
-def test_a_folder_is_a_table_of_its_experiments(run, tmp_path):
+def test_a_folder_gives_a_table_of_its_experiments(run, tmp_path):
     status, out, err = run(CONFIG / "experiments/characterise")
     assert (status, err) == (0, "")
     header, first, *_, last = out.splitlines()
@@ -86,7 +86,7 @@ def test_a_folder_is_a_table_of_its_experiments(run, tmp_path):
     assert err.startswith(f"error: {tmp_path / 'wrong.yaml'}: duration_s is missing")
 
 
-def test_the_page_about_the_standard_set_shows_its_experiments_as_they_are(run):
+def test_the_table_in_the_page_about_the_standard_set_is_current(run):
     _, table, _ = run(CONFIG / "experiments/characterise", "--markdown")
     page = (CONFIG.parent / "docs/characterise.md").read_text()
     assert table in page, "run `ros2 run mrd_trajectory preview config/experiments/characterise --markdown`, put it there"

@@ -1,4 +1,4 @@
-"""Transitions: their ends, their continuity, the limits, and how short they are."""
+"""Transitions meet their ends, are continuous, keep the limits, and are short."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_trajectory.limits import Limits
-from mrd_trajectory.path import REST, State, cut, extremes, hermite, joined, largest, state_at
+from mrd_trajectory.path import REST, MotionState, concatenate, cut, extremes, largest_magnitude, quintic_hermite, state_at
 from mrd_trajectory.transition import KINDS, corner, transition
 
 LIMITS = Limits()
@@ -36,18 +36,22 @@ def assert_continuous(path):
 @given(kind=kinds, start=positions, end=positions)
 def test_rest_to_rest_is_minimal(kind, start, end):
     assume(abs(end - start) > 1e-6)
-    path = transition(kind, State(start), State(end), LIMITS)
+    path = transition(kind, MotionState(start), MotionState(end), LIMITS)
     np.testing.assert_allclose(state_at(path, 0.0), [start, 0, 0], atol=1e-9)
     np.testing.assert_allclose(end_of(path), [end, 0, 0], atol=1e-7)
     assert_continuous(path)
-    used = [largest(path, 1) / LIMITS.speed, largest(path, 2) / LIMITS.acceleration, largest(path, 3) / LIMITS.jerk]
+    used = [
+        largest_magnitude(path, 1) / LIMITS.speed,
+        largest_magnitude(path, 2) / LIMITS.acceleration,
+        largest_magnitude(path, 3) / LIMITS.jerk,
+    ]
     assert max(used) == pytest.approx(1, rel=1e-5)
 
 
 def test_linear_move_is_the_double_s_of_the_textbook():
     # Time of a move that reaches speed and acceleration limits: D/v + v/a + a/j (Biagiotti & Melchiorri 2008, §3.4).
     limits = Limits(speed=0.1, acceleration=5.0, jerk=1000.0)
-    path = transition("linear", REST, State(0.02), limits)
+    path = transition("linear", REST, MotionState(0.02), limits)
     assert path.x[-1] == pytest.approx(0.02 / 0.1 + 0.1 / 5 + 5 / 1000)
     assert path(path.x[-1] / 2, 1) == pytest.approx(0.1)
 
@@ -55,7 +59,7 @@ def test_linear_move_is_the_double_s_of_the_textbook():
 @settings(deadline=None)
 @given(kind=kinds, x0=positions, v0=speeds, a0=accelerations, x1=positions, v1=speeds, a1=accelerations)
 def test_moving_ends_are_met_within_the_limits(kind, x0, v0, a0, x1, v1, a1):
-    start, end = State(x0, v0, a0), State(x1, v1, a1)
+    start, end = MotionState(x0, v0, a0), MotionState(x1, v1, a1)
     try:
         path = transition(kind, start, end, LIMITS)
     except InputError:
@@ -63,10 +67,10 @@ def test_moving_ends_are_met_within_the_limits(kind, x0, v0, a0, x1, v1, a1):
     np.testing.assert_allclose(state_at(path, 0.0), start, atol=1e-6)
     np.testing.assert_allclose(end_of(path), end, atol=1e-5)
     assert_continuous(path)
-    assert largest(path) <= LIMITS.reach * (1 + 1e-5)
-    assert largest(path, 1) <= LIMITS.speed * (1 + 1e-5)
-    assert largest(path, 2) <= LIMITS.acceleration * (1 + 1e-5)
-    assert largest(path, 3) <= LIMITS.jerk * (1 + 1e-5)
+    assert largest_magnitude(path) <= LIMITS.reach * (1 + 1e-5)
+    assert largest_magnitude(path, 1) <= LIMITS.speed * (1 + 1e-5)
+    assert largest_magnitude(path, 2) <= LIMITS.acceleration * (1 + 1e-5)
+    assert largest_magnitude(path, 3) <= LIMITS.jerk * (1 + 1e-5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -74,7 +78,7 @@ def test_states_of_a_running_sine_are_reached_from_rest(kind):
     for phase in np.linspace(0, 2 * np.pi, 16, endpoint=False):
         for amplitude, frequency in ((0.02, 1.0), (0.005, 3.0), (0.025, 0.1)):
             w = 2 * np.pi * frequency
-            state = State(amplitude * np.sin(phase), amplitude * w * np.cos(phase), -amplitude * w**2 * np.sin(phase))
+            state = MotionState(amplitude * np.sin(phase), amplitude * w * np.cos(phase), -amplitude * w**2 * np.sin(phase))
             for path in (transition(kind, REST, state, LIMITS), transition(kind, state, REST, LIMITS)):
                 assert path.x[-1] < 1.5
 
@@ -89,30 +93,35 @@ def test_a_corner_joins_both_lines(kind, before, after):
     low, high = extremes(turn, 1)
     assert low >= min(before, after) - 1e-9
     assert high <= max(before, after) + 1e-9
-    assert largest(turn, 2) <= LIMITS.acceleration * (1 + 1e-5)
-    assert largest(turn, 3) <= LIMITS.jerk * (1 + 1e-5)
+    assert largest_magnitude(turn, 2) <= LIMITS.acceleration * (1 + 1e-5)
+    assert largest_magnitude(turn, 3) <= LIMITS.jerk * (1 + 1e-5)
 
 
 def test_the_same_state_needs_no_time():
-    assert transition("quintic", State(0.01, 0.1, 1.0), State(0.01, 0.1, 1.0), LIMITS).x[-1] == 0
+    assert transition("quintic", MotionState(0.01, 0.1, 1.0), MotionState(0.01, 0.1, 1.0), LIMITS).x[-1] == 0
 
 
 def test_hermite_follows_a_sine_to_sixth_order():
     time = np.linspace(0, 1, 33)
     w = 2 * np.pi
-    path = hermite(time, np.sin(w * time), w * np.cos(w * time), -(w**2) * np.sin(w * time))
+    path = quintic_hermite(time, np.sin(w * time), w * np.cos(w * time), -(w**2) * np.sin(w * time))
     fine = np.linspace(0, 1, 5000)
     assert np.abs(path(fine) - np.sin(w * fine)).max() < 2e-9
-    assert largest(path, 1) == pytest.approx(w, rel=1e-9)
+    assert largest_magnitude(path, 1) == pytest.approx(w, rel=1e-9)
 
 
 def test_an_impossible_transition_is_refused_in_one_line():
     with pytest.raises(InputError, match=r"no quintic transition from 0 mm .* keeps the limits"):
-        transition("quintic", REST, State(0.0, 0.3), LIMITS)
+        transition("quintic", REST, MotionState(0.0, 0.3), LIMITS)
 
 
-def test_cut_and_joined_keep_the_motion():
-    path = joined([transition("linear", REST, State(0.01), LIMITS), transition("cubic", State(0.01), State(-0.01), LIMITS)])
+def test_cut_and_concatenated_keep_the_motion():
+    path = concatenate(
+        [
+            transition("linear", REST, MotionState(0.01), LIMITS),
+            transition("cubic", MotionState(0.01), MotionState(-0.01), LIMITS),
+        ]
+    )
     shorter = cut(path, 0.1)
     fine = np.linspace(0, 0.1, 50)
     assert shorter.x[-1] == 0.1

@@ -1,4 +1,4 @@
-"""Waveforms: what their shapes promise, that all are reachable by name, that they survive YAML."""
+"""Waveforms have the described shapes, are all in the catalogue, and are read back from YAML."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_base import InputError, from_mapping, to_mapping
-from mrd_trajectory.waveforms import UNITS, WAVEFORMS, Smooth, waveform_table, waveform_type
+from mrd_trajectory.waveforms import CHANNEL_UNITS, WAVEFORMS, Smooth, waveform_table, waveform_type
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
 from mrd_trajectory.waveforms.ladder import Ladder
@@ -39,16 +39,16 @@ def test_every_waveform_of_the_catalogue_has_an_example():
 
 
 @pytest.mark.parametrize("name", WAVEFORMS)
-def test_waveform_survives_yaml(name):
-    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=UNITS["rod"])
-    mapping = to_mapping(waveform, units=UNITS["rod"])
+def test_waveform_is_read_back_from_its_yaml(name):
+    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=CHANNEL_UNITS["rod"])
+    mapping = to_mapping(waveform, units=CHANNEL_UNITS["rod"])
     assert mapping.items() >= EXAMPLES[name].items()
-    assert from_mapping(waveform_type(name), mapping, name, units=UNITS["rod"]) == waveform
+    assert from_mapping(waveform_type(name), mapping, name, units=CHANNEL_UNITS["rod"]) == waveform
 
 
 @pytest.mark.parametrize("name", [name for name in WAVEFORMS if name != "trace"])
 def test_the_same_fields_give_the_same_shape_and_cover_the_duration(name):
-    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=UNITS["rod"])
+    waveform = from_mapping(waveform_type(name), EXAMPLES[name], name, units=CHANNEL_UNITS["rod"])
     shape, again = waveform.shape(5.0), waveform.shape(5.0)
     if isinstance(shape, Smooth):
         times = np.linspace(0, 5, 1001)
@@ -87,7 +87,7 @@ def test_table_names_the_keys_of_both_channels():
     ],
     ids=["sine", "chirp up", "chirp down", "chirp level", "multisine"],
 )
-def test_smooth_waveforms_give_their_own_derivatives(waveform):
+def test_smooth_waveforms_return_their_derivatives(waveform):
     motion = waveform.shape(5.0).motion
     times, h = np.linspace(0.1, 4.9, 400), 1e-4
     _, rate, curvature = motion(times)
@@ -96,7 +96,7 @@ def test_smooth_waveforms_give_their_own_derivatives(waveform):
     np.testing.assert_allclose((later[1] - earlier[1]) / (2 * h), curvature, atol=1e-5 * np.abs(curvature).max())
 
 
-def test_chirp_keeps_its_speed_when_asked():
+def test_chirp_of_constant_speed_keeps_its_speed():
     _, rate, _ = Chirp(0.01, 0.5, 8.0, constant_speed=True).shape(20.0).motion(np.linspace(0, 20, 40_001))
     first, last = np.abs(rate[:8000]).max(), np.abs(rate[-8000:]).max()
     assert first == pytest.approx(2 * np.pi * 0.5 * 0.01, rel=0.02)
@@ -118,7 +118,7 @@ def test_prbs_is_a_maximal_length_sequence(order, seed):
     np.testing.assert_allclose(correlation, [period, *[-1] * (period - 1)], atol=1e-6)
 
 
-def test_prbs_seed_moves_the_start():
+def test_prbs_seed_selects_the_start():
     starts = {tuple(Prbs(0, 1, 0.1, 8, seed).bits(20)) for seed in range(8)}
     assert len(starts) == 8
 
@@ -161,7 +161,7 @@ def test_multisine_without_lines_is_refused():
         Multisine(0.01, 1.5, 2.5, 1.0)
 
 
-def test_corners_and_holds_are_where_they_are_said_to_be():
+def test_corners_and_holds_are_at_the_given_times():
     triangle = Triangle(0.01, 0.05, 0.002).shape(1.0)
     np.testing.assert_allclose(triangle.times[:4], [0, 0.2, 0.6, 0.8])
     np.testing.assert_allclose(triangle.levels[:4], [0.002, 0.012, -0.008, 0.002])

@@ -1,4 +1,4 @@
-"""The base of every node: configuration as ROS parameters, bench clock, diagnostics, a clean end."""
+"""Base of every node: configuration from ROS parameters, bench time, diagnostics, orderly shutdown."""
 
 import dataclasses
 import gc
@@ -26,18 +26,18 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from mrd_base.clock import BenchClock
-from mrd_base.config import from_mapping, key_of, to_mapping, unknown_key
+from mrd_base.config import from_mapping, to_mapping, unknown_key, yaml_key
 from mrd_base.errors import InputError
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 RECORDED = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
-# Sections of bench.yaml that stand under /** and reach every node, whether it uses them or not.
-SHARED = {"time_scale", "limits"}
+# Sections of bench.yaml that stand under /** and so reach every node, also one that does not use them.
+_SHARED = {"time_scale", "limits"}
 
 # Parameters that rclpy itself declares or reads.
-_ROS = {"use_sim_time", "start_type_description_service"}
+_RCLPY = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 
 C = TypeVar("C")
 
@@ -46,23 +46,23 @@ class BenchNode(Node, Generic[C]):
     """A node whose parameters are the fields of a frozen dataclass.
 
     ``-p KEY:=VALUE`` and ``--params-file`` take the YAML keys of `mrd_base.config` (``stroke_mm``; nested fields as
-    ``limits.stroke_mm``). They are read once, at start; an unknown or impossible one stops the node with one line.
+    ``limits.stroke_mm``). They are read once, at start. An unknown key or an invalid value ends the node with one line.
 
     Parameters
     ----------
     name : str
         Default node name.
     config_type : dataclass type
-        Has a field ``time_scale`` and defaults for all fields.
+        It has a field ``time_scale`` and defaults for all fields.
 
     Attributes
     ----------
     dynamic : frozenset of str
-        YAML keys of the configuration that may change while the node runs; each is given to `accept_parameter`.
+        YAML keys of the configuration that may change while the node runs; the node passes each to `accept_parameter`.
     config : dataclass
-        The configuration, in SI, as it was at start.
+        Configuration at start, in SI units.
     bench : BenchClock
-        The clock by which everything is stamped and timed.
+        Clock of bench time, by which the node stamps and times everything.
     """
 
     dynamic: typing.ClassVar[frozenset[str]] = frozenset()
@@ -75,10 +75,10 @@ class BenchNode(Node, Generic[C]):
         self.create_timer(1.0, self._publish_diagnostics)
 
     def _declare(self, config_type: type) -> dict[str, Any]:
-        """Declare all parameters and return their values as the mapping that a YAML file would hold."""
+        """Declare all parameters and return their values as `from_mapping` takes them."""
         given: Mapping[str, Parameter] = self._parameter_overrides
         flat = dict(_flatten(config_type))
-        others = (SHARED | _ROS | {"qos_overrides"}) - {key.split(".")[0] for key in flat}
+        others = (_SHARED | _RCLPY) - {key.split(".")[0] for key in flat}
         for key in given:
             if key not in flat and key.split(".")[0] not in others:
                 raise InputError(f"node {self.get_name()}: unknown parameter {unknown_key(key, flat)}")
@@ -88,20 +88,27 @@ class BenchNode(Node, Generic[C]):
                 description=field.metadata.get("doc", ""), read_only=key not in self.dynamic, dynamic_typing=True
             )
             value = self.declare_parameter(key, default, descriptor).value
-            # "" stands for None, which ROS parameters do not have.
+            # ROS parameters have no None; an optional field has "" instead.
             if value is None or (value == "" and default == ""):
                 continue
-            target = nested
-            *path, last = key.split(".")
-            for part in path:
-                target = target.setdefault(part, {})
-            target[last] = value
+            section = nested
+            *sections, last = key.split(".")
+            for name in sections:
+                section = section.setdefault(name, {})
+            section[last] = value
         return nested
 
     def accept_parameter(self, name: str, value: Any, apply: Callable[[Any], None]) -> None:
-        """Let a parameter change while the node runs; ``apply`` raises InputError to refuse it.
+        """Let a parameter change while the node runs.
 
-        One that is not in the configuration (see ``dynamic``) is declared here with ``value``.
+        Parameters
+        ----------
+        name : str
+            A key of ``dynamic``, or another name; a parameter of another name is declared here.
+        value : object
+            Initial value of a parameter that is declared here.
+        apply : callable
+            Takes a new value; raises InputError to refuse it.
         """
         if not self.has_parameter(name):
             self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
@@ -118,17 +125,17 @@ class BenchNode(Node, Generic[C]):
         self.add_on_set_parameters_callback(on_set)
 
     def create_bench_timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        """Timer with a period in bench seconds; no adjustment of the machine's clock delays it."""
+        """Create a timer with a period in bench seconds, which no adjustment of the machine's clock delays."""
         return self.create_timer(self.bench.wall(period), callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def stamp(self, bench_time: float | None = None) -> Time:
-        """ROS time of a bench time (default: now)."""
-        seconds = self.bench.now() if bench_time is None else bench_time
-        whole = int(seconds // 1)
-        return Time(sec=whole, nanosec=min(int((seconds - whole) * 1e9), 999_999_999))
+        """Return the ROS time of a bench time in s, by default of now."""
+        bench_time = self.bench.now() if bench_time is None else bench_time
+        whole = int(bench_time // 1)
+        return Time(sec=whole, nanosec=min(int((bench_time - whole) * 1e9), 999_999_999))
 
     def diagnose(self) -> tuple[str, dict[str, Any]]:
-        """Health in one line ("" is well) and the values worth seeing; nodes extend it."""
+        """Return the node's problem in one line, "" without one, and values for the diagnostics; nodes override this."""
         return "", {}
 
     def _publish_diagnostics(self) -> None:
@@ -144,20 +151,20 @@ class BenchNode(Node, Generic[C]):
         self._diagnostics.publish(message)
 
     def close(self) -> None:
-        """Leave the machine safe: called once on every way out, while ROS may already be gone."""
+        """Leave the machine in a safe state; called once, however the node ends, when ROS may already be shut down."""
 
 
 def seconds(stamp: Time) -> float:
-    """Bench time in s of a ROS time."""
+    """Return the bench time, in s, of a ROS time."""
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] = EventsExecutor) -> None:
-    """Run a node until SIGINT, SIGTERM or the end of its terminal (SIGHUP); always close it.
+    """Run a node until SIGINT, SIGTERM or SIGHUP (the terminal was closed), and close it in every case.
 
-    The process leaves with 0 after a signal, with 2 and one line when the node cannot start as configured. The events
-    executor takes less than half the processor time of the others, but a whole core while a coroutine waits: nodes whose
-    callbacks await name another.
+    The exit status is 0 after a signal, and 2 with one line on stderr when the node cannot start as configured. The events
+    executor takes less than half of the processor time of the other executors, but keeps a core busy while a coroutine
+    waits. Nodes with coroutines as callbacks therefore choose another executor.
     """
     stopping = False
 
@@ -167,20 +174,20 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup: outlives its terminal by intention
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # under nohup, the node outlives its terminal
         signal.signal(signal.SIGHUP, stop)
     node: BenchNode[Any] | None = None
     status = 0
     try:
         _init()
         node = factory()
-        # What was imported stays: a full collection that looks through it all would stop a node for a tenth of a second.
+        # Imported objects stay. A full collection that scanned them all would stop the node for a tenth of a second.
         gc.collect()
         gc.freeze()
-        spinning = executor()
-        spinning.add_node(node)
+        node_executor = executor()
+        node_executor.add_node(node)
         while not stopping:
-            spinning.spin_once(timeout_sec=0.1)
+            node_executor.spin_once(timeout_sec=0.1)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         status = 2
@@ -193,10 +200,10 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
 
 
 def _init() -> None:
-    """Start ROS with the process's arguments, or say in one line what is wrong with them."""
-    set_logger_level("rcl", LoggingSeverity.FATAL)  # or it would say the same at length
+    """Start ROS with the arguments of the process; raise InputError for arguments that it does not understand."""
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # rcl would log the same error in many lines
     try:
-        others = remove_ros_args(sys.argv)[1:]
+        other_arguments = remove_ros_args(sys.argv)[1:]
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except UnknownROSArgsError as error:
         raise InputError(f"unknown ROS arguments {error}") from None
@@ -205,29 +212,32 @@ def _init() -> None:
         raise InputError(" ".join(reason.split())) from None
     finally:
         set_logger_level("rcl", LoggingSeverity.UNSET)
-    if others:
-        raise InputError(f"unknown argument {others[0]}; parameters and remappings stand after --ros-args")
+    if other_arguments:
+        raise InputError(f"unknown argument {other_arguments[0]}; parameters and remappings stand after --ros-args")
 
 
 def _command_line_parameters(arguments: list[str]) -> list[Parameter]:
-    """What ``-p NAME:=VALUE`` says: ROS alone would let the section of a node in a parameter file go before it."""
-    found = []
+    """Return the parameters given by ``-p NAME:=VALUE``.
+
+    With ROS alone, the section of the node in a parameter file would take precedence over them.
+    """
+    parameters = []
     for option, argument in itertools.pairwise(arguments):
         name, assigned, text = argument.partition(":=")
         if option in {"-p", "--param"} and assigned and ":" not in name:
             value = parameter_value_to_python(get_parameter_value(text))
-            found.append(Parameter(name, value=value.tolist() if isinstance(value, array) else value))
-    return found
+            parameters.append(Parameter(name, value=value.tolist() if isinstance(value, array) else value))
+    return parameters
 
 
 def _flatten(
     config_type: type, prefix: str = "", instance: Any = None
 ) -> typing.Iterator[tuple[str, tuple[dataclasses.Field[Any], Any]]]:
-    """Dotted YAML keys of a configuration with their fields and defaults in YAML units."""
+    """Yield the dotted YAML keys of a configuration, each with its field and its default in YAML units."""
     instance = config_type() if instance is None else instance
     defaults = to_mapping(instance)
     for field in dataclasses.fields(config_type):
-        key, _ = key_of(field)
+        key, _ = yaml_key(field)
         value = getattr(instance, field.name)
         if dataclasses.is_dataclass(value):
             yield from _flatten(type(value), f"{prefix}{key}.", value)

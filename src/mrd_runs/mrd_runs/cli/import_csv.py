@@ -1,15 +1,16 @@
-"""Make bags of CSV files."""
+"""Make a bag of each CSV file."""
 
 import argparse
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
 from mrd_runs import read_runs
-from mrd_runs.import_csv import import_run, targets
+from mrd_runs.bag_import import bag_folders, import_run
+from mrd_runs.formats import BAG
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="import_csv", description="Make a bag of each CSV file.")
+    parser = argparse.ArgumentParser(prog="import_csv", description=__doc__)
     parser.add_argument(
         "csv",
         nargs="+",
@@ -24,12 +25,10 @@ def main() -> None:
 
 def _import(files: list[Path], output: Path) -> None:
     for file in files:
-        if file.is_dir() and not any((file / name).exists() for name in ("metadata.yaml", f"{file.name}.mcap")):
-            raise InputError(f"{file}: is a folder; expected a CSV file")
-        if file.is_dir() or file.suffix in {".mcap", ".db3"}:
-            raise InputError(f"{file}: is a bag already; expected a CSV file")
-    # All files are read and all targets checked before the first bag is written.
+        if file.is_dir() or file.suffix in BAG.suffixes:
+            raise InputError(f"{file}: is a bag or a folder; expected a CSV file")
+    # All files are read and all folders checked before the first bag is written.
     runs = read_runs(files)
-    for run, path in zip(runs, targets(runs, output), strict=True):
+    for run, path in zip(runs, bag_folders(runs, output), strict=True):
         import_run(run, path)
         print(f"{path}: {len(run)} samples")

@@ -1,4 +1,4 @@
-"""Base of the nodes that analyse runs: one action at a time, on recorded runs or on the samples that the node hears."""
+"""Base of the nodes that analyse runs: one goal at a time, on recorded runs or on the samples that the node receives."""
 
 import threading
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode
 from mrd_interfaces.msg import BenchSamples
 from mrd_runs import Run, read_runs
-from mrd_runs.live import HeardSamples
+from mrd_runs.sample_buffer import SampleBuffer
 
 
 @dataclass(frozen=True)
@@ -22,15 +22,15 @@ class AnalysisSettings:
     """Parameters of a node that analyses runs."""
 
     time_scale: float = bench_time_scale()
-    most_blocks: int = quantity(100_000, "", "blocks of samples kept for an analysis; older ones are forgotten", lower=1)
+    max_blocks: int = quantity(100_000, "", "number of sample blocks kept for an analysis; older ones are dropped", lower=1)
 
 
 class CancelledError(Exception):
-    """Raised when the client does not want the answer any more."""
+    """Raised when the client has cancelled the goal or the node is closing."""
 
 
 class AnalysisNode(BenchNode[AnalysisSettings]):
-    """Listens to ``samples`` and serves one action, one goal at a time, in a thread beside the executor's.
+    """Subscribes to ``samples`` and serves one action, one goal at a time, in a worker thread.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     def __init__(self, name: str, action: Any, action_name: str) -> None:
         super().__init__(name, AnalysisSettings)
         self._action = action
-        self._heard = HeardSamples(self.config.most_blocks)
+        self._buffer = SampleBuffer(self.config.max_blocks)
         self._busy = False
         self._stopping = threading.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=name)
-        self.create_subscription(BenchSamples, "samples", self._heard.append, RECORDED, raw=True)
+        self.create_subscription(BenchSamples, "samples", self._buffer.append, RECORDED, raw=True)
         self._server = ActionServer(
             self,
             action,
@@ -60,9 +60,9 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         )
 
     def work(self, request: Any, publish: Callable[[Any], None], result: Any) -> None:
-        """Fill ``result`` for ``request``; runs in the worker's thread.
+        """Fill ``result`` for ``request``; called in the worker thread.
 
-        ``publish`` sends feedback. It raises `CancelledError` when nobody waits for the result any more.
+        ``publish`` sends feedback. It raises `CancelledError` when the goal was cancelled or the node is closing.
         """
         raise NotImplementedError
 
@@ -109,17 +109,17 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         await done
 
     def runs(self, request: Any) -> tuple[list[Run], list[Run]]:
-        """Read the runs to fit and the held-out runs of a goal; without runs, take the samples heard so far."""
+        """Return the runs to fit and the held-out runs of a goal; without runs, use the samples received so far."""
         if not request.runs:
-            return [self._heard.run("live samples")], read_runs(request.held_out)
-        every = read_runs([*request.runs, *request.held_out])
-        return every[: len(request.runs)], every[len(request.runs) :]
+            return [self._buffer.run("live samples")], read_runs(request.held_out)
+        runs = read_runs([*request.runs, *request.held_out])
+        return runs[: len(request.runs)], runs[len(request.runs) :]
 
     def diagnose(self) -> tuple[str, dict[str, Any]]:
-        """Report the health of the node itself."""
-        return "", {"blocks heard": len(self._heard), "busy": self._busy}
+        """Return no problem, and whether an analysis is running."""
+        return "", {"blocks heard": len(self._buffer), "busy": self._busy}
 
     def close(self) -> None:
-        """Cancel the analysis that is under way and wait for its end."""
+        """Cancel the running analysis and wait for its end."""
         self._stopping.set()
         self._worker.shutdown(wait=True, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""Records runs: one bag for each start_recording, closed by stop_recording or on any way out."""
+"""Recorder: writes one bag for each start_recording; stop_recording or the end of the node closes it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,28 +12,29 @@ from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node
 from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter
+from mrd_runs.completeness import check_completeness
 from mrd_runs.definitions import type_name, typestore
-from mrd_runs.description import check_recording, describe_calibration, run_info
+from mrd_runs.run_info import describe_calibration, format_run_info
 
 
 @dataclass(frozen=True)
-class RecorderConfig:
-    """Configuration of the recorder."""
+class RecorderSettings:
+    """Parameters of the recorder."""
 
     time_scale: float = bench_time_scale()
     stale: float = quantity(1.0, "s", "a recording without samples for longer is reported in the diagnostics", lower=0.0)
 
 
-class Recorder(BenchNode[RecorderConfig]):
-    """Subscribes all along, so that a recording starts without waiting for discovery; writes only between start and stop."""
+class Recorder(BenchNode[RecorderSettings]):
+    """Subscribes from the start, so that a recording never waits for discovery; writes only between start and stop."""
 
     def __init__(self) -> None:
-        super().__init__("recorder", RecorderConfig)
+        super().__init__("recorder", RecorderSettings)
         self._writer: BagWriter | None = None
         self._failure = ""
-        self._heard = 0.0
-        # Latched messages say how things stand: the latest of each opens every bag.
-        self._latest: dict[str, bytes] = {}
+        self._last_samples = 0.0
+        # The latest message of each latched topic opens every bag, because it is still valid then.
+        self._latched: dict[str, bytes] = {}
         self._types: dict[str, tuple[str, bool]] = {}
         self._samples = self._record("samples", BenchSamples)
         self._record("servo_state", ServoState)
@@ -47,11 +48,11 @@ class Recorder(BenchNode[RecorderConfig]):
         self.create_timer(FLUSH_PERIOD, self._flush)
 
     def _record(self, name: str, message_type: Any, latched: bool = False) -> str:
-        """Subscribe to a topic, as serialised bytes; return its full name."""
+        """Subscribe to a topic, as serialised bytes, and return its full name."""
 
         def on_message(cdr: bytes) -> None:
             if latched:
-                self._latest[topic] = cdr
+                self._latched[topic] = cdr
             self._write(topic, cdr)
 
         subscription = self.create_subscription(message_type, name, on_message, LATCHED if latched else RECORDED, raw=True)
@@ -66,7 +67,7 @@ class Recorder(BenchNode[RecorderConfig]):
         if self._writer is None or self._failure:
             return
         if topic == self._samples:
-            self._heard = self.bench.now()
+            self._last_samples = self.bench.now()
         try:
             self._writer.write(topic, self._now(), cdr)
         except OSError as error:
@@ -82,7 +83,7 @@ class Recorder(BenchNode[RecorderConfig]):
 
     def _fail(self, error: OSError) -> None:
         assert self._writer is not None
-        self._failure = f"{self._writer.path}: cannot be written ({error.strerror}); what came before is kept"
+        self._failure = f"{self._writer.path}: cannot be written ({error.strerror}); the messages before are kept"
         self.get_logger().error(self._failure)
 
     def _start(self, request: StartRecording.Request, response: StartRecording.Response) -> StartRecording.Response:
@@ -100,14 +101,12 @@ class Recorder(BenchNode[RecorderConfig]):
             raise InputError(f"already recording into {self._writer.path}; stop_recording first")
         if not request.bag:
             raise InputError("the request names no bag; expected the folder to make")
-        calibration = self._latest.get(self._calibration)
-        known = None
-        if calibration is not None:
-            known = describe_calibration(typestore().deserialize_cdr(calibration, self._types[self._calibration][0]))
-        info = run_info(
+        cdr = self._latched.get(self._calibration)
+        calibration = None if cdr is None else typestore().deserialize_cdr(cdr, self._types[self._calibration][0])
+        info = format_run_info(
             experiment=request.experiment,
             seed=int(request.seed),
-            calibration=known,
+            calibration=None if calibration is None else describe_calibration(calibration),
             time_scale=self.config.time_scale,
             node=self.get_fully_qualified_name(),
         )
@@ -116,14 +115,14 @@ class Recorder(BenchNode[RecorderConfig]):
             writer.add_topic(self._run_info, "std_msgs/msg/String", latched=True)
             for topic, (message_type, latched) in self._types.items():
                 writer.add_topic(topic, message_type, depth=1 if latched else RECORDED.depth, latched=latched)
-            writer.write_message(self._run_info, self._now(), typestore().types["std_msgs/msg/String"](info))
-            for topic, cdr in self._latest.items():
+            writer.write_message(self._run_info, self._now(), writer.types.types["std_msgs/msg/String"](info))
+            for topic, cdr in self._latched.items():
                 writer.write(topic, self._now(), cdr)
             writer.flush()
         except OSError as error:
             writer.close()
             raise InputError(f"{writer.path}: cannot be written ({error.strerror})") from None
-        self._writer, self._failure, self._heard = writer, "", self.bench.now()
+        self._writer, self._failure, self._last_samples = writer, "", self.bench.now()
         self.get_logger().info(f"recording into {writer.path}")
         return writer.path
 
@@ -133,22 +132,22 @@ class Recorder(BenchNode[RecorderConfig]):
             return response
         writer, failure = self._writer, self._failure
         self.close()
-        found = check_recording(writer.path, self._samples, writer.counts)
-        problem = failure or found.problem
+        bag = check_completeness(writer.path, self._samples, writer.counts)
+        problem = failure or bag.problem
         response.success = not problem
-        response.message = problem or f"{found.samples} samples in {found.duration:.3f} s, none missing"
-        response.bag, response.samples, response.lost = str(writer.path), found.samples, found.lost
-        response.duration = found.duration
+        response.message = problem or f"{bag.samples} samples in {bag.duration:.3f} s, none missing"
+        response.bag, response.samples, response.lost = str(writer.path), bag.samples, bag.lost
+        response.duration = bag.duration
         (self.get_logger().error if problem else self.get_logger().info)(f"closed {writer.path}: {response.message}")
         return response
 
     def diagnose(self) -> tuple[str, dict[str, Any]]:
         if self._writer is None:
             return "", {"recording": "no"}
-        silent = self.bench.now() - self._heard
+        silence = self.bench.now() - self._last_samples
         problem = self._failure
-        if not problem and silent > self.config.stale:
-            problem = f"no samples for {silent:.1f} s"
+        if not problem and silence > self.config.stale:
+            problem = f"no samples for {silence:.1f} s"
         return problem, {"recording": self._writer.path, "blocks": self._writer.counts[self._samples]}
 
     def close(self) -> None:

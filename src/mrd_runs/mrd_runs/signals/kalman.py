@@ -1,8 +1,12 @@
-"""Kernels of the smoother of motions: Kalman filter, fixed-interval smoother, draws of what they leave open.
+"""Kernels of the motion smoother: Kalman filter, fixed-interval smoother, and random draws of the smoothing errors.
 
-Time counts in time constants of the smoother, which makes all elements of the state about equally large, and variances in
-units of the position's noise variance. In these units the spectral density of the white derivative is the sampling interval.
-The state has 3 to 5 elements; its small matrices are worked on in place.
+Time is in time constants of the smoother, which makes all elements of the state about equally large. Variances are in units
+of the variance of the position noise. In these units the spectral density of the white derivative is the sampling interval.
+The state has 3 to 5 elements; its small matrices are changed in place.
+
+The kernels share these arguments: ``intervals`` (n,) between the samples (the last one is not used), measured ``position``
+(n,) and ``acceleration`` (n,), the state ``start`` (order,) at the first sample, the spectral ``density``, and the ``gain``
+(0: none) and ``variance`` of the accelerometer.
 """
 
 import math
@@ -12,8 +16,8 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def _prior(order, density):  # type: ignore[no-untyped-def]
-    """Covariance of the first state: far wider than its error, narrow enough to keep the digits of what follows."""
+def _initial_covariance(order, density):  # type: ignore[no-untyped-def]
+    """Return a covariance far wider than the error of the first state, yet narrow enough to keep digits in what follows."""
     P = np.zeros((order, order))
     for i in range(order):
         P[i, i] = 1e4 * max(1.0, density) ** (2 * (order - i))
@@ -21,8 +25,8 @@ def _prior(order, density):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _shares(order):  # type: ignore[no-untyped-def]
-    """Covariance that the white derivative adds to the state in unit time at unit density."""
+def _unit_process_covariance(order):  # type: ignore[no-untyped-def]
+    """Return the covariance that the white derivative adds to the state in unit time at unit density."""
     Q = np.empty((order, order))
     for i in range(order):
         for j in range(order):
@@ -32,8 +36,8 @@ def _shares(order):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _set_interval(h, density, shares, F, Q):  # type: ignore[no-untyped-def]
-    """Fill the transition ``F`` over ``h`` and the covariance ``Q`` added meanwhile."""
+def _set_transition(h, density, unit_Q, F, Q):  # type: ignore[no-untyped-def]
+    """Fill the transition matrix ``F`` over a time ``h`` and the covariance ``Q`` that is added in it."""
     order = F.shape[0]
     for i in range(order):
         F[i, i] = 1.0
@@ -44,32 +48,32 @@ def _set_interval(h, density, shares, F, Q):  # type: ignore[no-untyped-def]
         for _ in range(order - 1 - i):
             power *= h
         for j in range(order - 1, -1, -1):
-            Q[i, j] = shares[i, j] * power
+            Q[i, j] = unit_Q[i, j] * power
             power *= h
 
 
 @njit(cache=True, nogil=True)
-def _read(P, element, gain, noise, K):  # type: ignore[no-untyped-def]
-    """Reduce ``P`` by one reading of gain·state[element]; fill the gains ``K``, return the variance of its prediction."""
+def _update_covariance(P, element, gain, variance, K):  # type: ignore[no-untyped-def]
+    """Reduce ``P`` by a reading of gain·state[element], fill the gains ``K``, return the variance of the innovation."""
     order = len(K)
-    variance = gain * gain * P[element, element] + noise
+    predicted = gain * gain * P[element, element] + variance
     for i in range(order):
-        K[i] = gain * P[i, element] / variance
+        K[i] = gain * P[i, element] / predicted
     for i in range(order):
         if i != element:
             for j in range(order):
                 if j != element:
-                    P[i, j] -= K[i] * K[j] * variance
-    # What the reading leaves of its own element, without the difference of two large numbers.
+                    P[i, j] -= K[i] * K[j] * predicted
+    # This form of the row of the element avoids the difference of two large numbers.
     for i in range(order):
-        rest = K[i] * noise / gain
+        rest = K[i] * variance / gain
         P[i, element] = rest
         P[element, i] = rest
-    return variance
+    return predicted
 
 
 @njit(cache=True, nogil=True)
-def _advance(P, F, Q, work):  # type: ignore[no-untyped-def]
+def _predict_covariance(P, F, Q, work):  # type: ignore[no-untyped-def]
     """P ← F P Fᵀ + Q, in place; F is upper triangular."""
     order = P.shape[0]
     for i in range(order):
@@ -88,7 +92,8 @@ def _advance(P, F, Q, work):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _move(state, F):  # type: ignore[no-untyped-def]
+def _predict_state(state, F):  # type: ignore[no-untyped-def]
+    """State ← F state, in place."""
     order = len(state)
     for i in range(order - 1):
         value = state[i]
@@ -98,40 +103,40 @@ def _move(state, F):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _settled(P, before):  # type: ignore[no-untyped-def]
-    """Whether the diagonal is still that of ``before``; ``before`` takes its values."""
+def _converged(P, diagonal):  # type: ignore[no-untyped-def]
+    """Whether the diagonal of ``P`` has stayed as it was; ``diagonal`` holds the old values and gets the new ones."""
     same = True
-    for i in range(len(before)):
-        same &= abs(P[i, i] - before[i]) <= 1e-12 * P[i, i]
-        before[i] = P[i, i]
+    for i in range(len(diagonal)):
+        same &= abs(P[i, i] - diagonal[i]) <= 1e-12 * P[i, i]
+        diagonal[i] = P[i, i]
     return same
 
 
 @njit(cache=True, nogil=True)
-def innovations(steps, reading, second, start, density, gain, second_noise):  # type: ignore[no-untyped-def]
-    """Sums over the one-step prediction errors e with variance V, rows position and accelerometer.
+def innovation_sums(intervals, position, acceleration, start, density, gain, variance):  # type: ignore[no-untyped-def]
+    """Return sums over the innovations e (errors of the one-step predictions) with variance V.
 
-    Columns: count, Σe²/V, Σe·o/V, Σo²/V, Σ log V, where o is the response of the errors to an accelerometer offset of 1.
-    With ``gain`` 0 there is no accelerometer.
+    Rows: position, accelerometer. Columns: count, Σe²/V, Σe·o/V, Σo²/V, Σ log V, where o is the response of the innovations
+    to an accelerometer offset of 1.
     """
-    n, order = len(reading), len(start)
+    n, order = len(position), len(start)
     sums = np.zeros((2, 5))
     state, response = start.copy(), np.zeros(order)
-    P, work, before = _prior(order, density), np.empty((order, order)), np.zeros(order)
+    P, work, diagonal = _initial_covariance(order, density), np.empty((order, order)), np.zeros(order)
     K, C = np.zeros(order), np.zeros(order)
-    F, Q, shares = np.zeros((order, order)), np.zeros((order, order)), _shares(order)
+    F, Q, unit_Q = np.zeros((order, order)), np.zeros((order, order)), _unit_process_covariance(order)
     f = g = 1.0  # inverse variances of the predictions
     log_f = log_g = 0.0
     steady, last = False, 0.0
     for k in range(n):
         if not steady:
-            f = 1 / _read(P, 0, 1.0, 1.0, K)
+            f = 1 / _update_covariance(P, 0, 1.0, 1.0, K)
             log_f = -math.log(f)
             if gain != 0.0:
-                g = 1 / _read(P, 2, gain, second_noise, C)
+                g = 1 / _update_covariance(P, 2, gain, variance, C)
                 log_g = -math.log(g)
-        counts = k >= order  # the first readings only find the state
-        e = reading[k] - state[0]
+        counts = k >= order  # the first readings only determine the state
+        e = position[k] - state[0]
         for i in range(order):
             state[i] += K[i] * e
         if counts:
@@ -145,7 +150,7 @@ def innovations(steps, reading, second, start, density, gain, second_noise):  # 
                 sums[0, 3] += o * o * f
             for i in range(order):
                 response[i] += K[i] * o
-            e, o = second[k] - gain * state[2], 1.0 - gain * response[2]
+            e, o = acceleration[k] - gain * state[2], 1.0 - gain * response[2]
             for i in range(order):
                 state[i] += C[i] * e
                 response[i] += C[i] * o
@@ -155,200 +160,159 @@ def innovations(steps, reading, second, start, density, gain, second_noise):  # 
                 sums[1, 2] += e * o * g
                 sums[1, 3] += o * o * g
                 sums[1, 4] += log_g
-        # On a uniform clock the gains settle; from there only the state is computed.
-        even = abs(steps[k] - last) <= 1e-6 * last
+        # With equal intervals the gains settle; from then on, only the state is computed.
+        even = abs(intervals[k] - last) <= 1e-6 * last
         if not even:
-            last = steps[k]
-            _set_interval(last, density, shares, F, Q)
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
         if not (steady and even):
-            _advance(P, F, Q, work)
-            steady = _settled(P, before) and even
-        _move(state, F)
+            _predict_covariance(P, F, Q, work)
+            steady = _converged(P, diagonal) and even
+        _predict_state(state, F)
         if gain != 0.0:
-            _move(response, F)
+            _predict_state(response, F)
     return sums
 
 
 @njit(cache=True, nogil=True)
-def smoother(steps, reading, second, start, density, gain, second_noise):  # type: ignore[no-untyped-def]
-    """Smoothed x, ẋ, ẍ, shape (n, 3), and variance of ẋ, shape (n,), in the units of the kernels."""
-    n, order = len(reading), len(start)
-    states, errors = np.empty((n, order)), np.zeros((n, 2))
-    # Covariances of the predictions, each stored once: that of sample k is kept[which[k]].
-    which, kept, held = np.empty(n, np.int64), np.empty((n, order, order)), -1
+def _filter(intervals, position, acceleration, start, density, gain, variance):  # type: ignore[no-untyped-def]
+    """Return the predicted states (n, order), the innovations (n, 2) and the covariances of the predictions.
+
+    Each covariance is stored once: that of sample k is covariances[which[k]].
+    """
+    n, order = len(position), len(start)
+    states, innovations = np.empty((n, order)), np.zeros((n, 2))
+    which, covariances, stored = np.empty(n, np.int64), np.empty((n, order, order)), -1
     state = start.copy()
-    P, work, before = _prior(order, density), np.empty((order, order)), np.zeros(order)
+    P, work, diagonal = _initial_covariance(order, density), np.empty((order, order)), np.zeros(order)
     K, C = np.zeros(order), np.zeros(order)
-    F, Q, shares = np.zeros((order, order)), np.zeros((order, order)), _shares(order)
+    F, Q, unit_Q = np.zeros((order, order)), np.zeros((order, order)), _unit_process_covariance(order)
     steady, last = False, 0.0
     for k in range(n):
         if not steady:
-            held += 1
-            kept[held] = P
-            _read(P, 0, 1.0, 1.0, K)
+            stored += 1
+            covariances[stored] = P
+            _update_covariance(P, 0, 1.0, 1.0, K)
             if gain != 0.0:
-                _read(P, 2, gain, second_noise, C)
-        which[k] = held
+                _update_covariance(P, 2, gain, variance, C)
+        which[k] = stored
         states[k] = state
-        errors[k, 0] = reading[k] - state[0]
+        innovations[k, 0] = position[k] - state[0]
         for i in range(order):
-            state[i] += K[i] * errors[k, 0]
+            state[i] += K[i] * innovations[k, 0]
         if gain != 0.0:
-            errors[k, 1] = second[k] - gain * state[2]
+            innovations[k, 1] = acceleration[k] - gain * state[2]
             for i in range(order):
-                state[i] += C[i] * errors[k, 1]
-        even = abs(steps[k] - last) <= 1e-6 * last
+                state[i] += C[i] * innovations[k, 1]
+        even = abs(intervals[k] - last) <= 1e-6 * last
         if not even:
-            last = steps[k]
-            _set_interval(last, density, shares, F, Q)
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
         if not (steady and even):
-            _advance(P, F, Q, work)
-            steady = _settled(P, before) and even
-        _move(state, F)
+            _predict_covariance(P, F, Q, work)
+            steady = _converged(P, diagonal) and even
+        _predict_state(state, F)
+    return states, innovations, which, covariances
 
-    smooth, variance = np.empty((n, 3)), np.empty(n)
-    r, N = np.zeros(order), np.zeros((order, order))
-    before[:] = 0.0
-    f = g = 1.0
-    spread = 0.0
-    steady, last = False, 0.0
+
+@njit(cache=True, nogil=True)
+def smooth_states(intervals, position, acceleration, start, density, gain, variance):  # type: ignore[no-untyped-def]
+    """Return the smoothed x, ẋ, ẍ (n, 3)."""
+    states, innovations, which, covariances = _filter(intervals, position, acceleration, start, density, gain, variance)
+    n, order = states.shape
+    smooth, score = np.empty((n, 3)), np.zeros(order)
+    P, K, C = np.empty((order, order)), np.zeros(order), np.zeros(order)
+    F, Q, unit_Q = np.zeros((order, order)), np.zeros((order, order)), _unit_process_covariance(order)
+    f = g = 1.0  # inverse variances of the predictions
+    last = 0.0
     for k in range(n - 1, -1, -1):
         if k < n - 1:
-            if abs(steps[k] - last) > 1e-6 * last:
-                last = steps[k]
-                _set_interval(last, density, shares, F, Q)
-                steady = False
-            for i in range(order - 1, 0, -1):  # r ← Fᵀ r
+            if abs(intervals[k] - last) > 1e-6 * last:
+                last = intervals[k]
+                _set_transition(last, density, unit_Q, F, Q)
+            for i in range(order - 1, 0, -1):  # score ← Fᵀ score
                 for j in range(i):
-                    r[i] += F[j, i] * r[j]
-        predicted = kept[which[k]]
-        same = k < n - 1 and which[k] == which[k + 1]
-        steady = steady and same
-        if not same:
+                    score[i] += F[j, i] * score[j]
+        predicted = covariances[which[k]]
+        if k == n - 1 or which[k] != which[k + 1]:
             P[:, :] = predicted
-            f = 1 / _read(P, 0, 1.0, 1.0, K)
+            f = 1 / _update_covariance(P, 0, 1.0, 1.0, K)
             if gain != 0.0:
-                g = 1 / _read(P, 2, gain, second_noise, C)
+                g = 1 / _update_covariance(P, 2, gain, variance, C)
         if gain != 0.0:
-            _unread(r, 2, gain, errors[k, 1] * g, C)
-        _unread(r, 0, 1.0, errors[k, 0] * f, K)
-        if not steady:
-            if k < n - 1:
-                _retreat(N, F, work)
-            if gain != 0.0:
-                _unread_variance(N, 2, gain, g, C, work)
-            _unread_variance(N, 0, 1.0, f, K, work)
-            spread = predicted[1, 1]
-            for i in range(order):
-                for j in range(order):
-                    spread -= predicted[1, i] * N[i, j] * predicted[j, 1]
-            steady = _settled(N, before) and same
+            _update_score(score, 2, gain, innovations[k, 1] * g, C)
+        _update_score(score, 0, 1.0, innovations[k, 0] * f, K)
         for i in range(3):
             value = states[k, i]
             for j in range(order):
-                value += predicted[i, j] * r[j]
+                value += predicted[i, j] * score[j]
             smooth[k, i] = value
-        variance[k] = spread
-    return smooth, variance
+    return smooth
 
 
 @njit(cache=True, nogil=True)
-def _unread(r, element, gain, weighted_error, K):  # type: ignore[no-untyped-def]
-    """r ← Lᵀ r + H e/V of one reading, L = I - K H."""
+def _update_score(score, element, gain, weighted_innovation, K):  # type: ignore[no-untyped-def]
+    """Score ← Lᵀ score + H e/V for a reading, with L = I - K H."""
     inner = 0.0
-    for i in range(len(r)):
-        inner += K[i] * r[i]
-    r[element] += gain * (weighted_error - inner)
+    for i in range(len(score)):
+        inner += K[i] * score[i]
+    score[element] += gain * (weighted_innovation - inner)
 
 
 @njit(cache=True, nogil=True)
-def _retreat(N, F, work):  # type: ignore[no-untyped-def]
-    """N ← Fᵀ N F, in place."""
-    order = N.shape[0]
-    for i in range(order):
-        for j in range(order):
-            value = N[i, j]
-            for k in range(i):
-                value += F[k, i] * N[k, j]
-            work[i, j] = value
-    for i in range(order):
-        for j in range(order):
-            value = work[i, j]
-            for k in range(j):
-                value += work[i, k] * F[k, j]
-            N[i, j] = value
+def draw_errors(intervals, parts, normal, density, gain, variance):  # type: ignore[no-untyped-def]
+    """Draw errors (3, count, n) of the smoothed x, ẋ, ẍ from standard normal numbers (n, count, order).
 
-
-@njit(cache=True, nogil=True)
-def _unread_variance(N, element, gain, weight, K, work):  # type: ignore[no-untyped-def]
-    """N ← Lᵀ N L + Hᵀ H/V of one reading, ``weight`` = 1/V."""
-    order = len(K)
-    total = 0.0
-    for i in range(order):
-        value = 0.0
-        for j in range(order):
-            value += N[i, j] * K[j]
-        work[0, i] = value
-        total += K[i] * value
-    for i in range(order):
-        N[i, element] -= gain * work[0, i]
-        N[element, i] -= gain * work[0, i]
-    N[element, element] += gain * gain * (total + weight)
-
-
-@njit(cache=True, nogil=True)
-def draw_errors(steps, parts, normal, density, gain, second_noise):  # type: ignore[no-untyped-def]
-    """Errors of the smoothed x, ẋ, ẍ from standard normal numbers (n, count, order): (3, count, n), in the kernels' units.
-
-    Of ``parts`` instants, the first one is read.
-    Given the next state, the error of a state is J·(that of the next) + (I - J F) a - J w with J = P Fᵀ (F P Fᵀ + Q)⁻¹. The
-    error of its filtered estimate, a, has covariance P; what the white derivative adds, w, has covariance Q.
+    Only the first of every ``parts`` instants has a reading. Given the error of the next state, the error of a state is
+    J·(that error) + (I - J F) a - J w with J = P Fᵀ (F P Fᵀ + Q)⁻¹. Here a is the error of the filtered estimate, with
+    covariance P, and w is what the white derivative adds, with covariance Q.
     """
     n, count, order = normal.shape
-    which, kept, held = np.empty(n, np.int64), np.empty((n, order, order)), -1
-    P, work, before = _prior(order, density), np.empty((order, order)), np.zeros(order)
+    which, covariances, stored = np.empty(n, np.int64), np.empty((n, order, order)), -1
+    P, work, diagonal = _initial_covariance(order, density), np.empty((order, order)), np.zeros(order)
     K = np.zeros(order)
-    F, Q, shares = np.zeros((order, order)), np.zeros((order, order)), _shares(order)
+    F, Q, unit_Q = np.zeros((order, order)), np.zeros((order, order)), _unit_process_covariance(order)
     steady, last = False, 0.0
     for k in range(n):
         if not steady:
-            held += 1
+            stored += 1
             if k % parts == 0:
-                _read(P, 0, 1.0, 1.0, K)
+                _update_covariance(P, 0, 1.0, 1.0, K)
                 if gain != 0.0:
-                    _read(P, 2, gain, second_noise, K)
-            kept[held] = P
-        which[k] = held
-        even = abs(steps[k] - last) <= 1e-6 * last
+                    _update_covariance(P, 2, gain, variance, K)
+            covariances[stored] = P
+        which[k] = stored
+        even = abs(intervals[k] - last) <= 1e-6 * last
         if not even:
-            last = steps[k]
-            _set_interval(last, density, shares, F, Q)
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
         if not (steady and even):
-            _advance(P, F, Q, work)
-            steady = _settled(P, before) and even and parts == 1
+            _predict_covariance(P, F, Q, work)
+            steady = _converged(P, diagonal) and even and parts == 1
 
     drawn = np.empty((3, count, n))
-    J, root = np.zeros((order, order)), _root(kept[which[n - 1]])
+    J, root = np.zeros((order, order)), _covariance_root(covariances[which[n - 1]])
     errors = np.zeros((count, order))
     last = 0.0
     for k in range(n - 1, -1, -1):
-        if k < n - 1 and (which[k] != which[k + 1] or k == n - 2 or abs(steps[k] - last) > 1e-6 * last):
-            last = steps[k]
-            _set_interval(last, density, shares, F, Q)
-            P[:, :] = kept[which[k]]
-            _advance(P, F, Q, work)
+        if k < n - 1 and (which[k] != which[k + 1] or k == n - 2 or abs(intervals[k] - last) > 1e-6 * last):
+            last = intervals[k]
+            _set_transition(last, density, unit_Q, F, Q)
+            filtered = covariances[which[k]]
+            P[:, :] = filtered
+            _predict_covariance(P, F, Q, work)
             scale = np.sqrt(np.diag(P))
-            J[:, :] = (np.linalg.solve(P / np.outer(scale, scale), (F @ kept[which[k]]) / scale.reshape(-1, 1))).T / scale
+            J[:, :] = (np.linalg.solve(P / np.outer(scale, scale), (F @ filtered) / scale.reshape(-1, 1))).T / scale
             rest = np.eye(order) - J @ F
-            root = _root(rest @ kept[which[k]] @ rest.T + J @ Q @ J.T)
+            root = _covariance_root(rest @ filtered @ rest.T + J @ Q @ J.T)
         errors = errors @ J.T + normal[k] @ root.T
         drawn[0, :, k], drawn[1, :, k], drawn[2, :, k] = errors[:, 0], errors[:, 1], errors[:, 2]
     return drawn
 
 
 @njit(cache=True, nogil=True)
-def _root(covariance):  # type: ignore[no-untyped-def]
-    """Lower triangular root of a covariance that rounding may have left slightly indefinite."""
+def _covariance_root(covariance):  # type: ignore[no-untyped-def]
+    """Return the Cholesky factor of a covariance that rounding may have made slightly indefinite."""
     order = len(covariance)
     root = np.zeros((order, order))
     for i in range(order):

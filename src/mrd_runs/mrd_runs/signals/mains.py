@@ -1,4 +1,4 @@
-"""The mains' phase in a recording: where in its period a hum on the force stands when the recording starts."""
+"""Phase of the mains hum on the force at the start of a recording."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,54 +9,67 @@ from mrd_runs.signals.current import current_noise
 
 Array = NDArray[np.float64]
 
+# Mains frequencies in Hz.
 MAINS = (50.0, 60.0)
-"""Hz."""
 
-ROUNDS = 10
-"""Of fits to a hum, each with weights from the one before."""
+# Iterations of the robust fit, each with weights from the residual of the one before; ten of them converge.
+_ITERATIONS = 10
 
-LOUD = 0.04
-"""s around a switch of the current in which the force says nothing of a hum."""
+# Time in s around a switch of the current in which the transient of the force hides the hum.
+_TRANSIENT = 0.04
+
+# A change of the current between samples is a switch above this multiple of its noise, and above this size in A.
+_SWITCH_NOISE, _SMALLEST_SWITCH = 3.0, 1e-3
+
+# Fewest samples in a mains period that show its phase, and fewest mains periods in a recording.
+_FEWEST_SAMPLES, _FEWEST_PERIODS = 2.2, 10
 
 
 def mains_phase(run: Run, current: Array) -> Array:
-    """Phase (2,) in rad of the force at 50 and at 60 Hz at the start of a recording.
+    """Return the phase (2,) in rad of the hum on the force at 50 and at 60 Hz at the start of a recording.
 
-    Recordings start at any moment, so each has a phase of its own. The force, less its mean over a period of the mains,
-    twice so that motion leaves little, is fitted by a cosine and a sine where the current does not switch. 0 where the rate
-    is too low to see the mains. ``current`` (n,) is the run's current in A without sensor noise.
+    Recordings start at any moment, so the phase differs between them. A cosine and a sine are fitted to the force where the
+    current does not switch. The mean over a mains period is subtracted before, twice, because it removes most of the force
+    that the motion causes. The phase is 0 where the sampling rate is too low.
+
+    Parameters
+    ----------
+    run : Run
+    current : ndarray (n,)
+        Current of the run in A without sensor noise.
     """
     change = np.abs(np.diff(current, prepend=run.current[0]))
-    near = maximum_filter1d(change, 2 * int(LOUD * run.rate) + 1)
-    calm = near <= max(3.0 * current_noise(run.current), 1e-3)
-    return np.array([_phase(run, calm.copy(), frequency) for frequency in MAINS])
+    largest_change_nearby = maximum_filter1d(change, 2 * int(_TRANSIENT * run.rate) + 1)
+    usable = largest_change_nearby <= max(_SWITCH_NOISE * current_noise(run.current), _SMALLEST_SWITCH)
+    return np.array([_phase(run, usable.copy(), frequency) for frequency in MAINS])
 
 
-def _phase(run: Run, calm: NDArray[np.bool_], frequency: float) -> float:
+def _phase(run: Run, usable: NDArray[np.bool_], frequency: float) -> float:
     period = run.rate / frequency
-    if period < 2.2 or len(run) < 10 * period:
+    if period < _FEWEST_SAMPLES or len(run) < _FEWEST_PERIODS * period:
         return 0.0
-    rest = run.force
+    residual = run.force
     for _ in range(2):
-        rest = rest - _mean(rest, period)
-    calm[: int(2 * period)] = calm[-int(2 * period) :] = False
-    if calm.sum() < 5 * period:
+        residual = residual - _running_mean(residual, period)
+    usable[: int(2 * period)] = usable[-int(2 * period) :] = False
+    if usable.sum() < _FEWEST_PERIODS / 2 * period:
         return 0.0
-    angle = 2 * np.pi * frequency * run.time[calm]
-    wave, rest, weight = np.stack([np.cos(angle), np.sin(angle)], axis=1), rest[calm], np.ones(int(calm.sum()))
-    # Reversals leave peaks, which count the less the farther out they are (Cauchy's loss).
-    for _ in range(ROUNDS):
-        cosine, sine = np.linalg.solve(wave.T @ (weight[:, None] * wave), wave.T @ (weight * rest))
-        out = np.abs(rest - wave @ np.array([cosine, sine]))
-        weight = 1.0 / (1.0 + (out / max(2.0 * float(np.median(out)), np.finfo(float).tiny)) ** 2)
+    angle = 2 * np.pi * frequency * run.time[usable]
+    waves, residual = np.stack([np.cos(angle), np.sin(angle)], axis=1), residual[usable]
+    weight = np.ones(len(residual))
+    # Reversals of the motion leave peaks in the residual. Cauchy's loss gives large residuals little weight.
+    for _ in range(_ITERATIONS):
+        cosine, sine = np.linalg.solve(waves.T @ (weight[:, None] * waves), waves.T @ (weight * residual))
+        misfit = np.abs(residual - waves @ np.array([cosine, sine]))
+        weight = 1.0 / (1.0 + (misfit / max(2.0 * float(np.median(misfit)), np.finfo(float).tiny)) ** 2)
     return float(np.arctan2(-sine, cosine))
 
 
-def _mean(series: Array, samples: float) -> Array:
-    """Running mean over a number of samples that need not be whole."""
+def _running_mean(series: Array, samples: float) -> Array:
+    """Return the running mean over a number of samples that need not be whole."""
     whole = int(samples)
-    share = samples - whole
-    less, more = (uniform_filter1d(series, size, mode="nearest") for size in (max(whole, 1), whole + 1))
-    # Windows of a whole number of samples weigh as many; the mean over the fractional one lies between them.
-    weights = np.array([(1 - share) * whole, share * (whole + 1)])
-    return np.asarray((weights[0] * less + weights[1] * more) / weights.sum())
+    fraction = samples - whole
+    shorter, longer = (uniform_filter1d(series, size, mode="nearest") for size in (max(whole, 1), whole + 1))
+    # The mean over the fractional window lies between those over the next shorter and the next longer window.
+    weights = np.array([(1 - fraction) * whole, fraction * (whole + 1)])
+    return np.asarray((weights[0] * shorter + weights[1] * longer) / weights.sum())

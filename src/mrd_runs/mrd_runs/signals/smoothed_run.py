@@ -1,4 +1,4 @@
-"""A run with what every analysis derives from its readings: the smoothed motion and the current without sensor noise."""
+"""A run with its smoothed signals, which every analysis uses: the motion, and the current without sensor noise."""
 
 import math
 from dataclasses import dataclass, replace
@@ -20,11 +20,11 @@ class SmoothedRun:
     Attributes
     ----------
     run : Run
-        The readings.
+        The measured signals.
     motion : Motion
         Smoothed position, velocity and acceleration.
     current : ndarray (n,)
-        Measured current in A without the noise of its sensor.
+        Measured current in A, without the noise of its sensor.
     """
 
     run: Run
@@ -39,9 +39,9 @@ def smooth_run(run: Run) -> SmoothedRun:
 
 
 def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
-    """Measure a run again: along its smoothed motion and current, with new sensor noise.
+    """Return the run as if it were measured again: its smoothed motion and current with new sensor noise.
 
-    The new readings are smoothed by the motion model that was fitted to ``smoothed``. The force stays.
+    The motion model of ``smoothed`` smooths the new readings. The force does not change.
     """
     run = smoothed.run
     position, acceleration, motion = remeasured_motion(run.time, smoothed.motion, run.acceleration, rng)
@@ -56,6 +56,5 @@ def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
 
 
 def exact_run(run: Run, acceleration: Array) -> SmoothedRun:
-    """Take the series of a run as exact, as those of a simulated run are."""
-    none = np.zeros(len(run))
-    return SmoothedRun(run, Motion(run.position, run.velocity, acceleration, none, 0.0, 3, math.inf), run.current)
+    """Return a run whose series are exact, as those of a simulated run are."""
+    return SmoothedRun(run, Motion(run.position, run.velocity, acceleration, 0.0, 3, math.inf), run.current)

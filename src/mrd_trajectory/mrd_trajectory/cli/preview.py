@@ -1,8 +1,7 @@
-"""Checks experiments against the bench's limits and shows what they will do; moves nothing."""
+"""Check experiments against the limits of the bench and show their motion, without moving the rod."""
 
 import argparse
 import os
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -13,40 +12,44 @@ from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
 from mrd_trajectory.waveforms import waveform_table
 
-# More points than a screen has columns only make the page slow.
-_POINTS = 20_000
+# More points than this make the page slow and cannot be seen.
+_MOST_POINTS = 20_000
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="preview", description=__doc__)
     parser.add_argument(
-        "experiment", nargs="?", type=Path, metavar="EXPERIMENT.yaml|FOLDER", help="a folder: a table of its experiments"
+        "experiment",
+        nargs="?",
+        type=Path,
+        metavar="EXPERIMENT.yaml|FOLDER",
+        help="of a folder, a table of its experiments is printed",
     )
-    parser.add_argument("--bench", default=os.environ.get("MRD_BENCH"), help="with the limits; default: $MRD_BENCH")
+    parser.add_argument("--bench", default=os.environ.get("MRD_BENCH"), help="file with the limits; default: $MRD_BENCH")
     parser.add_argument("--output", metavar="PREVIEW.html", help="page with position, velocity, acceleration and current")
-    parser.add_argument("--markdown", action="store_true", help="the table of a folder's experiments for a document")
+    parser.add_argument("--markdown", action="store_true", help="print the table of a folder in Markdown")
     parser.add_argument("--waveforms", action="store_true", help="list the waveforms and their parameters")
     arguments = parser.parse_args()
     if not arguments.waveforms and not arguments.experiment:
         parser.error("give an EXPERIMENT.yaml or a FOLDER of them, or --waveforms")
     if arguments.experiment and arguments.experiment.is_dir() and arguments.output:
         parser.error("--output shows one experiment, not a folder of them")
-    run_tool(lambda: _work(arguments))
+    run_tool(lambda: _preview(arguments))
 
 
-def _work(arguments: argparse.Namespace) -> None:
+def _preview(arguments: argparse.Namespace) -> None:
     if arguments.waveforms:
-        print(_table(("waveform", "under rod", "under coil", "default", "meaning"), *map(astuple, waveform_table())))
+        print(_table(("waveform", "under rod", "under coil", "default", "meaning"), *waveform_table()))
     if not arguments.experiment:
         return
     settings = read_settings(arguments.bench)
     if arguments.experiment.is_dir():
-        plans = [_planned(file, settings) for file in sorted(arguments.experiment.glob("*.yaml"))]
+        plans = [_read_plan(file, settings) for file in sorted(arguments.experiment.glob("*.yaml"))]
         if not plans:
             raise InputError(f"{arguments.experiment}: has no experiments; put files NAME.yaml there")
         print((_markdown if arguments.markdown else _table)(_HEADER, *map(_row, plans)))
         return
-    planned = _planned(arguments.experiment, settings)
+    planned = _read_plan(arguments.experiment, settings)
     experiment = planned.experiment
     start, end = planned.body
     print(f"{experiment.name}: {planned.duration:.2f} s, of which the waveforms {start:.2f} to {end:.2f} s\n")
@@ -57,7 +60,7 @@ def _work(arguments: argparse.Namespace) -> None:
         print(f"\n{Path(arguments.output).resolve()}")
 
 
-def _planned(file: Path, settings: GeneratorSettings) -> Plan:
+def _read_plan(file: Path, settings: GeneratorSettings) -> Plan:
     experiment = read_experiment(file)
     try:
         return plan(experiment, settings.limits, settings.force_envelope)
@@ -65,19 +68,19 @@ def _planned(file: Path, settings: GeneratorSettings) -> Plan:
         raise InputError(f"{file}: {error}") from None
 
 
-_HEADER = ("run", "s", "position, mm", "speed, mm/s", "current, mA", "force, N", "what it tells apart")
+_HEADER = ("run", "s", "position, mm", "speed, mm/s", "current, mA", "force, N", "purpose")
 
 
 def _row(planned: Plan) -> tuple[str, ...]:
-    """An experiment in a table: length, ranges while its waveforms run, largest expected force, description."""
-    at = planned.at(np.arange(*planned.body, 1e-3))
-    position, current = at.position * 1e3, at.current * 1e3
+    """Return the row of an experiment: duration, ranges within the body, largest expected force, description."""
+    setpoints = planned.at(np.arange(*planned.body, 1e-3))
+    position, current = setpoints.position * 1e3, setpoints.current * 1e3
     force = next(peak.value for peak in planned.peaks if peak.quantity == "expected force")
     return (
         planned.experiment.name,
         f"{planned.duration:.0f}",
         f"{position.min():.3g} to {position.max():.3g}",
-        f"{np.abs(at.velocity).max() * 1e3:.3g}",
+        f"{np.abs(setpoints.velocity).max() * 1e3:.3g}",
         f"{current.min():.0f}" + (f" to {current.max():.0f}" if np.ptp(current) else ""),
         f"{force:.0f}",
         planned.experiment.description,
@@ -98,17 +101,17 @@ def _table(*lines: tuple[str, ...]) -> str:
 def _write_page(planned: Plan, path: Path) -> None:
     from plotly.subplots import make_subplots
 
-    time = np.linspace(0, planned.duration, min(_POINTS, int(planned.duration * 1000) + 2))
-    at = planned.at(time)
+    time = np.linspace(0, planned.duration, min(_MOST_POINTS, int(planned.duration * 1000) + 2))
+    setpoints = planned.at(time)
     panels = [
-        ("position in mm", at.position * 1e3),
-        ("velocity in mm/s", at.velocity * 1e3),
-        ("acceleration in m/s²", at.acceleration),
-        ("coil current in mA", at.current * 1e3),
+        ("position in mm", setpoints.position * 1e3),
+        ("velocity in mm/s", setpoints.velocity * 1e3),
+        ("acceleration in m/s²", setpoints.acceleration),
+        ("coil current in mA", setpoints.current * 1e3),
     ]
     figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
     for row, (title, series) in enumerate(panels, 1):
-        # Steps of the current are steps: a slanted line would show currents that never flow.
+        # The current is drawn with sharp steps: a sloping line would show currents that never flow.
         line = {"width": 1, "shape": "hv" if row == len(panels) else "linear"}
         figure.add_scattergl(x=time, y=series, line=line, name=title, row=row, col=1)
         figure.update_yaxes(title_text=title, row=row, col=1)

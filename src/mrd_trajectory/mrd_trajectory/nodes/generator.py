@@ -1,4 +1,4 @@
-"""Generator: streams the setpoints of a loaded experiment, and of nothing else."""
+"""Generator: publishes the setpoints of a loaded experiment while it runs."""
 
 from typing import Any
 
@@ -15,10 +15,10 @@ from mrd_trajectory.settings import GeneratorSettings
 
 
 class Generator(BenchNode[GeneratorSettings]):
-    """Load once, start once: after every end an experiment must be loaded again.
+    """Publishes the setpoints of an experiment once after it was loaded and started.
 
-    The rod is expected at rest at mid-stroke when an experiment starts; whoever starts it has homed it. Whenever the stream
-    ends early, the servo brings the rod to rest by itself.
+    The rod must be at rest at mid-stroke when an experiment starts; the client that starts it is responsible for that. When
+    the setpoints end early, the servo brings the rod to rest.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class Generator(BenchNode[GeneratorSettings]):
         self._plan: Plan | None = None
         self._start = self._last = 0.0
         self._state = "idle"
-        self._why = ""
+        self._reason = ""
         self._stopped = False
         self._setpoints = self.create_publisher(Setpoint, "setpoint", COMMAND)
         self._states = self.create_publisher(String, "experiment_state", LATCHED)
@@ -38,12 +38,12 @@ class Generator(BenchNode[GeneratorSettings]):
         self._timer.cancel()
         self._enter("idle")
 
-    def _enter(self, state: str, why: str = "") -> None:
-        self._state, self._why = state, why
+    def _enter(self, state: str, reason: str = "") -> None:
+        self._state, self._reason = state, reason
         if state != "running":
             self._timer.cancel()
         self._states.publish(String(data=state))
-        self.get_logger().info(f"{state}{': ' + why if why else ''}")
+        self.get_logger().info(f"{state}{': ' + reason if reason else ''}")
 
     def _load(self, request: LoadExperiment.Request, response: LoadExperiment.Response) -> LoadExperiment.Response:
         if self._state == "running":
@@ -77,7 +77,7 @@ class Generator(BenchNode[GeneratorSettings]):
     def _abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
         if self._state == "running":
-            self._enter("aborted", "asked to")
+            self._enter("aborted", "on request")
         else:
             response.message = f"nothing was running ({self._state})"
         return response
@@ -88,25 +88,25 @@ class Generator(BenchNode[GeneratorSettings]):
             self._enter("aborted", "emergency stop")
 
     def _tick(self) -> None:
-        if self._state != "running":  # the timer may have been due when the run ended
+        if self._state != "running":  # the timer was already due when the run ended
             return
         now = self.bench.now()
         if now - self._last > self.config.stall:
-            # The rod has been stopped meanwhile; going on where the plan is now would make it jump.
+            # The servo has stopped the rod in the meantime. The present setpoint of the plan would make it jump.
             self._enter("aborted", f"no setpoint for {now - self._last:.3g} s; the machine is too busy")
         else:
             self._publish(now)
 
     def _publish(self, now: float) -> None:
-        """Publish the setpoint of a bench time; the one after the plan's end is the last."""
+        """Publish the setpoint of a bench time; end the run after the end of the plan."""
         assert self._plan is not None
         self._last = now
-        at = self._plan.at(now - self._start)
+        setpoint = self._plan.at(now - self._start)
         message = Setpoint(
-            position=float(at.position),
-            velocity=float(at.velocity),
-            acceleration=float(at.acceleration),
-            coil_current=float(at.current),
+            position=float(setpoint.position),
+            velocity=float(setpoint.velocity),
+            acceleration=float(setpoint.acceleration),
+            coil_current=float(setpoint.current),
         )
         message.header.stamp = self.stamp(now)
         self._setpoints.publish(message)
@@ -119,7 +119,7 @@ class Generator(BenchNode[GeneratorSettings]):
             values["experiment"] = self._plan.experiment.name
             if self._state == "running":
                 values["elapsed"] = f"{self._last - self._start:.1f} of {self._plan.duration:.1f} s"
-        return (self._why if self._state == "aborted" else ""), values
+        return (self._reason if self._state == "aborted" else ""), values
 
 
 def main() -> None:

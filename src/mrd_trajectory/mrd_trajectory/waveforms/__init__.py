@@ -1,11 +1,11 @@
 """The catalogue of waveforms. A new one is a file and a line in `WAVEFORMS`."""
 
 import dataclasses
-from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 from mrd_base import InputError
-from mrd_base.config import key_of
+from mrd_base.config import yaml_key
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
 from mrd_trajectory.waveforms.constant import Constant
@@ -18,7 +18,7 @@ from mrd_trajectory.waveforms.staircase import Staircase
 from mrd_trajectory.waveforms.step import Step
 from mrd_trajectory.waveforms.trace import Trace
 from mrd_trajectory.waveforms.triangle import Triangle
-from mrd_trajectory.waveforms.waveform import UNITS, Corners, Holds, Samples, Shape, Smooth, Waveform
+from mrd_trajectory.waveforms.waveform import CHANNEL_UNITS, Corners, Holds, Samples, Shape, Smooth, Waveform
 
 WAVEFORMS: MappingProxyType[str, type[Waveform]] = MappingProxyType(
     {
@@ -39,20 +39,19 @@ WAVEFORMS: MappingProxyType[str, type[Waveform]] = MappingProxyType(
 
 
 def waveform_type(name: object) -> type[Waveform]:
-    """Class of a waveform by its name in the catalogue."""
+    """Return the class of a waveform by its name in the catalogue."""
     if not isinstance(name, str) or name not in WAVEFORMS:
         raise InputError(f"unknown waveform {name} (known: {', '.join(WAVEFORMS)})")
     return WAVEFORMS[name]
 
 
-def name_of(waveform: Waveform) -> str:
-    """Name of a waveform in the catalogue."""
+def waveform_name(waveform: Waveform) -> str:
+    """Return the name of a waveform in the catalogue."""
     return next(name for name, cls in WAVEFORMS.items() if cls is type(waveform))
 
 
-@dataclass(frozen=True)
-class WaveformParameter:
-    """One row of the catalogue's table."""
+class WaveformParameter(NamedTuple):
+    """A row of the table of all parameters."""
 
     waveform: str
     rod_key: str
@@ -62,12 +61,12 @@ class WaveformParameter:
 
 
 def waveform_table() -> list[WaveformParameter]:
-    """Every parameter of every waveform by its YAML keys, for help texts and documentation."""
+    """Return every parameter of every waveform with its YAML keys."""
     return [
         WaveformParameter(
             name,
-            key_of(field, UNITS["rod"])[0],
-            key_of(field, UNITS["coil"])[0],
+            yaml_key(field, CHANNEL_UNITS["rod"])[0],
+            yaml_key(field, CHANNEL_UNITS["coil"])[0],
             "required" if field.default is dataclasses.MISSING else str(field.default),
             field.metadata["doc"],
         )
@@ -77,7 +76,7 @@ def waveform_table() -> list[WaveformParameter]:
 
 
 __all__ = [
-    "UNITS",
+    "CHANNEL_UNITS",
     "WAVEFORMS",
     "Constant",
     "Corners",
@@ -87,7 +86,7 @@ __all__ = [
     "Smooth",
     "Waveform",
     "WaveformParameter",
-    "name_of",
+    "waveform_name",
     "waveform_table",
     "waveform_type",
 ]

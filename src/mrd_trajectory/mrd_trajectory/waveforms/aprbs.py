@@ -10,9 +10,9 @@ from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
 
 @dataclass(frozen=True)
 class Aprbs(Waveform):
-    """Random levels held for random times (APRBS; Nelles, *Nonlinear System Identification*, 2001, §17.7).
+    """Hold random levels for random times (APRBS; Nelles, *Nonlinear System Identification*, 2001, §17.7).
 
-    ``count`` levels equally spaced from ``low`` to ``high`` come in shuffled rounds, each equally often.
+    ``count`` levels are equally spaced from ``low`` to ``high``. In shuffled rounds, each is equally frequent.
     """
 
     low: float = level_field("lowest level")

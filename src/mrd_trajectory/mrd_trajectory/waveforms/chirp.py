@@ -10,7 +10,7 @@ from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform, level_fie
 
 @dataclass(frozen=True)
 class Chirp(Waveform):
-    """Exponential sweep from ``start`` to ``end`` within the duration of the experiment.
+    """Sweep the frequency exponentially from ``start`` to ``end`` in one pass.
 
     With ``constant_speed`` the amplitude falls as the frequency rises, so that the peak rate stays the same.
     """
@@ -26,7 +26,7 @@ class Chirp(Waveform):
         decay = growth if self.constant_speed else 0.0
 
         def motion(time: Array) -> tuple[Array, Array, Array]:
-            # Level = offset + a sin φ with φ' = 2π f(t), f and a exponential; expm1 keeps equal ends (growth 0) exact.
+            # Level = offset + a sin φ with φ' = 2π f(t), where f and a are exponential.
             rate = 2 * np.pi * self.start * np.exp(growth * time)
             phase = 2 * np.pi * self.start * (np.expm1(growth * time) / growth if growth else time)
             amplitude = self.amplitude * np.exp(-decay * time)

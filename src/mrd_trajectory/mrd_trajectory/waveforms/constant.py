@@ -9,9 +9,9 @@ from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
 
 @dataclass(frozen=True)
 class Constant(Waveform):
-    """One level throughout."""
+    """Hold one level."""
 
-    level: float = level_field("held throughout", 0.0)
+    level: float = level_field("held for the whole time", 0.0)
 
     def shape(self, duration: float) -> Holds:
         return Holds(np.zeros(1), np.array([self.level]))

@@ -1,22 +1,22 @@
-"""Triangles of several slopes one after the other: constant speeds from slow to fast in one run."""
+"""Triangles of several slopes one after the other, for several constant speeds in one run."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from mrd_base import InputError, quantity
-from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeated
+from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, repeat_pattern
 
 
 @dataclass(frozen=True)
 class Ladder(Waveform):
-    """Whole triangles about ``offset``, for ``hold`` at each slope in turn, from the first again after the last.
+    """Follow whole triangles around ``offset`` for ``hold`` at each slope; after the last slope, start again.
 
-    At each slope as few triangles as fit into ``amplitude`` share the time, so that a slow rung travels less.
+    At each slope, the time is divided into as few triangles as ``amplitude`` allows. A slow slope therefore travels less.
     """
 
     slopes: tuple[float, ...] = quantity(
-        unit="level/s", doc="steepness of the lines, in the order of their turns", lower=1e-7, upper=1e3
+        unit="level/s", doc="steepness of the lines, in their order in time", lower=1e-7, upper=1e3
     )
     amplitude: float = level_field("largest half of peak to peak", lower=1e-6)
     hold: float = quantity(unit="s", doc="time at each slope", lower=1e-3, upper=3600)
@@ -31,4 +31,4 @@ class Ladder(Waveform):
         steps = quarters[:, None] * [1.0, 2.0, 1.0]
         starts = np.cumsum(steps) - steps.ravel()
         levels = np.repeat(slopes, cycles)[:, None] * quarters[:, None] * [0.0, 1.0, -1.0]
-        return Corners(*repeated(starts, self.offset + levels.ravel(), len(slopes) * self.hold, duration))
+        return Corners(*repeat_pattern(starts, self.offset + levels.ravel(), len(slopes) * self.hold, duration))

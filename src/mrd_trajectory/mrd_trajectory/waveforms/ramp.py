@@ -1,4 +1,4 @@
-"""One ramp from level to level, for quasi-static tests."""
+"""A ramp between two levels, for quasi-static tests."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from mrd_trajectory.waveforms.waveform import Corners, Waveform, level_field, sl
 
 @dataclass(frozen=True)
 class Ramp(Waveform):
-    """Hold ``start`` for ``dwell``, go to ``end`` at constant slope, hold it."""
+    """Hold ``start`` for ``dwell``, go to ``end`` at a constant slope, and hold it."""
 
     start: float = level_field("held first")
     end: float = level_field("held last")

@@ -10,7 +10,7 @@ from mrd_trajectory.waveforms.waveform import Array, Smooth, Waveform, level_fie
 
 @dataclass(frozen=True)
 class Sine(Waveform):
-    """``offset + amplitude sin(2π frequency t)``."""
+    """Follow ``offset + amplitude sin(2π frequency t)``."""
 
     amplitude: float = level_field("half of peak to peak", lower=0)
     frequency: float = quantity(unit="Hz", doc="of the sine", lower=1e-3, upper=100)

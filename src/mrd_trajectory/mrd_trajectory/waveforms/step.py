@@ -1,4 +1,4 @@
-"""One step."""
+"""A step."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from mrd_trajectory.waveforms.waveform import Holds, Waveform, level_field
 
 @dataclass(frozen=True)
 class Step(Waveform):
-    """``start`` until ``delay``, then ``end``."""
+    """Hold ``start`` until ``delay``, then ``end``."""
 
     start: float = level_field("before the step")
     end: float = level_field("after the step")

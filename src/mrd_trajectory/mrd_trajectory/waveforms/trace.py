@@ -1,6 +1,5 @@
-"""A recorded trace."""
+"""A recorded trace from a CSV file."""
 
-import csv
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,62 +10,36 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from mrd_base import InputError, quantity
+from mrd_base.table import check_columns, read_csv
 from mrd_trajectory.waveforms.waveform import Array, Samples, Waveform
+
+# A cubic spline needs four points.
+_FEWEST_SAMPLES = 4
 
 
 @dataclass(frozen=True)
 class Trace(Waveform):
-    """A column of a CSV file over its ``time_s``, in SI units."""
+    """Follow a column of a CSV file over its column ``time_s``, both in SI units."""
 
     file: str = quantity(unit="", doc="CSV with a header; relative to the experiment's file")
     column: str = quantity("", "", "of the levels; default position_m (m) for the rod, current_A (A) for the coil")
     scale: float = quantity(1.0, "", "factor on the levels", lower=-1e6, upper=1e6)
     cutoff: float = quantity(0.0, "Hz", "of a zero-phase low-pass against noise; 0: none", lower=0, upper=1e4)
 
-    def placed(self, folder: Path | None, column: str) -> Self:
+    def resolved(self, folder: Path | None, column: str) -> Self:
         if folder is None and not Path(self.file).is_absolute():
             raise InputError(f"file {self.file} is relative, and its folder is not known here; give the full path")
         return dataclasses.replace(self, file=str((folder or Path()) / self.file), column=self.column or column)
 
     def shape(self, duration: float) -> Samples:
-        times, levels = _read(Path(self.file), self.column)
-        times = times - times[0]
+        table = read_csv(self.file, ("time_s", self.column))
+        check_columns(table.columns, _FEWEST_SAMPLES, self.file, table.place)
+        times, levels = table.columns["time_s"] - table.columns["time_s"][0], table.columns[self.column]
         if times[-1] < duration * (1 - 1e-9):
             raise InputError(f"{self.file}: lasts {times[-1]:.6g} s, less than duration_s {duration:g}; reduce duration_s")
         if self.cutoff:
             times, levels = _low_pass(times, levels, self.cutoff, self.file)
         return Samples(times, self.scale * levels)
-
-
-def _read(path: Path, column: str) -> tuple[Array, Array]:
-    """Times and levels (n,) of a CSV, checked."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = csv.reader(stream)
-            header = [name.strip() for name in next(rows, [])]
-            for name in ("time_s", column):
-                if name not in header:
-                    raise InputError(f"{path}: has no column {name} (found: {', '.join(header) or 'nothing'})")
-            places = header.index("time_s"), header.index(column)
-            table = [[row[place] for place in places] for row in rows if row]
-        data = np.array(table, dtype=float).reshape(-1, 2)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    except IndexError:
-        raise InputError(f"{path}: has a row with fewer cells than the header") from None
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"{path}: holds something that is no number ({error})") from None
-    if len(data) < 4:
-        raise InputError(f"{path}: has {len(data)} samples, expected at least 4")
-    bad = np.flatnonzero(~np.isfinite(data).all(axis=1))
-    if len(bad):
-        raise InputError(f"{path}: sample {bad[0]} is not finite; remove or fill it")
-    back = np.flatnonzero(np.diff(data[:, 0]) <= 0)
-    if len(back):
-        raise InputError(f"{path}: time_s does not increase at sample {back[0] + 1}")
-    return data[:, 0], data[:, 1]
 
 
 def _low_pass(times: Array, levels: Array, cutoff: float, name: str) -> tuple[Array, Array]:

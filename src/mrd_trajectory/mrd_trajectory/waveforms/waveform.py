@@ -1,4 +1,4 @@
-"""What a waveform is: a frozen dataclass that says its shape over time, in levels."""
+"""Base of the waveforms: frozen dataclasses that return their shape over time, in levels."""
 
 import abc
 import dataclasses
@@ -14,8 +14,8 @@ from mrd_base import quantity
 
 Array = NDArray[np.float64]
 
-# What a level is in the YAML of either channel.
-UNITS: Mapping[str, Mapping[str, str]] = {
+# YAML units of the symbolic units of waveforms, for each channel.
+CHANNEL_UNITS: Mapping[str, Mapping[str, str]] = {
     "rod": {"level": "mm", "level/s": "mm/s"},
     "coil": {"level": "mA", "level/s": "mA/s"},
 }
@@ -23,14 +23,14 @@ UNITS: Mapping[str, Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Smooth:
-    """A level with its first and second time derivative.
+    """A smooth level with its first and second time derivatives.
 
     Attributes
     ----------
     motion : callable
-        Times (n,) in s to three arrays (n,): level, level/s, level/s².
+        Returns level, level/s and level/s² (n,) at times (n,) in s.
     highest_frequency : float
-        Hz, of the fastest part; sets how finely the shape is tabulated.
+        Highest frequency in Hz, which sets how densely the shape is tabulated.
     """
 
     motion: Callable[[Array], tuple[Array, Array, Array]]
@@ -39,7 +39,7 @@ class Smooth:
 
 @dataclass(frozen=True)
 class Corners:
-    """Straight lines between vertices; a rod rounds the corners."""
+    """Straight lines between vertices; the path of a rod has rounded corners."""
 
     times: Array
     levels: Array
@@ -47,7 +47,7 @@ class Corners:
 
 @dataclass(frozen=True)
 class Holds:
-    """Each level holds from its time on; a rod moves from one to the next as fast as the limits allow."""
+    """Constant levels, each from its time on; a rod moves between them as fast as the limits allow."""
 
     times: Array
     levels: Array
@@ -55,7 +55,7 @@ class Holds:
 
 @dataclass(frozen=True)
 class Samples:
-    """Recorded points; a rod follows the spline through them, a coil the straight lines between them."""
+    """Recorded points; a rod follows the spline through them, a coil follows straight lines between them."""
 
     times: Array
     levels: Array
@@ -67,22 +67,22 @@ Shape = Smooth | Corners | Holds | Samples
 class Waveform(abc.ABC):
     """Base of the waveforms: frozen dataclasses of `mrd_base.quantity` fields.
 
-    The unit ``"level"`` is mm for the rod and mA for the coil (``"level/s"`` likewise), SI inside. Levels scale
-    linearly with all fields of that unit, or with the field named ``scale`` where there is one: the remedies in error
-    messages rely on it.
+    The unit ``"level"`` is mm for the rod and mA for the coil (``"level/s"`` accordingly); attributes are in SI units.
+    Levels are proportional to all fields of that unit, or to the field ``scale`` where there is one. The remedies in error
+    messages rely on this.
     """
 
     @abc.abstractmethod
     def shape(self, duration: float) -> Shape:
-        """Shape over the times 0 to at least ``duration`` s; the same for the same fields."""
+        """Return the shape from time 0 to at least ``duration`` s; it depends on the fields only."""
 
-    def placed(self, folder: Path | None, column: str) -> Self:
-        """Resolve what the fields refer to: files lie in ``folder``, the channel is ``column`` in a CSV."""
+    def resolved(self, folder: Path | None, column: str) -> Self:
+        """Return the waveform with its file in ``folder``, and with ``column`` where it names no column of the file."""
         return self
 
 
 def level_field(doc: str, default: Any = dataclasses.MISSING, *, lower: float = -10.0) -> Any:
-    """Declare a field in levels: within 10 m or 10 A, so that no arithmetic overflows; the bench's limits come later."""
+    """Declare a field in levels, at most 10 m or 10 A so that no arithmetic overflows; `plan` checks the limits."""
     return quantity(default, "level", doc, lower=lower, upper=10.0)
 
 
@@ -91,14 +91,14 @@ def slope_field(doc: str) -> Any:
     return quantity(unit="level/s", doc=doc, lower=1e-7, upper=1e3)
 
 
-def repeated(vertices: ArrayLike, levels: ArrayLike, period: float, duration: float) -> tuple[Array, Array]:
-    """Times and levels of a pattern that repeats every ``period`` until ``duration`` is covered."""
+def repeat_pattern(vertices: ArrayLike, levels: ArrayLike, period: float, duration: float) -> tuple[Array, Array]:
+    """Return times and levels of a pattern that repeats every ``period`` s until ``duration`` is covered."""
     count = int(np.ceil(duration / period - 1e-9)) + 1
     times = np.arange(count)[:, None] * period + np.asarray(vertices, dtype=float)
     return times.ravel(), np.tile(np.asarray(levels, dtype=float), count)
 
 
 def fields_in(waveform: Waveform, unit: str) -> list["dataclasses.Field[object]"]:
-    """Fields of a waveform that have a unit; the levels of a waveform with a ``scale`` are that field."""
+    """Return the fields of a waveform with a unit; a field ``scale`` counts as a level."""
     fields = dataclasses.fields(waveform)  # type: ignore[arg-type]
     return [field for field in fields if field.metadata.get("unit") == unit or (unit == "level" and field.name == "scale")]

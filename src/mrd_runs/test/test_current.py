@@ -1,4 +1,4 @@
-"""A measured current without its noise."""
+"""A measured current without the noise of its sensor."""
 
 import numpy as np
 import pytest
@@ -30,18 +30,18 @@ def test_a_third_of_the_noise_is_left(current: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("current", [np.full(len(T), 0.5), steps(300), T / 15, 0.5 + 0.01 * np.sin(0.6 * np.pi * T)])
-def test_of_long_levels_and_slow_waves_a_sixth_of_the_noise_is_left(current: np.ndarray) -> None:
+def test_a_sixth_of_the_noise_is_left_on_long_levels_and_slow_waves(current: np.ndarray) -> None:
     assert rms(steady_current(noisy(current)) - current) < SIGMA / 6
 
 
 def test_a_wave_in_the_noise_is_not_flattened() -> None:
     wave = 0.75 * SIGMA * np.sin(4 * np.pi * T)
-    found = steady_current(noisy(0.5 + wave)) - 0.5
-    assert (found @ wave) / (wave @ wave) > 0.9
+    estimate = steady_current(noisy(0.5 + wave)) - 0.5
+    assert (estimate @ wave) / (wave @ wave) > 0.9
 
 
 @pytest.mark.parametrize("hold", [1, 2, 3])
-def test_levels_that_last_a_few_samples_are_no_noise(hold: int) -> None:
+def test_levels_of_a_few_samples_are_not_noise(hold: int) -> None:
     current = np.repeat(np.random.default_rng(1).choice([0.0, 0.5], 600 // hold), hold)
     assert 0.7 * SIGMA < current_noise(noisy(current)) < 1.35 * SIGMA
     assert rms(steady_current(noisy(current)) - current) < 1.1 * SIGMA
@@ -49,12 +49,12 @@ def test_levels_that_last_a_few_samples_are_no_noise(hold: int) -> None:
 
 def test_steps_stay_sharp() -> None:
     current = steps()
-    found = steady_current(noisy(current))
+    estimate = steady_current(noisy(current))
     for place in np.flatnonzero(np.diff(current)):
-        assert np.abs(found[place : place + 2] - current[place : place + 2]).max() < 0.05
+        assert np.abs(estimate[place : place + 2] - current[place : place + 2]).max() < 0.05
 
 
-def test_fast_waves_and_exponential_rises_gain_nothing_but_lose_nothing() -> None:
+def test_fast_waves_and_exponential_rises_are_not_distorted() -> None:
     wave = 0.5 + 0.5 * np.sin(2 * np.pi * 5 * T)
     rise = np.where(T % 0.4 < 0.2, 1 - np.exp(-(T % 0.2) / 0.02), np.exp(-(T % 0.2) / 0.02))
     for current in (wave, rise):
@@ -82,7 +82,7 @@ def test_single_outliers_are_gone() -> None:
 
 
 @given(st.floats(1e-4, 0.05), st.floats(-2, 2), st.integers(0, 1000))
-def test_noise_is_found_whatever_the_steps(sigma: float, size: float, seed: int) -> None:
+def test_noise_is_estimated_in_spite_of_steps(sigma: float, size: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     current = np.where(np.arange(2000) % 100 < 50, size, 0.0) + rng.normal(0, sigma, 2000)
     # One fourth difference in twelve has a step in it.

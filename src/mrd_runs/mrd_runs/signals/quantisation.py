@@ -1,0 +1,52 @@
+"""Quantisation of a measured channel: the step between its readings, and the error that it causes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Largest distance of a gap from a multiple of the step, as a share of the step; scaled digits are that exact.
+_TOLERANCE = 1e-3
+# Smallest share of the gaps that are multiples of the step; averaged or unquantised readings have fewer.
+_MULTIPLES = 0.99
+
+
+def rounding_error(readings: Array) -> float:
+    """Return the largest rounding error, in their unit, that readings (n,) have as floating-point numbers."""
+    return 8 * np.finfo(float).eps * float(np.abs(readings).max())
+
+
+def quantisation_step(
+    readings: Array, resolution: float, *, tolerance: float = _TOLERANCE, multiples: float = _MULTIPLES
+) -> float:
+    """Return the step of a quantised channel in the unit of its readings; 0 where it is not quantised.
+
+    Parameters
+    ----------
+    readings : ndarray (n,)
+        Readings of a channel, of position, force or current for instance.
+    resolution : float
+        Smallest difference between two readings that is not rounding, at least `rounding_error`.
+    tolerance : float
+        Largest distance of a gap between neighbouring values from a multiple of the step, as a share of the step.
+    multiples : float
+        Smallest share of such gaps that must be multiples of the step.
+    """
+    gaps = np.diff(np.unique(readings))
+    gaps = gaps[gaps > resolution]
+    if len(gaps) == 0:
+        return 0.0
+    step = float(gaps.min())
+    remainder = np.abs(gaps / step - np.round(gaps / step))
+    return step if np.mean(remainder < tolerance) >= multiples else 0.0
+
+
+def quantisation_variance(readings: Array, resolution: float) -> float:
+    """Return the variance of the quantisation error of a channel, at least the squared ``resolution``.
+
+    The error of one reading has the variance step²/12. It stays the same while the reading does, so the variance is
+    multiplied by the mean number of samples between two changes: as white noise, it then weighs as much.
+    """
+    step = quantisation_step(readings, resolution)
+    samples_per_change = len(readings) / (1 + np.count_nonzero(np.diff(readings)))
+    return max(step**2 / 12 * samples_per_change, resolution**2)

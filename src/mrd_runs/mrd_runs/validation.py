@@ -1,0 +1,134 @@
+"""`make_run`: checks columns of samples from any source and makes a `Run` of them."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_base.table import check_columns
+from mrd_runs.run import Run
+
+Array = NDArray[np.float64]
+
+# A recording with fewer samples is too short to identify a model from.
+FEWEST_SAMPLES = 50
+
+# Magnitude of each column that no damper bench exceeds, and the unit to suspect beyond it.
+_LARGEST_MAGNITUDES = {
+    "current_A": (20.0, "is it in mA?"),
+    "force_N": (1e6, "is it in mN?"),
+    "acceleration_mps2": (1e4, "is it in mm/s²?"),
+    "velocity_mps": (50.0, "is it in mm/s?"),
+}
+_LARGEST_STROKE = 0.5  # m, peak to peak; ten times the stroke of a small damper
+_MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
+_TEMPERATURES = (-60.0, 220.0)  # °C; the limits of damper oils and seals
+
+
+def make_run(
+    name: str,
+    columns: Mapping[str, Array],
+    info: Mapping[str, Any] | None = None,
+    *,
+    where: str | None = None,
+    place: Callable[[int], str] = "sample {}".format,
+) -> Run:
+    """Check columns of samples and make a `Run` of them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the run.
+    columns : mapping of str to ndarray (n,)
+        Equally long columns: ``time_s``, ``position_m``, ``current_A``, ``force_N``, and optionally ``velocity_mps``,
+        ``acceleration_mps2``, ``temperature_C``.
+    info : mapping, optional
+        Facts about the recording. Notes of the checks are appended to its ``notes``.
+    where : str, optional
+        Prefix of error messages, by default ``name``.
+    place : callable, optional
+        Returns how an error message names the sample of an index.
+
+    Returns
+    -------
+    Run
+        Its time starts at 0. Its velocity is the recorded one, or else that of the smoothed motion.
+
+    Raises
+    ------
+    InputError
+        For fewer than 50 samples, a value that is not finite, time that does not increase, or values that must be in
+        another unit.
+    """
+    # Importing the smoother imports numba, which takes a third of a second. The recorder never needs it.
+    from mrd_runs.signals.motion import smooth_motion
+
+    where = where or name
+    columns = {key: np.ascontiguousarray(values, np.float64) for key, values in columns.items()}
+    check_columns(columns, FEWEST_SAMPLES, where, place)
+    _check_units(columns, where)
+    notes = [*(info or {}).get("notes", ()), *_unit_notes(columns, where)]
+    time = columns["time_s"] - columns["time_s"][0]
+    velocity, temperature = columns.get("velocity_mps"), columns.get("temperature_C")
+    if velocity is None:
+        smoothed = smooth_motion(time, columns["position_m"], columns.get("acceleration_mps2"))
+        velocity = smoothed.velocity
+        notes += [smoothed.note] if smoothed.note else []
+    return Run(
+        name,
+        time,
+        columns["position_m"],
+        velocity,
+        columns["current_A"],
+        columns["force_N"],
+        columns.get("acceleration_mps2"),
+        None if temperature is None else temperature + 273.15,
+        {**(info or {}), "notes": tuple(notes)},
+    )
+
+
+def _check_units(columns: Mapping[str, Array], where: str) -> None:
+    """Refuse values that must be in another unit."""
+    interval = float(np.median(np.diff(columns["time_s"])))
+    shortest, longest = _MEDIAN_INTERVALS
+    if not shortest <= interval <= longest:
+        suspicion = "is it in ms?" if interval > 1e-3 else "is it in minutes or hours?"
+        raise InputError(
+            f"{where}: time_s advances by {interval:g} a sample, expected {shortest:g} to {longest:g} s; {suspicion}"
+        )
+    stroke = float(np.ptp(columns["position_m"]))
+    if stroke > _LARGEST_STROKE:
+        raise InputError(
+            f"{where}: position_m spans {stroke:g}, expected at most {_LARGEST_STROKE:g} m peak to peak; is it in mm?"
+        )
+    for name, (largest, suspicion) in _LARGEST_MAGNITUDES.items():
+        if name in columns and (magnitude := float(np.abs(columns[name]).max())) > largest:
+            raise InputError(f"{where}: {name} reaches {magnitude:g}, expected at most {largest:g}; {suspicion}")
+    if "temperature_C" in columns:
+        lowest, highest = float(columns["temperature_C"].min()), float(columns["temperature_C"].max())
+        if lowest < _TEMPERATURES[0] or highest > _TEMPERATURES[1]:
+            raise InputError(
+                f"{where}: temperature_C spans {lowest:g} to {highest:g}, "
+                f"expected {_TEMPERATURES[0]:g} to {_TEMPERATURES[1]:g} °C; is it in K or °F?"
+            )
+
+
+def _unit_notes(columns: Mapping[str, Array], where: str) -> list[str]:
+    """Return notes on values that may be in another unit; refuse a velocity that must be."""
+    notes = []
+    stroke = float(np.ptp(columns["position_m"]))
+    if "velocity_mps" in columns and stroke > 0:
+        derivative = np.gradient(columns["position_m"], columns["time_s"])
+        ratio = float(np.std(columns["velocity_mps"]) / np.std(derivative))
+        if ratio > 100:
+            raise InputError(
+                f"{where}: velocity_mps is {ratio:.3g} times the derivative of position_m, expected about 1; is it in mm/s?"
+            )
+        if ratio > 1.5 or ratio < 0.5:
+            notes.append(f"velocity_mps is {ratio:.2g} times the derivative of position_m")
+    span = float(np.ptp(columns["force_N"]))
+    if stroke > 1e-3 and 0 < span < 5:
+        notes.append(f"force_N spans only {span:.3g} N over a stroke of {stroke * 1e3:.3g} mm: is it in kN or V?")
+    return notes
