@@ -22,7 +22,7 @@ from mrd_trials.truth import BenchCommand
 EVALUATIONS_FILE = "evaluations.jsonl"
 
 RANDOM_STREAM = 7
-"""Number of the random stream, beside those of a plant's design, from which its random experiment is drawn."""
+"""Number of the random stream, beside those of a plant's design, that gives its random experiment."""
 
 
 @dataclass(frozen=True)

@@ -303,8 +303,10 @@ def test_intervals_count_where_the_cause_is_right_and_has_one():
     found = score(
         plants,
         [
-            submit(name, "explained", ("backlash", 0.9, own), ("joint_play", 0.9, {"joint_play.width": (1.0, 0.0, 2.0)}))
-            for name, own in zip("abc", sizes, strict=True)
+            submit(
+                name, "explained", ("backlash", 0.9, of_plant), ("joint_play", 0.9, {"joint_play.width": (1.0, 0.0, 2.0)})
+            )
+            for name, of_plant in zip("abc", sizes, strict=True)
         ],
     ).by_excitation["rich"]
     assert found.coverage == Rate(1, 2)

@@ -83,7 +83,7 @@ def count_verdicts(results: PlantResults) -> Counts:
 
 
 def count_confusion(results: PlantResults) -> Counts:
-    """Count what is named first by ground truth, or else the verdict; each cause of a pair has a row of its own."""
+    """Count what is named first by ground truth, or else the verdict; each cause of a pair has its own row."""
     pairs = select(results, kind="pair")
     entries = [
         *sorted((result.truth.causes[0], _first_named(result)) for result in select(results, kind="single")),
