@@ -1,7 +1,7 @@
 """The docs' page about the damper models, written from the catalogue."""
 
 from mrd_sim.current import LAWS
-from mrd_sim.models import MODELS, DamperModel, Quantity
+from mrd_sim.models import MODELS, Coefficient, DamperModel
 from mrd_sim.models.model import COIL_LAG
 
 COMMAND = "ros2 run mrd_sim models --markdown > docs/models.md"
@@ -104,7 +104,7 @@ lower bound where its law would take it below.
 
 def section(model: DamperModel) -> str:
     """A model's equation, coefficients and source in Markdown."""
-    rows = "\n".join(_row(quantity) for quantity in model.quantities)
+    rows = "\n".join(_row(coefficient) for coefficient in model.coefficients)
     text = f"""## {model.id}
 
 **{model.title}**
@@ -145,25 +145,25 @@ def integration(model: DamperModel) -> str:
     return f"order {model.order}" if model.order else "exact"
 
 
-def bounds(quantity: Quantity) -> str:
+def bounds(coefficient: Coefficient) -> str:
     """Default and bounds at 0 A."""
-    fixed = "" if quantity.free else ", fixed unless set"
-    return f"{quantity.default:g} ({quantity.lower:g} … {quantity.upper:g}{fixed})"
+    fixed = "" if coefficient.free else ", fixed unless set"
+    return f"{coefficient.default:g} ({coefficient.lower:g} … {coefficient.upper:g}{fixed})"
 
 
-def slope(quantity: Quantity) -> str:
+def slope(coefficient: Coefficient) -> str:
     """Current law by default, with default and bounds of the slope at 0 A."""
-    if quantity.per_ampere is None:
+    if coefficient.per_ampere is None:
         return "–"
-    default, lower, upper = quantity.per_ampere
-    if quantity.law == "constant":
+    default, lower, upper = coefficient.per_ampere
+    if coefficient.law == "constant":
         return f"constant; with another law {default:g} ({lower:g} … {upper:g})"
-    return f"{quantity.law}: {default:g} ({lower:g} … {upper:g})"
+    return f"{coefficient.law}: {default:g} ({lower:g} … {upper:g})"
 
 
-def _row(quantity: Quantity) -> str:
-    meaning = quantity.meaning.replace("|", "\\|")
+def _row(coefficient: Coefficient) -> str:
+    meaning = coefficient.meaning.replace("|", "\\|")
     return (
-        f"| `{quantity.name}` | {quantity.symbol} | {quantity.unit or '1'} | {meaning} | {bounds(quantity)} "
-        f"| {slope(quantity)} |"
+        f"| `{coefficient.name}` | {coefficient.symbol} | {coefficient.unit or '1'} | {meaning} | {bounds(coefficient)} "
+        f"| {slope(coefficient)} |"
     )

@@ -17,7 +17,7 @@ from mrd_sim.damper import Damper
 from mrd_sim.dual import STEP
 from mrd_sim.hysteresis import advance
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.models.modified_bouc_wen import _internal_step, implicit_share
+from mrd_sim.models.modified_bouc_wen import Coefficients, implicit_weight, internal_step
 from mrd_sim.models.quasi_static import pressure_drop, yield_stress
 from mrd_sim.models_page import COMMAND, page
 from mrd_sim.path import Path, make_path
@@ -75,9 +75,9 @@ def dampers(draw, model, margin=0.0):
     count = len(model.parameters)
     unit = margin + (1 - 2 * margin) * np.array(draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
     theta = np.array([from_unit(u, p) for u, p in zip(unit, model.parameters, strict=True)])
-    for quantity in model.quantities:
-        if quantity.symbol == "n" and draw(st.booleans()):
-            theta[model.names.index(quantity.name)] = draw(st.sampled_from([1.0, 2.0]))  # written-out solutions
+    for coefficient in model.coefficients:
+        if coefficient.symbol == "n" and draw(st.booleans()):
+            theta[model.names.index(coefficient.name)] = draw(st.sampled_from([1.0, 2.0]))  # written-out solutions
     return model, theta
 
 
@@ -97,7 +97,7 @@ def test_shape_names_and_defaults(model):
     assert force.shape == (2000,)
     assert np.isfinite(force).all()
     assert len(set(model.names)) == len(model.names)
-    assert len({quantity.symbol for quantity in model.quantities}) == len(model.quantities)
+    assert len({coefficient.symbol for coefficient in model.coefficients}) == len(model.coefficients)
     for parameter in model.parameters:
         assert parameter.lower < parameter.upper
         assert parameter.lower <= parameter.default <= parameter.upper
@@ -176,7 +176,7 @@ def test_no_closed_cycle_yields_energy(model, data):
     motion = data.draw(motions(cycles=3, samples=[count]))
     motion["later_current"] = motion["current"]
     coefficients = model.at_current(theta, motion["current"])
-    assume(all(coefficients[q.name] >= q.lower for q in model.quantities if q.multiplies in ("v", "term")))
+    assume(all(coefficients[q.name] >= q.lower for q in model.coefficients if q.multiplies in ("v", "term")))
     path = make_path(*two_tones(**motion))
     force = model.force(theta, replace(path, samples=np.arange(len(path.dt))))
     tiny = 1e-3 * np.ptp(force) * np.ptp(path.position) + 1e-12  # a step of the force falls between two samples
@@ -200,7 +200,7 @@ def test_dissipates_over_a_settled_cycle_by_default(model):
 def test_without_current_only_the_values_at_zero_ampere_count(model, data):
     model, theta = data.draw(dampers(model))
     known = values(model, theta)
-    assert model.at_current(theta, 0.0) == {q.name: known[q.name] for q in model.quantities}
+    assert model.at_current(theta, 0.0) == {q.name: known[q.name] for q in model.coefficients}
     time, x, v, a, _ = two_tones(**data.draw(motions()))
     path = make_path(time, x, v, a, np.zeros(len(time)))
     plain = model.vector({name: known[name] for name in model.at_current(theta, 0.0)} | {"coil_lag": known["coil_lag"]})
@@ -293,7 +293,7 @@ def test_force_is_the_equation(name, data):
     motion["later_current"] = motion["current"]
     time, x, v, a, current = two_tones(**motion)
     found = model.at_current(theta, motion["current"])
-    q = {quantity.symbol: found[quantity.name] for quantity in model.quantities}
+    q = {coefficient.symbol: found[coefficient.name] for coefficient in model.coefficients}
     force = model.force(theta, make_path(time, x, v, a, current))
     assert np.allclose(force, WRITTEN_OUT[name](q, x, v, a), rtol=1e-9, atol=1e-9)
 
@@ -461,9 +461,10 @@ def test_modified_bouc_wen_converges_at_second_order():
 def test_internal_step_is_solved_however_large_it_is(w, travel, middle, dt, f_y, sigma, n, k0, c1):
     """Newton's method alone goes to and fro over the kink where the element reverses, and ends on the wrong force."""
     x_y, c0 = 4e-6, 2e3
-    d, after = _internal_step(w, travel * x_y, middle, dt, f_y, x_y, sigma, n, c0, c1, k0)
+    c = Coefficients(f_y, x_y, sigma, n, c0, c1, k0, accumulator_stiffness=0.0, offset=0.0)
+    d, after = internal_step(w, travel * x_y, middle, dt, c)
     assert after == pytest.approx(advance(w, travel - d / x_y, sigma, n), abs=1e-6)
-    share = implicit_share(dt * f_y / x_y / (c0 + c1 + 0.5 * dt * k0))
+    share = implicit_weight(dt * f_y / x_y / (c0 + c1 + 0.5 * dt * k0))
     push = dt * (f_y * ((1 - share) * w + share * after) + k0 * (middle - 0.5 * d)) + c0 * travel * x_y
     assert d * (c0 + c1) == pytest.approx(push, abs=1e-6 * dt * max(f_y, 1.0))
 

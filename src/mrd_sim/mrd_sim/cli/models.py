@@ -67,8 +67,8 @@ def current_laws(model: DamperModel) -> Table:
     """Table of a model's coefficients over current."""
     known = ", ".join(LAWS)
     table = Table("coefficient", "at 0 A", "current law: slope at 0 A", caption=f"Laws to choose from: {known}")
-    for quantity in model.quantities:
-        if quantity.per_ampere:
-            unit = quantity.unit or "1"
-            table.add_row(f"{quantity.name} in {unit}", bounds(quantity), slope(quantity))
+    for coefficient in model.coefficients:
+        if coefficient.per_ampere:
+            unit = coefficient.unit or "1"
+            table.add_row(f"{coefficient.name} in {unit}", bounds(coefficient), slope(coefficient))
     return table

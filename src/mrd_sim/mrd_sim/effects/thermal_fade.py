@@ -7,17 +7,25 @@ from numba import njit
 
 from mrd_sim.dual import exp
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 _RESISTANCE = 5.0  # Ohm, of the coil
 
+PARAMETERS = (
+    Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force lost per joule of heat, b"),
+    Parameter("cooling_time", "s", 400.0, 30.0, 3000.0, "time constant of cooling, t_c", log=True),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
+
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     heat = state[0]
     for k in range(len(x)):
-        force[k] *= exp(-p[0] * heat)
-        heat += dt[k] * (force[k] * v[k] + _RESISTANCE * u[k] * u[k] - heat / p[1])
+        force[k] *= exp(-p.fade * heat)
+        heat += dt[k] * (force[k] * v[k] + _RESISTANCE * u[k] * u[k] - heat / p.cooling_time)
         if heat.real < 0.0:  # what springs give back does not cool
             heat *= 0.0
     state[0] = heat
@@ -30,10 +38,7 @@ EFFECT = Effect(
     stage="fluid",
     equation="F exp(-b E), E' = F x' + 5 Ohm u² - E / t_c, E = C (T - T_a) >= 0",
     source="Sahin, Cesmeci & Wereley; C 300-600 J/K, loss 0.5-1.5 W/K, 0.1-2.5 % of the force per K",
-    parameters=(
-        Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force lost per joule of heat, b"),
-        Parameter("cooling_time", "s", 400.0, 30.0, 3000.0, "time constant of cooling, t_c", log=True),
-    ),
+    parameters=PARAMETERS,
     typical={"fade": 6e-5, "cooling_time": 400.0},
     signature="the force falls over minutes with the energy that was dissipated, faster in hard runs",
     confused_with=("settling", "load_cell_drift", "load_cell_gain"),

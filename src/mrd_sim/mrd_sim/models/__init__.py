@@ -22,7 +22,8 @@ from mrd_sim.models import (
     shear_thinning_bouc_wen,
     sigmoid,
 )
-from mrd_sim.models.model import DamperModel, Quantity, SeriesSolutions
+from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.model import DamperModel, SeriesSolutions
 from mrd_sim.parameter import Parameter
 
 MODELS: dict[str, DamperModel] = {
@@ -49,12 +50,12 @@ MODELS: dict[str, DamperModel] = {
 
 
 def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:
-    """Model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
+    """Return a model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
 
     Raises
     ------
     InputError
-        When there is none; lists those there are. For an unknown law, coefficient or effect.
+        For an unknown model, law, coefficient or effect; lists the known ones.
     """
     if name not in MODELS:
         raise InputError(f"unknown model {name} (known: {', '.join(MODELS)})")
@@ -62,4 +63,4 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
     return model.with_effects(find_effects(effects)) if effects else model
 
 
-__all__ = ["MODELS", "DamperModel", "Parameter", "Quantity", "SeriesSolutions", "find_model"]
+__all__ = ["MODELS", "Coefficient", "DamperModel", "Parameter", "SeriesSolutions", "find_model"]
