@@ -11,7 +11,7 @@ from mrd_base import InputError
 from mrd_sim.cli import effects as tool
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS, load_effects
-from mrd_sim.effects_page import _EXAMPLE, COMMAND, page
+from mrd_sim.effects_page import COMMAND, EXAMPLE, page
 from mrd_sim.models import find_model
 
 SERIES = """
@@ -67,7 +67,7 @@ def test_tool_shows_the_catalogue_and_each_effect(monkeypatch, capsys):
 
 
 def test_the_example_of_the_docs_is_an_effect_of_ones_own(tmp_path, monkeypatch, capsys):
-    (tmp_path / "magnet.py").write_text(_EXAMPLE, encoding="utf-8")
+    (tmp_path / "magnet.py").write_text(EXAMPLE, encoding="utf-8")
     (tmp_path / "helper.py").write_text("raise RuntimeError('no effect, must not be imported')", encoding="utf-8")
     run(monkeypatch, "magnet", "--effects-folder", tmp_path)
     assert "magnet.holding" in capsys.readouterr().out

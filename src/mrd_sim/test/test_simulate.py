@@ -156,7 +156,9 @@ def test_effects_are_chosen_by_text():
         parse_effects("joint_play: {play: wide}", "--effects")
     assert parse_effect("joint_play.play=3e-4") == ("joint_play", "play", 3e-4)
     for text in ("joint_play=1", "joint_play.play", "joint_play.play=wide"):
-        with pytest.raises(InputError, match=r"--effect: joint_play.* is no value of an effect, expected EFFECT\.PARAM"):
+        with pytest.raises(
+            InputError, match=r"--effect: joint_play.* is no parameter of an effect with its value, expected EFFECT\.PARAM"
+        ):
             parse_effect(text)
     with pytest.raises(InputError, match="unknown effect ghost"):
         Damper("bouc_wen", effects={"ghost": {}})
@@ -186,7 +188,7 @@ def test_the_tool(tmp_path):
     assert np.array_equal(read_run(tmp_path / "whole.csv").force, after.force)
     twice = subprocess.run([*whole, "--parameters", "{offset: 1}"], capture_output=True, text=True)
     assert twice.returncode == 2
-    assert "says all of the damper" in twice.stderr
+    assert "describes the whole damper" in twice.stderr
     wrong = subprocess.run([*command, "--model", "binghm"], capture_output=True, text=True)
     assert wrong.returncode == 2
     assert wrong.stderr.startswith("error: unknown model binghm (known: ")

@@ -73,12 +73,12 @@ _SHIPPED = frozenset(EFFECTS)
 
 
 def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects by their ids, in the order of the catalogue, however they are named; a user's own after those.
+    """Return effects by their ids, in the order of the catalogue whatever that of the names; a user's own come last.
 
     Raises
     ------
     InputError
-        When one is not known or named twice; lists those there are.
+        When a name is not known, or given twice; lists the known ones.
     """
     for name in names:
         if name not in EFFECTS:
@@ -89,22 +89,22 @@ def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
 
 
 def load_effects(folder: str | Path) -> tuple[Effect, ...]:
-    """Add a user's own effects to this process's catalogue, one from every ``*.py`` of a folder that assigns ``EFFECT``.
+    """Add a user's own effects to this process's catalogue: one from every ``*.py`` of a folder that assigns ``EFFECT``.
 
-    Loaded again, an effect takes the place of the one before.
+    An effect that is loaded again replaces the former one.
 
     Raises
     ------
     InputError
-        When one cannot be used, or its id is taken; names the file.
+        When an effect cannot be used, or its id is in use; names the file.
     """
-    found: dict[str, Effect] = {}
+    loaded: dict[str, Effect] = {}
     for file, effect in read_effects(folder).items():
-        if effect.id in _SHIPPED or effect.id in found:
+        if effect.id in _SHIPPED or effect.id in loaded:
             raise InputError(f"{file}: there is an effect {effect.id} already, expected another id")
-        found[effect.id] = effect
-    EFFECTS.update(found)
-    return tuple(found.values())
+        loaded[effect.id] = effect
+    EFFECTS.update(loaded)
+    return tuple(loaded.values())
 
 
 __all__ = ["EFFECTS", "STAGES", "Effect", "Stage", "find_effects", "load_effects"]

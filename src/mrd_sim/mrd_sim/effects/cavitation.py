@@ -1,4 +1,4 @@
-"""Cavitation: gas pressure cannot hold up a large compressing force; the void that forms is crossed before rebound acts."""
+"""Cavitation: gas pressure balances no more than a certain compressing force. Rebound first has to close the void."""
 
 from typing import Any
 
@@ -8,14 +8,14 @@ from mrd_sim.effects.effect import Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-CLOSING = 500.0
-"""N s/m: a void closes against next to nothing."""
+CLOSING_RESISTANCE = 500.0
+"""N s/m. A void closes against almost no resistance."""
 
 PARAMETERS = (
     Parameter("inverse_cap", "1/N", 0.0, 0.0, 5e-3, "1 / the largest compressing force, p"),
-    Parameter("opening", "m/s", 0.1, 1e-3, 10.0, "speed at which the void grows at twice that force, s", log=True),
-    Parameter("preload", "N", 0.0, 0.0, 300.0, "of the gas at mid-stroke, F_0"),
-    Parameter("stiffness", "N/m", 0.0, 0.0, 1e4, "of the gas, k"),
+    Parameter("opening", "m/s", 0.1, 1e-3, 10.0, "speed at which the void grows under twice that force, s", log=True),
+    Parameter("preload", "N", 0.0, 0.0, 300.0, "gas force at mid-stroke, F_0"),
+    Parameter("stiffness", "N/m", 0.0, 0.0, 1e4, "stiffness of the gas, k"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -29,7 +29,7 @@ def _elongation(parameters: Any, before: Any, dt: float, force: Any, x: Any) -> 
     if over.real > 0.0:
         after -= p.opening * dt * over
     elif fluid.real > 0.0:
-        after += dt * fluid / CLOSING
+        after += dt * fluid / CLOSING_RESISTANCE
     return after if after.real < 0.0 else 0.0 * after
 
 
@@ -44,8 +44,8 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"inverse_cap": 1.5e-3, "opening": 0.3, "preload": 50.0, "stiffness": 1000.0},
     starts=lambda force: [1.0 / (share * max(-float(force.min()), 1.0)) for share in (0.9, 0.75, 0.5)],
-    signature="compression flattens at one force, the more current the more; rebound after it comes late",
+    signature="the force in compression is capped, the more so the more current; the rebound after it comes late",
     confused_with=("backlash", "flow_asymmetry", "current_saturation"),
-    separated_by="rising current at one speed; a change of gas pressure",
+    separated_by="rising current at one speed; another gas pressure",
     stretch=_elongation,
 )

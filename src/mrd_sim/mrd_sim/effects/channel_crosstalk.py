@@ -1,4 +1,4 @@
-"""Ghosts of the channels that a multiplexed converter reads before the force."""
+"""Crosstalk: a multiplexed converter carries a part of the channels read before over to the force."""
 
 from numba import njit
 
@@ -16,7 +16,7 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 @njit(cache=True, nogil=True)
 def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     p = named(Parameters, parameters)
-    # What a constant voltage of those channels leaves is in every model's offset.
+    # The part of a constant voltage on those channels is in every model's offset.
     for k in range(len(force)):
         force[k] += p.from_position * x[k] + p.from_current * u[k]
 
@@ -32,6 +32,6 @@ EFFECT = Effect(
     typical={"from_position": 1000.0, "from_current": 20.0},
     signature="copies of position and current on the force, at any speed",
     confused_with=("gas_spring", "flow_asymmetry", "load_cell_drift", "lvdt_nonlinearity"),
-    separated_by="load cell off the damper while rod and current move; a grounded channel read before the force",
+    separated_by="a run with the load cell off the damper; a grounded channel that is read before the force",
     kernel=_apply,
 )

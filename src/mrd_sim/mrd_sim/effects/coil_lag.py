@@ -9,7 +9,7 @@ from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
     Parameter("lag", "s", 0.0, 0.0, 0.06, "time constant while the current rises"),
-    Parameter("falling", "", 0.0, -0.5, 3.0, "by how much it is longer while the current falls, relative"),
+    Parameter("falling", "", 0.0, -0.5, 3.0, "relative excess of the time constant while the current falls"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -23,7 +23,7 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
         if dt[k] == 0.0:
             lagged = now + 0.0 * p.lag
         else:
-            # Rising or falling, by which side of the lagged current the measured one is on.
+            # The effective current rises while the measured one is above it.
             lag = p.lag if now.real >= lagged.real else p.lag * (1.0 + p.falling)
             lagged = follow(lagged, before, now, lag / dt[k], decay(dt[k], lag))
         before = now + 0.0 * p.lag

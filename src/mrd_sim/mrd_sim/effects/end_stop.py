@@ -26,7 +26,7 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
 EFFECT = Effect(
     id="end_stop",
     title="End stop",
-    phrase="an end stop is met {limit} from mid-stroke",
+    phrase="an end stop acts from {limit} off mid-stroke",
     stage="structure",
     equation="F + sgn(x) k <|x| - x_b>²",
     source="Hunt & Crossley (1975), without their damping; RD-8040-1: from ± 25 to 27.5 mm",

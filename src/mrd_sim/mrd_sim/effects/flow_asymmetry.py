@@ -8,7 +8,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("asymmetry", "", 0.0, -0.3, 0.3, "by how much extension needs more force, relative, eps"),
+    Parameter("asymmetry", "", 0.0, -0.3, 0.3, "relative excess of the force in extension, eps"),
     Parameter("turning", "m", 1.5e-4, 1e-5, 2e-3, "travel after a reversal over which the flow turns, x_t", log=True),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
@@ -24,7 +24,7 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
 EFFECT = Effect(
     id="flow_asymmetry",
     title="Asymmetry of extension and compression",
-    phrase="the force is off by {asymmetry:%} in extension, and by as much the other way in compression",
+    phrase="the force differs by {asymmetry:%} in extension and by as much the other way in compression",
     stage="fluid",
     equation="F (1 + eps w), dw / d|x| = (sgn x' - w) / x_t: the flow turns once the fluid has yielded, not with the rod",
     source="0-15 % between directions in measured dampers of this class",

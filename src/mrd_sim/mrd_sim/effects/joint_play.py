@@ -11,8 +11,8 @@ from mrd_sim.play import MOST_FILM, offset_in_play
 
 PARAMETERS = (
     Parameter("play", "m", 0.0, 0.0, 2e-3, "free travel end to end, g"),
-    Parameter("resistance", "N s/m", 2.5e4, 5e3, 3e5, "of crossing it from the middle, c_g", log=True),
-    Parameter("film", "", 0.5, 0.02, MOST_FILM, "by how much it is crossed slower where a film is squeezed out, m"),
+    Parameter("resistance", "N s/m", 2.5e4, 5e3, 3e5, "resistance to crossing the play from its middle, c_g", log=True),
+    Parameter("film", "", 0.5, 0.02, MOST_FILM, "share by which crossing is slower where a film is squeezed out, m"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -33,7 +33,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"play": 3e-4, "resistance": 2.5e4, "film": 0.5},
     starts=lambda _force: [3e-4, 1e-4, 3e-5],
-    signature="a step or dead spot where the force changes its sign, its travel independent of current",
+    signature="a step or dead zone where the force changes sign, over a travel that does not depend on current",
     confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
     separated_by="small strokes at several currents; a preload that keeps the force from changing sign",
     stretch=_elongation,

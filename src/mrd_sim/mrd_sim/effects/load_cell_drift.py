@@ -1,6 +1,6 @@
-"""Zero of the load cell: off, and drifting.
+"""Offset of the load cell's zero, and its drift.
 
-The time of a following path goes on from that of the one before; a pause between them is not in it.
+Time goes on from one path to the next; pauses between them do not count.
 """
 
 from numba import njit
@@ -35,9 +35,9 @@ EFFECT = Effect(
     source="load cells of 100 kg: zero ±5 N after mounting, 0.02-0.05 % of full scale over 10 K, ±0.2 N/min",
     parameters=PARAMETERS,
     typical={"drift": 0.02, "offset": 5.0},
-    signature="offset of the force at any motion and current, growing with time",
+    signature="an offset of the force that grows with time, whatever motion and current",
     confused_with=("gas_spring", "thermal_fade", "load_cell_gain", "mains_hum"),
-    separated_by="rod free before and after; dead weights",
+    separated_by="the free rod before and after the runs; dead weights",
     kernel=_apply,
     states=1,
     carries=True,

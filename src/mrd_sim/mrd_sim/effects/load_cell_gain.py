@@ -6,7 +6,7 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-PARAMETERS = (Parameter("gain", "", 0.0, -0.2, 0.2, "by how much it reads more than there is, relative"),)
+PARAMETERS = (Parameter("gain", "", 0.0, -0.2, 0.2, "relative excess of the reading, g"),)
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
@@ -26,8 +26,8 @@ EFFECT = Effect(
     source="2 mV/V ± 10 % uncalibrated, ±2 % calibrated",
     parameters=PARAMETERS,
     typical={"gain": 0.05},
-    signature="force off by one factor, at any motion and current",
+    signature="the force multiplied by one factor, whatever motion and current",
     confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade"),
-    separated_by="dead weights: recordings of the damper alone cannot tell it from a stronger damper",
+    separated_by="dead weights (recordings alone cannot tell it from a stronger damper)",
     kernel=_apply,
 )

@@ -1,4 +1,4 @@
-"""Pre-yield hysteresis, for damper models whose force is a function of speed: it comes with travel after a reversal."""
+"""Pre-yield hysteresis, for damper models whose force is a function of speed: the force develops over travel."""
 
 from numba import njit
 
@@ -10,7 +10,7 @@ from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
     Parameter("yield_travel", "m", 0.0, 0.0, 3e-3, "travel over which the force develops at 0 A, x_y"),
-    Parameter("growth", "1/A", 0.0, 0.0, 6.0, "by how much it is longer with current, relative, g"),
+    Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of that travel over current, g"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -36,13 +36,13 @@ EFFECT = Effect(
     id="pre_yield_hysteresis",
     title="Pre-yield hysteresis",
     stage="fluid",
-    equation="dF_h / d|x| = (F - F_h) / (x_y (1 + g u)): the force follows what the model says over some travel",
-    source="Dahl (1968), of whose friction this is the form around a Coulomb force",
+    equation="dF_h / d|x| = (F - F_h) / (x_y (1 + g u)): the force follows the model's over some travel",
+    source="Dahl (1968); around a Coulomb force it is Dahl's friction",
     parameters=PARAMETERS,
     typical={"yield_travel": 3e-4, "growth": 0.5},
-    signature="after a reversal the force comes with travel, not with speed: a loop around zero speed, wider with current",
+    signature="a force that develops with travel after a reversal: a loop around zero speed, wider with current",
     confused_with=("series_compliance", "joint_play", "backlash", "rate_dependent_hysteresis", "seal_friction"),
-    separated_by="small strokes, and the same peak speed at different frequencies",
+    separated_by="small strokes; the same peak speed at different frequencies",
     kernel=_apply,
     states=3,
     phrase="the force needs {yield_travel} of travel to develop after a reversal",

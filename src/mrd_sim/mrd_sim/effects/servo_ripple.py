@@ -9,7 +9,7 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_TURN = 2.0 * math.pi
+_TURN = 2.0 * math.pi  # rad
 
 PARAMETERS = (
     Parameter("amplitude", "m", 0.0, 0.0, 6e-5, "amplitude a"),
@@ -35,14 +35,14 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
 EFFECT = Effect(
     id="servo_ripple",
     title="Periodic error of the drive",
-    phrase="the drive errs periodically along its travel by {amplitude:size}",
+    phrase="the drive's position has a periodic error of {amplitude:size} along the travel",
     stage="drive",
     equation="x = x_m + a cos(2 pi x_m / lambda + phi), x_m the measured position",
     source="tooth pitch of module 2: 2 pi mm; pitch errors of racks and gears 1-20 µm",
     parameters=PARAMETERS,
     typical={"amplitude": 1.5e-5, "phase": math.pi},
-    signature="ripple of speed and force locked to the position; its frequency grows with speed",
+    signature="a ripple of speed and force that is locked to the position, so that its frequency grows with speed",
     confused_with=("mains_hum", "side_load_friction", "lvdt_nonlinearity"),
-    separated_by="several constant speeds: the frequency follows the speed",
+    separated_by="several constant speeds, by the frequency that follows the speed",
     kernel=_apply,
 )

@@ -10,7 +10,7 @@ from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
     Parameter("slope", "N/m", 0.0, 0.0, 3000.0, "friction over the distance from the centre, F_1"),
-    Parameter("centre", "m", 0.0, -0.025, 0.025, "where it is least, x_c"),
+    Parameter("centre", "m", 0.0, -0.025, 0.025, "position of the least friction, x_c"),
     Parameter("presliding", "m", 3e-5, 5e-6, 2e-4, "travel over which the guide gives before it slides, x_p", log=True),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
@@ -26,15 +26,15 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
 EFFECT = Effect(
     id="side_load_friction",
     title="Side-load friction",
-    phrase="side load adds friction that grows with the stroke by {slope}",
+    phrase="side load adds friction that grows along the stroke by {slope}",
     stage="structure",
     equation="F + F_1 |x - x_c| w, dw / d|x| = (sgn x' - w) / x_p",
     source="misaligned clamping: 5-30 N across the stroke of measured dampers; presliding as Dahl (1968)",
     parameters=PARAMETERS,
     typical={"slope": 1500.0, "centre": 0.0, "presliding": 3e-5},
-    signature="a bow tie of force over position: friction varies along the stroke, at every current",
+    signature="a bow tie of force over position: friction that varies along the stroke, at every current",
     confused_with=("gas_spring", "end_stop", "seal_friction", "servo_ripple"),
-    separated_by="slow ramps over the whole stroke; the damper clamped anew",
+    separated_by="slow ramps over the whole stroke; the damper clamped again",
     kernel=_apply,
     states=2,
 )
