@@ -21,7 +21,7 @@ from mrd_sim.root import next_iterate
 Array = NDArray[np.float64]
 
 MOST_IN_SERIES = 4
-"""Elements in series: as many as the catalogue has. Each number of them is compiled, which takes its time."""
+"""Elements in series: as many as the catalogue has."""
 MOST_PARAMETERS = 4
 """Parameters of such an element."""
 FORCE_TOLERANCE = 1e-6
@@ -31,24 +31,24 @@ SHORTEST_STEP = 1e-9
 
 
 def _compiled(number: Any) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a function for ``number``, and for every count of elements in series.
+    """Return a decorator that compiles a function for ``number``, real or with derivatives.
 
-    The kernel and the elongations come as first-class functions: so the cache holds one function for all models.
+    The kernel and the elongations come as first-class functions, so that one compiled function serves all models. Numba
+    warns where such functions are put into a tuple.
     """
     reals, row, rows = types.float64[::1], number[::1], number[:, ::1]
     dual, duals = types.complex128[::1], types.complex128[:, ::1]
     kernel = types.FunctionType(types.none(duals, dual, reals, dual, dual, dual, dual))
-    elongation = types.complex128(dual, types.complex128, types.float64, types.complex128, types.complex128)
+    elongation = types.FunctionType(
+        types.complex128(dual, types.complex128, types.float64, types.complex128, types.complex128)
+    )
     arguments = duals, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
-    signatures = [
-        types.none(kernel, types.UniTuple(types.FunctionType(elongation), count), *arguments)
-        for count in range(1, MOST_IN_SERIES + 1)
-    ]
+    signature = types.none(kernel, *[elongation] * MOST_IN_SERIES, *arguments)
 
     def decorate(function: Any) -> Any:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "First-class function type feature is experimental")
-            return njit(signatures, cache=True, nogil=True)(function)
+            return njit(signature, cache=True, nogil=True)(function)
 
     return decorate
 
@@ -103,8 +103,8 @@ class _Elements(NamedTuple):
 def _elongate(functions: Any, elements: Any, step: float, force: Any, x: Any) -> Any:
     """Return the sum of the elongations after a step to ``x`` under a force, and leave each in ``elements.after``."""
     total = 0.0j
-    for i, elongation in enumerate(functions):
-        elements.after[i] = elongation(elements.parameters[i], elements.before[i], step, force, x)
+    for i in range(len(elements.before)):
+        elements.after[i] = functions[i](elements.parameters[i], elements.before[i], step, force, x)
         total += elements.after[i]
     return total
 
@@ -121,7 +121,10 @@ def _enter_vertex(vertex: Any, q: Any, dt: Any, a: Any, k: int) -> None:
 @_compiled(types.float64)
 def force_in_series(
     kernel: Any,
-    functions: Any,
+    first: Any,
+    second: Any,
+    third: Any,
+    fourth: Any,
     parameters: Array,
     elongations: Array,
     q: Array,
@@ -141,8 +144,8 @@ def force_in_series(
     ----------
     kernel : compiled function
         That of the damper model.
-    functions : tuple of compiled functions
-        Elongation of each element, see `mrd_sim.effects.effect.Effect`.
+    first, second, third, fourth : compiled functions
+        Elongation of each element, see `mrd_sim.effects.effect.Effect`. Those beyond the number of elements are not called.
     parameters : ndarray (elements, parameters) of complex
     elongations : ndarray (elements + 1,)
         Elongations, and after them the force; carried on.
@@ -153,7 +156,8 @@ def force_in_series(
         Filled with the F of the last call, next to the root, and with derivatives over F there: that of the damper's answer
         and those of its state.
     """
-    count, states = len(functions), len(state)
+    functions = first, second, third, fourth
+    count, states = len(elongations) - 1, len(state)
     row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
     before, after = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
@@ -222,7 +226,10 @@ def force_in_series(
 @_compiled(types.complex128)
 def derivatives_in_series(
     kernel: Any,
-    functions: Any,
+    first: Any,
+    second: Any,
+    third: Any,
+    fourth: Any,
     parameters: Array,
     elongations: Array,
     q: Array,
@@ -238,7 +245,8 @@ def derivatives_in_series(
 
     The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``.
     """
-    count, states = len(functions), len(state)
+    functions = first, second, third, fourth
+    count, states = len(elongations) - 1, len(state)
     row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
     before, after = elongations[:count].copy(), np.zeros(count, np.complex128)

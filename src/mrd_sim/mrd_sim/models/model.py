@@ -303,20 +303,21 @@ class DamperModel:
         Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
         """
         parameters = np.stack([np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self._series)])
-        elongation_functions = tuple(effect.stretch for effect in self._series)
+        functions = [effect.stretch for effect in self._series]
+        functions += functions[:1] * (MOST_IN_SERIES - len(functions))
         with_derivatives = np.iscomplexobj(theta)
         key = theta.real.tobytes(), start
         known = solutions.get(id(path)) if solutions is not None and with_derivatives else None
         if known is None or known[0] != key:
             values = [np.ascontiguousarray(argument.real) for argument in arguments]
             solved = np.empty((len(path.dt), 2 + self.states))
-            force_in_series(self.kernel, elongation_functions, parameters.real + 0j, *values, solved)
+            force_in_series(self.kernel, *functions, parameters.real + 0j, *values, solved)
             known = key, values[-1].copy(), solved
             if solutions is not None and not with_derivatives:
                 solutions[id(path)] = known
         if with_derivatives:
             arguments[-1][:] = known[1]
-            derivatives_in_series(self.kernel, elongation_functions, parameters, *arguments, known[2])
+            derivatives_in_series(self.kernel, *functions, parameters, *arguments, known[2])
 
     @cached_property
     def follows_force(self) -> bool:
