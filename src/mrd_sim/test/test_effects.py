@@ -17,6 +17,7 @@ from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import Path, make_path, path_of
 
 EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+BY_NAME = pytest.mark.parametrize("name", EFFECTS)  # a failing random example then shows a name and a seed only
 SERIES = pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.stretch], ids=lambda effect: effect.id)
 MONOTONE = tuple(name for name in MODELS if name != "polynomial")
 """In series, the force is unique only where the damper's does not fall with its speed: not all over the polynomial's box."""
@@ -167,10 +168,11 @@ def test_neutral_changes_nothing_and_typical_something(effect):
         assert rms(changed - expected) > 5e-4 * rms(expected), name
 
 
-@EVERY
+@BY_NAME
 @seeds(40)
-def test_finite_over_the_whole_bounds_box(effect, examples, seed):
+def test_finite_over_the_whole_bounds_box(name, examples, seed):
     """Force and derivative; real and dual numbers give the same force."""
+    effect = EFFECTS[name]
     rng = np.random.default_rng(seed)
     model, theta = affected(examples, rng, effect)
     path = make_path(*examples.two_tones(**examples.motion(rng)))
@@ -207,10 +209,11 @@ def test_finite_in_series_with_a_polynomial(effect, examples):
             assert np.isfinite(model.force(examples.values(rng, model.parameters), path)).all()
 
 
-@EVERY
+@BY_NAME
 @seeds(8)
-def test_derivatives_agree_with_central_differences(effect, examples, seed):
+def test_derivatives_agree_with_central_differences(name, examples, seed):
     """To the effect's parameters, and through the effect to those of the model."""
+    effect = EFFECTS[name]
     rng = np.random.default_rng(seed)
     model, theta = affected(examples, rng, effect, 0.1, SMOOTH)
     path = make_path(*examples.two_tones(**examples.motion(rng, samples=[200])))
@@ -229,9 +232,10 @@ def test_derivatives_agree_with_central_differences(effect, examples, seed):
         assert error <= 1e-3 * np.max(np.abs(found)) + 1e-4 * size, (model.id, parameter.name)
 
 
-@EVERY
+@BY_NAME
 @seeds(10)
-def test_block_by_block_equals_at_once(effect, examples, seed):
+def test_block_by_block_equals_at_once(name, examples, seed):
+    effect = EFFECTS[name]
     rng = np.random.default_rng(seed)
     # Where a force has several roots, or none at a jump, which one is found depends on where the search begins.
     model, theta = affected(examples, rng, effect, models=SMOOTH if effect.stretch else None)

@@ -23,6 +23,7 @@ from mrd_sim.models_page import COMMAND, page
 from mrd_sim.path import Path, make_path
 
 EVERY = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+BY_NAME = pytest.mark.parametrize("name", MODELS)  # a failing random example then shows a name and a seed only
 TINY = 1e-9  # of the largest force
 
 
@@ -80,10 +81,11 @@ def test_shape_names_and_defaults(model):
     assert model.equation
 
 
-@EVERY
+@BY_NAME
 @seeds(40)
-def test_finite_over_the_whole_bounds_box(model, examples, seed):
+def test_finite_over_the_whole_bounds_box(name, examples, seed):
     """Force and derivative; real and dual numbers give the same force."""
+    model = MODELS[name]
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model)
     path = make_path(*examples.two_tones(**examples.motion(rng)))
@@ -96,9 +98,10 @@ def test_finite_over_the_whole_bounds_box(model, examples, seed):
     assert np.allclose(with_derivative.real, force, rtol=0, atol=TINY * (1 + np.max(np.abs(force))))
 
 
-@EVERY
+@BY_NAME
 @seeds(8)
-def test_derivatives_agree_with_central_differences(model, examples, seed):
+def test_derivatives_agree_with_central_differences(name, examples, seed):
+    model = MODELS[name]
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model, margin=0.1)
     path = make_path(*examples.two_tones(**examples.motion(rng, samples=[200])))
@@ -118,9 +121,10 @@ def test_derivatives_agree_with_central_differences(model, examples, seed):
         assert error(1e-5) <= limit or error(1e-7) <= limit, parameter.name
 
 
-@EVERY
+@BY_NAME
 @seeds(20)
-def test_linear_part_and_rest_make_the_force(model, examples, seed):
+def test_linear_part_and_rest_make_the_force(name, examples, seed):
+    model = MODELS[name]
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model)
     path = make_path(*examples.two_tones(**examples.motion(rng)))
@@ -135,15 +139,15 @@ def test_linear_part_and_rest_make_the_force(model, examples, seed):
     assert np.array_equal(rest_again, rest)
 
 
-@pytest.mark.parametrize("model", [m for m in MODELS.values() if m.dissipative], ids=lambda model: model.id)
+@pytest.mark.parametrize("name", [m.id for m in MODELS.values() if m.dissipative])
 @seeds(40)
-def test_no_closed_cycle_yields_energy(model, examples, seed):
+def test_no_closed_cycle_yields_energy(name, examples, seed):
     """From rest round closed cycles, no energy comes out: neither the first time nor once the loop has settled.
 
     Wherever in the bounds, as long as the current laws leave the damping coefficients within theirs.
     """
     rng = np.random.default_rng(seed)
-    count = 8000
+    count, model = 8000, MODELS[name]
     motion = examples.motion(rng, cycles=3, samples=[count])
     motion["later_current"] = motion["current"]
     for _ in range(100):
@@ -171,9 +175,10 @@ def test_dissipates_over_a_settled_cycle_by_default(model):
     assert 0.2 * np.std(force[last]) * np.std(v[last]) < power
 
 
-@EVERY
+@BY_NAME
 @seeds(10)
-def test_without_current_only_the_values_at_zero_ampere_count(model, examples, seed):
+def test_without_current_only_the_values_at_zero_ampere_count(name, examples, seed):
+    model = MODELS[name]
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model)
     known = values(model, theta)
@@ -191,10 +196,11 @@ def test_force_grows_with_current(model):
     assert 100 < spans[0] < spans[1] < spans[2] < 4000
 
 
-@EVERY
+@BY_NAME
 @seeds(20)
-def test_odd_without_offset(model, examples, seed):
+def test_odd_without_offset(name, examples, seed):
     """Turning the motion round turns the force round (not with a polynomial whose branches differ)."""
+    model = MODELS[name]
     rng = np.random.default_rng(seed)
     theta = model.defaults
     if model.id != "polynomial":
@@ -207,9 +213,10 @@ def test_odd_without_offset(model, examples, seed):
     assert np.allclose(there, -back, rtol=0, atol=TINY * (1 + np.max(np.abs(there))))
 
 
-@EVERY
+@BY_NAME
 @seeds(10)
-def test_block_by_block_equals_at_once(model, examples, seed):
+def test_block_by_block_equals_at_once(name, examples, seed):
+    model = MODELS[name]
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model)
     time, *series = examples.two_tones(**examples.motion(rng))

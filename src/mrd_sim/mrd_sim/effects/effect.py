@@ -16,7 +16,7 @@ STAGES: tuple[Stage, ...] = ("drive", "magnetics", "fluid", "structure", "sensin
 """In the order in which cause becomes reading."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Effect:
     """An effect that acts on the signals of a simulator, or an element in series with its damper.
 
@@ -86,6 +86,9 @@ class Effect:
     follows_force: bool = False
     phrase: str = ""
     structural: bool = False
+
+    def __repr__(self) -> str:
+        return f"<Effect {self.id}>"
 
     def __post_init__(self) -> None:
         if self.stretch is not None:

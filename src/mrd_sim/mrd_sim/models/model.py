@@ -36,7 +36,7 @@ COIL_LAG = Parameter(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DamperModel:
     """A damper model: force from motion and lagged current.
 
@@ -75,6 +75,9 @@ class DamperModel:
     dissipative: bool = True
     observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
     effects: tuple[Effect, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<DamperModel {' with '.join([self.id, *(effect.id for effect in self.effects)])}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the ids: compiled kernels cannot be pickled, and another process has the same catalogue."""
