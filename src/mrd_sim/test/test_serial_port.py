@@ -11,6 +11,12 @@ from mrd_sim.motor import MotorConfig, MotorSerialPort, SmartMotor
 from mrd_sim.motor.serial_port import DeviceLink
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """Loading or compiling the motor may take longer than a port waits for a reply."""
+    SmartMotor(MotorConfig()).advance(0.01)
+
+
 @pytest.fixture
 def link(tmp_path):
     return tmp_path / "bench" / "motor"
