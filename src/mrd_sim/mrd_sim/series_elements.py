@@ -110,12 +110,15 @@ def _elongate(functions: Any, elements: Any, step: float, force: Any, x: Any) ->
 
 
 @njit(inline="always")
-def _enter_vertex(vertex: Any, q: Any, dt: Any, a: Any, k: int) -> None:
-    """Write coefficients, step and acceleration of vertex ``k`` where the kernel reads them."""
-    vertex.step[0] = dt[k]
-    vertex.a[0] = a[k]
+def _enter_vertex(k: int, q: Any, dt: Any, a: Any, row: Any, step: Any, acceleration: Any) -> None:
+    """Write coefficients, step and acceleration of vertex ``k`` to where the kernel reads them.
+
+    It writes to the arrays themselves, which so stay alive as long as the loop over the vertices needs their views.
+    """
+    step[0] = dt[k]
+    acceleration[0] = a[k]
     for i in range(len(q)):
-        vertex.coefficients[0, i] = q[i, k]
+        row[0, i] = q[i, k]
 
 
 @_compiled(types.float64)
@@ -171,7 +174,7 @@ def force_in_series(
         if 0.0 < dt[k] < SHORTEST_STEP:
             force[k] = root
             continue
-        _enter_vertex(vertex, q, dt, a, k)
+        _enter_vertex(k, q, dt, a, row, step, acceleration)
         sum_before = elongation.real
         guess = root + rate * dt[k]
         low, high, last = 0.0, 0.0, 0.0
@@ -258,7 +261,7 @@ def derivatives_in_series(
         if 0.0 < dt[k] < SHORTEST_STEP:
             force[k] = root
             continue
-        _enter_vertex(vertex, q, dt, a, k)
+        _enter_vertex(k, q, dt, a, row, step, acceleration)
         for i in range(states):
             inner[i] = state[i]
         speed[0] = v[k]

@@ -1,73 +1,46 @@
 """The catalogue of effects: one file and one line each."""
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_sim.effects import (
-    backlash,
-    cavitation,
-    channel_crosstalk,
-    channel_delay,
-    coil_lag,
-    current_saturation,
-    current_sensor_error,
-    end_stop,
-    flow_asymmetry,
-    force_sensor_lag,
-    gas_spring,
-    joint_play,
-    load_cell_drift,
-    load_cell_gain,
-    lvdt_nonlinearity,
-    magnetic_hysteresis,
-    mains_hum,
-    moving_mass,
-    pre_yield_hysteresis,
-    rate_dependent_hysteresis,
-    seal_friction,
-    series_compliance,
-    servo_ripple,
-    settling,
-    shear_thinning,
-    side_load_friction,
-    thermal_fade,
-)
 from mrd_sim.effects.effect import STAGES, Effect, Stage
 from mrd_sim.effects.loading import read_effects
 
 EFFECTS: dict[str, Effect] = {
-    module.EFFECT.id: module.EFFECT
-    for module in (
-        lvdt_nonlinearity,
-        servo_ripple,
-        backlash,
-        current_sensor_error,
-        magnetic_hysteresis,
-        current_saturation,
-        coil_lag,
-        gas_spring,
-        series_compliance,
-        cavitation,
-        flow_asymmetry,
-        shear_thinning,
-        rate_dependent_hysteresis,
-        pre_yield_hysteresis,
-        thermal_fade,
-        settling,
-        seal_friction,
-        side_load_friction,
-        end_stop,
-        joint_play,
-        moving_mass,
-        load_cell_gain,
-        load_cell_drift,
-        force_sensor_lag,
-        channel_crosstalk,
-        channel_delay,
-        mains_hum,  # last: its phase is that of the recorded force
+    name: import_module(f"mrd_sim.effects.{name}").EFFECT
+    for name in (
+        "lvdt_nonlinearity",
+        "servo_ripple",
+        "backlash",
+        "current_sensor_error",
+        "magnetic_hysteresis",
+        "current_saturation",
+        "coil_lag",
+        "gas_spring",
+        "series_compliance",
+        "cavitation",
+        "flow_asymmetry",
+        "shear_thinning",
+        "rate_dependent_hysteresis",
+        "pre_yield_hysteresis",
+        "thermal_fade",
+        "settling",
+        "seal_friction",
+        "side_load_friction",
+        "end_stop",
+        "joint_play",
+        "moving_mass",
+        "load_cell_gain",
+        "load_cell_drift",
+        "force_sensor_lag",
+        "channel_crosstalk",
+        "channel_delay",
+        "mains_hum",  # last: its phase is that of the recorded force
     )
 }
+"""Catalogue, by id. Each entry is the file of its name."""
 
 _SHIPPED = frozenset(EFFECTS)
 

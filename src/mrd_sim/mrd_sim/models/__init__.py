@@ -1,52 +1,36 @@
 """The catalogue of damper models: one file and one line each."""
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 
 from mrd_base import InputError
 from mrd_sim.effects import find_effects
-from mrd_sim.models import (
-    algebraic,
-    bingham,
-    biviscous,
-    bouc_wen,
-    gamota_filisko,
-    hyperbolic_tangent,
-    hysteretic_biviscous,
-    linear_viscous,
-    modified_bouc_wen,
-    modified_dahl,
-    modified_lugre,
-    normalised_bouc_wen,
-    polynomial,
-    quasi_static,
-    shear_thinning_bouc_wen,
-    sigmoid,
-)
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.model import DamperModel, SeriesSolutions
 from mrd_sim.parameter import Parameter
 
 MODELS: dict[str, DamperModel] = {
-    module.MODEL.id: module.MODEL
-    for module in (
-        linear_viscous,
-        bingham,
-        quasi_static,
-        biviscous,
-        hysteretic_biviscous,
-        polynomial,
-        hyperbolic_tangent,
-        algebraic,
-        sigmoid,
-        bouc_wen,
-        normalised_bouc_wen,
-        modified_bouc_wen,
-        shear_thinning_bouc_wen,
-        modified_dahl,
-        modified_lugre,
-        gamota_filisko,
+    name: import_module(f"mrd_sim.models.{name}").MODEL
+    for name in (
+        "linear_viscous",
+        "bingham",
+        "quasi_static",
+        "biviscous",
+        "hysteretic_biviscous",
+        "polynomial",
+        "hyperbolic_tangent",
+        "algebraic",
+        "sigmoid",
+        "bouc_wen",
+        "normalised_bouc_wen",
+        "modified_bouc_wen",
+        "shear_thinning_bouc_wen",
+        "modified_dahl",
+        "modified_lugre",
+        "gamota_filisko",
     )
 }
+"""Catalogue, by id. Each entry is the file of its name."""
 
 
 def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:

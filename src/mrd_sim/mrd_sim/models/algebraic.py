@@ -16,14 +16,7 @@ COEFFICIENTS = (
         "steepness", "a1", "s/m", "slope of the yielding over velocity", 100.0, 5.0, 1000.0, (-40.0, -500.0, 500.0), log=True
     ),
     Coefficient(
-        "position_weight",
-        "a2",
-        "1/m",
-        "width of the hysteresis, per distance from the middle",
-        50.0,
-        0.0,
-        500.0,
-        (0.0, -500.0, 500.0),
+        "position_weight", "a2", "1/m", "width of the hysteresis over position", 50.0, 0.0, 500.0, (0.0, -500.0, 500.0)
     ),
     replace(VISCOUS, symbol="b1"),
     replace(STIFFNESS, symbol="b2"),

@@ -11,15 +11,7 @@ from mrd_sim.models.shared_coefficients import PRELOAD, VISCOUS, YIELD_FORCE
 from mrd_sim.named import named_row, tuple_type
 
 YIELD_SPEED = Coefficient(
-    "yield_speed",
-    "v_y",
-    "m/s",
-    "speed up to which the fluid has not yielded, F_y / (C_pr - C_po)",
-    0.01,
-    5e-4,
-    0.2,
-    (0.01, -0.2, 0.2),
-    log=True,
+    "yield_speed", "v_y", "m/s", "speed at which the fluid yields", 0.01, 5e-4, 0.2, (0.01, -0.2, 0.2), log=True
 )
 
 COEFFICIENTS = (

@@ -20,40 +20,13 @@ COEFFICIENTS = (
     replace(YIELD_FORCE, symbol="f_c", meaning="yield force of the Bingham element", lower=1.0),
     replace(VISCOUS, lower=20.0, multiplies="", log=True),
     Coefficient(
-        "solid_stiffness",
-        "k1",
-        "N/m",
-        "spring of the Kelvin-Voigt pair, slow part of the compliance before yield",
-        5e6,
-        1e5,
-        1e8,
-        (0.0, -2e7, 2e7),
-        log=True,
-        law="constant",
+        "solid_stiffness", "k1", "N/m", "Kelvin-Voigt spring", 5e6, 1e5, 1e8, (0.0, -2e7, 2e7), log=True, law="constant"
     ),
     Coefficient(
-        "solid_viscous",
-        "c1",
-        "N s/m",
-        "dashpot of the Kelvin-Voigt pair; creep time is c1 / (k1 + k2)",
-        2e4,
-        1e2,
-        1e6,
-        (0.0, -2e5, 2e5),
-        log=True,
-        law="constant",
+        "solid_viscous", "c1", "N s/m", "Kelvin-Voigt dashpot", 2e4, 1e2, 1e6, (0.0, -2e5, 2e5), log=True, law="constant"
     ),
     Coefficient(
-        "series_stiffness",
-        "k2",
-        "N/m",
-        "spring in series, stiffness at the instant of a reversal",
-        5e6,
-        1e5,
-        1e8,
-        (0.0, -2e7, 2e7),
-        log=True,
-        law="constant",
+        "series_stiffness", "k2", "N/m", "spring in series", 5e6, 1e5, 1e8, (0.0, -2e7, 2e7), log=True, law="constant"
     ),
     PRELOAD,
 )

@@ -9,7 +9,7 @@ from mrd_sim.hysteresis import advance, slope
 from mrd_sim.models.bouc_wen import observables
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.model import Array, DamperModel
-from mrd_sim.models.shared_coefficients import EXPONENT, OFFSET, SHAPE, YIELD_FORCE, YIELD_TRAVEL
+from mrd_sim.models.shared_coefficients import EXPONENT, OFFSET, SHAPE, STIFFNESS, YIELD_FORCE, YIELD_TRAVEL
 from mrd_sim.named import Row, named_row, tuple_type
 from mrd_sim.root import next_iterate
 
@@ -28,18 +28,7 @@ COEFFICIENTS = (
         "series_viscous", "c1", "N s/m", "dashpot in series, roll-off at low speed", 3e4, 1e3, 3e5, (6e4, 0.0, 4e5), log=True
     ),
     Coefficient("stiffness", "k0", "N/m", "stiffness in parallel with the element", 500.0, 0.0, 1e4),
-    Coefficient(
-        "accumulator_stiffness",
-        "k1",
-        "N/m",
-        "stiffness of the accumulator",
-        1000.0,
-        0.0,
-        1e4,
-        (0.0, -1e4, 1e4),
-        multiplies="x",
-        law="constant",
-    ),
+    replace(STIFFNESS, name="accumulator_stiffness", symbol="k1", meaning="stiffness of the accumulator", default=1000.0),
     replace(OFFSET, meaning="constant force (gas preload), -k1 x0"),
 )
 Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)

@@ -16,16 +16,7 @@ COEFFICIENTS = (
     # A few newtons at least, because k_s is divided by it.
     replace(YIELD_FORCE, symbol="F_d", meaning="yield force", lower=5.0),
     Coefficient(
-        "series_stiffness",
-        "k_s",
-        "N/m",
-        "stiffness before yield (fluid, mounts and load cell in series)",
-        2e6,
-        2e5,
-        2e7,
-        (0.0, -1e7, 1e7),
-        log=True,
-        law="constant",
+        "series_stiffness", "k_s", "N/m", "stiffness before yield", 2e6, 2e5, 2e7, (0.0, -1e7, 1e7), log=True, law="constant"
     ),
     VISCOUS,
     STIFFNESS,

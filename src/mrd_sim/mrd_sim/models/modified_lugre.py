@@ -14,33 +14,16 @@ from mrd_sim.named import named_row, tuple_type
 
 COEFFICIENTS = (
     Coefficient(
-        "bristle_stiffness",
-        "sigma_0",
-        "N/m",
-        "stiffness of the bristles; yield force is sigma_0 / a0",
-        1e6,
-        0.0,
-        2e7,
-        (8e6, 0.0, 5e7),
-        multiplies="term",
+        "bristle_stiffness", "sigma_0", "N/m", "bristle stiffness", 1e6, 0.0, 2e7, (8e6, 0.0, 5e7), multiplies="term"
     ),
     Coefficient(
-        "a0",
-        "a0",
-        "1/m",
-        "rate of the bristles over the travel, 1 / yield travel",
-        1e4,
-        5e2,
-        5e5,
-        (0.0, -1e5, 1e5),
-        log=True,
-        law="constant",
+        "a0", "a0", "1/m", "1 / yield travel of the bristles", 1e4, 5e2, 5e5, (0.0, -1e5, 1e5), log=True, law="constant"
     ),
     Coefficient(
         "bristle_viscous",
         "sigma_1",
         "N s/m",
-        "viscous coefficient of the bristles, acts at reversals",
+        "viscous coefficient of the bristles",
         200.0,
         0.0,
         5e3,

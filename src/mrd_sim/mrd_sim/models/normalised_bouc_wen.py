@@ -13,17 +13,7 @@ from mrd_sim.named import named_row, tuple_type
 
 COEFFICIENTS = (
     replace(YIELD_FORCE, name="kappa_w", symbol="kappa_w", meaning="yield force", multiplies="term"),
-    Coefficient(
-        "rho",
-        "rho",
-        "1/m",
-        "rate of the state over the travel, 1 / yield travel",
-        2e4,
-        5e2,
-        5e5,
-        (-1.2e4, -1e5, 1e5),
-        log=True,
-    ),
+    Coefficient("rho", "rho", "1/m", "1 / yield travel", 2e4, 5e2, 5e5, (-1.2e4, -1e5, 1e5), log=True),
     replace(SHAPE, name="sigma", meaning="share of the hysteresis that opposes motion in either direction"),
     replace(EXPONENT, name="n", free=True),
     replace(VISCOUS, name="kappa_v", symbol="kappa_v"),

@@ -16,16 +16,8 @@ VISCOUS = Coefficient(
 STIFFNESS = Coefficient(
     "stiffness", "k0", "N/m", "stiffness", 1500.0, 0.0, 1e4, (0.0, -1e4, 1e4), multiplies="x", law="constant"
 )
+_OFFSETS = (0.0, -300.0, 300.0)  # default and bounds: N at 0 A, N/A
 PRELOAD = Coefficient(
-    "offset",
-    "f0",
-    "N",
-    "constant force (gas preload)",
-    0.0,
-    -300.0,
-    300.0,
-    (0.0, -300.0, 300.0),
-    multiplies="1",
-    law="constant",
+    "offset", "f0", "N", "constant force (gas preload)", *_OFFSETS, per_ampere=_OFFSETS, multiplies="1", law="constant"
 )
 OFFSET = replace(PRELOAD, meaning="constant force (gas preload), -k0 x0")
