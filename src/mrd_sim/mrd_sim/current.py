@@ -13,6 +13,9 @@ from mrd_sim.lag import decay, follow
 
 Array = NDArray[np.float64]
 
+SAME_STEP = 1e-9
+"""Relative. Steps that differ by less differ by rounding only, and share one exponential."""
+
 
 @dataclass(frozen=True)
 class CurrentLaw:
@@ -21,11 +24,11 @@ class CurrentLaw:
     Attributes
     ----------
     id, equation : str
-        ``p0`` is the value at 0 A, ``p1`` the slope there.
+        In the equation, ``p0`` is the value at 0 A and ``p1`` the slope there.
     code : int
-        Of the law in `coefficients` and `rise`.
+        Number of the law in `evaluate_coefficients` and `slope_factors`.
     third : str
-        What is appended to a coefficient's name for the law's third parameter; empty where it has none.
+        Suffix that makes a coefficient's name that of the law's third parameter; empty where the law has none.
     """
 
     id: str
@@ -47,12 +50,12 @@ LAWS = {
 
 
 def parse_laws(text: str, where: str) -> str | dict[str, str]:
-    """Current laws from ``LAW`` for all coefficients or ``COEFFICIENT=LAW,...``; ``where`` names the text in errors.
+    """Read current laws: ``LAW`` for all coefficients, or ``COEFFICIENT=LAW,...``; ``where`` names the text in errors.
 
     Raises
     ------
     InputError
-        When it is neither. Names are checked by the model (`mrd_sim.models.find_model`).
+        When it is neither. The model checks the names (`mrd_sim.models.find_model`).
     """
     if "=" not in text:
         return text.strip()
@@ -64,9 +67,9 @@ def parse_laws(text: str, where: str) -> str | dict[str, str]:
 
 @njit(cache=True, nogil=True)
 def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array:
-    """Effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
+    """Return the effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
 
-    ``state`` holds u and I at the previous vertex and is updated; ``lag`` in s, 0 passes the current through.
+    ``state`` holds u and I at the previous vertex and is updated. ``lag`` is in s; with 0 the current passes unchanged.
     """
     effective = np.empty(len(current), state.dtype)
     u, before = state[0], state[1]
@@ -76,8 +79,8 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
         if dt[k] == 0.0:
             u = now + 0.0 * lag
         else:
-            # Samples are as far apart as those before, but for rounding: few exponentials are worth computing.
-            if abs(dt[k] - step) > 1e-9 * step:
+            # Samples are equally spaced but for rounding, so few exponentials have to be computed.
+            if abs(dt[k] - step) > SAME_STEP * step:
                 step = dt[k]
                 left = decay(step, lag)
             u = follow(u, before, now, lag / step, left)
@@ -88,41 +91,41 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
 
 
 @njit(cache=True, nogil=True)
-def _bent(code: int, third: Any, u: Any) -> Any:
-    """What a law multiplies its slope with: the current, bent where the law saturates."""
+def _slope_factor(code: int, third: Any, u: Any) -> Any:
+    """Return what the law ``code`` multiplies its slope with, in A: the current, or less where the law saturates."""
     if code < 3:
         return u + 0.0 * third
     return third * (1.0 - exp(-u / third) if code == 3 else tanh(u / third))
 
 
 @njit(cache=True, nogil=True)
-def rise(code: int, third: float, current: Array) -> Array:
-    """What the law ``code`` multiplies its slope with, (m,) in A, along the effective current."""
-    found = np.empty_like(current)
+def slope_factors(code: int, third: float, current: Array) -> Array:
+    """Return what the law ``code`` multiplies its slope with, (m,) in A, along the effective current."""
+    factors = np.empty_like(current)
     for k in range(len(current)):
-        found[k] = _bent(code, third, current[k])
-    return found
+        factors[k] = _slope_factor(code, third, current[k])
+    return factors
 
 
 @njit(cache=True, nogil=True)
-def coefficients(
-    theta: Array, codes: NDArray[np.intp], columns: NDArray[np.intp], floors: Array, current: Array, found: Array
+def evaluate_coefficients(
+    theta: Array, codes: NDArray[np.intp], columns: NDArray[np.intp], floors: Array, current: Array, values: Array
 ) -> None:
-    """Coefficients on the vertices.
+    """Evaluate the coefficients on the vertices.
 
     Parameters
     ----------
     theta : ndarray (parameters,)
-    codes : ndarray (quantities,) of int
-        Law of each quantity.
-    columns : ndarray (quantities, 3) of int
+    codes : ndarray (coefficients,) of int
+        Law of each coefficient.
+    columns : ndarray (coefficients, 3) of int
         Where in ``theta`` its parameters are; -1 for one that its law does not have.
-    floors : ndarray (quantities,)
+    floors : ndarray (coefficients,)
         Least value of each: a law that falls with current stops there.
     current : ndarray (m,)
         Effective current in A, of the same type as ``theta``.
-    found : ndarray (m, quantities)
-        Filled; in Fortran's order, for speed.
+    values : ndarray (m, coefficients)
+        Filled. Column-major, for speed.
     """
     for j in range(len(codes)):
         code, floor = codes[j], floors[j]
@@ -131,15 +134,15 @@ def coefficients(
         third = theta[columns[j, 2]] if columns[j, 2] >= 0 else 0.0 * value
         if code == 0:
             for k in range(len(current)):
-                found[k, j] = value
+                values[k, j] = value
         elif code == 1:
             for k in range(len(current)):
                 affine = value + slope * current[k]
-                found[k, j] = floor + 0.0 * value if affine.real < floor else affine
+                values[k, j] = floor + 0.0 * value if affine.real < floor else affine
         else:
             for k in range(len(current)):
                 u = current[k]
-                bent = value + slope * _bent(code, third, u)
+                bent = value + slope * _slope_factor(code, third, u)
                 if code == 2:
                     bent = bent + third * u * u
-                found[k, j] = floor + 0.0 * value if bent.real < floor else bent
+                values[k, j] = floor + 0.0 * value if bent.real < floor else bent

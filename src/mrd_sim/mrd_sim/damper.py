@@ -1,4 +1,4 @@
-"""A damper with parameters: force along a whole recording, or block by block."""
+"""A damper with its parameters: force along a whole recording, or block by block."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def parse_values(text: str, where: str) -> dict[str, float]:
-    """Parameters from YAML text, ``name: value`` in SI; ``where`` names it in errors.
+    """Read parameters from YAML text, ``name: value`` in SI; ``where`` names the text in errors.
 
     Raises
     ------
@@ -23,32 +23,35 @@ def parse_values(text: str, where: str) -> dict[str, float]:
         When it is no mapping of names to numbers.
     """
     values = parse_yaml(text, where) if text.strip() else {}
-    for name, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise InputError(f"{where}: {name} is {value!r}, expected a number")
-    return {str(name): float(value) for name, value in values.items()}
+    return {str(name): _number(value, f"{where}: {name}") for name, value in values.items()}
 
 
 def parse_effects(text: str, where: str) -> dict[str, dict[str, float]]:
-    """Effects from YAML text, ``{effect: {parameter: value}}`` in SI; ``where`` names it in errors.
+    """Read effects from YAML text, ``{effect: {parameter: value}}`` in SI; ``where`` names the text in errors.
 
     Raises
     ------
     InputError
-        When it is no mapping of names to such mappings. Names are checked by `Damper`.
+        When it is no mapping of names to such mappings. `Damper` checks the names.
     """
-    found = parse_yaml(text, where) if text.strip() else {}
-    for effect, values in found.items():
+    effects = parse_yaml(text, where) if text.strip() else {}
+    for effect, values in effects.items():
         if not isinstance(values, dict):
             raise InputError(f"{where}: {effect} is {values!r}, expected its parameters, {{NAME: VALUE}}")
-        for name, value in values.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise InputError(f"{where}: {effect}.{name} is {value!r}, expected a number")
-    return {str(effect): {str(name): float(v) for name, v in values.items()} for effect, values in found.items()}
+    return {
+        str(effect): {str(name): _number(value, f"{where}: {effect}.{name}") for name, value in values.items()}
+        for effect, values in effects.items()
+    }
+
+
+def _number(value: object, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{name} is {value!r}, expected a number")
+    return float(value)
 
 
 class Damper:
-    """A damper model with parameters and the state that it has come to.
+    """A damper model with its parameters and its present state.
 
     Parameters
     ----------
@@ -59,7 +62,8 @@ class Damper:
     laws : str or mapping, optional
         Current laws, see `mrd_sim.models.DamperModel.with_laws`.
     effects : mapping, optional
-        What else acts (`mrd_sim.effects`): values of the parameters of each effect, by id; those not given are neutral.
+        Effects that act with the model (`mrd_sim.effects`): for each id the values of its parameters. Those not given are
+        neutral.
 
     Raises
     ------
@@ -76,8 +80,8 @@ class Damper:
     ) -> None:
         effects = effects or {}
         self.model = find_model(model, laws, list(effects))
-        of_effects = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
-        self.theta = self.model.vector({**(parameters or {}), **of_effects})
+        effect_values = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
+        self.theta = self.model.vector({**(parameters or {}), **effect_values})
         self._state: Array | None = None
 
     @property
@@ -86,7 +90,7 @@ class Damper:
         return " with ".join(filter(None, (self.model.id, ", ".join(effect.id for effect in self.model.effects))))
 
     def force(self, time: Array, position: Array, current: Array) -> Array:
-        """Measured force in N along a recorded motion, smoothed and differentiated as in identification, from rest.
+        """Return the measured force in N along a recorded motion from rest, which is smoothed as in identification.
 
         Parameters
         ----------
@@ -100,19 +104,19 @@ class Damper:
         """
         time, position, current = (np.asarray(series, np.float64) for series in (time, position, current))
         if not len(time) == len(position) == len(current):
-            found = f"{len(time)} times, {len(position)} positions, {len(current)} currents"
-            raise InputError(f"{found}, expected as many of each")
-        moved = smooth_motion(time, position)
-        path = make_path(time, moved.position, moved.velocity, moved.acceleration, current)
+            lengths = f"{len(time)} times, {len(position)} positions, {len(current)} currents"
+            raise InputError(f"{lengths}, expected as many of each")
+        motion = smooth_motion(time, position)
+        path = make_path(time, motion.position, motion.velocity, motion.acceleration, current)
         return self.model.force(self.theta, path)
 
     def advance(self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array) -> Array:
-        """Measured force in N over the next block of equally spaced samples.
+        """Return the measured force in N over the next block of equally spaced samples.
 
         Parameters
         ----------
         dt : float
-            s between samples, short enough for a reversal to be resolved by the samples themselves.
+            s between samples. They have to be so close that no reversal between two of them matters.
         position, velocity, acceleration, current : ndarray (m,)
             SI units.
         """
@@ -121,7 +125,7 @@ class Damper:
     def forces(
         self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array
     ) -> tuple[Array, Array]:
-        """Force on the rod and, where effects act on its sensor, another one that is measured; arguments as of `advance`."""
+        """Return the force on the rod and the measured one, which effects of sensing change; arguments as of `advance`."""
         steps = np.full(len(position), dt)
         if self._state is None:
             steps[0] = 0.0

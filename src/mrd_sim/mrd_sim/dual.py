@@ -1,10 +1,10 @@
 """Elementary functions for numbers that carry a derivative.
 
-A complex number z + i d stands for a value z and its derivative d to some parameter, scaled so small (`STEP`) that d²
-vanishes: complex arithmetic then is the chain rule (complex-step differentiation: Lyness & Moler, 1967; Squire & Trapp,
-1998). Kernels written with these functions and with comparisons of ``.real`` compile for real numbers, as fast as ever, and
-for complex ones, where they give exact sensitivities at hardly any more cost. NumPy's complex functions are slower, and some
-lose so small an imaginary part.
+A complex number z + i d stands for a value z and its derivative d to some parameter. The derivative is scaled so small
+(`STEP`) that d² vanishes; complex arithmetic then is the chain rule (complex-step differentiation: Lyness & Moler, 1967;
+Squire & Trapp, 1998). Kernels written with these functions and with comparisons of ``.real`` compile for real numbers at
+full speed. Compiled for complex numbers they give exact sensitivities at about twice the cost. NumPy's complex functions are
+slower, and some of them lose so small an imaginary part.
 """
 
 import math
@@ -19,14 +19,14 @@ STEP = 1e-100
 
 
 def _lift(function: Callable[[float], float], derivative: Callable[[float, float], float]) -> Callable[[Any], Any]:
-    """``function`` for real numbers and for numbers with a derivative, given ``derivative(z, function(z))``."""
+    """Return ``function`` for real numbers and for numbers with a derivative, given ``derivative(z, function(z))``."""
     slope = register_jitable(derivative)
 
     def with_derivative(z: Any) -> Any:
         value = function(z.real)
         return complex(value, z.imag * slope(z.real, value))
 
-    def without(z: Any) -> Any:
+    def without_derivative(z: Any) -> Any:
         return function(z)
 
     def lifted(z: Any) -> Any:
@@ -34,7 +34,7 @@ def _lift(function: Callable[[float], float], derivative: Callable[[float, float
 
     @overload(lifted)
     def _compiled(z: Any) -> Any:
-        return with_derivative if isinstance(z, types.Complex) else without
+        return with_derivative if isinstance(z, types.Complex) else without_derivative
 
     return lifted
 
@@ -53,17 +53,17 @@ tanh = _lift(math.tanh, lambda z, f: 1.0 - f * f)
 
 @njit(cache=True, nogil=True)
 def absolute(z: Any) -> Any:
-    """|z|, its derivative that of the side on which z lies."""
+    """Return |z|, with the derivative of the side on which z lies."""
     return z if z.real >= 0.0 else -z
 
 
 @njit(cache=True, nogil=True)
 def power(z: Any, n: Any) -> Any:
-    """z^n for z > 0, and for z = 0 and n >= 1; 0 for a z so small that 1 / z overflows."""
+    """Return z^n for z > 0, and for z = 0 and n >= 1; 0 for a z so small that 1 / z overflows."""
     return exp(n * log(z)) if z.real > 1e-200 else 0.0 * z
 
 
 @njit(cache=True, nogil=True)
 def clip(z: Any, low: Any, high: Any) -> Any:
-    """Nearest number to z between ``low`` and ``high``."""
+    """Return the number between ``low`` and ``high`` that is nearest to z."""
     return low if z.real < low.real else high if z.real > high.real else z

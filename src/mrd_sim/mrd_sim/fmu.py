@@ -9,13 +9,12 @@ import tempfile
 import uuid
 import zipfile
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from string import Template
 from xml.etree import ElementTree
 
 from mrd_base import InputError
-from mrd_sim.c_code import c_source
+from mrd_sim.c_code import c_source, template
 from mrd_sim.models import DamperModel
 
 INPUTS = {
@@ -36,7 +35,7 @@ _SUFFIXES = {"Windows": ".dll", "Darwin": ".dylib"}
 
 
 def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
-    """Content of an .fmu file: description, C sources and their binary for this platform.
+    """Return the content of an .fmu file: description, C sources and their binary for this platform.
 
     Parameters
     ----------
@@ -51,12 +50,12 @@ def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
 
     Notes
     -----
-    Inputs are the motion and the coil's current, in SI; the output is the force at the same communication point; the
-    parameters are tunable. What the binary does with them is told in ``fmi2.c``.
+    Inputs are the motion and the coil's current, in SI. The output is the force at the same communication point. The
+    parameters are tunable. ``fmi2.c`` describes what the binary does with them.
     """
     damper = c_source(model, values)
     guid = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, damper)}}}"
-    wrapper = Template(resources.files("mrd_sim").joinpath("c", "fmi2.c").read_text(encoding="utf-8")).substitute(guid=guid)
+    wrapper = Template(template("fmi2.c")).substitute(guid=guid)
     sources = {"damper.c": damper, "fmi2.c": wrapper}
     system, machine = platform.system(), platform.machine()
     folder = _PLATFORMS.get((system, machine), f"{machine}-{system}".lower())
@@ -75,7 +74,7 @@ def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
 
 
 def model_description(model: DamperModel, values: Mapping[str, float], guid: str) -> bytes:
-    """modelDescription.xml."""
+    """Return the content of modelDescription.xml."""
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -103,20 +102,9 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
     ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize="0.001")
     variables = ElementTree.SubElement(root, "ModelVariables")
 
-    def add(name: str, causality: str, variability: str, meaning: str, **real: str) -> None:
-        variable = ElementTree.SubElement(
-            variables,
-            "ScalarVariable",
-            name=name,
-            valueReference=str(len(variables)),
-            causality=causality,
-            variability=variability,
-            description=meaning,
-        )
-        ElementTree.SubElement(variable, "Real", {key: value for key, value in real.items() if value})
-
     for parameter, value in zip(model.parameters, model.vector(values), strict=True):
-        add(
+        _add_variable(
+            variables,
             parameter.name,
             "parameter",
             "tunable",
@@ -127,8 +115,8 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
             max=repr(float(parameter.upper)),
         )
     for name, (unit, meaning) in INPUTS.items():
-        add(name, "input", "continuous", meaning, unit=unit, start="0")
-    add("force", "output", "continuous", "of the damper, > 0 resists extension", unit="N")
+        _add_variable(variables, name, "input", "continuous", meaning, unit=unit, start="0")
+    _add_variable(variables, "force", "output", "continuous", "of the damper, > 0 resists extension", unit="N")
     structure = ElementTree.SubElement(root, "ModelStructure")
     force, first = str(len(variables)), len(model.parameters) + 1
     known = " ".join(str(first + index) for index in range(len(INPUTS)))
@@ -137,6 +125,21 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
     ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text
+
+
+def _add_variable(
+    variables: ElementTree.Element, name: str, causality: str, variability: str, meaning: str, **real: str
+) -> None:
+    variable = ElementTree.SubElement(
+        variables,
+        "ScalarVariable",
+        name=name,
+        valueReference=str(len(variables)),
+        causality=causality,
+        variability=variability,
+        description=meaning,
+    )
+    ElementTree.SubElement(variable, "Real", {key: value for key, value in real.items() if value})
 
 
 def _compiled(sources: Mapping[str, str]) -> bytes:
@@ -153,6 +156,6 @@ def _compiled(sources: Mapping[str, str]) -> bytes:
                 "install one (Debian: gcc) or name it in CC; a .c file needs none"
             ) from None
         if done.returncode:
-            words = next((line for line in done.stderr.splitlines() if "error" in line), f"status {done.returncode}")
-            raise InputError(f"C compiler {shlex.join(compiler)}: failed ({words})")
+            reason = next((line for line in done.stderr.splitlines() if "error" in line), f"status {done.returncode}")
+            raise InputError(f"C compiler {shlex.join(compiler)}: failed ({reason})")
         return Path(folder, "binary").read_bytes()

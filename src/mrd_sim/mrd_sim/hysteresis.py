@@ -5,11 +5,11 @@ The state is normalised, w = z / z0, so that it saturates at ±1 (Ikhouane & Rod
     dw/dx = rho (1 - sigma sgn(x') w |w|^(n-1) - (1 - sigma) |w|^n)   for motion in either direction,
 
 with rho = A / z0 in 1/m and sigma = gamma / (beta + gamma) where, as in Spencer et al. (1997), gamma multiplies |x'|. Class
-I (bounded, dissipative) is rho > 0 and sigma >= 1/2, to which the functions below keep. On a stretch without reversal the
-equation separates: v = |w| rises by dv/du = 1 - v^n while loading and falls by dp/du = -(1 + b p^n), b = 2 sigma - 1, while
-unloading from p = |w|, over the travel u in units of 1/rho. For n = 1 and n = 2 the solutions are written out; for other
-exponents the travel, a Gauss hypergeometric function of the state, is inverted by Newton's method. So there is no step size
-to choose and no speed at which the integration fails. All functions take numbers with derivatives (`mrd_sim.dual`).
+I (bounded, dissipative) is rho > 0 and sigma >= 1/2; the functions below need it. Between reversals the equation separates:
+over the travel u in units of 1/rho, v = |w| rises by dv/du = 1 - v^n while loading, and p = |w| falls by dp/du =
+-(1 + b p^n), b = 2 sigma - 1, while unloading. For n = 1 and n = 2 the solutions are written out. For other exponents the
+travel is a Gauss hypergeometric function of the state, which Newton's method inverts. So there is no step size to choose,
+and no speed at which the integration fails. All functions take numbers with derivatives (`mrd_sim.dual`).
 """
 
 from typing import Any
@@ -20,11 +20,12 @@ from mrd_sim.dual import atan, exp, expm1, log, log1p, power, sqrt, tan
 
 _EULER = 0.5772156649015329
 _ACCURACY = 1e-13
+"""Of the state or its logarithm; smaller steps of Newton's method are rounding."""
 
 
 @njit(cache=True, nogil=True)
 def slope(w: Any, direction: float, sigma: Any, n: Any) -> Any:
-    """Slope dw/d(rho x) of the state while the rod moves in ``direction`` (±1)."""
+    """Return the slope dw/d(rho x) of the state while the rod moves in ``direction`` (±1)."""
     v = direction * w
     if v.real >= 0.0:
         return 1.0 - (v * v if n == 2.0 else v if n == 1.0 else power(v, n))
@@ -34,7 +35,7 @@ def slope(w: Any, direction: float, sigma: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
-    """State after the rod moved by ``travel`` = rho dx without reversal.
+    """Return the state after the rod moved by ``travel`` = rho dx without reversal.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
     h = direction * travel
     v = direction * w
     if n == 2.0 and v.real >= 0.0:
-        # By far the most frequent case; in a function as small as this one it is compiled into the models' loops.
+        # By far the most frequent case. This function is small enough for the compiler to inline it into the models' loops.
         rest = (1.0 - v) * exp(-2.0 * h)
         return direction * (1.0 + v - rest) / (1.0 + v + rest)
     return direction * _advanced(v, h, sigma, n)
@@ -59,19 +60,19 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _advanced(v: Any, h: Any, sigma: Any, n: Any) -> Any:
-    """State after the travel h >= 0 towards positive states."""
+    """Return the state after the travel h >= 0 towards positive states."""
     if h.real == 0.0:
         return v + h * slope(v, 1.0, sigma, n)
     if v.real < 0.0:
         p = -v
         b = 2.0 * sigma - 1.0
         if n == 2.0 and b.real >= 1e-12:
-            # What the branches below come to, by the tangent of a difference: an arc tangent less.
+            # The same as the branches below by the tangent of a difference, which saves an arc tangent.
             root = sqrt(b)
             if root.real * h.real < 1.5:
-                turned, start = tan(root * h), root * p
-                if turned.real < start.real:
-                    return (turned - start) / (root * (1.0 + start * turned))
+                travelled, start = tan(root * h), root * p
+                if travelled.real < start.real:
+                    return (travelled - start) / (root * (1.0 + start * travelled))
         crossing = _unloading_travel(p, b, n)
         if h.real < crossing.real:
             return -_unloaded(p, b, n, h, crossing)
@@ -82,7 +83,7 @@ def _advanced(v: Any, h: Any, sigma: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _loaded(v: Any, n: Any, h: Any) -> Any:
-    """State after loading from v >= 0 over the travel h."""
+    """Return the state after loading from v >= 0 over the travel h."""
     if n == 2.0:
         rest = (1.0 - v) * exp(-2.0 * h)
         return (1.0 + v - rest) / (1.0 + v + rest)
@@ -93,9 +94,9 @@ def _loaded(v: Any, n: Any, h: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _unloading_travel(p: Any, b: Any, n: Any) -> Any:
-    """Travel from the state p >= 0 back to zero, b >= 0: p F(1, 1/n; 1 + 1/n; -b p^n)."""
+    """Return the travel from the state p >= 0 back to zero, b >= 0: p F(1, 1/n; 1 + 1/n; -b p^n)."""
     if b.real < 1e-12:
-        # The first term of the series in b, for the sake of its derivative.
+        # The first term of the series in b, which has the right derivative.
         return p - b * power(p, n + 1.0) / (n + 1.0)
     if n == 2.0:
         root = sqrt(b)
@@ -117,7 +118,7 @@ def _unloading_travel(p: Any, b: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _unloaded(p: Any, b: Any, n: Any, h: Any, crossing: Any) -> Any:
-    """State after unloading from p over the travel h, less than ``crossing``."""
+    """Return the state after unloading from p over the travel h, which is less than ``crossing``."""
     if b.real < 1e-12:
         return p - h - b * (power(p, n + 1.0) - power(p - h, n + 1.0)) / (n + 1.0)
     if n == 2.0:
@@ -126,7 +127,7 @@ def _unloaded(p: Any, b: Any, n: Any, h: Any, crossing: Any) -> Any:
     if n == 1.0:
         return expm1(b * (crossing - h)) / b
     left = crossing - h
-    # The travel is a concave function of the state and never exceeds it: from here Newton's method rises to the root.
+    # The travel is a concave function of the state and never exceeds it, so Newton's method rises from here to the root.
     state = left
     for _ in range(60):
         step = (left - _unloading_travel(state, b, n)) * (1.0 + b * power(state, n))
@@ -138,7 +139,7 @@ def _unloaded(p: Any, b: Any, n: Any, h: Any, crossing: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _loading_travel(v: Any, n: Any) -> Any:
-    """Travel from zero to the state 0 <= v < 1: v F(1, 1/n; 1 + 1/n; v^n)."""
+    """Return the travel from zero to the state 0 <= v < 1: v F(1, 1/n; 1 + 1/n; v^n)."""
     x = power(v, n)
     if x.real > 0.5:
         return _travel_near_saturation(log(1.0 - x) if x.real < 1.0 else -40.0 + 0.0 * x, v, n)
@@ -154,7 +155,7 @@ def _loading_travel(v: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _travel_near_saturation(log_rest: Any, v: Any, n: Any) -> Any:
-    """The same from ln(1 - v^n), by the series about 1 (Abramowitz & Stegun, 1964, 15.3.10)."""
+    """Return the same travel from ln(1 - v^n), by the series about 1 (Abramowitz & Stegun, 1964, 15.3.10)."""
     rest = exp(log_rest)
     b = 1.0 / n
     weight = b + 0.0 * v
@@ -172,7 +173,7 @@ def _travel_near_saturation(log_rest: Any, v: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _state_at(travel: Any, n: Any) -> Any:
-    """State whose travel from zero is ``travel``: the inverse of `_loading_travel`."""
+    """Return the state whose travel from zero is ``travel``: the inverse of `_loading_travel`."""
     middle = 0.5 ** (1.0 / n.real)
     split = _loading_travel(middle + 0.0 * travel, n)
     if travel.real <= split.real:
@@ -183,7 +184,7 @@ def _state_at(travel: Any, n: Any) -> Any:
             if abs(step.real) < _ACCURACY:
                 break
         return v
-    # Nearer to saturation the travel is almost linear in the logarithm of what is left.
+    # Near saturation the travel is almost linear in the logarithm of 1 - v^n.
     log_rest = -0.6931471805599453 + n * (split - travel)
     v = power(1.0 - exp(log_rest), 1.0 / n)
     for _ in range(60):
@@ -199,7 +200,7 @@ def _state_at(travel: Any, n: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _digamma(x: Any) -> Any:
-    """Digamma function of x > 0: recurrence up to 10, then Stirling's series."""
+    """Return the digamma function of x > 0: recurrence up to 10, then Stirling's series."""
     total = 0.0 * x
     while x.real < 10.0:
         total = total - 1.0 / x

@@ -1,67 +1,53 @@
 """The docs' page about the damper models, written from the catalogue."""
 
+from string import Template
+
 from mrd_sim.current import LAWS
-from mrd_sim.models import MODELS, DamperModel, Quantity
+from mrd_sim.models import MODELS, Coefficient, DamperModel
 from mrd_sim.models.model import COIL_LAG
 
 COMMAND = "ros2 run mrd_sim models --markdown > docs/models.md"
 
 _CHOICE = (
-    ("a first look, only the energy per cycle", "linear_viscous", "one coefficient; knows no yield force"),
+    ("a first look at the energy per cycle", "linear_viscous", "has one coefficient and no yield force"),
     (
         "force over speed; a law to invert for control",
         "bingham biviscous",
-        "yield force and viscosity, a function of speed alone: no loop at reversals",
+        "yield force and viscosity as a function of speed alone, without a loop at reversals",
     ),
     (
         "sines about mid-stroke, with their loop over velocity",
         "hyperbolic_tangent algebraic hysteretic_biviscous sigmoid",
-        "no state, still easy to invert; the loop comes from the present position or acceleration: so those with x err off "
-        "mid-stroke, those with x'' under noise, all in random motion",
+        "no state, still easy to invert. The loop comes from the present position or acceleration: models with x fail off "
+        "mid-stroke, those with x'' under noise, and all of them in random motion",
     ),
-    ("a few sines, reproduced closely", "polynomial", "fits much, explains nothing, wild beyond the speeds it has seen"),
+    (
+        "a few sines, reproduced closely",
+        "polynomial",
+        "fits closely, explains nothing, and fails at speeds that were not recorded",
+    ),
     (
         "any motion: changing amplitude, off mid-stroke, minor loops, random",
         "bouc_wen normalised_bouc_wen modified_dahl modified_lugre",
-        "remember the turning points, as the damper does",
+        "the state remembers the turning points, as the damper does",
     ),
     (
-        "the same, where the force falls off at low speed or something in series gives way before the fluid yields",
+        "the same, where the force falls off at low speed or an element in series gives way before the fluid yields",
         "modified_bouc_wen shear_thinning_bouc_wen gamota_filisko",
-        "a dashpot or springs in series; in the second the viscosity falls with the speed",
+        "a dashpot or springs in series; in the second model the viscosity falls with the speed",
     ),
-    ("no damper yet, only a drawing", "quasi_static", "geometry and fluid in, force out"),
+    ("no damper yet, only a drawing", "quasi_static", "computes the force from geometry and fluid"),
 )
 
-
-def page() -> str:
-    """The page in Markdown: how to choose, the current laws, the catalogue, and a section for each model."""
-    choice = "\n".join(
-        f"| {wanted} | {', '.join(f'[`{name}`](#{name})' for name in names.split())} | {why} |"
-        for wanted, names, why in _CHOICE
-    )
-    laws = "\n".join(
-        f"| {law.id} | `{law.equation.removeprefix('p = ')}` | `NAME`"
-        + (", `NAME_per_A`" if law.code else "")
-        + (f", `NAME{law.third}`" if law.third else "")
-        + " |"
-        for law in LAWS.values()
-    )
-    catalogue = "\n".join(
-        f"| [`{model.id}`](#{model.id}) | {model.title} | {len(model.parameters)} | {memory(model)} | {integration(model)} "
-        f"| {'yes' if model.dissipative else 'no'} |"
-        for model in MODELS.values()
-    )
-    sections = "\n".join(section(model) for model in MODELS.values())
-    lag = f"{COIL_LAG.default:g} s by default, {COIL_LAG.lower:g} … {COIL_LAG.upper:g} s"
-    return f"""\
+_PAGE = f"""\
 <!-- Written by `{COMMAND}`; changes belong in the catalogue or in models_page.py. -->
 
 # Damper models
 
-A damper model gives the force on the rod from its motion and the coil current. The position x is 0 at mid-stroke and grows
-as the damper extends; x' is the velocity, x'' the acceleration. The force F is positive where it resists extension, so that
-F x' > 0 is dissipated power; gas pressure, which pushes the rod out, is a negative offset f0. Units are SI: m, s, N, A.
+A damper model gives the force on the rod from its motion and the coil current. The position x is 0 at mid-stroke and
+grows as the damper extends; x' is the velocity, x'' the acceleration. The force F is positive where it resists
+extension, so that F x' > 0 is dissipated power. Gas pressure pushes the rod out and is a negative offset f0. Units are
+SI: m, s, N, A.
 
 `ros2 run mrd_sim models` lists the models, `ros2 run mrd_sim models MODEL` shows one with its parameters, and
 `ros2 run mrd_identification identify RUN... --model MODEL` fits one to recordings.
@@ -70,41 +56,66 @@ F x' > 0 is dissipated power; gas pressure, which pushes the rod out, is a negat
 
 | recorded or wanted | start with | because |
 |---|---|---|
-{choice}
+$choice
 
-Which of them describes a damper best is for recordings to say that the fit has not seen:
-`ros2 run mrd_identification compare` ranks them so.
+Which of them describes a damper best can only be judged on recordings that were not fitted:
+`ros2 run mrd_identification compare` ranks the models that way.
 
 ## Catalogue
 
 | id | model | parameters | memory | integration | passive |
 |---|---|---|---|---|---|
-{catalogue}
+$models
 
-Parameters: with the current laws that the model has by default. Memory: whether the force depends on the motion before.
-Integration: exact along a path of straight pieces between samples and reversals, or the order with which the error falls
-with the step. Passive: whether no closed cycle at constant current can yield energy, as long as the coefficients at that
-current are within their bounds.
+- Parameters: their number with the model's default current laws.
+- Memory: whether the force depends on the motion before.
+- Integration: exact along a path of straight pieces between samples and reversals, or the order with which the error
+  falls with the step.
+- Passive: whether no closed cycle at constant current can yield energy, as long as the coefficients at that current are
+  within their bounds.
 
 ## Current
 
 The effective current u follows the measured current I with a lag, u' = (I - u) / {COIL_LAG.name}; every model has this
-parameter ({lag}). How a coefficient p depends on u is its current law. Each coefficient has one
-by default, and may be given another (`identify RUN... --law LAW` for all, `--law COEFFICIENT=LAW,...` for each):
+parameter ($lag). The current law of a coefficient p says how p depends on u. Each coefficient has a law by default and
+may be given another (`identify RUN... --law LAW` for all, `--law COEFFICIENT=LAW,...` for each):
 
 | law | p over u | parameters of the coefficient NAME |
 |---|---|---|
-{laws}
+$laws
 
-p0 is the value at 0 A and p1 the slope there, whatever the law. A coefficient in which the force is not linear stays at its
-lower bound where its law would take it below.
+p0 is the value at 0 A and p1 the slope there, whatever the law. A coefficient in which the force is not linear stays at
+its lower bound where its law would take it below.
 
-{sections}"""
+$sections"""
+
+
+def page() -> str:
+    """Return the page in Markdown: how to choose, the current laws, the catalogue, and a section for each model."""
+    choice = "\n".join(
+        f"| {wanted} | {', '.join(f'[`{name}`](#{name})' for name in names.split())} | {reason} |"
+        for wanted, names, reason in _CHOICE
+    )
+    laws = "\n".join(
+        f"| {law.id} | `{law.equation.removeprefix('p = ')}` | `NAME`"
+        + (", `NAME_per_A`" if law.code else "")
+        + (f", `NAME{law.third}`" if law.third else "")
+        + " |"
+        for law in LAWS.values()
+    )
+    models = "\n".join(
+        f"| [`{model.id}`](#{model.id}) | {model.title} | {len(model.parameters)} | {memory(model)} | {integration(model)} "
+        f"| {'yes' if model.dissipative else 'no'} |"
+        for model in MODELS.values()
+    )
+    sections = "\n".join(section(model) for model in MODELS.values())
+    lag = f"{COIL_LAG.default:g} s by default, {COIL_LAG.lower:g} … {COIL_LAG.upper:g} s"
+    return Template(_PAGE).substitute(choice=choice, models=models, lag=lag, laws=laws, sections=sections)
 
 
 def section(model: DamperModel) -> str:
-    """A model's equation, coefficients and source in Markdown."""
-    rows = "\n".join(_row(quantity) for quantity in model.quantities)
+    """Return a model's equation, coefficients and source in Markdown."""
+    rows = "\n".join(_row(coefficient) for coefficient in model.coefficients)
     text = f"""## {model.id}
 
 **{model.title}**
@@ -119,13 +130,13 @@ def section(model: DamperModel) -> str:
 
 """
     if model.observables:
-        found = model.observables(model.at_current(model.defaults, 0.0))
-        text += f"Recordings determine, and fits report: {', '.join(f'`{name}`' for name in found)}.\n\n"
+        names = model.observables(model.at_current(model.defaults, 0.0))
+        text += f"Recordings determine, and fits report: {', '.join(f'`{name}`' for name in names)}.\n\n"
     return f"{text}Source: {model.source}.\n"
 
 
 def clauses(equation: str) -> list[str]:
-    """The parts of an equation between commas outside of brackets, each with its comma."""
+    """Split an equation at the commas outside of brackets; each part keeps its comma."""
     parts, depth = [""], 0
     for character in equation:
         depth += (character == "(") - (character == ")")
@@ -136,34 +147,34 @@ def clauses(equation: str) -> list[str]:
 
 
 def memory(model: DamperModel) -> str:
-    """Whether the force depends on the motion before."""
+    """Say whether the force depends on the motion before: yes or no."""
     return "yes" if model.states else "no"
 
 
 def integration(model: DamperModel) -> str:
-    """How exact the integration is."""
+    """Say how exact the integration is."""
     return f"order {model.order}" if model.order else "exact"
 
 
-def bounds(quantity: Quantity) -> str:
-    """Default and bounds at 0 A."""
-    fixed = "" if quantity.free else ", fixed unless set"
-    return f"{quantity.default:g} ({quantity.lower:g} … {quantity.upper:g}{fixed})"
+def bounds(coefficient: Coefficient) -> str:
+    """Return a coefficient's default and bounds at 0 A."""
+    fixed = "" if coefficient.free else ", fixed unless set"
+    return f"{coefficient.default:g} ({coefficient.lower:g} … {coefficient.upper:g}{fixed})"
 
 
-def slope(quantity: Quantity) -> str:
-    """Current law by default, with default and bounds of the slope at 0 A."""
-    if quantity.per_ampere is None:
+def slope(coefficient: Coefficient) -> str:
+    """Return a coefficient's default current law, with default and bounds of the slope at 0 A."""
+    if coefficient.per_ampere is None:
         return "–"
-    default, lower, upper = quantity.per_ampere
-    if quantity.law == "constant":
+    default, lower, upper = coefficient.per_ampere
+    if coefficient.law == "constant":
         return f"constant; with another law {default:g} ({lower:g} … {upper:g})"
-    return f"{quantity.law}: {default:g} ({lower:g} … {upper:g})"
+    return f"{coefficient.law}: {default:g} ({lower:g} … {upper:g})"
 
 
-def _row(quantity: Quantity) -> str:
-    meaning = quantity.meaning.replace("|", "\\|")
+def _row(coefficient: Coefficient) -> str:
+    meaning = coefficient.meaning.replace("|", "\\|")
     return (
-        f"| `{quantity.name}` | {quantity.symbol} | {quantity.unit or '1'} | {meaning} | {bounds(quantity)} "
-        f"| {slope(quantity)} |"
+        f"| `{coefficient.name}` | {coefficient.symbol} | {coefficient.unit or '1'} | {meaning} | {bounds(coefficient)} "
+        f"| {slope(coefficient)} |"
     )

@@ -1,4 +1,4 @@
-"""A number that a model or an effect depends on."""
+"""A number on which a model or an effect depends."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Parameter:
     """A number that identification may choose.
 
-    ``log`` asks for a logarithmic scale between the bounds; a parameter that is not ``free`` keeps its default unless it is
+    ``log`` asks for a logarithmic scale between the bounds. A parameter that is not ``free`` keeps its default unless it is
     set or freed by name.
     """
 

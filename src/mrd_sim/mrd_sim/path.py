@@ -13,19 +13,19 @@ from mrd_runs.signals.smoothed_run import SmoothedRun
 
 Array = NDArray[np.float64]
 
-FINE = 0.03
-"""Share of its largest value by which a force may change from vertex to vertex, where that can be helped."""
+FORCE_STEP = 0.03
+"""Share of half the force's range. Sampling intervals with a larger change of force are divided."""
 
 MOST_PIECES = 8
-"""Into which a sampling interval is divided for that."""
+"""Pieces of one sampling interval; the time that a force takes grows with them."""
 
 
 @dataclass(frozen=True)
 class Path:
     """Motion and current on the vertices of a polyline, in SI units.
 
-    Hysteresis depends on the turning points of the motion, which rarely fall on a sample: a vertex is inserted wherever the
-    velocity changes sign between two samples, and the models integrate exactly from vertex to vertex.
+    Hysteresis depends on the turning points of the motion, and these rarely fall on a sample. So a vertex is inserted
+    wherever the velocity changes sign between two samples, and the models integrate exactly from vertex to vertex.
 
     Attributes
     ----------
@@ -36,11 +36,11 @@ class Path:
     current : ndarray (m,)
         A.
     samples : ndarray (n,) of int
-        Which vertices are samples.
+        Indices of the vertices that are samples.
     mains : ndarray (2,)
-        rad, the mains' phase at the start, see `mrd_runs.signals.mains.mains_phase`.
+        Phase of the mains in rad at the start, for 50 and 60 Hz; see `mrd_runs.signals.mains.mains_phase`.
     smoothed : SmoothedRun or None
-        The recorded run that it belongs to.
+        Recorded run along which the path leads.
     """
 
     dt: Array
@@ -54,45 +54,45 @@ class Path:
 
     @cached_property
     def fine(self) -> "Path":
-        """The same with more vertices where the recorded force changes fast, for effects that follow the force."""
+        """The same path with more vertices where the recorded force changes fast, for effects that follow the force."""
         if self.smoothed is None:
             return self
         return replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains)
 
 
 def path_of(smoothed: SmoothedRun) -> Path:
-    """Path of a recorded run: its smoothed motion, its current without sensor noise, the phase of the mains."""
+    """Return the path of a recorded run: its smoothed motion, its current without sensor noise, the phase of the mains."""
     return replace(_along(smoothed, 1), mains=mains_phase(smoothed.run, smoothed.current), smoothed=smoothed)
 
 
 def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:
-    """Path of a recorded run with its sampling intervals `divided`."""
+    """Return the path of a recorded run with its sampling intervals `divided`."""
     time = smoothed.run.time
     path = make_path(finer(time, parts), *between_samples(time, smoothed.motion, parts), finer(smoothed.current, parts))
     return replace(path, samples=path.samples[divided(len(time), parts)])
 
 
 def pieces(run: Run) -> NDArray[np.intp]:
-    """Into how many pieces each sampling interval (n - 1,) is to be divided for effects that follow the force.
+    """Return the number of pieces of each sampling interval (n - 1,) for effects that follow the force.
 
-    After a reversal the force changes within few samples, and in no straight line. What is in series gives way meanwhile,
-    which is integrated to first order: over whole intervals, backlash came out 5 to 13 % too small from 500 Hz.
+    After a reversal the force changes within few samples, and along a curve. Elements in series give way meanwhile, which is
+    integrated to first order. Over whole intervals of recordings at 500 Hz, backlash came out 5 to 13 % too small.
     """
     largest = 0.5 * float(np.ptp(np.quantile(run.force, [0.01, 0.99])))
     jumps = np.abs(np.diff(run.force))
-    return np.clip(np.ceil(jumps / max(FINE * largest, np.finfo(float).tiny)), 1, MOST_PIECES).astype(np.intp)
+    return np.clip(np.ceil(jumps / max(FORCE_STEP * largest, np.finfo(float).tiny)), 1, MOST_PIECES).astype(np.intp)
 
 
 def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:
     """Build a path from equally long series, inserting the reversal vertices.
 
-    The turning point follows from the cubic that matches position and velocity at both neighbours, at the instant where the
-    velocity, taken as linear, passes zero.
+    A vertex stands at the instant at which the velocity, taken as linear, passes zero. Its position follows from the cubic
+    that matches position and velocity at both neighbours.
     """
     before = np.flatnonzero(velocity[:-1] * velocity[1:] < 0)
     fraction = velocity[before] / (velocity[before] - velocity[before + 1])
     instant = (1 - fraction) * time[before] + fraction * time[before + 1]
-    inside = (instant > time[before]) & (instant < time[before + 1])  # not one that rounding puts on a sample
+    inside = (instant > time[before]) & (instant < time[before + 1])  # rounding may put it on a sample
     before, fraction = before[inside], fraction[inside]
     after = before + 1
     step = time[after] - time[before]

@@ -12,7 +12,7 @@ from mrd_base.config import bench_time_scale, from_mapping, read_node_parameters
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.effects import load_effects
-from mrd_sim.motor.drive import RATE, MotorConfig
+from mrd_sim.motor.servo_axis import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
 from mrd_sim.sensing import MeasuringChain, SensorsConfig
 from mrd_sim.supply import CoilSupply
@@ -20,14 +20,14 @@ from mrd_sim.supply import CoilSupply
 Array = NDArray[np.float64]
 
 FAULTS = {
-    "": "all is well",
+    "": "no fault",
     **LINE_FAULTS,
-    "unplug": "the serial line is pulled; plugged in again afterwards",
-    "reset": "the motor's supply fails for an instant: 9600 baud, all forgotten",
-    "jam": "the rod is held where it is",
+    "unplug": "the serial line is pulled, and plugged in again afterwards",
+    "reset": "the motor's supply fails for an instant, which resets its registers and the baud rate to 9600",
+    "jam": "the rod is held in place",
     "freeze_daq": "no analog samples come",
 }
-"""What can go wrong on purpose. A fault holds as long as it is set."""
+"""Faults that can be set on purpose, with what they do. A fault acts as long as it is set."""
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ class DamperConfig:
         "{yield_force: 80.0, yield_force_per_A: 900.0, yield_travel: 0.000125, viscous: 900.0, viscous_per_A: 2500.0, "
         "stiffness: 1500.0, offset: -45.0}",
         "",
-        "YAML text, name: value in SI; those not named have the model's default",
+        "YAML text, name: value in SI; those not named keep the model's default",
     )
     laws: str = quantity("", "", "current law of all coefficients, or COEFFICIENT=LAW,...; empty: the model's own")
     effects: str = quantity(
-        "", "", "YAML text, {effect: {parameter: value}} in SI, of what else acts (ros2 run mrd_sim effects)"
+        "", "", "YAML text, {effect: {parameter: value}} in SI, of the effects that act (ros2 run mrd_sim effects)"
     )
-    effects_folder: str = quantity("", "", "folder with effects of your own, one a file; may be empty")
-    stroke: float = quantity(0.055, "mm", "between its ends, where the rod stops", lower=1e-3, upper=1)
+    effects_folder: str = quantity("", "", "folder with effects of your own, one a file; empty for none")
+    stroke: float = quantity(0.055, "mm", "distance between its ends, where the rod stops", lower=1e-3, upper=1)
 
     def build(self) -> Damper:
-        """Make the damper, at rest and unloaded."""
+        """Build the damper, at rest and unloaded."""
         if self.effects_folder:
             load_effects(self.effects_folder)
         return Damper(
@@ -61,12 +61,12 @@ class DamperConfig:
 
 
 def read_damper(path: str | Path) -> DamperConfig:
-    """Read what a plant.yaml says of the damper.
+    """Read the section on the damper from a plant.yaml.
 
     Raises
     ------
     InputError
-        When the file cannot be read, or says what no damper has.
+        When the file cannot be read, or has a field that no damper has.
     """
     section = read_node_parameters(path, "plant").get("damper", {})
     return from_mapping(DamperConfig, section, f"{path}: damper")
@@ -74,13 +74,13 @@ def read_damper(path: str | Path) -> DamperConfig:
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """What the simulated bench is; the section ``plant`` of plant.yaml."""
+    """The simulated bench: the section ``plant`` of plant.yaml."""
 
     time_scale: float = bench_time_scale()
     port_link: str = quantity("~/.ros/mrd_bench/motor", "", "link to the serial port of the simulated motor")
-    seed: int = quantity(1, "", "of all noise", lower=0, upper=2**31 - 1)
-    hardware_rate: float = quantity(2000.0, "Hz", "of the converter; as in the section daq", lower=1, upper=8000)
-    start_position: float = quantity(-0.008, "mm", "where the rod stands at first", lower=-0.5, upper=0.5)
+    seed: int = quantity(1, "", "seed of all noise", lower=0, upper=2**31 - 1)
+    hardware_rate: float = quantity(2000.0, "Hz", "rate of the converter, as in the section daq", lower=1, upper=8000)
+    start_position: float = quantity(-0.008, "mm", "initial position of the rod", lower=-0.5, upper=0.5)
     fault: str = quantity("", "", f"one of: {', '.join(filter(None, FAULTS))}; may change while the bench runs")
     damper: DamperConfig = field(default_factory=DamperConfig)
     motor: MotorConfig = field(default_factory=MotorConfig)
@@ -106,7 +106,7 @@ def check_fault(fault: str) -> None:
 
 @dataclass(frozen=True)
 class Block:
-    """What happened in a stretch of bench time.
+    """Signals of a block of bench time.
 
     Attributes
     ----------
@@ -117,11 +117,11 @@ class Block:
     sequence : int
         Number of its first sample since the start.
     channels : tuple of str
-        Terminals.
+        Terminals of the converter.
     voltage : ndarray (channels, n)
         V at the terminals.
     position, velocity, acceleration, force, current : ndarray (m,)
-        The truth, at the motor's rate; the last value belongs to the last sample of the converter.
+        True values, at the motor's rate. The last one belongs to the last sample of the converter.
     """
 
     time: float
@@ -143,12 +143,12 @@ class Plant:
     ----------
     config : PlantConfig
     start : float
-        Bench time at which everything is switched on, s.
+        Bench time in s at which everything is switched on.
 
     Attributes
     ----------
     motor : SmartMotor
-        Fed with serial bytes from outside.
+        Motor, which its serial port feeds with bytes.
 
     Raises
     ------
@@ -184,26 +184,26 @@ class Plant:
 
     @property
     def time(self) -> float:
-        """Bench time up to which the bench was simulated, s."""
+        """Bench time in s up to which the bench is simulated."""
         return self._start + self._sequence / self.config.hardware_rate
 
     @property
     def fault(self) -> str:
-        """The fault that holds now."""
+        """Present fault."""
         return self._fault
 
     def set_fault(self, fault: str, time: float) -> None:
-        """Let a fault of `FAULTS` begin and the one before end; "" for none."""
+        """Begin a fault of `FAULTS` and end the one before; "" for none."""
         check_fault(fault)
         if fault == "reset" and self._fault != "reset":
             self.motor.advance(time)
             self.motor.power_cycle(time)
         self.motor.faults = {fault} & LINE_FAULTS.keys()
-        self.motor.drive.jammed = fault == "jam"
+        self.motor.axis.jammed = fault == "jam"
         self._fault = fault
 
     def command_coil(self, volts: float, time: float) -> None:
-        """Put volts on the control input of the coil supply from a bench time on."""
+        """Put a voltage on the control input of the coil supply from a bench time on."""
         if not math.isfinite(volts):
             raise InputError(f"coil_command is {volts}, expected volts")
         self._commands.append((time, volts))
@@ -212,7 +212,7 @@ class Plant:
     def advance(self, until: float) -> Block | None:
         """Simulate up to the last converter sample before a bench time; None when there is none yet."""
         config = self.config
-        # A double holds the time of today to a quarter of a microsecond.
+        # The tolerance: a double holds the time since 1970 to a quarter of a microsecond only.
         samples = math.floor((until - self._start) * config.hardware_rate + 1e-3) - self._sequence
         if samples <= 0:
             return None
@@ -227,12 +227,12 @@ class Plant:
         current = config.supply.advance(dt, self._control_voltage(count), self._current)
         self._current = float(current[-1])
 
-        # Fluid: motion and current become damper force. Effects that stand between sensors and damper act in here.
+        # Fluid: motion and current become damper force. The damper's effects act in here, those of sensing on `measured`.
         force, measured = self.damper.forces(dt, position, velocity, acceleration, current)
-        # The rod feels it in the next block; between load and encoder lies all of the servo's stiffness.
-        self.motor.drive.load = float(force[-1])
+        # The load acts in the next block. The servo is so stiff that the delay hardly moves the rod.
+        self.motor.axis.load = float(force[-1])
 
-        # Structure: at the end of its stroke the rod stands against the body, through the load cell.
+        # Structure: at the end of its stroke the rod presses on the body, through the load cell.
         force, measured = force + stop_force, measured + stop_force
 
         # Sensing: everything becomes volts at the converter's terminals.
@@ -255,7 +255,7 @@ class Plant:
         )
 
     def _control_voltage(self, count: int) -> Array:
-        """Volts on the coil supply's input over the next block; commands of the past count from its start."""
+        """Return the volts on the coil supply's input over the next block; past commands act from its start."""
         volts = np.full(count, self._volts)
         end = self.time + count / RATE
         while self._commands and self._commands[0][0] < end:

@@ -6,21 +6,22 @@ from numba import njit
 
 from mrd_sim.dual import absolute, clip, exp
 
-_LEAST = 1e-18  # m, so that no play is no exception
+_LEAST_HALF = 1e-18
+"""m. Added to half the play, so that no play needs no case of its own."""
 
 MOST_FILM = 0.98
-"""By how much the film may slow the crossing: with all of it the far flank would never be reached."""
+"""Largest share by which the film may slow the crossing. With 1 the far flank would never be reached."""
 
 
 @njit(cache=True, nogil=True)
-def crossed(before: Any, step: float, pull: Any, play: Any, resistance: Any, film: Any) -> Any:
-    """Offset from the middle of a play in m after a step in s, from ``before``.
+def offset_in_play(before: Any, step: float, pull: Any, play: Any, resistance: Any, film: Any) -> Any:
+    """Return the offset from the middle of a play in m after a step in s, from the offset ``before``.
 
-    ``pull`` is the force in N that crosses it, ``resistance`` that of the film at the middle in N s/m, ``film`` by how much
-    slower it is squeezed out at the flank.
+    ``pull`` is the force in N that crosses the play, ``resistance`` that of the film at the middle in N s/m, ``film`` the
+    share by which the crossing is slower at the flank, where the film is squeezed out.
     """
-    half = 0.5 * play + _LEAST
+    half = 0.5 * play + _LEAST_HALF
     flank = half if pull.real > 0.0 else -half
-    # Share of its speed at the middle at which the play is crossed in the end.
+    # Speed at the end of the step, over that at the middle.
     speed = (1.0 - film * before / flank) * exp(-film * step * absolute(pull) / (resistance * half))
     return clip(flank * (1.0 - speed) / film, -half, half)

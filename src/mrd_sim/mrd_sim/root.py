@@ -1,4 +1,4 @@
-"""A search for a root that always ends."""
+"""One step of a search for a root that always ends."""
 
 from typing import Any
 
@@ -6,11 +6,11 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def settled(at: Any, step: Any, low: float, high: float, last: float) -> tuple[Any, float]:
-    """Next point of a search for a root between ``low`` and ``high``, and the size of the step to it.
+def next_iterate(at: Any, step: Any, low: float, high: float, last: float) -> tuple[Any, float]:
+    """Return the next point of a search for a root between ``low`` and ``high``, and the size of the step to it.
 
-    Newton's step, or bisection wherever that leaves the bracket or is not half the ``last``: it may go to and fro over a
-    kink.
+    It is Newton's step where that stays in the bracket and is less than half the ``last`` one. Else it is the middle of the
+    bracket, because Newton's method alone may go to and fro over a kink for ever.
     """
     if low < (at + step).real < high and 2.0 * abs(step.real) < last:
         return at + step, abs(step.real)

@@ -1,8 +1,8 @@
-"""The measuring chain: from what the damper does to the volts that the converter reads.
+"""The measuring chain: from position, force, current and acceleration to the volts that the converter reads.
 
 Each sensor is a transducer (SI to volts), a first-order lag, noise and output rails; then comes the converter. A good bench
-gives all channels whose samples are compared with each other the same anti-alias filter, or else the loops open by the
-difference of the lags: position, force and current have 250 Hz by default, the accelerometer its own filter.
+has the same anti-alias filter on all channels whose samples are compared with each other, because a difference of their lags
+opens the loops. Position, force and current have 250 Hz by default; the accelerometer has another filter.
 
 Figures: table 2 of the source paper with the corrections and data-sheet values of the parts (class figures of LVDTs and load
 cells, Allegro ACS714, Freescale MMA7361L, NI USB-6216).
@@ -11,13 +11,14 @@ cells, Allegro ACS714, Freescale MMA7361L, NI USB-6216).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
+from mrd_sim.named import named_row
 
 Array = NDArray[np.float64]
 
@@ -25,15 +26,15 @@ _G = 9.80665  # m/s²
 
 
 class Sensor(Protocol):
-    """What `MeasuringChain` asks of a sensor."""
+    """A sensor as `MeasuringChain` uses it."""
 
     @property
     def channel(self) -> str:
-        """Terminal of the converter to which it is wired."""
+        """Terminal of the converter to which the sensor is wired."""
 
     @property
     def converter_range(self) -> float:
-        """± V to which that terminal is set."""
+        """± V, range to which that terminal is set."""
 
     @property
     def bandwidth(self) -> float:
@@ -41,14 +42,14 @@ class Sensor(Protocol):
 
     @property
     def noise_volts(self) -> float:
-        """V rms on its output, within its bandwidth."""
+        """V rms on the output, within the bandwidth."""
 
     @property
     def rails(self) -> tuple[float, float]:
-        """Lowest and highest V that its output can reach."""
+        """Lowest and highest V that the output can reach."""
 
     def volts(self, value: Array) -> Array:
-        """Output in V at rest with ``value`` (SI)."""
+        """Return the output in V at rest with ``value`` (SI)."""
 
 
 @dataclass(frozen=True)
@@ -70,16 +71,16 @@ class Lvdt:
 
     @property
     def rails(self) -> tuple[float, float]:
-        """V: of the conditioner."""
+        """Rails of the conditioner in V."""
         return -11.0, 11.0
 
     @property
     def noise_volts(self) -> float:
-        """V rms."""
+        """Noise in V rms."""
         return 10.0 * self.noise / (self.travel / 2)
 
     def volts(self, value: Array) -> Array:
-        """Output in V for a position in m."""
+        """Return the output in V for a position in m."""
         share = np.clip(value / (self.travel / 2), -1.1, 1.1)
         return self.offset + 10.0 * ((1.0 + self.gain_error) * share + self.linearity * share**3)
 
@@ -105,7 +106,7 @@ class LoadCell:
 
     @property
     def rails(self) -> tuple[float, float]:
-        """V: of the amplifier."""
+        """Rails of the amplifier in V."""
         return -10.0, 10.0
 
     @property
@@ -114,11 +115,11 @@ class LoadCell:
 
     @property
     def noise_volts(self) -> float:
-        """V rms."""
+        """Noise in V rms."""
         return self.noise * self._volts_per_newton
 
     def volts(self, value: Array) -> Array:
-        """Output in V for a force in N."""
+        """Return the output in V for a force in N."""
         return self.offset + (1.0 + self.gain_error) * self._volts_per_newton * value
 
 
@@ -140,23 +141,23 @@ class CurrentSensor:
 
     @property
     def rails(self) -> tuple[float, float]:
-        """V: ground and supply."""
+        """Ground and supply in V."""
         return 0.0, self.supply
 
     @property
     def noise_volts(self) -> float:
-        """V rms."""
+        """Noise in V rms."""
         return self.noise * self.sensitivity * self.supply / 5.0
 
     def volts(self, value: Array) -> Array:
-        """Output in V for a current in A."""
+        """Return the output in V for a current in A."""
         slope = (1.0 + self.gain_error) * self.sensitivity * self.supply / 5.0
         return self.supply / 2 + self.offset + slope * value
 
 
 @dataclass(frozen=True)
 class SupplyMonitor:
-    """The supply of the current sensor, by whose voltage its readings are scaled."""
+    """Supply voltage of the current sensor, which scales its readings."""
 
     channel: str = quantity("ai3", "", "terminal")
     converter_range: float = quantity(10.0, "V", "± range of the terminal (5 V clips at ± 5 V)", lower=0.2, upper=10)
@@ -165,16 +166,16 @@ class SupplyMonitor:
 
     @property
     def rails(self) -> tuple[float, float]:
-        """V: more than any supply of the sensor."""
+        """Rails in V, beyond any supply of the sensor."""
         return 0.0, 6.0
 
     @property
     def noise_volts(self) -> float:
-        """V rms."""
+        """Noise in V rms."""
         return self.noise
 
     def volts(self, value: Array) -> Array:
-        """The supply itself."""
+        """Return the supply voltage itself."""
         return value
 
 
@@ -196,17 +197,17 @@ class Accelerometer:
 
     @property
     def rails(self) -> tuple[float, float]:
-        """V: ground and supply."""
+        """Ground and supply in V."""
         return 0.0, 2 * self.zero
 
     @property
     def noise_volts(self) -> float:
-        """V rms: a one-pole filter passes the noise of pi/2 times its bandwidth."""
+        """Noise in V rms. A one-pole filter passes the noise of pi/2 times its bandwidth."""
         rms_g = self.density_ug_per_sqrt_hz * 1e-6 * math.sqrt(math.pi / 2 * self.bandwidth)
         return rms_g * _G * self.sensitivity
 
     def volts(self, value: Array) -> Array:
-        """Output in V for an acceleration in m/s²."""
+        """Return the output in V for an acceleration in m/s²."""
         return self.zero + self.offset + (1.0 + self.gain_error) * self.sensitivity * value
 
 
@@ -223,6 +224,27 @@ class SensorsConfig:
 
 _CONVERTER_NOISE = {0.2: 12e-6, 1.0: 26e-6, 5.0: 118e-6, 10.0: 229e-6}
 """V rms of the USB-6216's random noise, by ± range (NI 621x specifications)."""
+_CODES = 65536.0
+"""Codes of 16 bits."""
+_OVERRANGE = 1.05
+"""Relative. The converter's codes spread 5 % beyond the range."""
+
+
+class _Channel(NamedTuple):
+    """What `_measure` needs of a sensor and its terminal."""
+
+    keep: float
+    """Share of a deviation from the lagged value that a step of the input leaves."""
+    mean: float
+    """Mean share of a deviation over such a step."""
+    fade: float
+    """Share of the noise that is left from one sample of the converter to the next."""
+    noise: float
+    low: float
+    high: float
+    code: float
+    """V between two codes."""
+    converter_noise: float
 
 
 class MeasuringChain:
@@ -232,11 +254,11 @@ class MeasuringChain:
     ----------
     sensors : sequence of Sensor
     rate : float
-        Hz, of the values that are fed in.
+        Hz, of the input values.
     decimation : int
-        Every how many of them the converter takes a sample.
+        Input values for each sample of the converter.
     random : numpy Generator
-        Source of the noise: the same for the same seed, however the time is cut into blocks.
+        Source of the noise. The same seed gives the same noise, however the time is cut into blocks.
 
     Raises
     ------
@@ -251,28 +273,25 @@ class MeasuringChain:
             raise InputError(f"sensors: two are wired to one terminal ({', '.join(self.channels)})")
         self._decimation = decimation
         self._random = random
-        self._lines = np.array([_line(sensor, rate, decimation) for sensor in sensors])
+        channels = [_channel(sensor, rate, decimation) for sensor in sensors]
+        self._rows = np.array(channels)
         self._lag: Array | None = None
-        self._noise = self._lines[:, _NOISE] * random.standard_normal(len(sensors))
+        self._noise = np.array([channel.noise for channel in channels]) * random.standard_normal(len(sensors))
 
     def read(self, values: Array) -> Array:
-        """Volts (sensors, n) that the converter reads over a block of SI values (sensors, n * decimation)."""
+        """Return the volts (sensors, n) that the converter reads over a block of SI values (sensors, n * decimation)."""
         driven = np.stack([sensor.volts(row) for sensor, row in zip(self.sensors, values, strict=True)])
         if driven.shape[1] % self._decimation:
             raise ValueError(f"{driven.shape[1]} values are no multiple of {self._decimation}")
-        if self._lag is None:  # before the first value all was as it is then
+        if self._lag is None:  # before the first value the input had that value
             self._lag = np.stack([driven[:, 0], driven[:, 0]])
         # Drawn sample by sample, so that the cut into blocks does not change which number meets which sample.
         drawn = self._random.standard_normal((driven.shape[1] // self._decimation, 2, len(self.sensors)))
-        volts: Array = _measure(driven, self._lines, self._lag, self._noise, drawn, self._decimation)
+        volts: Array = _measure(driven, self._rows, self._lag, self._noise, drawn, self._decimation)
         return volts
 
 
-# Columns of what `_measure` needs of a sensor.
-_KEEP, _MEAN, _FADE, _NOISE, _LOW, _HIGH, _CODE, _CONVERTER = range(8)
-
-
-def _line(sensor: Sensor, rate: float, decimation: int) -> tuple[float, ...]:
+def _channel(sensor: Sensor, rate: float, decimation: int) -> _Channel:
     if sensor.converter_range not in _CONVERTER_NOISE:
         known = ", ".join(f"{span:g}" for span in _CONVERTER_NOISE)
         raise InputError(
@@ -280,42 +299,41 @@ def _line(sensor: Sensor, rate: float, decimation: int) -> tuple[float, ...]:
         )
     step = 2.0 * math.pi * sensor.bandwidth / rate
     keep = math.exp(-step)
-    return (
-        keep,
-        (1.0 - keep) / step,
-        keep**decimation,
-        sensor.noise_volts,
-        *sensor.rails,
-        # 16 bits, whose codes spread 5 % beyond the range.
-        2.0 * 1.05 * sensor.converter_range / 65536.0,
-        _CONVERTER_NOISE[sensor.converter_range],
+    low, high = sensor.rails
+    return _Channel(
+        keep=keep,
+        mean=(1.0 - keep) / step,
+        fade=keep**decimation,
+        noise=sensor.noise_volts,
+        low=low,
+        high=high,
+        code=2.0 * _OVERRANGE * sensor.converter_range / _CODES,
+        converter_noise=_CONVERTER_NOISE[sensor.converter_range],
     )
 
 
 @njit(cache=True, nogil=True)
-def _measure(driven: Array, lines: Array, lag: Array, noise: Array, drawn: Array, decimation: int) -> Array:
-    """Lag, sensor noise, rails, converter noise and quantisation; ``lag`` and ``noise`` are carried on.
+def _measure(driven: Array, rows: Array, lag: Array, noise: Array, drawn: Array, decimation: int) -> Array:
+    """Apply lag, sensor noise, rails, converter noise and quantisation; ``lag`` and ``noise`` are carried on.
 
-    The lag is exact for an input that is linear between samples (ramp-invariant); the noise has the bandwidth of the lag
+    The lag is exact for an input that is linear between samples (ramp-invariant). The noise has the bandwidth of the lag
     and its exact correlation between the converter's samples (Ornstein-Uhlenbeck).
     """
     channels, count = driven.shape
     volts = np.empty((channels, count // decimation))
-    for c in range(channels):
-        keep, mean = lines[c, _KEEP], lines[c, _MEAN]
-        fade = lines[c, _FADE]
-        spread = lines[c, _NOISE] * math.sqrt(1.0 - fade * fade)
-        code = lines[c, _CODE]
-        before, lagged, wander = lag[0, c], lag[1, c], noise[c]
+    for i in range(channels):
+        channel = named_row(_Channel, rows, i)
+        spread = channel.noise * math.sqrt(1.0 - channel.fade * channel.fade)
+        before, lagged, deviation = lag[0, i], lag[1, i], noise[i]
         for k in range(count):
-            now = driven[c, k]
-            lagged = keep * lagged + (1.0 - mean) * now + (mean - keep) * before
+            now = driven[i, k]
+            lagged = channel.keep * lagged + (1.0 - channel.mean) * now + (channel.mean - channel.keep) * before
             before = now
             if (k + 1) % decimation == 0:
                 sample = k // decimation
-                wander = fade * wander + spread * drawn[sample, 0, c]
-                output = min(max(lagged + wander, lines[c, _LOW]), lines[c, _HIGH])
-                read = np.rint((output + lines[c, _CONVERTER] * drawn[sample, 1, c]) / code)
-                volts[c, sample] = code * min(max(read, -32768.0), 32767.0)
-        lag[0, c], lag[1, c], noise[c] = before, lagged, wander
+                deviation = channel.fade * deviation + spread * drawn[sample, 0, i]
+                output = min(max(lagged + deviation, channel.low), channel.high)
+                code = np.rint((output + channel.converter_noise * drawn[sample, 1, i]) / channel.code)
+                volts[i, sample] = channel.code * min(max(code, -_CODES / 2), _CODES / 2 - 1.0)
+        lag[0, i], lag[1, i], noise[i] = before, lagged, deviation
     return volts

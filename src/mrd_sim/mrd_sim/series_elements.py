@@ -1,12 +1,14 @@
-"""A damper in series with something that gives way: a compliance, a play.
+"""A damper in series with elements that give way: a compliance, a play.
 
-The damper's motion is what is left of the rod's after the elongation of what is in series with it. At each vertex the force
-F is the root of damper(x - elongation(F)) = F, whose left side never rises with F: unique, and bracketed by any F and the
-damper's answer to it. Implicit in F, so stable for any stiffness; of first order in the step.
+The damper's motion is what is left of the rod's motion after the elongation of the elements in series with it. At each
+vertex the force F is the root of damper(x - elongation(F)) = F. The left side never rises with F, so there is one root, and
+any F and the damper's answer to it bracket the root. The scheme is implicit in F, hence stable for any stiffness, and of
+first order in the step.
 """
 
 import warnings
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import carray, njit, types
@@ -14,33 +16,46 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from mrd_sim.dual import STEP, clip
-from mrd_sim.root import settled
+from mrd_sim.root import next_iterate
 
 Array = NDArray[np.float64]
 
-# Functions as arguments let one compiled driver, kept in the cache, serve every model; numba says so of them each time.
-warnings.filterwarnings("ignore", "First-class function type feature is experimental")
+MOST_IN_SERIES = 4
+"""Elements in series: as many as the catalogue has."""
+MOST_PARAMETERS = 4
+"""Parameters of such an element."""
+FORCE_TOLERANCE = 1e-6
+"""N, of Newton's last step. The error that it leaves is of the order of its square."""
+SHORTEST_STEP = 1e-9
+"""s. In less nothing gives way, and speeds of elongation would be rounding."""
 
-MOST = 4
-"""Things in series."""
 
-_ACCURACY = 1e-6  # N, of Newton's last step, whose own error is of the order of its square
-_INSTANT = 1e-9  # s; in less nothing gives way, and speeds of elongation would be rounding
+def _compiled(number: Any) -> Callable[[Any], Any]:
+    """Return a decorator that compiles a function for ``number``, real or with derivatives.
 
-
-def _signatures(number: Any) -> list[Any]:
-    """Of the functions below, for every number of things in series."""
+    The kernel and the elongations come as first-class functions, so that one compiled function serves all models. Numba
+    warns where such functions are put into a tuple.
+    """
     reals, row, rows = types.float64[::1], number[::1], number[:, ::1]
     dual, duals = types.complex128[::1], types.complex128[:, ::1]
     kernel = types.FunctionType(types.none(duals, dual, reals, dual, dual, dual, dual))
-    stretch = types.FunctionType(types.complex128(dual, types.complex128, types.float64, types.complex128, types.complex128))
+    elongation = types.FunctionType(
+        types.complex128(dual, types.complex128, types.float64, types.complex128, types.complex128)
+    )
     arguments = duals, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
-    return [types.none(kernel, types.UniTuple(stretch, n), *arguments) for n in range(1, MOST + 1)]
+    signature = types.none(kernel, *[elongation] * MOST_IN_SERIES, *arguments)
+
+    def decorate(function: Any) -> Any:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "First-class function type feature is experimental")
+            return njit(signature, cache=True, nogil=True)(function)
+
+    return decorate
 
 
 @intrinsic
 def _address(context: Any, array: Any) -> Any:
-    """Where the elements of an array are."""
+    """Address of the elements of an array."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -49,30 +64,72 @@ def _address(context: Any, array: Any) -> Any:
 
 
 @njit(inline="always")
-def _lent(array: Any) -> Any:
-    """View that does not count as a reference to the memory: counting takes longer than a kernel.
+def _unowned(array: Any) -> Any:
+    """Return a view that does not count as a reference to the memory, because counting takes longer than a kernel.
 
-    Whoever uses it has to keep ``array``, or use it later on.
+    Its user has to keep ``array``, or to use it later on.
     """
     return carray(_address(array), array.shape)
 
 
+class _Vertex(NamedTuple):
+    """Arrays of one vertex, as a kernel is called with them; `_unowned`."""
+
+    coefficients: Any
+    state: Any
+    step: Any
+    x: Any
+    v: Any
+    a: Any
+    force: Any
+
+
 @njit(inline="always")
-def _elongation(stretches: Any, p: Any, before: Any, step: float, force: Any, x: Any, after: Any) -> Any:
-    """Sum of the elongations after a step to ``x`` under a force; each in ``after``."""
+def _vertex(coefficients: Any, state: Any, step: Any, x: Any, v: Any, a: Any, force: Any) -> Any:
+    """Return views of the arrays; the caller keeps these."""
+    motion = _unowned(x), _unowned(v), _unowned(a)
+    return _Vertex(_unowned(coefficients), _unowned(state), _unowned(step), *motion, _unowned(force))
+
+
+class _Elements(NamedTuple):
+    """Parameters of the elements in series, their elongations before the step and after it; `_unowned`."""
+
+    parameters: Any
+    before: Any
+    after: Any
+
+
+@njit(inline="always")
+def _elongate(functions: Any, elements: Any, step: float, force: Any, x: Any) -> Any:
+    """Return the sum of the elongations after a step to ``x`` under a force, and leave each in ``elements.after``."""
     total = 0.0j
-    for i, stretch in enumerate(stretches):
-        after[i] = stretch(p[i], before[i], step, force, x)
-        total += after[i]
+    for i in range(len(elements.before)):
+        elements.after[i] = functions[i](elements.parameters[i], elements.before[i], step, force, x)
+        total += elements.after[i]
     return total
 
 
-@njit(_signatures(types.float64), cache=True, nogil=True)
-def in_series(
+@njit(inline="always")
+def _enter_vertex(k: int, q: Any, dt: Any, a: Any, row: Any, step: Any, acceleration: Any) -> None:
+    """Write coefficients, step and acceleration of vertex ``k`` to where the kernel reads them.
+
+    It writes to the arrays themselves, which so stay alive as long as the loop over the vertices needs their views.
+    """
+    step[0] = dt[k]
+    acceleration[0] = a[k]
+    for i in range(len(q)):
+        row[0, i] = q[i, k]
+
+
+@_compiled(types.float64)
+def force_in_series(
     kernel: Any,
-    stretches: Any,
-    p: Array,
-    stretched: Array,
+    first: Any,
+    second: Any,
+    third: Any,
+    fourth: Any,
+    parameters: Array,
+    elongations: Array,
     q: Array,
     state: Array,
     dt: Array,
@@ -82,62 +139,61 @@ def in_series(
     force: Array,
     solved: Array,
 ) -> None:
-    """Force of a damper with things in series.
+    """Fill in the force of a damper with elements in series.
 
     By Newton's method: with the derivative over F on the motion, one call gives the damper's answer and its slope.
 
     Parameters
     ----------
     kernel : compiled function
-        Of the damper model.
-    stretches : tuple of compiled functions
-        See `mrd_sim.effects.effect.Effect`.
-    p : ndarray (stretches, parameters) of complex
-    stretched : ndarray (stretches + 1,)
-        Elongations and the force so far; carried on.
-    q : ndarray (quantities, m)
+        That of the damper model.
+    first, second, third, fourth : compiled functions
+        Elongation of each element, see `mrd_sim.effects.effect.Effect`. Those beyond the number of elements are not called.
+    parameters : ndarray (elements, parameters) of complex
+    elongations : ndarray (elements + 1,)
+        Elongations, and after them the force; carried on.
+    q : ndarray (coefficients, m)
     state, dt, x, v, a, force
         As of the kernel.
     solved : ndarray (m, 2 + states)
-        Filled with the F of the last call, next to the root, and derivatives over F there: of the damper's answer and of its
-        state.
+        Filled with the F of the last call, next to the root, and with derivatives over F there: that of the damper's answer
+        and those of its state.
     """
-    count, states, quantities = len(stretches), len(state), len(q)
-    row, moved, step = np.zeros((1, quantities), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
+    functions = first, second, third, fourth
+    count, states = len(elongations) - 1, len(state)
+    row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
     before, after = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
-    before[:] = stretched[:count]
-    lent = _lent(p), _lent(before), _lent(after)
-    arguments = _lent(row), _lent(moved), _lent(step), _lent(at), _lent(speed), _lent(acceleration), _lent(answer)
+    before[:] = elongations[:count]
+    elements = _Elements(_unowned(parameters), _unowned(before), _unowned(after))
+    vertex = _vertex(row, inner, step, at, speed, acceleration, answer)
     elongation: Any = np.sum(before)
-    found, rate = stretched[count], 0.0
+    root, rate = elongations[count], 0.0
     for k in range(len(x)):
-        place, step[0] = complex(x[k], 0.0), dt[k]
-        acceleration[0] = a[k]
-        for i in range(quantities):
-            row[0, i] = q[i, k]
-        if 0.0 < dt[k] < _INSTANT:
-            force[k] = found
+        place = complex(x[k], 0.0)
+        if 0.0 < dt[k] < SHORTEST_STEP:
+            force[k] = root
             continue
+        _enter_vertex(k, q, dt, a, row, step, acceleration)
         sum_before = elongation.real
-        guess = found + rate * dt[k]
+        guess = root + rate * dt[k]
         low, high, last = 0.0, 0.0, 0.0
         newton, slope = 0.0, 0.0
         for attempt in range(100):
             if dt[k] > 0.0:
-                elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(guess, STEP), place, lent[2])
+                elongation = _elongate(functions, elements, dt[k], complex(guess, STEP), place)
                 speed[0] = complex(v[k] - (elongation.real - sum_before) / dt[k], -elongation.imag / dt[k])
             else:
                 elongation = complex(sum_before, 0.0)
                 speed[0] = v[k]
             at[0] = complex(x[k] - elongation.real, -elongation.imag)
             for i in range(states):
-                moved[i] = state[i]
-            kernel(*arguments)
+                inner[i] = state[i]
+            kernel(*vertex)
             value = answer[0].real
             slope = min(answer[0].imag / STEP, 0.0)
             newton = (value - guess) / (1.0 - slope)
-            if dt[k] == 0.0 or not abs(newton) > _ACCURACY:  # or not a number
+            if dt[k] == 0.0 or not abs(newton) > FORCE_TOLERANCE:  # "not" also ends the search where newton is no number
                 break
             if attempt == 0:
                 low, high = min(guess, value), max(guess, value)
@@ -146,36 +202,39 @@ def in_series(
                 low = guess
             else:
                 high = guess
-            if high - low <= _ACCURACY:
+            if high - low <= FORCE_TOLERANCE:
                 newton = clip(newton, low - guess, high - guess)
                 break
             if elongation.imag == 0.0:
-                at_value = _elongation(stretches, lent[0], lent[1], dt[k], complex(value, 0.0), place, lent[2])
-                if at_value.real == elongation.real:  # nothing gives way between the two: the damper's answer is the root
+                at_value = _elongate(functions, elements, dt[k], complex(value, 0.0), place)
+                if at_value.real == elongation.real:  # nothing gives way between the two, so the damper's answer is the root
                     break
-            guess, last = settled(guess, newton, low, high, last)
+            guess, last = next_iterate(guess, newton, low, high, last)
             newton = 0.0
         if dt[k] > 0.0:
-            rate = (guess + newton - found) / dt[k]
+            rate = (guess + newton - root) / dt[k]
             for i in range(count):
                 before[i] = after[i].real + after[i].imag / STEP * newton
             elongation = complex(elongation.real + elongation.imag / STEP * newton, 0.0)
-        found = guess + newton
-        force[k] = found
+        root = guess + newton
+        force[k] = root
         solved[k, 0], solved[k, 1] = guess, slope
         for i in range(states):
-            solved[k, 2 + i] = moved[i].imag / STEP
-            state[i] = moved[i].real + solved[k, 2 + i] * newton
-    stretched[:count] = before.real
-    stretched[count] = found
+            solved[k, 2 + i] = inner[i].imag / STEP
+            state[i] = inner[i].real + solved[k, 2 + i] * newton
+    elongations[:count] = before.real
+    elongations[count] = root
 
 
-@njit(_signatures(types.complex128), cache=True, nogil=True)
+@_compiled(types.complex128)
 def derivatives_in_series(
     kernel: Any,
-    stretches: Any,
-    p: Array,
-    stretched: Array,
+    first: Any,
+    second: Any,
+    third: Any,
+    fourth: Any,
+    parameters: Array,
+    elongations: Array,
     q: Array,
     state: Array,
     dt: Array,
@@ -185,43 +244,41 @@ def derivatives_in_series(
     force: Array,
     solved: Array,
 ) -> None:
-    """Derivative of that force to whatever the arguments carry one of, by the implicit function theorem.
+    """Add to that force its derivative to whatever the arguments carry one of, by the implicit function theorem.
 
-    Arguments as of `in_series`, which has found ``force`` and ``solved``.
+    The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``.
     """
-    count, states, quantities = len(stretches), len(state), len(q)
-    row, moved, step = np.zeros((1, quantities), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
+    functions = first, second, third, fourth
+    count, states = len(elongations) - 1, len(state)
+    row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
-    before, after = stretched[:count].copy(), np.zeros(count, np.complex128)
-    lent = _lent(p), _lent(before), _lent(after)
-    arguments = _lent(row), _lent(moved), _lent(step), _lent(at), _lent(speed), _lent(acceleration), _lent(answer)
+    before, after = elongations[:count].copy(), np.zeros(count, np.complex128)
+    elements = _Elements(_unowned(parameters), _unowned(before), _unowned(after))
+    vertex = _vertex(row, inner, step, at, speed, acceleration, answer)
     elongation: Any = np.sum(before)
-    found = stretched[count]
+    root = elongations[count]
     for k in range(len(x)):
-        if 0.0 < dt[k] < _INSTANT:
-            force[k] = found
+        if 0.0 < dt[k] < SHORTEST_STEP:
+            force[k] = root
             continue
-        step[0] = dt[k]
-        acceleration[0] = a[k]
-        for i in range(quantities):
-            row[0, i] = q[i, k]
+        _enter_vertex(k, q, dt, a, row, step, acceleration)
         for i in range(states):
-            moved[i] = state[i]
+            inner[i] = state[i]
         speed[0] = v[k]
         sum_before = elongation
         if dt[k] > 0.0:
-            elongation = _elongation(stretches, lent[0], lent[1], dt[k], complex(solved[k, 0], 0.0), x[k], lent[2])
+            elongation = _elongate(functions, elements, dt[k], complex(solved[k, 0], 0.0), x[k])
             speed[0] -= (elongation - sum_before) * (1.0 / dt[k])
         at[0] = x[k] - elongation
-        kernel(*arguments)
-        found = complex(force[k].real, answer[0].imag / (1.0 - solved[k, 1]))
-        force[k] = found
-        change = found - solved[k, 0]
+        kernel(*vertex)
+        root = complex(force[k].real, answer[0].imag / (1.0 - solved[k, 1]))
+        force[k] = root
+        change = root - solved[k, 0]
         for i in range(states):
-            state[i] = moved[i] + solved[k, 2 + i] * change
+            state[i] = inner[i] + solved[k, 2 + i] * change
         if dt[k] > 0.0:
-            elongation = _elongation(stretches, lent[0], lent[1], dt[k], found, x[k], lent[2])
+            elongation = _elongate(functions, elements, dt[k], root, x[k])
             for i in range(count):
                 before[i] = after[i]
-    stretched[:count] = before
-    stretched[count] = found
+    elongations[:count] = before
+    elongations[count] = root

@@ -1,4 +1,4 @@
-"""The damper's answer to an experiment or to a recorded motion, without a bench around it."""
+"""The force of a damper along an experiment or a recorded motion, without a bench."""
 
 import math
 from collections.abc import Sequence
@@ -18,13 +18,15 @@ from mrd_trajectory.plan import Plan
 
 Array = NDArray[np.float64]
 
-FINE_RATE = 4000.0
-"""Hz; `measure_plan` integrates at this or the next multiple of the experiment's rate."""
+INTEGRATION_RATE = 4000.0
+"""Hz. `measure_plan` integrates at this rate or at the next multiple of the experiment's rate."""
+LEAST_RATE = 1000.0
+"""Hz. `simulate_plan` integrates at this rate at least, so that steps of the current are steps."""
 
 
 @dataclass(frozen=True)
 class Instruments:
-    """What stands between a damper and its recording.
+    """Sensors and supply, through which a damper is recorded.
 
     The defaults are those of the simulated bench in round numbers, with the noise of a bench that is wired with some care.
 
@@ -35,12 +37,12 @@ class Instruments:
     acceleration_gain, acceleration_offset : float
         Error of the accelerometer: relative, and in m/s².
     bandwidth : float
-        Hz, -3 dB of the first-order anti-alias filter that all channels have alike; infinite for none.
+        Hz, -3 dB of the first-order anti-alias filter, the same for all channels; infinite for none.
     supply_lag : float
-        s, first-order lag from the current that is asked for to that in the coil.
+        s, first-order lag from the commanded current to that in the coil.
     run_gain, run_offset : float
-        How far the force of single runs is off though nothing has changed: standard deviations of its scale, relative, and
-        of its zero in N.
+        Scatter of the force from run to run though nothing has changed: standard deviations of its scale, relative, and of
+        its zero in N.
     """
 
     position_noise: float = 8e-6
@@ -58,16 +60,16 @@ class Instruments:
 def simulate_run(run: Run, damper: Damper) -> Run:
     """Replace the force of a run by that of a damper along its (smoothed) motion and measured current."""
     smoothed = smooth_run(run)
-    moved = smoothed.motion
+    motion = smoothed.motion
     force = damper.model.force(damper.theta, path_of(smoothed))
     return Run(
         f"{run.name}_{damper.model.id}",
         run.time,
-        moved.position,
-        moved.velocity,
+        motion.position,
+        motion.velocity,
         run.current,
         force,
-        moved.acceleration,
+        motion.acceleration,
         info={"source": f"{damper.description} along {run.name}"},
     )
 
@@ -75,9 +77,9 @@ def simulate_run(run: Run, damper: Damper) -> Run:
 def simulate_plan(plan: Plan, damper: Damper) -> Run:
     """Simulate a damper along the setpoints of a plan, as if rod and coil followed them exactly.
 
-    It is integrated at 1 kHz at least, so that steps of the current are steps, and sampled at the experiment's rate.
+    The force is integrated at `LEAST_RATE` or more and sampled at the experiment's rate.
     """
-    steps = int(np.ceil(1000 / plan.experiment.rate))
+    steps = int(np.ceil(LEAST_RATE / plan.experiment.rate))
     samples = slice(None, None, steps)
     time = np.arange((len(plan.times()) - 1) * steps + 1) / (steps * plan.experiment.rate)
     at = plan.at(time)
@@ -96,41 +98,40 @@ def simulate_plan(plan: Plan, damper: Damper) -> Run:
 
 
 def measure_plan(plan: Plan, damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None) -> Run:
-    """A plan as a bench would have recorded it with a fresh damper; see `measure_plans`."""
+    """Return a plan as a bench would have recorded it with a fresh damper; see `measure_plans`."""
     return measure_plans([plan], damper, rng, instruments=instruments)[0]
 
 
 def measure_plans(
     plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None
 ) -> list[Run]:
-    """Plans as a bench would have recorded them, one after the other.
+    """Return plans as a bench would have recorded them, one after the other.
 
-    Rod and coil follow their setpoints, the coil with the lag of its supply; every sample is the mean of what has passed the
-    anti-alias filter since the one before, as of the simulated bench. What outlasts a run (heat, settling, drift) goes on to
-    the next.
+    Rod and coil follow their setpoints, the coil with the lag of its supply. As in the simulated bench, every sample is the
+    mean of the anti-alias filter's output since the sample before. Heat, settling and drift go on from run to run.
 
     Parameters
     ----------
     plans : sequence of Plan
     damper : Damper
-        Fresh; it is not changed. The motion of the setpoints is the measured one: drive effects lead from it to what the
-        damper sees, as everywhere.
+        A fresh damper, which is not changed. The motion of the setpoints is the measured one; drive effects lead from it to
+        the motion of the damper, as everywhere.
     rng : numpy Generator
-        Of noise and run scatter; a run does not depend on those after it.
+        Source of noise and run scatter. A run does not depend on those after it.
     instruments : Instruments, optional
 
     Returns
     -------
     list of Run
-        Named like their experiments, from rest at mid-stroke and back, at the experiments' rates.
+        With the names and the rates of their experiments; each begins and ends at rest at mid-stroke.
     """
     instruments = instruments or Instruments()
     model, state = damper.model, None
     runs = []
     for plan in plans:
-        (own,) = rng.spawn(1)
+        (run_rng,) = rng.spawn(1)
         rate = plan.experiment.rate
-        steps = math.ceil(FINE_RATE / rate)
+        steps = math.ceil(INTEGRATION_RATE / rate)
         samples = int(plan.duration * rate)
         step = 1.0 / (steps * rate)
         time = np.arange(samples * steps) / (steps * rate)
@@ -143,15 +144,15 @@ def measure_plans(
             np.stack([at.position, force, current, at.acceleration]), 0.5 / (math.pi * instruments.bandwidth), step
         )
         position, force, current, acceleration = filtered.reshape(4, samples, steps).mean(axis=2)
-        gain, offset = own.normal(0.0, (instruments.run_gain, instruments.run_offset))
+        gain, offset = run_rng.normal(0.0, (instruments.run_gain, instruments.run_offset))
         columns = {
             "time_s": np.arange(samples) / rate,
-            "position_m": position + own.normal(0.0, instruments.position_noise, samples),
-            "current_A": current + own.normal(0.0, instruments.current_noise, samples),
-            "force_N": (1.0 + gain) * force + offset + own.normal(0.0, instruments.force_noise, samples),
+            "position_m": position + run_rng.normal(0.0, instruments.position_noise, samples),
+            "current_A": current + run_rng.normal(0.0, instruments.current_noise, samples),
+            "force_N": (1.0 + gain) * force + offset + run_rng.normal(0.0, instruments.force_noise, samples),
             "acceleration_mps2": (1.0 + instruments.acceleration_gain) * acceleration
             + instruments.acceleration_offset
-            + own.normal(0.0, instruments.acceleration_noise, samples),
+            + run_rng.normal(0.0, instruments.acceleration_noise, samples),
         }
         source = f"{damper.description} along {plan.experiment.name}, as measured"
         runs.append(make_run(plan.experiment.name, columns, {"source": source}))
@@ -159,18 +160,18 @@ def measure_plans(
 
 
 def _lagged(series: Array, lag: float, step: float) -> Array:
-    """Series (..., n) after a first-order lag in s, exact where they are linear over each ``step`` in s."""
+    """Return series (..., n) after a first-order lag in s, exact where they are linear over each ``step`` in s."""
     if lag == 0.0:
         return series
     keep = math.exp(-step / lag)
     mean = (1.0 - keep) * lag / step
-    # Before the first value all was as it is then.
+    # Before the first value the series had that value.
     filtered, _ = lfilter([1.0 - mean, mean - keep], [1.0, -keep], series, zi=mean * series[..., :1])
     return np.asarray(filtered, np.float64)
 
 
 def write_csv(run: Run, path: str | Path) -> None:
-    """Write a run as CSV that `mrd_runs.read_run` reads back; refuses to overwrite."""
+    """Write a run as a CSV file that `mrd_runs.read_run` reads; refuse to overwrite a file."""
     columns = {
         "time_s": run.time,
         "position_m": run.position,

@@ -31,12 +31,12 @@ class CoilSupply:
     inductance: float = quantity(0.01, "mH", "of the coil", lower=1e-6, upper=10)
 
     def target(self, volts: Array) -> Array:
-        """Current in A that the supply aims at."""
+        """Return the current in A that the supply aims at."""
         effective = np.clip(volts, 0.0, self.input_limit) - self.dead_zone
         return np.clip(self.gain * effective, 0.0, self.current_limit)
 
     def advance(self, dt: float, volts: Array, current: float) -> Array:
-        """Coil current in A over equally spaced samples of control voltage.
+        """Return the coil current in A over equally spaced samples of control voltage.
 
         Parameters
         ----------
@@ -44,7 +44,7 @@ class CoilSupply:
             s between samples.
         volts : ndarray (n,)
         current : float
-            A, before the first sample.
+            Coil current in A before the first sample.
         """
         rail = self.voltage_limit / self.resistance
         towards_target = -math.expm1(-dt / self.response)
@@ -55,7 +55,7 @@ class CoilSupply:
 
 @njit(cache=True, nogil=True)
 def _follow(target: Array, current: float, towards_target: float, towards_rail: float, rail: float) -> Array:
-    """First-order approach to the target, never faster than full voltage drives the coil; exact at either bound."""
+    """Return the first-order approach to the target, limited to what full voltage of either sign reaches in the coil."""
     followed = np.empty_like(target)
     for k in range(len(target)):
         wanted = current + (target[k] - current) * towards_target

@@ -2,7 +2,7 @@
 
 import os
 
-from mrd_sim import forget_stale_kernels
+from mrd_sim.stale_kernels import delete_stale_kernels
 
 
 def test_compiled_functions_older_than_any_compiled_source_go(tmp_path):
@@ -15,7 +15,7 @@ def test_compiled_functions_older_than_any_compiled_source_go(tmp_path):
     for path, age in ((stale, 1), (other, 1), (called, 2), (fresh, 3), (unrelated, 4)):
         path.touch()
         os.utime(path, (age, age))
-    forget_stale_kernels(tmp_path)
+    delete_stale_kernels(tmp_path)
     assert not stale.exists()
     assert fresh.exists()
     assert other.exists()

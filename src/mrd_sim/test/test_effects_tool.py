@@ -1,6 +1,5 @@
 """The catalogue of effects shown, written, and added to by a user."""
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -9,9 +8,10 @@ import pytest
 
 from mrd_base import InputError
 from mrd_sim.cli import effects as tool
+from mrd_sim.cli import simulate as simulate_tool
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS, load_effects
-from mrd_sim.effects_page import _EXAMPLE, COMMAND, page
+from mrd_sim.effects_page import COMMAND, EXAMPLE, page
 from mrd_sim.models import find_model
 
 SERIES = """
@@ -67,7 +67,7 @@ def test_tool_shows_the_catalogue_and_each_effect(monkeypatch, capsys):
 
 
 def test_the_example_of_the_docs_is_an_effect_of_ones_own(tmp_path, monkeypatch, capsys):
-    (tmp_path / "magnet.py").write_text(_EXAMPLE, encoding="utf-8")
+    (tmp_path / "magnet.py").write_text(EXAMPLE, encoding="utf-8")
     (tmp_path / "helper.py").write_text("raise RuntimeError('no effect, must not be imported')", encoding="utf-8")
     run(monkeypatch, "magnet", "--effects-folder", tmp_path)
     assert "magnet.holding" in capsys.readouterr().out
@@ -137,18 +137,18 @@ def test_two_files_with_one_id_are_refused(tmp_path):
         load_effects(tmp_path)
 
 
-def test_simulate_takes_effects_of_ones_own(tmp_path):
+def test_simulate_takes_effects_of_ones_own(tmp_path, monkeypatch):
     (tmp_path / "rubber.py").write_text(SERIES, encoding="utf-8")
     experiment = tmp_path / "short.yaml"
     experiment.write_text(
         "name: short\nduration_s: 1.0\nrate_hz: 500.0\n"
         "rod: {waveform: sine, amplitude_mm: 5.0, frequency_hz: 2.0}\ncoil: {waveform: constant, level_mA: 200.0}\n"
     )
-    command = ["ros2", "run", "mrd_sim", "simulate", str(experiment), "--model", "bouc_wen"]
     forces = []
     for i, more in enumerate(([], ["--effects-folder", tmp_path, "--effect", "rubber.softness=1e-6"])):
         output = tmp_path / f"{i}.csv"
-        done = subprocess.run([*command, *map(str, more), "--output", str(output)], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        arguments = [experiment, "--model", "bouc_wen", *more, "--output", output]
+        monkeypatch.setattr(sys, "argv", ["simulate", *map(str, arguments)])
+        simulate_tool.work()
         forces.append(np.loadtxt(output, delimiter=",", skiprows=1)[:, 3])
     assert np.max(np.abs(forces[1] - forces[0])) > 1.0

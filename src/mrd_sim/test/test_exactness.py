@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -220,19 +220,14 @@ def test_force_is_exact_along_a_polyline(model, case):
     assert error <= 1e-9
 
 
-@EXACT
-@settings(max_examples=80, deadline=None)
-@given(data=st.data())
-def test_more_vertices_on_the_same_polyline_change_nothing(model, data):
+@pytest.mark.parametrize("name", [m.id for m in WITH_MEMORY if m.order == 0])
+@settings(max_examples=80, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+@given(seed=st.integers(0, 2**32 - 1))
+def test_more_vertices_on_the_same_polyline_change_nothing(name, examples, seed):
     """Anywhere in the bounds, at any speed: steps from 5 µs to 40 ms."""
-    unit = [data.draw(st.one_of(st.sampled_from([0.0, 1.0]), st.floats(0, 1))) for _ in model.parameters]
-    theta = np.array(
-        [
-            p.lower * (p.upper / p.lower) ** u if p.log else p.lower + u * (p.upper - p.lower)
-            for p, u in zip(model.parameters, unit, strict=True)
-        ]
-    )
-    slower, parts = data.draw(st.sampled_from([0.01, 0.1, 1.0, 4.0])), 5
+    rng, model = np.random.default_rng(seed), MODELS[name]
+    theta = examples.values(rng, model.parameters)
+    slower, parts = rng.choice([0.01, 0.1, 1.0, 4.0]), 5
     coarse = multi_amplitude_polyline(slower)
     last = len(coarse.dt) - 1
     time = np.interp(np.arange(last * parts + 1) / parts, np.arange(last + 1), np.cumsum(coarse.dt))
@@ -261,7 +256,7 @@ def test_force_tends_to_the_textbook_over_whole_cycles(model, case):
 
 
 @APPROXIMATE
-def test_order_of_convergence_on_a_smooth_stretch(model):
+def test_order_of_convergence_between_reversals(model):
     """From a turn of the rod to shortly before the next, where the inner element reverses while the rod still moves on."""
     book = TEXTBOOK[model.id]
     w = 2 * np.pi * 2.0

@@ -94,12 +94,17 @@ def motion(rate=1000.0, seconds=0.6):
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory):
-    found = {}
-    for name in NAMES:
-        found[name] = tmp_path_factory.mktemp(name)
-        zipfile.ZipFile(io.BytesIO(fmu_archive(find_model(name), {}))).extractall(found[name])
-    return found
+def archives():
+    return {name: fmu_archive(find_model(name), {}) for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def folders(archives, tmp_path_factory):
+    folders = {}
+    for name, content in archives.items():
+        folders[name] = tmp_path_factory.mktemp(name)
+        zipfile.ZipFile(io.BytesIO(content)).extractall(folders[name])
+    return folders
 
 
 def expected(name, series, **values):
@@ -181,10 +186,9 @@ def test_what_does_not_belong_to_it_is_refused(folders):
 
 
 @needs_compiler
-def test_archive_holds_its_sources_and_is_the_same_again(folders):
-    model = find_model("bouc_wen")
-    content = fmu_archive(model, {})
-    assert content == fmu_archive(model, {})
+def test_archive_holds_its_sources_and_is_the_same_again(archives, folders):
+    content = archives["bouc_wen"]
+    assert content == fmu_archive(find_model("bouc_wen"), {})
     names = [PurePosixPath(name) for name in zipfile.ZipFile(io.BytesIO(content)).namelist()]
     assert {str(name) for name in names if name.parts[0] != "binaries"} == {
         "modelDescription.xml",

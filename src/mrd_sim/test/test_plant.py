@@ -198,7 +198,7 @@ def test_the_rod_cannot_leave_the_stroke(direction):
     assert np.max(np.abs(joined(blocks, "position"))) <= 0.0275 + 1e-12
     # The load cell feels the stop up to its amplifier's end.
     assert np.max(direction * joined(blocks, "voltage")[1]) == pytest.approx(10.0, abs=0.01)
-    assert not plant.motor.drive.on
+    assert not plant.motor.axis.on
 
 
 def test_jam_holds_the_rod_until_it_is_cleared():

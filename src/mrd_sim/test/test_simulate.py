@@ -2,13 +2,14 @@
 
 import dataclasses
 import subprocess
-from pathlib import Path
+import sys
 
 import numpy as np
 import pytest
 
 from mrd_base import InputError
 from mrd_runs import read_run
+from mrd_sim.cli import simulate as tool
 from mrd_sim.cli.simulate import parse_effect
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects
@@ -156,7 +157,9 @@ def test_effects_are_chosen_by_text():
         parse_effects("joint_play: {play: wide}", "--effects")
     assert parse_effect("joint_play.play=3e-4") == ("joint_play", "play", 3e-4)
     for text in ("joint_play=1", "joint_play.play", "joint_play.play=wide"):
-        with pytest.raises(InputError, match=r"--effect: joint_play.* is no value of an effect, expected EFFECT\.PARAM"):
+        with pytest.raises(
+            InputError, match=r"--effect: joint_play.* is no parameter of an effect with its value, expected EFFECT\.PARAM"
+        ):
             parse_effect(text)
     with pytest.raises(InputError, match="unknown effect ghost"):
         Damper("bouc_wen", effects={"ghost": {}})
@@ -166,31 +169,37 @@ def test_effects_are_chosen_by_text():
         Damper("bouc_wen", effects={"joint_play": {"play": 1.0}})
 
 
-def test_the_tool(tmp_path):
+def test_the_tool(tmp_path, monkeypatch, capsys):
+    experiment, first = tmp_path / "short.yaml", tmp_path / "first.csv"
+    experiment.write_text(EXPERIMENT)
+
+    def simulate(output, *arguments):
+        monkeypatch.setattr(sys, "argv", ["simulate", str(experiment), "--output", str(output), *map(str, arguments)])
+        tool.work()
+        assert capsys.readouterr().out.startswith(f"{output}: ")
+        return read_run(output).force
+
+    before = simulate(first, "--model", "bingham", "--parameters", "{offset: -40}")
+    assert before.min() < -100
+    effects = ["--effect", "load_cell_gain.gain=0.1", "--effects", "{load_cell_drift: {offset: 7}}"]
+    after = simulate(tmp_path / "effects.csv", "--model", "bingham", "--parameters", "{offset: -40}", *effects)
+    assert after == pytest.approx(1.1 * before + 7.0, abs=1e-6)  # in the catalogue's order
+    plant = tmp_path / "plant.yaml"
+    plant.write_text("""/**/plant: {ros__parameters: {seed: 1, damper: {model: bingham, parameters: "offset: -40",
+        effects: "{load_cell_drift: {offset: 7}, load_cell_gain: {gain: 0.1}}"}}}""")
+    assert np.array_equal(simulate(tmp_path / "plant.csv", "--plant", plant), after)
+    with pytest.raises(InputError, match="describes the whole damper"):
+        simulate(tmp_path / "twice.csv", "--plant", plant, "--parameters", "{offset: 1}")
+
+
+def test_the_tool_refuses_bad_input_in_one_line(tmp_path):
     experiment = tmp_path / "short.yaml"
     experiment.write_text(EXPERIMENT)
     command = ["ros2", "run", "mrd_sim", "simulate", str(experiment), "--output", str(tmp_path / "out.csv")]
-    done = subprocess.run([*command, "--model", "bingham", "--parameters", "{offset: -40}"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert read_run(Path(tmp_path / "out.csv")).force.min() < -100
-    more = ["--effect", "load_cell_gain.gain=0.1", "--effects", "{load_cell_drift: {offset: 7}}"]
-    again = [*command[:-1], str(tmp_path / "more.csv"), "--model", "bingham", "--parameters", "{offset: -40}", *more]
-    assert subprocess.run(again, capture_output=True).returncode == 0
-    before, after = read_run(tmp_path / "out.csv"), read_run(tmp_path / "more.csv")
-    assert after.force == pytest.approx(1.1 * before.force + 7.0, abs=1e-6)  # in the catalogue's order
-    bench = tmp_path / "plant.yaml"
-    bench.write_text("""/**/plant: {ros__parameters: {seed: 1, damper: {model: bingham, parameters: "offset: -40",
-        effects: "{load_cell_drift: {offset: 7}, load_cell_gain: {gain: 0.1}}"}}}""")
-    whole = [*command[:-1], str(tmp_path / "whole.csv"), "--plant", str(bench)]
-    assert subprocess.run(whole, capture_output=True).returncode == 0
-    assert np.array_equal(read_run(tmp_path / "whole.csv").force, after.force)
-    twice = subprocess.run([*whole, "--parameters", "{offset: 1}"], capture_output=True, text=True)
-    assert twice.returncode == 2
-    assert "says all of the damper" in twice.stderr
-    wrong = subprocess.run([*command, "--model", "binghm"], capture_output=True, text=True)
-    assert wrong.returncode == 2
-    assert wrong.stderr.startswith("error: unknown model binghm (known: ")
-    assert wrong.stderr.count("\n") == 1
+    refused = subprocess.run([*command, "--model", "binghm"], capture_output=True, text=True)
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("error: unknown model binghm (known: ")
+    assert refused.stderr.count("\n") == 1
 
 
 def test_current_laws_are_chosen_by_text():

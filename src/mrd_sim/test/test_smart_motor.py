@@ -15,8 +15,8 @@ READY = "EIGN(W,0) ZS"
 class Host:
     """Whoever talks to a motor: sends at the present bench time and waits."""
 
-    def __init__(self, **config):
-        self.motor = SmartMotor(MotorConfig(**config))
+    def __init__(self, stroke=0.055, **config):
+        self.motor = SmartMotor(MotorConfig(**config), stroke=stroke)
         self.time = 0.0
         self.wait(0.5)
 
@@ -40,7 +40,7 @@ class Host:
 
     def rod(self):
         """Positions of the rod in m since last asked."""
-        return self.motor.take_motion(self.motor.drive.stored)[0]
+        return self.motor.take_motion(self.motor.axis.stored)[0]
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_velocity_and_acceleration_units(host):
     host.send("MV VT=131072 AT=8 DT=8")
     host.send("G", 1.0 + 2 * 10 / 9600)
     # After a second at 8/8.192 rev/s².
-    assert host.motor.drive.commanded == pytest.approx(8000 * 8 / 8.192 / 2, rel=0.001)
+    assert host.motor.axis.commanded == pytest.approx(8000 * 8 / 8.192 / 2, rel=0.001)
     assert host.ask("RB(3,15)") == "0"
     host.wait(2.0)
     assert host.ask("RB(3,15)") == "1"
@@ -76,7 +76,7 @@ def test_odd_accelerations_round_up_to_even(host):
     other = Host()
     other.send(READY + " EL=8000 ADT=8 MV VT=65536")
     other.send("G", 0.5)
-    assert other.motor.drive.commanded == pytest.approx(host.motor.drive.commanded, abs=2)
+    assert other.motor.axis.commanded == pytest.approx(host.motor.axis.commanded, abs=2)
 
 
 def test_slower_sampling_rescales_velocities(host):
@@ -128,9 +128,9 @@ def test_a_command_acts_only_when_its_last_byte_is_in():
     host.send(READY + " ADT=1638 VT=655360 PT=1000")
     host.motor.feed(b"                    G ", host.time)
     host.wait(20 * 10 / 9600)
-    assert not host.motor.drive.on
+    assert not host.motor.axis.on
     host.wait(2 * 10 / 9600 + 1e-6)
-    assert host.motor.drive.on
+    assert host.motor.axis.on
 
 
 def test_boot_buffers_for_half_a_second():
@@ -239,10 +239,10 @@ def test_position_register(host):
 
 def test_following_error_and_the_way_back(host):
     host.send("EL=500")
-    host.motor.drive.jammed = True
+    host.motor.axis.jammed = True
     host.send("PT=4000 G", 0.5)
     assert (host.ask("RBe"), host.ask("RBo"), host.ask("RBt")) == ("1", "1", "0")
-    host.motor.drive.jammed = False
+    host.motor.axis.jammed = False
     host.send("G", 0.5)
     assert (host.ask("RERRC"), host.ask("RBo")) == ("27", "1")
     host.send("ZS")
@@ -271,8 +271,7 @@ def test_speed_limit(host):
 
 
 def test_torque_mode_is_a_share_of_the_voltage():
-    host = Host()
-    host.motor.drive._end = math.inf
+    host = Host(stroke=math.inf)
     host.send(READY + " MT T=3276 G", 1.0)
     assert host.ask("RMODE") == "4"
     # A tenth of 37 V turns 5100 rpm/48 V * 3.7 V without load.
@@ -281,13 +280,13 @@ def test_torque_mode_is_a_share_of_the_voltage():
 
 
 def test_over_temperature_must_cool_before_it_clears(host):
-    host.motor.drive.temperature = 90.0
+    host.motor.axis.temperature = 90.0
     host.send("")
     assert (host.ask("RBh"), host.ask("RBo"), host.ask("RTEMP")) == ("1", "1", "89")
-    host.motor.drive.temperature = 83.0
+    host.motor.axis.temperature = 83.0
     host.send("ZS")
     assert host.ask("RBh") == "1"
-    host.motor.drive.temperature = 79.0
+    host.motor.axis.temperature = 79.0
     host.send("ZS")
     assert host.ask("RBh") == "0"
 
@@ -325,7 +324,7 @@ def test_a_reply_read_at_the_wrong_rate_is_garbage():
 def test_reset_forgets_everything_and_lets_go(host, how):
     host.send("BAUD(0)=115200")
     host.send("MV VT=65536 G", 0.3)
-    assert host.motor.drive.on
+    assert host.motor.axis.on
     if how == "Z":
         host.send("Z", 0.0)
         host.wait(0.01)
@@ -333,12 +332,12 @@ def test_reset_forgets_everything_and_lets_go(host, how):
         host.motor.power_cycle(host.time)
     host.wait(0.6)
     assert host.motor.baud == 9600
-    assert not host.motor.drive.on
+    assert not host.motor.axis.on
     # The register starts anew where the rod was when the power came back; it only ran out a little.
-    assert host.motor.drive.position > 2000
+    assert host.motor.axis.position > 2000
     assert 0 <= int(host.ask("RPA")) < 500
     host.send("G", 0.2)
-    assert not host.motor.drive.on
+    assert not host.motor.axis.on
 
 
 def test_drop_byte(host):
@@ -396,7 +395,7 @@ def test_no_bytes_crash_the_motor_and_only_g_moves_the_rod(data):
     host.motor.feed(data + b"\r", host.time)
     host.wait(10 / 2400 * (len(data) + 2) + 2.0)
     assert np.ptp(host.rod()) == 0.0
-    assert not host.motor.drive.on
+    assert not host.motor.axis.on
 
 
 @settings(max_examples=50, deadline=None)

@@ -30,12 +30,12 @@ typedef struct {
 } ${p}_parameter;
 extern const ${p}_parameter ${p}_parameters[${P}_PARAMETERS];
 
-/* A damper and what it has come to. It may be copied. */
+/* A damper with its parameters and its present state. It may be copied. */
 typedef struct {
     double parameters[${P}_PARAMETERS];
     double inner[$states];                                   /* effective current, measured current, state of the model */
     double position, velocity, acceleration, current;  /* at the sample before */
-    int moved;                                         /* whether there was one */
+    int moved;                                         /* whether there was such a sample */
 } ${p}_state;
 
 /* A damper at rest, unloaded, with the fitted parameters. Its coil has the current of the first step. */
@@ -59,18 +59,22 @@ const ${p}_parameter ${p}_parameters[${P}_PARAMETERS] = {
 $table
 };
 
-/* Coefficients of the model:
-   $names.
-   For each its current law, where the parameters of that are, and its least value. */
-enum { QUANTITIES = $quantities, LAW_PARAMETERS = 3 };
+/* Coefficients of the model, in the order in which a row holds them. */
+enum {
+$columns,
+    COEFFICIENTS
+};
+
+/* For each coefficient its current law, where the law's parameters are, and its least value. */
+enum { LAW_PARAMETERS = 3 };
 static const int codes[] = {$codes};
-static const int columns[] = {$columns};
+static const int columns[] = {$law_columns};
 static const double floors[] = {$floors};
 
 $functions
 static double vertex(${p}_state *s, double dt, double x, double v, double a, double current)
 {
-    double effective, q[QUANTITIES], force;
+    double effective, q[COEFFICIENTS], force;
     $lag(1, s->parameters[${P}_COIL_LAG], s->inner, &dt, &current, &effective);
     $laws(1, s->parameters, codes, columns, floors, &effective, q);
     $kernel(1, q, s->inner + 2, &dt, &x, &v, &a, &force);
@@ -91,10 +95,10 @@ double ${p}_step(
     if (!s->moved) {
         dt = 0.0;
     }
-    /* Where between both samples, from 0 to 1, the linear velocity is zero; rounding may put that on a sample. */
+    /* Instant between both samples, from 0 to 1, at which the linear velocity is zero; rounding may put it on a sample. */
     const double f = s->velocity * velocity < 0.0 ? s->velocity / (s->velocity - velocity) : 0.0, g = 1.0 - f;
     if (dt > 0.0 && f > 0.0 && f < 1.0) {
-        /* The turning point, by the cubic through both samples with their velocities. */
+        /* The turning point follows from the cubic through both samples with their velocities. */
         vertex(s, f * dt,
                g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
                    + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity,

@@ -3,8 +3,8 @@
  *
  * Value references: the damper's parameters in their order, then position, velocity, acceleration, current, then force.
  *
- * The force depends on the inputs at the same communication point. Until they are set there, the motion goes on from the
- * point before as velocity and acceleration have it; no such guess enters the state of a damper whose inputs are set.
+ * The force depends on the inputs at the same communication point. Until they are set there, the motion is extrapolated from
+ * the point before by velocity and acceleration. The extrapolation does not enter the state once the inputs are set.
  */
 #include "damper.c"
 #include <stdio.h>
@@ -38,9 +38,9 @@ enum { FIRST_INPUT = MRD_PARAMETERS, FORCE = MRD_PARAMETERS + INPUTS };
 
 typedef struct {
     mrd_state damper;     /* at the communication point before */
-    double input[INPUTS]; /* as set last */
+    double input[INPUTS]; /* as last set */
     double now[INPUTS];   /* at the present communication point */
-    double elapsed;       /* s since the one before */
+    double elapsed;       /* s since the communication point before */
     const fmi2CallbackFunctions *host;
     char name[128];
 } slave;
@@ -66,7 +66,7 @@ static double pass(mrd_state *damper, const slave *s)
     return mrd_step(damper, s->elapsed, s->now[POSITION], s->now[VELOCITY], s->now[ACCELERATION], s->now[CURRENT]);
 }
 
-/* A slave's life */
+/* Life cycle of a slave */
 
 FMI const char *fmi2GetTypesPlatform(void) { return "default"; }
 FMI const char *fmi2GetVersion(void) { return "2.0"; }
@@ -149,7 +149,7 @@ FMI fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference which[], si
             }
             s->input[which[i] - FIRST_INPUT] = s->now[which[i] - FIRST_INPUT] = values[i];
         } else {
-            return refuse(s, "fmi2SetReal: the value reference is that of no parameter or input");
+            return refuse(s, "fmi2SetReal: the value reference belongs to no parameter or input");
         }
     }
     return fmi2OK;
@@ -193,7 +193,7 @@ FMI fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
     return fmi2OK;
 }
 
-/* What this slave does not have */
+/* Functions of the standard that this slave does not provide */
 
 #define NO_VALUES(name, type)                                                                                            \
     FMI fmi2Status name(fmi2Component c, const fmi2ValueReference which[], size_t n, type values[])                      \

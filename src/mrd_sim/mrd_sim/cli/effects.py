@@ -19,13 +19,15 @@ def main() -> None:
 
 
 def work() -> None:
-    """Print the catalogue, or one effect whole."""
+    """Print the catalogue, or one effect with its parameters."""
     parser = argparse.ArgumentParser(
-        prog="effects", description="List the effects that may act around a damper model, or one with its parameters."
+        prog="effects", description="List the effects that may act with a damper model, or show one with its parameters."
     )
     parser.add_argument("effect", nargs="?", help=f"one of {', '.join(EFFECTS)}")
     add_effects_folder(parser)
-    parser.add_argument("--markdown", action="store_true", help="print the docs' page, or the effect's section of it")
+    parser.add_argument(
+        "--markdown", action="store_true", help="print the page of the documentation, or the effect's section of it"
+    )
     arguments = parser.parse_args()
     chosen = find_effects([arguments.effect])[0] if arguments.effect else None
     if arguments.markdown:
@@ -34,23 +36,23 @@ def work() -> None:
     console = Console()
     if chosen is None:
         console.print(table())
-        console.print("One whole: ros2 run mrd_sim effects EFFECT")
+        console.print("One with its parameters: ros2 run mrd_sim effects EFFECT")
         return
     console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
     for clause in clauses(chosen.equation):
         console.print(f"    {clause}", highlight=False, markup=False)
     console.print(parameters(chosen))
-    for name, words in (
+    for name, text in (
         ("Shows as", chosen.signature),
         ("Looks like", ", ".join(chosen.confused_with)),
         ("Told apart by", chosen.separated_by),
         ("Source", chosen.source),
     ):
-        console.print(f"{name}: {words}", highlight=False, markup=False)
+        console.print(f"{name}: {text}", highlight=False, markup=False)
 
 
 def table() -> Table:
-    """Table of all effects."""
+    """Return a table of all effects."""
     table = Table("id", "stage", "effect and equation", "parameters", show_lines=True)
     for effect in catalogue():
         listed = "\n".join(f"{p.name} {interval(p)}" for p in effect.parameters)
@@ -59,8 +61,8 @@ def table() -> Table:
 
 
 def parameters(effect: Effect) -> Table:
-    """Table of an effect's parameters."""
-    table = Table("parameter", "unit", "neutral", "bounds", "clearly there", "meaning")
+    """Return a table of an effect's parameters."""
+    table = Table("parameter", "unit", "neutral", "bounds", "clearly visible", "meaning")
     for p in effect.parameters:
         typical = effect.typical.get(p.name, p.default)
         table.add_row(f"{effect.id}.{p.name}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}", escape(p.meaning))

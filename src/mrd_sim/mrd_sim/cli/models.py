@@ -17,10 +17,12 @@ def main() -> None:
 
 
 def work() -> None:
-    """Print the catalogue, or one model whole."""
-    parser = argparse.ArgumentParser(prog="models", description="List the damper models, or one with its parameters.")
+    """Print the catalogue, or one model with its parameters."""
+    parser = argparse.ArgumentParser(prog="models", description="List the damper models, or show one with its parameters.")
     parser.add_argument("model", nargs="?", help=f"one of {', '.join(MODELS)}")
-    parser.add_argument("--markdown", action="store_true", help="print the docs' page, or the model's section of it")
+    parser.add_argument(
+        "--markdown", action="store_true", help="print the page of the documentation, or the model's section of it"
+    )
     arguments = parser.parse_args()
     model = find_model(arguments.model) if arguments.model else None
     if arguments.markdown:
@@ -40,16 +42,16 @@ def work() -> None:
 
 
 def catalogue() -> Table:
-    """Table of all models."""
+    """Return a table of all models."""
     table = Table("id", "model, equation and source", "parameters", "memory", "integration", show_lines=True)
     for model in MODELS.values():
-        words = f"{model.title}\n{model.equation}\n{model.source}"
-        table.add_row(model.id, words, str(len(model.parameters)), memory(model), integration(model))
+        text = f"{model.title}\n{model.equation}\n{model.source}"
+        table.add_row(model.id, text, str(len(model.parameters)), memory(model), integration(model))
     return table
 
 
 def parameters(model: DamperModel) -> Table:
-    """Table of a model's parameters, named as tools take them."""
+    """Return a table of a model's parameters by the names that the tools take."""
     table = Table("parameter", "unit", "default", "bounds", "meaning")
     for parameter in model.parameters:
         interval = f"{parameter.lower:g} … {parameter.upper:g}"
@@ -64,11 +66,11 @@ def parameters(model: DamperModel) -> Table:
 
 
 def current_laws(model: DamperModel) -> Table:
-    """Table of a model's coefficients over current."""
+    """Return a table of a model's coefficients over current."""
     known = ", ".join(LAWS)
     table = Table("coefficient", "at 0 A", "current law: slope at 0 A", caption=f"Laws to choose from: {known}")
-    for quantity in model.quantities:
-        if quantity.per_ampere:
-            unit = quantity.unit or "1"
-            table.add_row(f"{quantity.name} in {unit}", bounds(quantity), slope(quantity))
+    for coefficient in model.coefficients:
+        if coefficient.per_ampere:
+            unit = coefficient.unit or "1"
+            table.add_row(f"{coefficient.name} in {unit}", bounds(coefficient), slope(coefficient))
     return table

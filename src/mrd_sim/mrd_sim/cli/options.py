@@ -1,4 +1,4 @@
-"""Arguments that the tools share."""
+"""Options that several tools share."""
 
 import argparse
 from collections.abc import Sequence
@@ -8,13 +8,19 @@ from mrd_sim.effects import load_effects
 
 
 def add_effects_folder(parser: argparse.ArgumentParser) -> None:
-    """A user's own effects, known from there on; `InputError` when one cannot be used."""
+    """Add an option that loads a user's own effects; `InputError` when one cannot be used."""
     parser.add_argument(
-        "--effects-folder", default="", action=_Load, metavar="FOLDER", help="with effects of your own, one a file"
+        "--effects-folder",
+        default="",
+        action=_LoadEffects,
+        metavar="FOLDER",
+        help="folder with effects of your own, one a file",
     )
 
 
-class _Load(argparse.Action):
+class _LoadEffects(argparse.Action):
+    """Load while the arguments are parsed, so that later arguments may name the effects."""
+
     def __call__(
         self,
         _parser: argparse.ArgumentParser,
@@ -22,6 +28,5 @@ class _Load(argparse.Action):
         values: str | Sequence[Any] | None,
         _option: str | None = None,
     ) -> None:
-        folder = str(values)
-        load_effects(folder)
-        setattr(namespace, self.dest, folder)
+        load_effects(str(values))
+        setattr(namespace, self.dest, str(values))

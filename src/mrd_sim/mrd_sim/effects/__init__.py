@@ -1,84 +1,57 @@
 """The catalogue of effects: one file and one line each."""
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_sim.effects import (
-    backlash,
-    cavitation,
-    channel_crosstalk,
-    channel_delay,
-    coil_lag,
-    current_saturation,
-    current_sensor_error,
-    end_stop,
-    flow_asymmetry,
-    force_sensor_lag,
-    gas_spring,
-    joint_play,
-    load_cell_drift,
-    load_cell_gain,
-    lvdt_nonlinearity,
-    magnetic_hysteresis,
-    mains_hum,
-    moving_mass,
-    pre_yield_hysteresis,
-    rate_dependent_hysteresis,
-    seal_friction,
-    series_compliance,
-    servo_ripple,
-    settling,
-    shear_thinning,
-    side_load_friction,
-    thermal_fade,
-)
 from mrd_sim.effects.effect import STAGES, Effect, Stage
 from mrd_sim.effects.loading import read_effects
 
 EFFECTS: dict[str, Effect] = {
-    module.EFFECT.id: module.EFFECT
-    for module in (
-        lvdt_nonlinearity,
-        servo_ripple,
-        backlash,
-        current_sensor_error,
-        magnetic_hysteresis,
-        current_saturation,
-        coil_lag,
-        gas_spring,
-        series_compliance,
-        cavitation,
-        flow_asymmetry,
-        shear_thinning,
-        rate_dependent_hysteresis,
-        pre_yield_hysteresis,
-        thermal_fade,
-        settling,
-        seal_friction,
-        side_load_friction,
-        end_stop,
-        joint_play,
-        moving_mass,
-        load_cell_gain,
-        load_cell_drift,
-        force_sensor_lag,
-        channel_crosstalk,
-        channel_delay,
-        mains_hum,  # last: its phase is that of the recorded force
+    name: import_module(f"mrd_sim.effects.{name}").EFFECT
+    for name in (
+        "lvdt_nonlinearity",
+        "servo_ripple",
+        "backlash",
+        "current_sensor_error",
+        "magnetic_hysteresis",
+        "current_saturation",
+        "coil_lag",
+        "gas_spring",
+        "series_compliance",
+        "cavitation",
+        "flow_asymmetry",
+        "shear_thinning",
+        "rate_dependent_hysteresis",
+        "pre_yield_hysteresis",
+        "thermal_fade",
+        "settling",
+        "seal_friction",
+        "side_load_friction",
+        "end_stop",
+        "joint_play",
+        "moving_mass",
+        "load_cell_gain",
+        "load_cell_drift",
+        "force_sensor_lag",
+        "channel_crosstalk",
+        "channel_delay",
+        "mains_hum",  # last: its phase is that of the recorded force
     )
 }
+"""Catalogue, by id. Each entry is the file of its name."""
 
 _SHIPPED = frozenset(EFFECTS)
 
 
 def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects by their ids, in the order of the catalogue, however they are named; a user's own after those.
+    """Return effects by their ids, in the order of the catalogue whatever that of the names; a user's own come last.
 
     Raises
     ------
     InputError
-        When one is not known or named twice; lists those there are.
+        When a name is not known, or given twice; lists the known ones.
     """
     for name in names:
         if name not in EFFECTS:
@@ -89,22 +62,22 @@ def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
 
 
 def load_effects(folder: str | Path) -> tuple[Effect, ...]:
-    """Add a user's own effects to this process's catalogue, one from every ``*.py`` of a folder that assigns ``EFFECT``.
+    """Add a user's own effects to this process's catalogue: one from every ``*.py`` of a folder that assigns ``EFFECT``.
 
-    Loaded again, an effect takes the place of the one before.
+    An effect that is loaded again replaces the former one.
 
     Raises
     ------
     InputError
-        When one cannot be used, or its id is taken; names the file.
+        When an effect cannot be used, or its id is in use; names the file.
     """
-    found: dict[str, Effect] = {}
+    loaded: dict[str, Effect] = {}
     for file, effect in read_effects(folder).items():
-        if effect.id in _SHIPPED or effect.id in found:
+        if effect.id in _SHIPPED or effect.id in loaded:
             raise InputError(f"{file}: there is an effect {effect.id} already, expected another id")
-        found[effect.id] = effect
-    EFFECTS.update(found)
-    return tuple(found.values())
+        loaded[effect.id] = effect
+    EFFECTS.update(loaded)
+    return tuple(loaded.values())
 
 
 __all__ = ["EFFECTS", "STAGES", "Effect", "Stage", "find_effects", "load_effects"]

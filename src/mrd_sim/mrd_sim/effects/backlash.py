@@ -6,13 +6,23 @@ from numba import njit
 
 from mrd_sim.dual import clip
 from mrd_sim.effects.effect import Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
-from mrd_sim.play import MOST_FILM, crossed
+from mrd_sim.play import MOST_FILM, offset_in_play
+
+PARAMETERS = (
+    Parameter("play", "m", 0.0, 0.0, 6e-4, "free travel between the two flanks, g"),
+    Parameter("drag", "N", 10.0, 1.0, 60.0, "dry friction that holds the rod within the play, F_d", log=True),
+    Parameter("resistance", "N s/m", 300.0, 30.0, 3000.0, "resistance to crossing the play from its middle, c_g", log=True),
+    Parameter("film", "", 0.5, 0.02, MOST_FILM, "share by which crossing is slower where a film is squeezed out, m"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
-    return crossed(before, dt, force - clip(force, -p[1], p[1]), p[0], p[2], p[3])
+def _elongation(parameters: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
+    p = named(Parameters, parameters)
+    return offset_in_play(before, dt, force - clip(force, -p.drag, p.drag), p.play, p.resistance, p.film)
 
 
 EFFECT = Effect(
@@ -23,16 +33,11 @@ EFFECT = Effect(
     equation="F = damper(x - e), within |e| <= g / 2: e' = 0 where |F| <= F_d, else (F - F_d sgn F) / c_g "
     "(1 - m e sgn F / (g / 2))",
     source="two-stage planetary gears 8-15 arcmin, module-2 rack 50-150 µm: 0.1-0.3 mm at the rod",
-    parameters=(
-        Parameter("play", "m", 0.0, 0.0, 6e-4, "free travel between the two flanks, g"),
-        Parameter("drag", "N", 10.0, 1.0, 60.0, "dry friction that holds the rod within the play, F_d", log=True),
-        Parameter("resistance", "N s/m", 300.0, 30.0, 3000.0, "of crossing it from the middle, c_g", log=True),
-        Parameter("film", "", 0.5, 0.02, MOST_FILM, "by how much it is crossed slower where a film is squeezed out, m"),
-    ),
+    parameters=PARAMETERS,
     typical={"play": 2e-4, "drag": 10.0, "resistance": 300.0, "film": 0.5},
     starts=lambda _force: [2e-4, 6e-5, 2e-5],
-    signature="the force stays near zero while the drive crosses the play, each time that the force changes sign",
+    signature="the force stays near zero while the drive crosses the play, whenever the force changes sign",
     confused_with=("joint_play", "series_compliance", "cavitation", "seal_friction", "channel_delay"),
-    separated_by="position on the rod against position of the motor; a preload that keeps the force from changing sign",
-    stretch=_stretch,
+    separated_by="position of the rod compared with that of the motor; a preload that keeps the force from changing sign",
+    stretch=_elongation,
 )

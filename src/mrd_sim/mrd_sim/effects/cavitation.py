@@ -1,25 +1,35 @@
-"""Cavitation: gas pressure cannot hold up a large compressing force; the void that forms is crossed before rebound acts."""
+"""Cavitation: gas pressure balances no more than a certain compressing force. Rebound first has to close the void."""
 
 from typing import Any
 
 from numba import njit
 
 from mrd_sim.effects.effect import Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-CLOSING = 500.0
-"""N s/m: a void closes against next to nothing."""
+CLOSING_RESISTANCE = 500.0
+"""N s/m. A void closes against almost no resistance."""
+
+PARAMETERS = (
+    Parameter("inverse_cap", "1/N", 0.0, 0.0, 5e-3, "1 / the largest compressing force, p"),
+    Parameter("opening", "m/s", 0.1, 1e-3, 10.0, "speed at which the void grows under twice that force, s", log=True),
+    Parameter("preload", "N", 0.0, 0.0, 300.0, "gas force at mid-stroke, F_0"),
+    Parameter("stiffness", "N/m", 0.0, 0.0, 1e4, "stiffness of the gas, k"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _stretch(p: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
+def _elongation(parameters: Any, before: Any, dt: float, force: Any, x: Any) -> Any:
+    p = named(Parameters, parameters)
     after = before
-    fluid = force + p[2] - p[3] * x
-    over = -p[0] * fluid - 1.0
+    fluid = force + p.preload - p.stiffness * x
+    over = -p.inverse_cap * fluid - 1.0
     if over.real > 0.0:
-        after -= p[1] * dt * over
+        after -= p.opening * dt * over
     elif fluid.real > 0.0:
-        after += dt * fluid / CLOSING
+        after += dt * fluid / CLOSING_RESISTANCE
     return after if after.real < 0.0 else 0.0 * after
 
 
@@ -31,16 +41,11 @@ EFFECT = Effect(
     equation="F = damper(x - e), e <= 0, by the fluid's part f = F + F_0 - k x: e' = -s (p |f| - 1) where f < -1/p, "
     "f / 500 N s/m where f > 0, else 0",
     source="gas pressure times piston area carries 1-2 kN; shock-absorber practice (compression cap, delayed rebound)",
-    parameters=(
-        Parameter("inverse_cap", "1/N", 0.0, 0.0, 5e-3, "1 / the largest compressing force, p"),
-        Parameter("opening", "m/s", 0.1, 1e-3, 10.0, "speed at which the void grows at twice that force, s", log=True),
-        Parameter("preload", "N", 0.0, 0.0, 300.0, "of the gas at mid-stroke, F_0"),
-        Parameter("stiffness", "N/m", 0.0, 0.0, 1e4, "of the gas, k"),
-    ),
+    parameters=PARAMETERS,
     typical={"inverse_cap": 1.5e-3, "opening": 0.3, "preload": 50.0, "stiffness": 1000.0},
     starts=lambda force: [1.0 / (share * max(-float(force.min()), 1.0)) for share in (0.9, 0.75, 0.5)],
-    signature="compression flattens at one force, the more current the more; rebound after it comes late",
+    signature="the force in compression is capped, the more so the more current; the rebound after it comes late",
     confused_with=("backlash", "flow_asymmetry", "current_saturation"),
-    separated_by="rising current at one speed; a change of gas pressure",
-    stretch=_stretch,
+    separated_by="rising current at one speed; another gas pressure",
+    stretch=_elongation,
 )

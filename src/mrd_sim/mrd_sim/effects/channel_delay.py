@@ -3,23 +3,32 @@
 from numba import njit
 
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_ROOM = 1024  # vertices: those of the longest delay at 20 kHz, at 2.5 kHz with as many between samples as can be
+_ROOM = 1024
+"""Vertices in the ring buffer: the longest delay at 20 kHz, or at 2.5 kHz with the most vertices between samples."""
 _TIMES = 3
 _FORCES = _TIMES + _ROOM
+"""Where the ring buffer begins in the state: times, then forces."""
+_SAME_INSTANT = 1e-9
+"""s. Vertices that are closer together count as one."""
+
+PARAMETERS = (Parameter("delay", "s", 0.0, 0.0, 0.05, "delay T of the force behind position and current"),)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
-    # A ring of the last vertices; they are numbered from the path's start, `later` is the first that is due or to come.
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
+    # Vertices are numbered from the start of the path; `later` is the first that is not before the instant wanted.
     time, count, later = state[0].real, int(state[1].real), int(state[2].real)
     for k in range(len(force)):
         if dt[k] == 0.0:
             time, count, later = 0.0, 0, 0
         time += dt[k]
-        if count > 0 and dt[k] < 1e-9:
-            # No time to speak of: in the place of the vertex before.
+        if count > 0 and dt[k] < _SAME_INSTANT:
+            # The vertex takes the place of the one before.
             state[_FORCES + (count - 1) % _ROOM] = force[k]
         else:
             state[_TIMES + count % _ROOM] = time
@@ -28,7 +37,7 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
         oldest = count - _ROOM if count > _ROOM else 0
         if later < oldest:
             later = oldest
-        due = time - p[0]
+        due = time - p.delay
         while later < count - 1 and state[_TIMES + later % _ROOM].real < due.real:
             later += 1
         end, at_end = state[_TIMES + later % _ROOM].real, state[_FORCES + later % _ROOM]
@@ -47,11 +56,11 @@ EFFECT = Effect(
     stage="sensing",
     equation="y(t) = F(t - T), F linear between samples; before the start, the first F",
     source="multiplexed scans 2.5-50 µs; channels read one after the other by software 5-40 ms",
-    parameters=(Parameter("delay", "s", 0.0, 0.0, 0.05, "delay T of the force behind position and current"),),
+    parameters=PARAMETERS,
     typical={"delay": 0.0085},
-    signature="force loops open in proportion to the rate of force; phase over frequency is a straight line",
+    signature="force loops that open in proportion to the rate of force; a phase proportional to frequency",
     confused_with=("force_sensor_lag", "series_compliance", "moving_mass", "coil_lag", "rate_dependent_hysteresis"),
-    separated_by="one event on all channels; chirp: slope of phase over frequency; steps of current beside fast motion",
+    separated_by="one event that all channels show; a chirp (phase over frequency); steps of current during fast motion",
     kernel=_apply,
     follows_force=True,
     states=_FORCES + _ROOM,

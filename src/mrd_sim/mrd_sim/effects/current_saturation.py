@@ -4,36 +4,44 @@ from numba import njit
 
 from mrd_sim.dual import absolute, tanh
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
+
+SMALL = 0.03
+"""Of z = s u. Up to it four terms of the series are exact to some 1e-14."""
+
+PARAMETERS = (
+    Parameter("inverse_current", "1/A", 0.0, 0.0, 2.0, "s, one over the current I_s of saturation"),
+    Parameter("circuit", "", 0.0, 0.0, 1.0, "share of the saturation that is the magnetic circuit's, m"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     for k in range(len(u)):
-        z = p[0] * u[k]
-        if -0.03 < z.real < 0.03:
-            # tanh(z) / z by its series: neutral at s = 0.
+        z = p.inverse_current * u[k]
+        if -SMALL < z.real < SMALL:
+            # The series of tanh(z) / z, which also holds at s = 0.
             w = z * z
             bent = 1.0 - w * (1.0 / 3.0 - w * (2.0 / 15.0 - w * (17.0 / 315.0)))
         else:
             bent = tanh(z) / z
-        u[k] *= bent + p[1] * (1.0 / (1.0 + absolute(z)) - bent)
+        u[k] *= bent + p.circuit * (1.0 / (1.0 + absolute(z)) - bent)
 
 
 EFFECT = Effect(
     id="current_saturation",
     title="Saturation over current",
-    phrase="the force saturates over the current, on the scale of {inverse_current:inverse}",
+    phrase="the force saturates over the current, with a saturation current of {inverse_current:inverse}",
     stage="magnetics",
     equation="u = (1 - m) tanh(s I) / s + m I / (1 + s |I|), s = 1 / I_s",
     source="Carlson: yield stress over field is a tanh; Fröhlich (1881): flux of a circuit over current; I_s of 1 to 2.5 A",
-    parameters=(
-        Parameter("inverse_current", "1/A", 0.0, 0.0, 2.0, "s, one over the current I_s of saturation"),
-        Parameter("circuit", "", 0.0, 0.0, 1.0, "how much of it is the magnetic circuit's, m"),
-    ),
+    parameters=PARAMETERS,
     typical={"inverse_current": 0.8, "circuit": 0.3},
     signature="the force grows less and less with current, at any speed",
     confused_with=("magnetic_hysteresis", "current_sensor_error", "cavitation", "thermal_fade"),
-    separated_by="staircase of current up to 2 A, briefly",
+    separated_by="a short staircase of current up to 2 A",
     kernel=_apply,
 )

@@ -3,29 +3,34 @@
 from numba import njit
 
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
+
+PARAMETERS = (
+    Parameter("offset", "A", 0.0, -0.1, 0.1, "reading without current, b"),
+    Parameter("gain", "", 0.0, -0.1, 0.1, "relative excess of the reading, g"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     for k in range(len(u)):
-        u[k] = (u[k] - p[0]) / (1.0 + p[1])
+        u[k] = (u[k] - p.offset) / (1.0 + p.gain)
 
 
 EFFECT = Effect(
     id="current_sensor_error",
     title="Error of the current sensor",
-    phrase="the current sensor is off by {offset} at zero and by {gain:%} in gain",
+    phrase="the current sensor has an offset of {offset} and a gain error of {gain:%}",
     stage="magnetics",
     equation="I = (I_m - b) / (1 + g), from the measured current I_m to the true one",
     source="Allegro ACS714: ±1.5 %, zero ±30 mA",
-    parameters=(
-        Parameter("offset", "A", 0.0, -0.1, 0.1, "reading b without current"),
-        Parameter("gain", "", 0.0, -0.1, 0.1, "by how much it reads more than there is, relative"),
-    ),
+    parameters=PARAMETERS,
     typical={"offset": 0.03, "gain": 0.03},
-    signature="force off as if the current were another, most where the force grows fastest with it",
+    signature="the force of another current, most visible where the force grows fastest with current",
     confused_with=("magnetic_hysteresis", "current_saturation", "load_cell_gain", "seal_friction"),
-    separated_by="a recording without current; a shunt",
+    separated_by="a recording without current; a reading of the current by a shunt",
     kernel=_apply,
 )

@@ -1,4 +1,4 @@
-"""What an effect is: something that a simulator leaves out until it is switched on."""
+"""An effect: something that acts on a damper or its measurement, and that a simulator leaves out until it is switched on."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,54 +16,54 @@ STAGES: tuple[Stage, ...] = ("drive", "magnetics", "fluid", "structure", "sensin
 """In the order in which cause becomes reading."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Effect:
-    """An effect that acts on the signals of a simulator, or gives way in series with its damper.
+    """An effect that acts on the signals of a simulator, or an element in series with its damper.
 
     Attributes
     ----------
     id, title, equation, source : str
     stage : str
-        One of `STAGES`. An effect on signals changes, at its stage, what it belongs to: motion (drive), current (magnetics),
-        force (fluid, structure: the damper's; sensing: the measured one).
+        One of `STAGES`. An effect on signals changes the signal of its stage: motion (drive), current (magnetics), the
+        damper's force (fluid, structure) or the measured force (sensing).
     parameters : tuple of Parameter
-        Their defaults are neutral: with them the effect changes nothing. Their bounds are what is plausible.
+        With their defaults the effect changes nothing. Their bounds are what is plausible.
     typical : mapping
-        A value of each parameter with which the effect is clearly there; where a fit begins.
+        A value of each parameter with which the effect is clearly visible; a fit begins there.
     starts : callable, optional
-        ``starts(force)``: values of the first parameter where a fit to such forces in N (n,) may begin, for an effect that
-        sets in at a threshold, or that changes the force otherwise than in proportion to it (a play).
+        ``starts(force)``: values of the first parameter from which a fit to such forces in N (n,) may begin. For an effect
+        that sets in at a threshold, or that does not change the force in proportion (a play).
     forms : sequence of mapping
-        Other values of parameters that are never searched, in which it may occur as well.
+        Other values of fixed parameters, with which the effect may occur as well.
     kernel : callable, optional
-        ``kernel(p, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
-        (`mrd_sim.dual`): parameters ``p`` (parameters,), ``state`` carried from call to call, then the signals on the
-        vertices (m,), which it changes in place: step in s, position, velocity and acceleration of the rod, effective
-        current, force. ``dt[0] == 0`` begins a path.
+        ``kernel(parameters, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
+        (`mrd_sim.dual`). ``parameters`` (parameters,) is to be read by `mrd_sim.named.named`; ``state`` is carried from call
+        to call. The kernel changes the signals on the vertices (m,) in place: step in s; position, velocity and acceleration
+        of the rod; effective current; force. ``dt[0] == 0`` begins a path.
     states : int
         Length of ``state``.
     begin : callable, optional
-        ``begin(path)``: state (states,) at the start of a path; zeros without it.
+        ``begin(path)``: state (states,) at the start of a path. Zeros without it.
     carries : bool
-        Whether the state outlasts a recorded run, so that the next one begins with it (`DamperModel.next_state`); pauses
-        between runs are not in it.
+        Whether the state outlasts a recorded run, so that the next run begins with it (`DamperModel.next_state`). Pauses
+        between runs do not count.
     stretch : callable, optional
-        ``stretch(p, before, dt, force, x)``, compiled likewise: elongation in m, after ``dt`` under ``force`` with the rod
-        at ``x``, of something in series with the damper that was elongated by ``before``; never falls with the force. In
-        the place of ``kernel``.
+        ``stretch(parameters, before, dt, force, x)``, compiled likewise: the elongation in m of an element in series with
+        the damper, after ``dt`` under ``force`` with the rod at ``x``, from the elongation ``before``. It must never fall
+        with the force. An effect has either this or a ``kernel``.
     follows_force : bool
-        Whether it depends on how the force runs from sample to sample; what is in series always does.
+        Whether the effect depends on the course of the force from sample to sample, as elements in series always do.
     signature : str
-        How it shows.
+        How recordings show the effect; a noun phrase.
     confused_with : tuple of str
         Ids of effects that look alike.
     separated_by : str
-        Which excitation tells it from these.
+        Which measurement tells it from these; a noun phrase.
     phrase : str, optional
-        The effect as a cause, a clause with its parameters in braces, ``{lag}``; ``{gain:%}`` in per cent,
-        ``{amplitude:size}`` without sign, ``{inverse_cap:inverse}`` one over it.
+        The effect as a cause: a clause with its parameters in braces, ``{lag}``. ``{gain:%}`` is in per cent,
+        ``{amplitude:size}`` without sign, ``{inverse_cap:inverse}`` one over the value.
     structural : bool
-        Whether damper models with a hysteretic state have it of their own: it stands for what others lack by construction.
+        Whether damper models with a hysteretic state include the effect: it stands for what the others lack by construction.
     """
 
     id: str
@@ -86,6 +86,9 @@ class Effect:
     follows_force: bool = False
     phrase: str = ""
     structural: bool = False
+
+    def __repr__(self) -> str:
+        return f"<Effect {self.id}>"
 
     def __post_init__(self) -> None:
         if self.stretch is not None:

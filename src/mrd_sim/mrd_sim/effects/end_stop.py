@@ -4,28 +4,33 @@ from numba import njit
 
 from mrd_sim.dual import absolute
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
+
+PARAMETERS = (
+    Parameter("stiffness", "N/m²", 0.0, 0.0, 3e8, "force over the square of the depth, k"),
+    Parameter("limit", "m", 0.024, 0.003, 0.03, "distance from mid-stroke where it begins, x_b"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     for k in range(len(x)):
-        depth = absolute(x[k]) - p[1]
+        depth = absolute(x[k]) - p.limit
         if depth.real > 0.0:
-            force[k] += p[0] * depth * depth if x[k].real > 0.0 else -p[0] * depth * depth
+            force[k] += p.stiffness * depth * depth if x[k].real > 0.0 else -p.stiffness * depth * depth
 
 
 EFFECT = Effect(
     id="end_stop",
     title="End stop",
-    phrase="an end stop is met {limit} from mid-stroke",
+    phrase="an end stop acts from {limit} off mid-stroke",
     stage="structure",
     equation="F + sgn(x) k <|x| - x_b>²",
     source="Hunt & Crossley (1975), without their damping; RD-8040-1: from ± 25 to 27.5 mm",
-    parameters=(
-        Parameter("stiffness", "N/m²", 0.0, 0.0, 3e8, "force over the square of the depth, k"),
-        Parameter("limit", "m", 0.024, 0.003, 0.03, "distance from mid-stroke where it begins, x_b"),
-    ),
+    parameters=PARAMETERS,
     typical={"stiffness": 5e6, "limit": 0.008},
     signature="spikes of force near the ends of the stroke only, at any speed and current",
     confused_with=("gas_spring", "cavitation", "side_load_friction"),

@@ -4,12 +4,17 @@ from numba import njit
 
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.lag import decay, follow
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
+
+PARAMETERS = (Parameter("lag", "s", 0.0, 0.0, 0.03, "time constant tau"),)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
-    lag = p[0]
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
+    lag = p.lag
     read, before = state[0], state[1]
     for k in range(len(force)):
         now = force[k]
@@ -26,11 +31,11 @@ EFFECT = Effect(
     stage="sensing",
     equation="y' = (F - y) / tau",
     source="amplifiers of load cells: 0.2-16 ms",
-    parameters=(Parameter("lag", "s", 0.0, 0.0, 0.03, "time constant tau"),),
+    parameters=PARAMETERS,
     typical={"lag": 0.005},
-    signature="loops that open with frequency, corners of the force rounded",
+    signature="force loops that open with frequency; rounded corners of the force",
     confused_with=("channel_delay", "coil_lag", "series_compliance", "moving_mass", "rate_dependent_hysteresis"),
-    separated_by="chirp against a stiff spring; steps of current beside fast motion",
+    separated_by="chirp against a stiff spring; steps of current during fast motion",
     kernel=_apply,
     follows_force=True,
     states=2,

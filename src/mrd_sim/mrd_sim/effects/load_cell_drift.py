@@ -1,20 +1,28 @@
-"""Zero of the load cell: off, and drifting.
+"""Offset of the load cell's zero, and its drift.
 
-The time of a following path goes on from that of the one before; a pause between them is not in it.
+Time goes on from one path to the next; pauses between them do not count.
 """
 
 from numba import njit
 
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
+
+PARAMETERS = (
+    Parameter("drift", "N/s", 0.0, -0.2, 0.2, "change d of the zero over time"),
+    Parameter("offset", "N", 0.0, -50.0, 50.0, "zero b at the start of the first recording"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     time = state[0]
     for k in range(len(force)):
         time += dt[k]
-        force[k] += p[1] + p[0] * time
+        force[k] += p.offset + p.drift * time
     state[0] = time
 
 
@@ -25,14 +33,11 @@ EFFECT = Effect(
     stage="sensing",
     equation="F + b + d t, t from the start of the first recording",
     source="load cells of 100 kg: zero ±5 N after mounting, 0.02-0.05 % of full scale over 10 K, ±0.2 N/min",
-    parameters=(
-        Parameter("drift", "N/s", 0.0, -0.2, 0.2, "change d of the zero over time"),
-        Parameter("offset", "N", 0.0, -50.0, 50.0, "zero b at the start of the first recording"),
-    ),
+    parameters=PARAMETERS,
     typical={"drift": 0.02, "offset": 5.0},
-    signature="offset of the force at any motion and current, growing with time",
+    signature="an offset of the force that grows with time, whatever motion and current",
     confused_with=("gas_spring", "thermal_fade", "load_cell_gain", "mains_hum"),
-    separated_by="rod free before and after; dead weights",
+    separated_by="the free rod before and after the runs; dead weights",
     kernel=_apply,
     states=1,
     carries=True,

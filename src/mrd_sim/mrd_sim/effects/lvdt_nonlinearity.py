@@ -3,35 +3,41 @@
 from numba import njit
 
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_REACH = 0.025  # m
+_REFERENCE = 0.025
+"""m, to which the curve error refers."""
+
+PARAMETERS = (
+    Parameter("cubic", "", 0.0, -0.05, 0.05, "curve error n3 at 25 mm, relative to 25 mm"),
+    Parameter("gain", "", 0.0, -0.1, 0.1, "relative excess of the rod's true travel over the measured one, g"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     for k in range(len(x)):
-        share = x[k] / _REACH
+        share = x[k] / _REFERENCE
         square = share * share
-        slope = 1.0 + p[1] + 3.0 * p[0] * square
-        a[k] = slope * a[k] + 6.0 * p[0] * share / _REACH * v[k] * v[k]
+        slope = 1.0 + p.gain + 3.0 * p.cubic * square
+        a[k] = slope * a[k] + 6.0 * p.cubic * share / _REFERENCE * v[k] * v[k]
         v[k] = slope * v[k]
-        x[k] = (1.0 + p[1] + p[0] * square) * x[k]
+        x[k] = (1.0 + p.gain + p.cubic * square) * x[k]
 
 
 EFFECT = Effect(
     id="lvdt_nonlinearity",
     title="Nonlinearity of the position transducer",
-    phrase="the position transducer is off by {gain:%} in gain and bends by {cubic:%} at 25 mm",
+    phrase="the position transducer has a gain error of {gain:%} and a nonlinearity of {cubic:%} at 25 mm",
     stage="drive",
     equation="x = x_m (1 + g + n3 (x_m / 25 mm)²), from the measured position x_m to the true one",
     source="LVDTs of 100 mm: linearity 0.1-0.5 % of full scale, gain ±1 %; misalignment 0-3°",
-    parameters=(
-        Parameter("cubic", "", 0.0, -0.05, 0.05, "curve error n3 at 25 mm, relative to 25 mm"),
-        Parameter("gain", "", 0.0, -0.1, 0.1, "by how much the rod moves further than measured, relative"),
-    ),
+    parameters=PARAMETERS,
     typical={"cubic": 0.02, "gain": 0.02},
-    signature="speed and force off by a factor that depends on the position; odd harmonics of the stroke",
+    signature="speed and force multiplied by a factor that depends on the position; odd harmonics of the stroke",
     confused_with=("servo_ripple", "load_cell_gain", "side_load_friction", "end_stop"),
     separated_by="gauge blocks or the encoder; short strokes at several positions",
     kernel=_apply,

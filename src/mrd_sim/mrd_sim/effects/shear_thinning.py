@@ -4,36 +4,42 @@ from numba import njit
 
 from mrd_sim.dual import absolute, power
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_SPEED = 0.1  # m/s, where the viscous force keeps its value
+_REFERENCE_SPEED = 0.1
+"""m/s. At this speed the viscous force keeps its value."""
+
+PARAMETERS = (
+    Parameter("viscous", "N s/m", 0.0, 0.0, 5000.0, "viscous coefficient that becomes a power law, at 0 A, c"),
+    Parameter("exponent", "", 0.7, 0.3, 1.0, "exponent of the speed, m"),
+    Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of c over current, g"),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     for k in range(len(x)):
-        relative = v[k] / _SPEED
-        bent = power(absolute(relative), p[1])
+        relative = v[k] / _REFERENCE_SPEED
+        bent = power(absolute(relative), p.exponent)
         if relative.real < 0.0:
             bent = -bent
-        force[k] += p[0] * (1.0 + p[2] * u[k]) * _SPEED * (bent - relative)
+        force[k] += p.viscous * (1.0 + p.growth * u[k]) * _REFERENCE_SPEED * (bent - relative)
 
 
 EFFECT = Effect(
     id="shear_thinning",
     title="Shear thinning",
-    phrase="the fluid thins under shear: {viscous} of its viscosity go with the speed to the power of {exponent}",
+    phrase="the fluid thins under shear: {viscous} of its viscosity follow a power law with the exponent {exponent}",
     stage="fluid",
     equation="F + c (1 + g u) (|x' / v_r|^(m-1) - 1) x', v_r = 0.1 m/s: c0 x' becomes K |x'|^m sgn x' where c(u) = c0(u)",
     source="Herschel-Bulkley fluid; Wang & Gordaninejad (1999): m 0.6-0.95",
-    parameters=(
-        Parameter("viscous", "N s/m", 0.0, 0.0, 5000.0, "viscous coefficient that becomes a power law, at 0 A, c"),
-        Parameter("exponent", "", 0.7, 0.3, 1.0, "of the speed, m"),
-        Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of c over current, g"),
-    ),
+    parameters=PARAMETERS,
     typical={"viscous": 1000.0, "exponent": 0.7, "growth": 2.0},
-    signature="force over speed is concave after yield: too high in the middle, too low at top speed, in both directions",
+    signature="a force over speed that is concave after yield, in both directions: higher in the middle, lower at top speed",
     confused_with=("seal_friction", "pre_yield_hysteresis", "thermal_fade"),
-    separated_by="constant speeds from 1 mm/s to top speed, several a decade",
+    separated_by="constant speeds from 1 mm/s to top speed, several per decade",
     kernel=_apply,
 )

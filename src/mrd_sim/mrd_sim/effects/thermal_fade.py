@@ -1,24 +1,33 @@
 """Thermal fade: the dissipated power heats the fluid, which thins.
 
-One lumped heat capacity. A following path goes on with the heat of the one before; a pause between them is not in it.
+The heat capacity is one lump. Heat goes on from one path to the next; pauses between them do not count.
 """
 
 from numba import njit
 
 from mrd_sim.dual import exp
 from mrd_sim.effects.effect import Array, Effect
+from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_RESISTANCE = 5.0  # Ohm, of the coil
+COIL_RESISTANCE = 5.0
+"""Ohm; of a RD-8040-1 at room temperature."""
+
+PARAMETERS = (
+    Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force lost per joule of heat, b"),
+    Parameter("cooling_time", "s", 400.0, 30.0, 3000.0, "time constant of cooling, t_c", log=True),
+)
+Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
 @njit(cache=True, nogil=True)
-def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    p = named(Parameters, parameters)
     heat = state[0]
     for k in range(len(x)):
-        force[k] *= exp(-p[0] * heat)
-        heat += dt[k] * (force[k] * v[k] + _RESISTANCE * u[k] * u[k] - heat / p[1])
-        if heat.real < 0.0:  # what springs give back does not cool
+        force[k] *= exp(-p.fade * heat)
+        heat += dt[k] * (force[k] * v[k] + COIL_RESISTANCE * u[k] * u[k] - heat / p.cooling_time)
+        if heat.real < 0.0:  # power that springs give back does not cool
             heat *= 0.0
     state[0] = heat
 
@@ -26,18 +35,15 @@ def _apply(p: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: A
 EFFECT = Effect(
     id="thermal_fade",
     title="Thermal fade",
-    phrase="the force fades with heat by {fade:%}",
+    phrase="the force falls by {fade:%} as the damper heats up",
     stage="fluid",
     equation="F exp(-b E), E' = F x' + 5 Ohm u² - E / t_c, E = C (T - T_a) >= 0",
     source="Sahin, Cesmeci & Wereley; C 300-600 J/K, loss 0.5-1.5 W/K, 0.1-2.5 % of the force per K",
-    parameters=(
-        Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force lost per joule of heat, b"),
-        Parameter("cooling_time", "s", 400.0, 30.0, 3000.0, "time constant of cooling, t_c", log=True),
-    ),
+    parameters=PARAMETERS,
     typical={"fade": 6e-5, "cooling_time": 400.0},
-    signature="the force falls over minutes with the energy that was dissipated, faster in hard runs",
+    signature="a force that falls over minutes with the dissipated energy, faster in hard runs",
     confused_with=("settling", "load_cell_drift", "load_cell_gain"),
-    separated_by="a reference run repeated hot and cold, a rest between",
+    separated_by="a reference run repeated hot and cold, with a rest in between",
     kernel=_apply,
     states=1,
     carries=True,

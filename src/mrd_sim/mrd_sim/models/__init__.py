@@ -1,60 +1,45 @@
 """The catalogue of damper models: one file and one line each."""
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 
 from mrd_base import InputError
 from mrd_sim.effects import find_effects
-from mrd_sim.models import (
-    algebraic,
-    bingham,
-    biviscous,
-    bouc_wen,
-    gamota_filisko,
-    hyperbolic_tangent,
-    hysteretic_biviscous,
-    linear_viscous,
-    modified_bouc_wen,
-    modified_dahl,
-    modified_lugre,
-    normalised_bouc_wen,
-    polynomial,
-    quasi_static,
-    shear_thinning_bouc_wen,
-    sigmoid,
-)
-from mrd_sim.models.model import DamperModel, Quantity, SeriesSolutions
+from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.model import DamperModel, SeriesSolutions
 from mrd_sim.parameter import Parameter
 
 MODELS: dict[str, DamperModel] = {
-    module.MODEL.id: module.MODEL
-    for module in (
-        linear_viscous,
-        bingham,
-        quasi_static,
-        biviscous,
-        hysteretic_biviscous,
-        polynomial,
-        hyperbolic_tangent,
-        algebraic,
-        sigmoid,
-        bouc_wen,
-        normalised_bouc_wen,
-        modified_bouc_wen,
-        shear_thinning_bouc_wen,
-        modified_dahl,
-        modified_lugre,
-        gamota_filisko,
+    name: import_module(f"mrd_sim.models.{name}").MODEL
+    for name in (
+        "linear_viscous",
+        "bingham",
+        "quasi_static",
+        "biviscous",
+        "hysteretic_biviscous",
+        "polynomial",
+        "hyperbolic_tangent",
+        "algebraic",
+        "sigmoid",
+        "bouc_wen",
+        "normalised_bouc_wen",
+        "modified_bouc_wen",
+        "shear_thinning_bouc_wen",
+        "modified_dahl",
+        "modified_lugre",
+        "gamota_filisko",
     )
 }
+"""Catalogue, by id. Each entry is the file of its name."""
 
 
 def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:
-    """Model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
+    """Return a model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
 
     Raises
     ------
     InputError
-        When there is none; lists those there are. For an unknown law, coefficient or effect.
+        For an unknown model, law, coefficient or effect; lists the known ones.
     """
     if name not in MODELS:
         raise InputError(f"unknown model {name} (known: {', '.join(MODELS)})")
@@ -62,4 +47,4 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
     return model.with_effects(find_effects(effects)) if effects else model
 
 
-__all__ = ["MODELS", "DamperModel", "Parameter", "Quantity", "SeriesSolutions", "find_model"]
+__all__ = ["MODELS", "Coefficient", "DamperModel", "Parameter", "SeriesSolutions", "find_model"]

@@ -5,13 +5,18 @@ from dataclasses import replace
 from numba import njit
 
 from mrd_sim.models.model import Array, DamperModel
-from mrd_sim.models.quantities import OFFSET, VISCOUS
+from mrd_sim.models.shared_coefficients import PRELOAD, VISCOUS
+from mrd_sim.named import named_row, tuple_type
+
+COEFFICIENTS = (replace(VISCOUS, symbol="c", default=4000.0, upper=5e4, per_ampere=(8000.0, 0.0, 1e5)), PRELOAD)
+Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
 
 @njit(cache=True, nogil=True)
 def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
     for k in range(len(x)):
-        force[k] = q[k, 0] * v[k] + q[k, 1]
+        c = named_row(Coefficients, q, k)
+        force[k] = c.viscous * v[k] + c.offset
 
 
 MODEL = DamperModel(
@@ -19,9 +24,6 @@ MODEL = DamperModel(
     title="Linear viscous",
     equation="F = c x' + f0",
     source="equivalent viscous damping; first row of the table of models in the followed paper, its dashpot set apart",
-    quantities=(
-        replace(VISCOUS, symbol="c", default=4000.0, upper=5e4, per_ampere=(8000.0, 0.0, 1e5)),
-        replace(OFFSET, meaning="constant force (gas preload)"),
-    ),
+    coefficients=COEFFICIENTS,
     kernel=_force,
 )

@@ -1,4 +1,4 @@
-"""Modified Dahl model: a friction element with a constant stiffness of its own beside a dashpot and a spring."""
+"""Modified Dahl model: a friction element of constant stiffness in parallel with a dashpot and a spring."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,13 +7,27 @@ from typing import Any
 from numba import njit
 
 from mrd_sim.dual import absolute, expm1
-from mrd_sim.models.model import Array, DamperModel, Quantity
-from mrd_sim.models.quantities import OFFSET, STIFFNESS, VISCOUS, YIELD_FORCE
+from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.model import Array, DamperModel
+from mrd_sim.models.shared_coefficients import OFFSET, STIFFNESS, VISCOUS, YIELD_FORCE
+from mrd_sim.named import named_row, tuple_type
+
+COEFFICIENTS = (
+    # A few newtons at least, because k_s is divided by it.
+    replace(YIELD_FORCE, symbol="F_d", meaning="yield force", lower=5.0),
+    Coefficient(
+        "series_stiffness", "k_s", "N/m", "stiffness before yield", 2e6, 2e5, 2e7, (0.0, -1e7, 1e7), log=True, law="constant"
+    ),
+    VISCOUS,
+    STIFFNESS,
+    OFFSET,
+)
+Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
 
 @njit(cache=True, nogil=True)
 def dahl_state(w: Any, travel: Any) -> Any:
-    """State after the rod moved by ``travel``, in units of the yield travel, without reversal: dw = dx - |dx| w, exactly."""
+    """Return the state after the rod moved by ``travel``, in yield travels, without reversal: dw = dx - |dx| w, exactly."""
     direction = 1.0 if travel.real >= 0.0 else -1.0
     return w - (direction - w) * expm1(-absolute(travel))
 
@@ -24,9 +38,10 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     if dt[0] == 0.0:
         before = x[0]
     for k in range(len(x)):
-        w = dahl_state(w, (x[k] - before) * q[k, 1] / q[k, 0])
+        c = named_row(Coefficients, q, k)
+        w = dahl_state(w, (x[k] - before) * c.series_stiffness / c.yield_force)
         before = x[k]
-        force[k] = q[k, 0] * w + q[k, 2] * v[k] + q[k, 3] * x[k] + q[k, 4]
+        force[k] = c.yield_force * w + c.viscous * v[k] + c.stiffness * x[k] + c.offset
     state[0], state[1] = w, before
 
 
@@ -44,25 +59,7 @@ MODEL = DamperModel(
     title="Modified Dahl",
     equation="F = k0 x + c0 x' + F_d w + f0, w' = rho (x' - |x'| w) with rho = k_s / F_d",
     source="Dahl (1968); Zhou & Qu (2002); here by the stiffness k_s before yield, which stays when F_d grows with current",
-    quantities=(
-        # Some newtons at least, by which rho is divided.
-        replace(YIELD_FORCE, symbol="F_d", meaning="yield force", lower=5.0),
-        Quantity(
-            "series_stiffness",
-            "k_s",
-            "N/m",
-            "stiffness before yield (fluid, mounts and load cell in series)",
-            2e6,
-            2e5,
-            2e7,
-            (0.0, -1e7, 1e7),
-            log=True,
-            law="constant",
-        ),
-        VISCOUS,
-        STIFFNESS,
-        OFFSET,
-    ),
+    coefficients=COEFFICIENTS,
     kernel=_force,
     states=2,
     observables=_observables,

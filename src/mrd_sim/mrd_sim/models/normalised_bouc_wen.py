@@ -6,8 +6,21 @@ from dataclasses import replace
 from numba import njit
 
 from mrd_sim.hysteresis import advance
-from mrd_sim.models.model import Array, DamperModel, Quantity
-from mrd_sim.models.quantities import EXPONENT, OFFSET, SHAPE, STIFFNESS, VISCOUS, YIELD_FORCE
+from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.model import Array, DamperModel
+from mrd_sim.models.shared_coefficients import EXPONENT, PRELOAD, SHAPE, STIFFNESS, VISCOUS, YIELD_FORCE
+from mrd_sim.named import named_row, tuple_type
+
+COEFFICIENTS = (
+    replace(YIELD_FORCE, name="kappa_w", symbol="kappa_w", meaning="yield force", multiplies="term"),
+    Coefficient("rho", "rho", "1/m", "1 / yield travel", 2e4, 5e2, 5e5, (-1.2e4, -1e5, 1e5), log=True),
+    replace(SHAPE, name="sigma", meaning="share of the hysteresis that opposes motion in either direction"),
+    replace(EXPONENT, name="n", free=True),
+    replace(VISCOUS, name="kappa_v", symbol="kappa_v"),
+    replace(STIFFNESS, name="kappa_x", symbol="kappa_x"),
+    PRELOAD,
+)
+Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
 
 @njit(cache=True, nogil=True)
@@ -16,9 +29,10 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     if dt[0] == 0.0:
         before = x[0]
     for k in range(len(x)):
-        w = advance(w, (x[k] - before) * q[k, 1], q[k, 2], q[k, 3])
+        c = named_row(Coefficients, q, k)
+        w = advance(w, (x[k] - before) * c.rho, c.sigma, c.n)
         before = x[k]
-        force[k] = q[k, 0] * w + q[k, 4] * v[k] + q[k, 5] * x[k] + q[k, 6]
+        force[k] = c.kappa_w * w + c.kappa_v * v[k] + c.kappa_x * x[k] + c.offset
     state[0], state[1] = w, before
 
 
@@ -37,25 +51,7 @@ MODEL = DamperModel(
     title="Normalised Bouc-Wen",
     equation="F = kappa_v x' + kappa_x x + kappa_w w + f0, w' = rho (x' - sigma |x'| w |w|^(n-1) + (sigma - 1) x' |w|^n)",
     source="Ikhouane & Rodellar, Systems with Hysteresis (2007); sigma >= 1/2: class I, bounded and dissipative",
-    quantities=(
-        replace(YIELD_FORCE, name="kappa_w", symbol="kappa_w", meaning="yield force", multiplies="term"),
-        Quantity(
-            "rho",
-            "rho",
-            "1/m",
-            "rate of the state over the travel, 1 / yield travel",
-            2e4,
-            5e2,
-            5e5,
-            (-1.2e4, -1e5, 1e5),
-            log=True,
-        ),
-        replace(SHAPE, name="sigma", meaning="share of the hysteresis that opposes motion in either direction"),
-        replace(EXPONENT, name="n", free=True),
-        replace(VISCOUS, name="kappa_v", symbol="kappa_v"),
-        replace(STIFFNESS, name="kappa_x", symbol="kappa_x"),
-        replace(OFFSET, meaning="constant force (gas preload)"),
-    ),
+    coefficients=COEFFICIENTS,
     kernel=_force,
     states=2,
     observables=_observables,

@@ -2,39 +2,41 @@
 
 from numba import njit
 
-from mrd_sim.models.model import Array, DamperModel, Quantity
+from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.model import Array, DamperModel
 
 DEGREE = 5
+TERMS = DEGREE + 1
 REFERENCE_SPEED = 0.1
-"""m/s; powers of velocity are taken relative to it, so that all coefficients are forces of like size."""
+"""m/s. Powers of velocity are taken relative to it, so that all coefficients are forces of like size."""
 
 
 @njit(cache=True, nogil=True)
 def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
-    terms = q.shape[1] // 2
+    # The branch for rising velocity comes first, each with its coefficients by rising power.
     for k in range(len(x)):
-        first = 0 if a[k].real >= 0.0 else terms
+        first = 0 if a[k].real >= 0.0 else TERMS
         s = v[k] / REFERENCE_SPEED
         total = 0.0 * q[k, 0]
-        for i in range(terms - 1, -1, -1):
+        for i in range(TERMS - 1, -1, -1):
             total = total * s + q[k, first + i]
         force[k] = total
 
 
-def _coefficients(branch: str, words: str) -> tuple[Quantity, ...]:
+def _branch(name: str, condition: str) -> tuple[Coefficient, ...]:
     return tuple(
-        Quantity(
-            f"a{i}_{branch}",
-            f"a{i}^{branch}",
+        Coefficient(
+            f"a{i}_{name}",
+            f"a{i}^{name}",
             "N",
-            f"coefficient of (x'/v_r)^{i} while velocity {words}",
+            f"coefficient of (x'/v_r)^{i} while velocity {condition}",
             100.0 if i == 1 else 0.0,
             -2000.0,
             2000.0,
             (500.0 if i == 1 else 0.0, -4000.0, 4000.0),
             multiplies="term",
         )
-        for i in range(DEGREE + 1)
+        for i in range(TERMS)
     )
 
 
@@ -43,7 +45,7 @@ MODEL = DamperModel(
     title="Two-branch polynomial",
     equation="F = sum_i a_i^± (x' / v_r)^i, + for x'' >= 0 and - for x'' < 0, v_r = 0.1 m/s",
     source="Choi, Lee & Park (2001), degree 6; Tianjun & Changfu (2009), degree 5 as here",
-    quantities=(*_coefficients("rising", "rises"), *_coefficients("falling", "falls")),
+    coefficients=(*_branch("rising", "rises"), *_branch("falling", "falls")),
     kernel=_force,
     dissipative=False,
 )

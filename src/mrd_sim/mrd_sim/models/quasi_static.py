@@ -1,42 +1,68 @@
-"""Quasi-static model: a Bingham fluid pressed through the gap beside the piston. Geometry in, force out."""
+"""Quasi-static model: a Bingham fluid pressed through the gap around the piston. Geometry in, force out."""
 
-from dataclasses import replace
 from math import pi
 from typing import Any
 
 from numba import njit
 
 from mrd_sim.dual import absolute, atan, power, sqrt, tan, tanh
-from mrd_sim.models.model import Array, DamperModel, Quantity
-from mrd_sim.models.quantities import OFFSET
+from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.model import Array, DamperModel
+from mrd_sim.models.shared_coefficients import PRELOAD
+from mrd_sim.named import named_row, tuple_type
+
+
+def _geometry(name: str, symbol: str, unit: str, meaning: str, default: float, lower: float, upper: float) -> Coefficient:
+    """Declare a coefficient that is known from the drawing or the fluid's data sheet, so that fits leave it alone."""
+    return Coefficient(name, symbol, unit, meaning, default, lower, upper, free=False)
+
+
+COEFFICIENTS = (
+    _geometry("bore", "D", "m", "bore of the cylinder", 0.036, 0.025, 0.05),
+    _geometry("rod", "d", "m", "diameter of the rod", 0.010, 0.006, 0.014),
+    _geometry("gap", "h", "m", "gap between piston and cylinder", 0.0009, 0.0003, 0.002),
+    _geometry("pole_length", "L_p", "m", "length of one pole of the magnetic circuit", 0.0085, 0.002, 0.03),
+    _geometry("poles", "N", "", "number of poles", 2.0, 1.0, 8.0),
+    _geometry("coil_length", "L_c", "m", "length of the gap where there is no field", 0.015, 0.0, 0.05),
+    _geometry("iron_share", "phi", "", "volume share of iron in the fluid", 0.32, 0.1, 0.5),
+    _geometry("carrier", "C", "", "constant of the carrier fluid: oil 1, water 1.16, silicone oil 0.95", 1.0, 0.9, 1.2),
+    Coefficient("viscosity", "eta", "Pa s", "viscosity of the fluid without field", 0.1, 0.01, 2.0, log=True),
+    Coefficient("field", "H", "A/m", "magnetic field in the gap, remanent at 0 A", 0.0, 0.0, 3e4, (1.2e5, 1e4, 5e5)),
+    Coefficient("friction", "F_f", "N", "friction of the seal", 50.0, 0.0, 300.0, multiplies="term"),
+    Coefficient("creep_speed", "v_e", "m/s", "speed at which friction is 76 % developed", 2e-3, 5e-4, 5e-3, log=True),
+    PRELOAD,
+)
+Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
 
 @njit(cache=True, nogil=True)
 def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
     for k in range(len(x)):
-        bore, rod, gap = q[k, 0], q[k, 1], q[k, 2]
-        active = q[k, 3] * q[k, 4]
+        c = named_row(Coefficients, q, k)
+        bore, rod, gap = c.bore, c.rod, c.gap
+        active = c.pole_length * c.poles
         area = 0.25 * pi * ((bore - 2.0 * gap) * (bore - 2.0 * gap) - rod * rod)
         width = pi * (bore - gap)
-        # The wall moves against the flow: as if so much more flowed.
+        # The piston's wall moves against the flow, which acts like a larger flow.
         flow = absolute(v[k]) * (area + 0.5 * width * gap)
-        gradient = 12.0 * q[k, 8] * flow / (width * gap * gap * gap)
-        stress = q[k, 7] * yield_stress(q[k, 6], q[k, 9])
-        pressure = pressure_drop(gradient * active, stress * active / gap) + gradient * q[k, 5]
-        force[k] = tanh(v[k] / q[k, 11]) * (pressure * area + q[k, 10]) + q[k, 12]
+        gradient = 12.0 * c.viscosity * flow / (width * gap * gap * gap)
+        stress = c.carrier * yield_stress(c.iron_share, c.field)
+        pressure = pressure_drop(gradient * active, stress * active / gap) + gradient * c.coil_length
+        force[k] = tanh(v[k] / c.creep_speed) * (pressure * area + c.friction) + c.offset
 
 
 @njit(cache=True, nogil=True)
 def yield_stress(share: Any, field: Any) -> Any:
-    """Yield stress in Pa of an oil with a volume share of iron, in a field in A/m (Carlson, 2005)."""
+    """Return the yield stress in Pa of an oil with a volume share of iron, in a field in A/m (Carlson, 2005)."""
     return 2.717e5 * power(share, 1.524) * tanh(6.33e-6 * field)
 
 
 @njit(cache=True, nogil=True)
 def pressure_drop(viscous: Any, plastic: Any) -> Any:
-    """Pressure drop p in Pa of a Bingham fluid flowing through a slot (Phillips, 1969).
+    """Return the pressure drop p in Pa of a Bingham fluid flowing through a slot (Phillips, 1969).
 
-    Largest root of p^3 - (viscous + 3 plastic) p^2 + 4 plastic^3 = 0, whose roots are all real, by cosines.
+    It is the largest root of p^3 - (viscous + 3 plastic) p^2 + 4 plastic^3 = 0. All three roots are real and follow from
+    cosines.
 
     Parameters
     ----------
@@ -56,11 +82,6 @@ def pressure_drop(viscous: Any, plastic: Any) -> Any:
     return third * (1.0 + 2.0 * (1.0 - t * t) / (1.0 + t * t))
 
 
-def _geometry(name: str, symbol: str, unit: str, meaning: str, default: float, lower: float, upper: float) -> Quantity:
-    """A quantity that is known from the drawing or the fluid's data sheet."""
-    return Quantity(name, symbol, unit, meaning, default, lower, upper, free=False)
-
-
 MODEL = DamperModel(
     id="quasi_static",
     title="Quasi-static (Buckingham)",
@@ -70,20 +91,6 @@ MODEL = DamperModel(
     "tau_y = C 271.7 kPa phi^1.524 tanh(6.33e-6 m/A H)",
     source="Phillips (1969); Yang, Spencer, Carlson & Sain, Eng. Struct. 24 (2002); tau_y: Carlson (2005). Geometry "
     "illustrative, not that of a product",
-    quantities=(
-        _geometry("bore", "D", "m", "bore of the cylinder", 0.036, 0.025, 0.05),
-        _geometry("rod", "d", "m", "diameter of the rod", 0.010, 0.006, 0.014),
-        _geometry("gap", "h", "m", "gap between piston and cylinder", 0.0009, 0.0003, 0.002),
-        _geometry("pole_length", "L_p", "m", "length of one pole of the magnetic circuit", 0.0085, 0.002, 0.03),
-        _geometry("poles", "N", "", "number of poles", 2.0, 1.0, 8.0),
-        _geometry("coil_length", "L_c", "m", "length of the gap where there is no field", 0.015, 0.0, 0.05),
-        _geometry("iron_share", "phi", "", "volume share of iron in the fluid", 0.32, 0.1, 0.5),
-        _geometry("carrier", "C", "", "constant of the carrier fluid: oil 1, water 1.16, silicone oil 0.95", 1.0, 0.9, 1.2),
-        Quantity("viscosity", "eta", "Pa s", "viscosity of the fluid without field", 0.1, 0.01, 2.0, log=True),
-        Quantity("field", "H", "A/m", "magnetic field in the gap, remanent at 0 A", 0.0, 0.0, 3e4, (1.2e5, 1e4, 5e5)),
-        Quantity("friction", "F_f", "N", "friction of the seal", 50.0, 0.0, 300.0, multiplies="term"),
-        Quantity("creep_speed", "v_e", "m/s", "speed at which friction is 76 % developed", 2e-3, 5e-4, 5e-3, log=True),
-        replace(OFFSET, meaning="constant force (gas preload)"),
-    ),
+    coefficients=COEFFICIENTS,
     kernel=_force,
 )

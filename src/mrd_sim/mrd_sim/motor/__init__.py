@@ -1,7 +1,7 @@
-"""The simulated servomotor: drive and mechanics, command interpreter, serial line."""
+"""The simulated servomotor: servo axis, command interpreter, serial port. Written apart from the bench's driver."""
 
-from mrd_sim.motor.drive import Drive, MotorConfig, plan_position
-from mrd_sim.motor.serial_line import SerialLine
+from mrd_sim.motor.serial_port import MotorSerialPort
+from mrd_sim.motor.servo_axis import MotorConfig, ServoAxis
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
 
-__all__ = ["LINE_FAULTS", "Drive", "MotorConfig", "SerialLine", "SmartMotor", "plan_position"]
+__all__ = ["LINE_FAULTS", "MotorConfig", "MotorSerialPort", "ServoAxis", "SmartMotor"]

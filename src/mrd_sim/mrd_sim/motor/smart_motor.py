@@ -1,8 +1,8 @@
 """A SmartMotor Class 5, as the other end of its serial line sees it.
 
-Written after the manufacturer's guide (DG p.N: Moog Animatics Developer's Guide, Class 5, Rev. L) and deliberately apart
-from the driver of this bench, so that an error in one shows against the other. It opens no port: bytes and bench
-time go in, bytes and the bench time at which each has left come out.
+It is written after the manufacturer's guide (DG p.N: Moog Animatics Developer's Guide, Class 5, Rev. L) and not after the
+driver of this bench, so that an error in either one shows. It opens no port: bytes and bench time go in; bytes come out,
+each with the bench time at which it has left.
 """
 
 import math
@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mrd_sim.motor.drive import (
+from mrd_sim.motor.servo_axis import (
     COUNTS_PER_REV,
     FOLLOWING_ERROR,
     LOWER_LIMIT,
@@ -22,8 +22,8 @@ from mrd_sim.motor.drive import (
     RATE,
     UPPER_LIMIT,
     Array,
-    Drive,
     MotorConfig,
+    ServoAxis,
 )
 
 BAUD_RATES = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
@@ -32,7 +32,7 @@ LINE_FAULTS = {
     "split_reply": "each reply pauses for 50 ms half-way",
     "late_reply": "each reply comes 300 ms late",
     "garbage": "random bytes come instead of each reply",
-    "silence": "nothing is answered",
+    "silence": "the motor does not reply",
 }
 
 _SCALE = 65536.0  # velocity and acceleration units per count/sample and count/sample²
@@ -69,7 +69,7 @@ _CALL = re.compile(r"([A-Z]+)\(([^()]*)\)")
 _NUMBERED = re.compile(r"(BAUD|SADDR|PID)(\d+)")
 _NUMBER = re.compile(r"[+-]?\d+")
 
-# Tuning and configuration that this emulation stores or ignores: name, lowest and highest value.
+# Registers that this emulation only stores: lowest and highest value. Commands that it accepts and ignores.
 _STORED = {
     "KP": (0, 65535),
     "KI": (0, 32767),
@@ -87,7 +87,7 @@ _IGNORED = {"F", "END", "BRKRLS", "BRKSRV", "BRKENG", "BRKTRJ", "MTB", "VAC", "F
 
 @dataclass
 class _Registers:
-    """What a power cycle forgets."""
+    """Registers, which a power cycle resets."""
 
     baud: int = 9600
     address: int = 0
@@ -114,13 +114,13 @@ class _Registers:
     soft_limit_faults: bool = True
     plus_input: bool = True
     minus_input: bool = True
-    """The travel-limit inputs act until EIGN makes them plain inputs; open, as on this bench, they read as active."""
+    """Travel-limit inputs act until EIGN makes them plain inputs. Unconnected, as on this bench, they read as active."""
     latched: int = 1 << _HISTORICAL_PLUS | 1 << _HISTORICAL_MINUS
     """Latched bits of status word 0."""
     latched_soft: int = 0
     """Latched bits of status word 1."""
     generator_stuck: bool = False
-    """A position error cut a trajectory short: ZS does not clear it before OFF (DG p.210)."""
+    """Whether a position error cut a trajectory short. ZS does not clear it before OFF (DG p.210)."""
     command_error: bool = False
     error_code: int = 0
     stored: dict[str, int] = field(default_factory=dict)
@@ -140,25 +140,25 @@ class SmartMotor:
     start : float
         Bench time of power-up, s.
     position : float
-        Where the rod stands, m from mid-stroke; the position register reads 0 there.
+        Initial position of the rod, m from mid-stroke; the position register reads 0 there.
     stroke : float
         m between the damper's ends.
     seed : int
-        Of the bytes that garbage is made of.
+        Seed of the bytes that garbage consists of.
 
     Attributes
     ----------
-    drive : Drive
+    axis : ServoAxis
         Rod, motor and servo loop.
     faults : set of str
-        Faults of the line that hold now, keys of `LINE_FAULTS`.
+        Present faults of the line, keys of `LINE_FAULTS`.
     """
 
     def __init__(
         self, config: MotorConfig, *, start: float = 0.0, position: float = 0.0, stroke: float = 0.055, seed: int = 0
     ) -> None:
         self.config = config
-        self.drive = Drive(config, position, stroke)
+        self.axis = ServoAxis(config, position, stroke)
         self.faults: set[str] = set()
         self._start = start
         self._samples = 0
@@ -169,7 +169,7 @@ class SmartMotor:
         self._line_in = start
         self.power_cycle(start)
 
-    # The line.
+    # Serial line.
 
     @property
     def baud(self) -> int:
@@ -182,7 +182,7 @@ class SmartMotor:
         Parameters
         ----------
         baud : int, optional
-            Rate at which the host sends; at any other rate than the motor's it reads garbage. Default: the motor's.
+            Rate at which the host sends, by default the motor's. At any other rate the motor reads garbage.
         """
         rate = baud or self._r.baud
         for byte in data:
@@ -190,7 +190,7 @@ class SmartMotor:
             self._received.append((self._line_in, byte, rate))
 
     def advance(self, time: float) -> None:
-        """Let everything happen that happens until a bench time: received commands, motion, faults."""
+        """Simulate until a bench time: received commands, motion, faults."""
         while self._received:
             arrival, byte, rate = self._received[0]
             # The interpreter takes one command after the other, and none while it starts up or prepares a report.
@@ -204,38 +204,38 @@ class SmartMotor:
         self._run_to(time)
 
     def take_output(self, until: float, baud: int | None = None) -> list[tuple[float, int]]:
-        """Bytes that have left by a bench time, each with the time at which its stop bit ended.
+        """Return the bytes that have left by a bench time, each with the time at which its stop bit ended.
 
         At a ``baud`` other than the motor's the host reads garbage.
         """
-        taken = []
+        output = []
         while self._sent and self._sent[0][0] <= until:
             time, byte, rate = self._sent.popleft()
             garbled = baud is not None and baud != rate
-            taken.append((time, int(self._random.integers(256)) if garbled else byte))
-        return taken
+            output.append((time, int(self._random.integers(256)) if garbled else byte))
+        return output
 
     def next_event(self) -> float:
-        """Bench time at which the next received byte is read or the next sent byte leaves; inf for none."""
+        """Return the bench time at which the next received byte is read or the next sent byte leaves; inf for none."""
         reads = max(self._received[0][0], self._busy_until) if self._received else math.inf
         leaves = self._sent[0][0] if self._sent else math.inf
         return min(reads, leaves)
 
     def take_motion(self, samples: int) -> Array:
-        """Motion of the rod since it was last taken, see `Drive.take`; what has not been run is run now."""
-        if self.drive.stored < samples:
-            self._run_samples(samples - self.drive.stored)
-        return self.drive.take(samples)
+        """Take the oldest samples of the rod's motion, see `ServoAxis.take`; samples that are missing are run now."""
+        if self.axis.stored < samples:
+            self._run_samples(samples - self.axis.stored)
+        return self.axis.take(samples)
 
     def power_cycle(self, time: float) -> None:
-        """Switch the supply off and on: all is forgotten, the drive lets go, the baud rate is 9600 again."""
-        self._r = _Registers(origin=self.drive.position)
+        """Switch the supply off and on: the registers are reset, the drive is off, the baud rate is 9600 again."""
+        self._r = _Registers(origin=self.axis.position)
         self._received = deque(item for item in self._received if item[0] > time)
         self._sent.clear()
         self._line_out = time
         self._busy_until = time + self.config.boot_time
         self._command = bytearray()
-        self.drive.off()
+        self.axis.off()
         self._apply_limits()
 
     def _take_byte(self, byte: int, time: float) -> None:
@@ -294,10 +294,10 @@ class SmartMotor:
 
     def _run_samples(self, samples: int) -> None:
         while samples > 0:
-            # A second at a time at most, so that slow faults are seen.
-            before = self.drive.stored
-            fault = self.drive.run(min(samples, int(RATE)))
-            done = self.drive.stored - before
+            # One second at a time, so that heat and voltage are checked often enough.
+            before = self.axis.stored
+            fault = self.axis.run(min(samples, int(RATE)))
+            done = self.axis.stored - before
             samples -= done
             self._samples += done
             self._check(fault)
@@ -314,37 +314,37 @@ class SmartMotor:
             if r.soft_limit_faults:
                 self._trip(None)
             else:
-                self.drive.brake(self._acceleration(r.deceleration))
-        if self.drive.temperature > r.temperature_limit and not r.latched >> _HOT & 1:
+                self.axis.brake(self._acceleration(r.deceleration))
+        if self.axis.temperature > r.temperature_limit and not r.latched >> _HOT & 1:
             self._trip(_HOT)
-        if not 18.0 <= self.drive.bus_voltage <= 60.0 and not r.latched >> _BUS & 1:
+        if not 18.0 <= self.axis.bus_voltage <= 60.0 and not r.latched >> _BUS & 1:
             self._trip(_BUS)
 
     def _trip(self, bit: int | None) -> None:
-        """Fault reaction: servo off, trajectory given up, fault latched."""
+        """React to a fault: latch it, give the trajectory up, and switch the servo off."""
         if bit is not None:
             self._r.latched |= 1 << bit
         if bit == _POSITION_ERROR:
-            self._r.generator_stuck = self.drive.in_progress
+            self._r.generator_stuck = self.axis.in_progress
         self._off()
 
     def _off(self) -> None:
-        self.drive.off()
+        self.axis.off()
         self._r.mode = 0
 
     def _start_motion(self) -> None:
-        """G: start, or re-plan from the newest targets."""
-        r, drive = self._r, self.drive
+        """Start (G), or plan again with the newest targets."""
+        r, axis = self._r, self.axis
         if r.latched or (r.latched_soft and r.soft_limit_faults):
             raise _CommandError(_BAD_STATE)
         up, down = self._acceleration(r.acceleration), self._acceleration(r.deceleration)
         if r.next_mode == 4:
-            drive.push(r.torque / 32767.0)
+            axis.push(r.torque / 32767.0)
         elif r.next_mode == 3:
-            drive.move_at(self._speed(r.velocity), up, down)
+            axis.move_at(self._speed(r.velocity), up, down)
         else:
-            reference = drive.commanded if r.relative else r.origin
-            drive.move_to(reference + r.position_target, self._speed(r.velocity), up, down)
+            reference = axis.commanded if r.relative else r.origin
+            axis.move_to(reference + r.position_target, self._speed(r.velocity), up, down)
         r.mode = r.next_mode
         r.latched_soft = 0
         self._apply_limits()
@@ -356,36 +356,36 @@ class SmartMotor:
         return (units + units % 2) / _SCALE * self._r.rate**2
 
     def _apply_limits(self) -> None:
-        r, drive = self._r, self.drive
-        drive.following_limit = math.inf if r.following_limit < 0 else float(r.following_limit)
-        drive.speed_limit = r.speed_limit / 60.0 * COUNTS_PER_REV
-        drive.pwm_limit = r.pwm_limit / 1023.0
-        # A limit that has tripped does not trip again before the next start.
+        r, axis = self._r, self.axis
+        axis.following_limit = math.inf if r.following_limit < 0 else float(r.following_limit)
+        axis.speed_limit = r.speed_limit / 60.0 * COUNTS_PER_REV
+        axis.pwm_limit = r.pwm_limit / 1023.0
+        # A limit that has tripped is armed again by the next start.
         armed = r.soft_limits and not r.latched_soft
-        drive.upper_limit = r.origin + r.soft_upper if armed else math.inf
-        drive.lower_limit = r.origin + r.soft_lower if armed else -math.inf
+        axis.upper_limit = r.origin + r.soft_upper if armed else math.inf
+        axis.lower_limit = r.origin + r.soft_lower if armed else -math.inf
 
     # Registers.
 
     @property
     def _actual(self) -> int:
-        return math.floor(self.drive.position - self._r.origin + 0.5)
+        return math.floor(self.axis.position - self._r.origin + 0.5)
 
     @property
     def _commanded(self) -> int:
-        return math.floor(self.drive.commanded - self._r.origin + 0.5)
+        return math.floor(self.axis.commanded - self._r.origin + 0.5)
 
     def _word(self, number: int) -> int:
-        r, drive = self._r, self.drive
+        r, axis = self._r, self.axis
         bits: dict[int, bool] = {}
         word = 0
         if number == 0:
             word = r.latched
             bits = {
                 0: not r.latched >> _BUS & 1,
-                1: not drive.on,
-                2: drive.in_progress,
-                8: drive.temperature > r.temperature_limit,
+                1: not axis.on,
+                2: axis.in_progress,
+                8: axis.temperature > r.temperature_limit,
                 10: r.plus_input,
                 11: r.minus_input,
                 _PLUS: r.plus_input,
@@ -402,17 +402,17 @@ class SmartMotor:
         elif number == 2:
             bits = {14: r.command_error}
         elif number == 3:
-            bits = {1: abs(drive.pwm) >= drive.pwm_limit, 5: drive.velocity < 0, 6: drive.pwm < 0, 15: drive.at_velocity}
+            bits = {1: abs(axis.pwm) >= axis.pwm_limit, 5: axis.velocity < 0, 6: axis.pwm < 0, 15: axis.at_velocity}
         elif not 0 <= number <= 17:
             raise _CommandError(_BAD_ARGUMENT)
         return word | sum(1 << bit for bit, on in bits.items() if on)
 
     def _clear(self, word: int, bit: int) -> None:
-        """Clear a latched bit as far as its cause is gone."""
+        """Clear a latched bit if its cause is gone."""
         r = self._r
         mask = 1 << bit
         if word == 0:
-            still_hot = bit == _HOT and self.drive.temperature > r.temperature_limit - 5
+            still_hot = bit == _HOT and self.axis.temperature > r.temperature_limit - 5
             still_active = (bit == _HISTORICAL_PLUS and r.plus_input) or (bit == _HISTORICAL_MINUS and r.minus_input)
             stuck = bit == _POSITION_ERROR and r.generator_stuck
             if not (still_hot or still_active or stuck):
@@ -462,7 +462,7 @@ class SmartMotor:
         registers, lowest, highest = self._assignments[name]
         self._within(value, lowest, highest)
         if name in ("O", "OSH"):
-            r.origin = self.drive.position - value if name == "O" else r.origin - value
+            r.origin = self.axis.position - value if name == "O" else r.origin - value
         for register in registers:
             setattr(r, register, value)
         if name in ("PT", "PRT"):
@@ -529,18 +529,18 @@ class SmartMotor:
         self._apply_limits()
 
     def _enable_input(self, **which: bool) -> None:
-        """Make a travel-limit input act; open as it is, its limit trips at once."""
+        """Make a travel-limit input act. It is not connected, so its limit trips at once."""
         self._set(**which)
         self._r.latched |= 1 << (_HISTORICAL_PLUS if "plus_input" in which else _HISTORICAL_MINUS)
         self._off()
 
     def _decelerate(self) -> None:
-        self.drive.brake(self._acceleration(self._r.deceleration))
+        self.axis.brake(self._acceleration(self._r.deceleration))
 
     _actions: ClassVar[dict[str, Callable[["SmartMotor"], None]]] = {
         "G": _start_motion,
         "X": _decelerate,
-        "S": lambda m: m.drive.stop(),
+        "S": lambda m: m.axis.stop(),
         "OFF": _switch_off,
         "MP": lambda m: m._set(next_mode=1),
         "MV": lambda m: m._set(next_mode=3),
@@ -578,7 +578,7 @@ class SmartMotor:
         "RPA": lambda m: m._actual,
         "RPC": lambda m: m._commanded,
         "REA": lambda m: m._commanded - m._actual,
-        "RVA": lambda m: m.drive.velocity / m._r.rate * _SCALE,
+        "RVA": lambda m: m.axis.velocity / m._r.rate * _SCALE,
         "RMODE": lambda m: m._r.mode,
         "RPT": lambda m: m._r.position_target,
         "RVT": lambda m: m._r.velocity,
@@ -588,10 +588,10 @@ class SmartMotor:
         "RSLN": lambda m: m._r.soft_lower,
         "RSLP": lambda m: m._r.soft_upper,
         "RADDR": lambda m: m._r.address,
-        "RUIA": lambda m: m.drive.current * 1000.0,
-        "RUJA": lambda m: m.drive.bus_voltage * 1000.0,
-        "RTEMP": lambda m: m.drive.temperature,
-        "RTRQ": lambda m: m.drive.pwm * 32767.0,
+        "RUIA": lambda m: m.axis.current * 1000.0,
+        "RUJA": lambda m: m.axis.bus_voltage * 1000.0,
+        "RTEMP": lambda m: m.axis.temperature,
+        "RTRQ": lambda m: m.axis.pwm * 32767.0,
         "RERRC": lambda m: m._r.error_code,
         "RERRW": lambda m: 0,
     }

@@ -7,7 +7,14 @@ import pytest
 import serial
 
 from mrd_base import BenchClock, InputError
-from mrd_sim.motor import MotorConfig, SerialLine, SmartMotor
+from mrd_sim.motor import MotorConfig, MotorSerialPort, SmartMotor
+from mrd_sim.motor.serial_port import DeviceLink
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """Loading or compiling the motor may take longer than a port waits for a reply."""
+    SmartMotor(MotorConfig()).advance(0.01)
 
 
 @pytest.fixture
@@ -17,7 +24,7 @@ def link(tmp_path):
 
 def make_line(link, time_scale=1.0):
     bench = BenchClock(time_scale)
-    return SerialLine(SmartMotor(MotorConfig(), start=bench.now() - 1.0), bench, link)
+    return MotorSerialPort(SmartMotor(MotorConfig(), start=bench.now() - 1.0), bench, link)
 
 
 @pytest.fixture
@@ -134,16 +141,18 @@ def test_what_is_not_ours_is_not_replaced(tmp_path, kind):
 def test_a_link_left_by_a_killed_simulator_is_replaced(tmp_path):
     link = tmp_path / "motor"
     link.symlink_to("/dev/pts/4095")
+    killed = DeviceLink(link)
+    # The link stays after a kill, and the terminal's number may be given to another program.
+    other, slave = os.openpty()
+    killed.point_to(os.ttyname(slave))
+    killed.release()
+    assert link.exists()
     line = make_line(link)
     line.plug()
-    assert link.exists()
-    # Killed: the link stays, the terminal's number may be given to someone else.
-    line._owner.close()
-    heir = make_line(link)
-    heir.plug()
-    assert os.readlink(link) == os.ttyname(heir._slave)
-    heir.close()
-    line.unplug()
+    assert os.readlink(link) == line.terminal != os.ttyname(slave)
+    line.close()
+    os.close(other)
+    os.close(slave)
 
 
 def test_no_place_for_the_link(tmp_path):

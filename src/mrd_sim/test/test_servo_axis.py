@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_sim.motor.drive import FOLLOWING_ERROR, RATE, Drive, MotorConfig, plan_position, plan_velocity
+from mrd_sim.motor.servo_axis import FOLLOWING_ERROR, RATE, MotorConfig, ServoAxis
+from mrd_sim.motor.trajectory import plan_position, plan_velocity
 
 CONFIG = MotorConfig()
 positions = st.floats(-1e5, 1e5)
@@ -53,14 +54,14 @@ def test_velocity_plan_reverses_by_way_of_rest():
 
 
 def test_commanded_position_is_the_trapezoid_at_every_sample():
-    drive = Drive(CONFIG, 0.0, 0.1)
-    drive.following_limit = math.inf
+    axis = ServoAxis(CONFIG, 0.0, 0.1)
+    axis.following_limit = math.inf
     speed, up, down, target = 40000.0, 250000.0, 400000.0, 12345.0
-    drive.move_to(target, speed, up, down)
+    axis.move_to(target, speed, up, down)
     commanded = []
-    while drive.in_progress:
-        drive.run(1)
-        commanded.append(drive.commanded)
+    while axis.in_progress:
+        axis.run(1)
+        commanded.append(axis.commanded)
     t = np.arange(1, len(commanded) + 1) / RATE
     t1, t3 = speed / up, speed / down
     t2 = (target - speed * (t1 + t3) / 2) / speed
@@ -74,22 +75,22 @@ def test_commanded_position_is_the_trapezoid_at_every_sample():
 
 
 def test_actual_position_follows_by_the_lag_and_gives_way_to_the_load():
-    drive = Drive(CONFIG, 0.0, 0.1)
-    drive.move_at(20000.0, 1e6, 1e6)
-    drive.run(4000)
-    assert (drive.commanded - drive.position) / 20000.0 == pytest.approx(CONFIG.lag, rel=0.02)
-    drive.stop()
-    drive.load = 500.0
-    drive.run(8000)
+    axis = ServoAxis(CONFIG, 0.0, 0.1)
+    axis.move_at(20000.0, 1e6, 1e6)
+    axis.run(4000)
+    assert (axis.commanded - axis.position) / 20000.0 == pytest.approx(CONFIG.lag, rel=0.02)
+    axis.stop()
+    axis.load = 500.0
+    axis.run(8000)
     stiffness = CONFIG.inertia * (2 * math.pi * CONFIG.bandwidth) ** 2
-    assert (drive.commanded - drive.position) * CONFIG.lead == pytest.approx(500.0 / stiffness, rel=1e-3)
+    assert (axis.commanded - axis.position) * CONFIG.lead == pytest.approx(500.0 / stiffness, rel=1e-3)
 
 
 def test_motion_of_the_rod_is_consistent():
-    drive = Drive(CONFIG, 0.0, 0.1)
-    drive.move_to(15000.0, 30000.0, 1e6, 1e6)
-    drive.run(8000)
-    position, velocity, acceleration, stop_force = drive.take(8000)
+    axis = ServoAxis(CONFIG, 0.0, 0.1)
+    axis.move_to(15000.0, 30000.0, 1e6, 1e6)
+    axis.run(8000)
+    position, velocity, acceleration, stop_force = axis.take(8000)
     np.testing.assert_allclose(np.diff(velocity) * RATE, acceleration[1:], atol=1e-9)
     np.testing.assert_allclose(np.diff(position) * RATE, (velocity[1:] + velocity[:-1]) / 2, atol=1e-9)
     assert position[-1] == pytest.approx(15000 * math.pi * 0.064 / (40 * 8000), abs=1e-9)
@@ -97,9 +98,9 @@ def test_motion_of_the_rod_is_consistent():
 
 
 def test_blocks_do_not_change_the_motion():
-    whole, cut = Drive(CONFIG, 0.0, 0.1), Drive(CONFIG, 0.0, 0.1)
-    for drive in (whole, cut):
-        drive.move_to(9000.0, 30000.0, 1e6, 1e6)
+    whole, cut = ServoAxis(CONFIG, 0.0, 0.1), ServoAxis(CONFIG, 0.0, 0.1)
+    for axis in (whole, cut):
+        axis.move_to(9000.0, 30000.0, 1e6, 1e6)
     whole.run(5000)
     for samples in [1, 7, 80] * 60:
         cut.run(samples)
@@ -107,32 +108,32 @@ def test_blocks_do_not_change_the_motion():
 
 
 def test_a_drive_that_is_off_stands_still_under_load():
-    drive = Drive(CONFIG, 0.003, 0.055)
-    drive.load = -400.0
-    drive.run(8000)
-    assert np.ptp(drive.take(8000)[0]) == 0.0
+    axis = ServoAxis(CONFIG, 0.003, 0.055)
+    axis.load = -400.0
+    axis.run(8000)
+    assert np.ptp(axis.take(8000)[0]) == 0.0
 
 
 def test_switched_off_at_speed_the_shorted_windings_stop_the_rod():
-    drive = Drive(CONFIG, -0.02, 0.055)
-    drive.move_at(30000.0, 1e6, 1e6)
-    drive.run(4000)
-    drive.off()
-    drive.run(4000)
-    drive.take(4000)
-    after = drive.take(4000)
+    axis = ServoAxis(CONFIG, -0.02, 0.055)
+    axis.move_at(30000.0, 1e6, 1e6)
+    axis.run(4000)
+    axis.off()
+    axis.run(4000)
+    axis.take(4000)
+    after = axis.take(4000)
     assert abs(after[1, -1]) < 1e-6
     assert 0 < after[0, -1] - after[0, 0] < 0.001
 
 
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_the_rod_stays_within_the_stroke_and_stands_against_its_end(direction):
-    drive = Drive(CONFIG, 0.0, 0.055)
-    drive.move_at(direction * 30000.0, 1e6, 1e6)
+    axis = ServoAxis(CONFIG, 0.0, 0.055)
+    axis.move_at(direction * 30000.0, 1e6, 1e6)
     fault = 0
     while not fault:
-        fault = drive.run(80)
-    position, velocity, _, stop_force = drive.take(drive.stored)
+        fault = axis.run(80)
+    position, velocity, _, stop_force = axis.take(axis.stored)
     assert fault == FOLLOWING_ERROR
     assert direction * position[-1] == pytest.approx(0.0275)
     assert velocity[-1] == 0.0
@@ -141,38 +142,38 @@ def test_the_rod_stays_within_the_stroke_and_stands_against_its_end(direction):
 
 
 def test_a_jam_builds_up_following_error_until_it_trips():
-    drive = Drive(CONFIG, 0.0, 0.055)
-    drive.jammed = True
-    drive.move_at(20000.0, 1e9, 1e9)
-    assert drive.run(8000) == FOLLOWING_ERROR
+    axis = ServoAxis(CONFIG, 0.0, 0.055)
+    axis.jammed = True
+    axis.move_at(20000.0, 1e9, 1e9)
+    assert axis.run(8000) == FOLLOWING_ERROR
     # 1000 counts at 20000 counts/s: 50 ms.
-    assert drive.stored == pytest.approx(0.05 * RATE, abs=3)
-    assert drive.position == 0.0
+    assert axis.stored == pytest.approx(0.05 * RATE, abs=3)
+    assert axis.position == 0.0
 
 
 def test_supply_voltage_bounds_the_speed():
-    drive = Drive(MotorConfig(supply_voltage=37.0), -0.4, 1.0)
-    drive.following_limit = math.inf
-    drive.move_at(2e6, 1e9, 1e9)
-    drive.run(16000)
+    axis = ServoAxis(MotorConfig(supply_voltage=37.0), -0.4, 1.0)
+    axis.following_limit = math.inf
+    axis.move_at(2e6, 1e9, 1e9)
+    axis.run(16000)
     # 5100 rpm at 48 V without load.
-    assert drive.velocity * 60 / 8000 == pytest.approx(5100 * 37 / 48, rel=0.01)
-    assert drive.pwm == pytest.approx(1.0, abs=0.02)
+    assert axis.velocity * 60 / 8000 == pytest.approx(5100 * 37 / 48, rel=0.01)
+    assert axis.pwm == pytest.approx(1.0, abs=0.02)
 
 
 def test_work_heats_the_motor_and_rest_cools_it():
-    drive = Drive(CONFIG, 0.0, 0.055)
-    drive.load = 2000.0
-    drive.stop()
-    drive.push(0.3)
-    drive.jammed = True
+    axis = ServoAxis(CONFIG, 0.0, 0.055)
+    axis.load = 2000.0
+    axis.stop()
+    axis.push(0.3)
+    axis.jammed = True
     for _ in range(60):
-        drive.run(8000)
-        drive.take(8000)
-    hot = drive.temperature
-    drive.off()
+        axis.run(8000)
+        axis.take(8000)
+    hot = axis.temperature
+    axis.off()
     for _ in range(60):
-        drive.run(8000)
-        drive.take(8000)
-    assert CONFIG.ambient < drive.temperature < hot
+        axis.run(8000)
+        axis.take(8000)
+    assert CONFIG.ambient < axis.temperature < hot
     assert hot > CONFIG.ambient + 1
