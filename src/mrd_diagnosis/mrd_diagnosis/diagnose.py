@@ -28,7 +28,7 @@ from mrd_diagnosis.localisation import localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
 from mrd_diagnosis.preflight import preflight
-from mrd_diagnosis.preflight.excitation import one_speed
+from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.sentences import (
     ambiguous_sentence,
@@ -172,7 +172,7 @@ def _diagnose_physics(
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
     comparison = compare_models(weighting, base, chosen, fits, rng)
     other_models: dict[str, Refit] = {}
-    if comparison.effects and one_speed([recording.run for recording in recordings]):
+    if comparison.effects and has_one_peak_speed([recording.run for recording in recordings]):
         # At a single speed, an effect may imitate what another damper model does.
         progress("trying other damper models", 0.77)
         excess = comparison.best.chi_square - 1.0

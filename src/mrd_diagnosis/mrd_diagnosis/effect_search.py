@@ -324,7 +324,7 @@ def start_values(effect: Effect, force: Array) -> list[dict[str, float]]:
             ratio = shape.upper / shape.lower if shape.log else 0.0
             value = shape.lower * ratio**position if shape.log else shape.lower + position * (shape.upper - shape.lower)
             values.append(typical | {shape.name: value})
-    return [*values, *({**typical, **variant} for variant in effect.forms)]
+    return [*values, *({**typical, **variant} for variant in effect.variants)]
 
 
 def lacks_by_construction(fit: EffectFit, weighting: Weighting, base: Refit) -> bool:

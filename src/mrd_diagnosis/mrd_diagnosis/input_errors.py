@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter1d
 from mrd_identification.recording import Recording
 from mrd_runs import Run
 from mrd_runs.signals.current import current_noise, steady_current
-from mrd_runs.signals.motion import between_samples, divided, finer, motion_errors
+from mrd_runs.signals.motion import motion_between_samples, motion_errors, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 from mrd_sim.models import DamperModel
 from mrd_sim.path import Path, make_path, pieces
@@ -53,13 +53,13 @@ def propagated_variance(
     coarse = _error_subdivisions(smoothed)
     # Both forces need the same vertices; otherwise their difference would count as an error.
     parts = np.maximum(coarse, pieces(run)) if model.follows_force else np.full(len(run) - 1, coarse)
-    time, motion = finer(run.time, parts), between_samples(run.time, recording.motion, parts)
-    error_time, places = finer(run.time, coarse), divided(len(run), parts)
+    time, motion = subdivide(run.time, parts), motion_between_samples(run.time, recording.motion, parts)
+    error_time, places = subdivide(run.time, coarse), subdivided_indices(len(run), parts)
     used = recording.path.current[recording.path.samples]
     switches = _switches(smoothed.current, current_noise(run.current))
     current_errors = _current_errors(run, smoothed.current, not np.array_equal(used, run.current), rng, draws)
     expected = model.force(theta, recording.path)
-    squares, factor = np.zeros(len(run)), finer(_error_factor(smoothed), parts)
+    squares, factor = np.zeros(len(run)), subdivide(_error_factor(smoothed), parts)
     for *drawn, error in zip(*motion_errors(run.time, recording.motion, rng, draws, coarse), current_errors, strict=True):
         position, velocity, acceleration = (
             true + factor * np.interp(time, error_time, series) for true, series in zip(motion, drawn, strict=True)
@@ -83,7 +83,7 @@ def _subdivided_current(
     current: Array, switches: Indices, parts: Indices, rng: np.random.Generator
 ) -> tuple[Array, Indices]:
     """Return a current with its intervals divided, and the indices there after which it switches."""
-    subdivided, places = finer(current, parts), divided(len(current), parts)
+    subdivided, places = subdivide(current, parts), subdivided_indices(len(current), parts)
     instants = places[switches] + rng.integers(parts[switches])
     for start, instant, end in zip(places[switches], instants, places[switches + 1], strict=True):
         subdivided[start : instant + 1] = subdivided[start]

@@ -10,7 +10,7 @@ from mrd_diagnosis.weighting import RunScatter, WeightedProblem
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording
 from mrd_runs.signals.smoothed_run import remeasure
-from mrd_sim.path import path_of
+from mrd_sim.path import run_path
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def draw_null_errors(
         errors = []
         for _ in range(draws):
             remeasured = remeasure(recording.smoothed, rng_of_run)
-            again = Recording(remeasured, path_of(remeasured), recording.counted)
+            again = Recording(remeasured, run_path(remeasured), recording.counted)
             error = again.modelled(problem.model, theta) - true
             error += rng_of_run.normal(0.0, scatter.gain) * true + rng_of_run.normal(0.0, scatter.offset)
             errors.append(problem.whitenings[index](error + rng_of_run.normal(0.0, force_noise[index], len(true))))

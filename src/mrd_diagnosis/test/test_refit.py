@@ -24,7 +24,7 @@ from mrd_runs import Run
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import find_model
-from mrd_sim.path import path_of
+from mrd_sim.path import run_path
 from mrd_sim.play import MOST_FILM
 
 FORCE_NOISE = 1.5
@@ -41,7 +41,7 @@ def run(seed, gain=0.0, offset=0.0, model=BASE, theta=THETA, rate=250.0, seconds
     current = np.repeat(rng.uniform(0, 0.5, 12), len(t) // 12)
     current = np.concatenate([current, np.full(len(t) - len(current), current[-1])])
     still = Run(f"run{seed}", t, x, np.gradient(x, t), current, np.zeros_like(t))
-    force = model.force(theta, path_of(smooth_run(still)))
+    force = model.force(theta, run_path(smooth_run(still)))
     return Run(still.name, t, x, still.velocity, current, (1 + gain) * force + offset + rng.normal(0, FORCE_NOISE, len(t)))
 
 

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from mrd_identification import figures
 from mrd_identification.compare import Comparison
 from mrd_identification.fit_file import write_fit
-from mrd_identification.json_file import finite, write_json
+from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import render
 
 SCHEMA = "mrd-comparison/2"
@@ -36,10 +36,10 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
                 "model": entry.fit.model.id,
                 "laws": entry.fit.model.laws,
                 "free_parameters": entry.free,
-                "nrmse": {"value": entry.nrmse, "ci95": [finite(entry.lower), finite(entry.upper)]},
+                "nrmse": {"value": entry.nrmse, "ci95": [finite_or_none(entry.lower), finite_or_none(entry.upper)]},
                 "difference_to_best": {
                     "value": entry.difference,
-                    "ci95": [finite(entry.difference_lower), finite(entry.difference_upper)],
+                    "ci95": [finite_or_none(entry.difference_lower), finite_or_none(entry.difference_upper)],
                 },
                 "on_par": entry.on_par,
                 "nrmse_fit": entry.fit.pooled_fitted.nrmse,
@@ -120,8 +120,8 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         comparison=comparison,
         columns=COLUMNS,
         rows=list(zip(comparison.entries, ranking(comparison), strict=True)),
-        error_chart=figures.html(error_chart(comparison)),
-        loops=figures.html(figures.loops(best.held_out)),
+        error_chart=figures.to_html(error_chart(comparison)),
+        loops=figures.to_html(figures.loops(best.held_out)),
     )
 
 

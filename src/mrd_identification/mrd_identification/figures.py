@@ -182,6 +182,6 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
     return np.arange(best, best + length, -(-length // MOST_POINTS))
 
 
-def html(figure: go.Figure) -> str:
+def to_html(figure: go.Figure) -> str:
     """Return a figure as a part of a page that includes Plotly."""
     return str(figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True}))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mrd_identification.fit import Estimate, Fit
-from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
+from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
 
 SCHEMA = "mrd-fit/4"
@@ -80,7 +80,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
             ],
         },
         "nrmse_by_seed": list(fit.seed_errors),
-        "condition": finite(fit.condition),
+        "condition": finite_or_none(fit.condition),
         "correlation": {
             "parameters": [estimate.parameter.name for estimate in fit.estimates if not estimate.fixed],
             "matrix": np.round(fit.correlation, 6).tolist(),
@@ -107,8 +107,8 @@ def _method_json(fit: Fit) -> dict[str, Any]:
 def _estimate_json(estimate: Estimate) -> dict[str, Any]:
     return {
         "value": estimate.value,
-        "ci95": [finite(estimate.lower), finite(estimate.upper)],
-        "profile_ci95": [finite(estimate.profile_lower), finite(estimate.profile_upper)],
+        "ci95": [finite_or_none(estimate.lower), finite_or_none(estimate.upper)],
+        "profile_ci95": [finite_or_none(estimate.profile_lower), finite_or_none(estimate.profile_upper)],
         "by_seed": list(estimate.by_seed),
         "unit": estimate.parameter.unit,
         "bounds": [estimate.parameter.lower, estimate.parameter.upper],
@@ -141,9 +141,9 @@ def metrics_json(metrics: Metrics) -> dict[str, Any]:
     return {
         "samples": metrics.samples,
         "rmse_N": metrics.rmse,
-        "nrmse": finite(metrics.nrmse),
-        "fit_percent": finite(metrics.fit_percent),
-        "vaf": finite(metrics.vaf),
+        "nrmse": finite_or_none(metrics.nrmse),
+        "fit_percent": finite_or_none(metrics.fit_percent),
+        "vaf": finite_or_none(metrics.vaf),
         "e2_N": metrics.e2,
         "einf_N": metrics.einf,
     }

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from mrd_identification.problem import Problem
-from mrd_identification.uncertainty import FEWEST_SPARE_BLOCKS, Uncertainty, normal_inverse
+from mrd_identification.uncertainty import LEAST_DEGREES_OF_FREEDOM, Uncertainty, normal_inverse
 from mrd_sim.models import Parameter
 from mrd_sim.path import Path
 
@@ -83,7 +83,7 @@ def fit_warnings(
 
 def _too_few_segments(problem: Problem, uncertain: Uncertainty) -> list[str]:
     parameters = int(np.sum(~uncertain.on_bound)) + problem.run_offsets
-    needed = parameters + FEWEST_SPARE_BLOCKS
+    needed = parameters + LEAST_DEGREES_OF_FREEDOM
     if not 0 < uncertain.segments < needed:
         return []
     return [

@@ -86,7 +86,7 @@ def run_json(run: Run) -> dict[str, Any]:
     }
 
 
-def finite(value: float) -> float | None:
+def finite_or_none(value: float) -> float | None:
     """Return the value, or None (null in JSON) where it is not finite."""
     return value if math.isfinite(value) else None
 

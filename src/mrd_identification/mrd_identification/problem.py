@@ -127,7 +127,7 @@ class Problem:
 
     def modelled(self, theta: Array, index: int) -> Array:
         """Return the modelled force in N at the counted samples of one recording."""
-        if any(effect.carries for effect in self.model.effects):
+        if any(effect.outlasts_run for effect in self.model.effects):
             return consecutive_forces(self.model, theta, self.recordings[: index + 1])[-1]
         return self.recordings[index].modelled(self.model, theta)
 

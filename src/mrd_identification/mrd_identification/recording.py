@@ -12,7 +12,7 @@ from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
 from mrd_sim.models import DamperModel, SeriesSolutions
-from mrd_sim.path import Path, path_of
+from mrd_sim.path import Path, run_path
 
 Array = NDArray[np.float64]
 Weights = Literal["samples", "runs", "force"]
@@ -79,7 +79,7 @@ def prepare_recording(run: Run, weight: float = 1.0) -> Recording:
     position = smoothed.motion.position
     stroke = np.maximum.accumulate(position) - np.minimum.accumulate(position)
     start = int(np.argmax(stroke >= min(FORGETTING_STROKE, 0.25 * stroke[-1])))
-    return Recording(smoothed, path_of(smoothed), slice(start, len(run)), weight)
+    return Recording(smoothed, run_path(smoothed), slice(start, len(run)), weight)
 
 
 def consecutive_modelled_forces(

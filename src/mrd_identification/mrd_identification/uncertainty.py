@@ -14,7 +14,7 @@ from mrd_identification.residual_correlation import correlation_length, independ
 
 Array = NDArray[np.float64]
 
-FEWEST_SPARE_BLOCKS = 5
+LEAST_DEGREES_OF_FREEDOM = 5
 """Degrees of freedom: independent segments of the residuals beyond the number of parameters. With fewer, the covariance of
 the scores is too uncertain for intervals."""
 
@@ -151,7 +151,7 @@ def uncertainty(
     scores = np.stack([scaled[segment].T @ weighted[segment] for segment in segments])
     result = replace(result, condition=_condition(gram[np.ix_(seen, seen)]), segments=len(segments))
     spare = len(segments) - int(seen.sum()) - problem.run_offsets
-    if spare < FEWEST_SPARE_BLOCKS:
+    if spare < LEAST_DEGREES_OF_FREEDOM:
         return result
     sandwich = SandwichCovariance(norm, gram, scores, spare, seen)
     result = _with_intervals(problem, theta, sandwich, result)
@@ -168,7 +168,7 @@ def _segments(problem: Problem, weighted: Array, parameters: int) -> list[slice]
 
     Whole runs where there are enough: they also account for an error that is the same throughout a run.
     """
-    enough = len(problem.blocks) >= parameters + FEWEST_SPARE_BLOCKS + problem.run_offsets
+    enough = len(problem.blocks) >= parameters + LEAST_DEGREES_OF_FREEDOM + problem.run_offsets
     return problem.blocks if enough else independent_segments(problem.blocks, correlation_length(weighted))
 
 

@@ -18,7 +18,7 @@ from mrd_identification.export import export_damper
 from mrd_runs import Run
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.models import find_model
-from mrd_sim.path import make_path, path_of
+from mrd_sim.path import make_path, run_path
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
 
@@ -56,7 +56,7 @@ def path(fit, tmp_path_factory):
 
 
 def test_the_callable_gives_the_force_of_the_fit(fit, path, run):
-    expected = fit.model.force(fit.model.vector(fit.values), path_of(smooth_run(run)))
+    expected = fit.model.force(fit.model.vector(fit.values), run_path(smooth_run(run)))
     force = load_damper(path).force
     assert np.ptp(expected) > 100.0
     assert np.allclose(force(run.time, run.position, run.current), expected, rtol=0, atol=1e-9 * np.ptp(expected))

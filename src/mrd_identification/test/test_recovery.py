@@ -65,7 +65,7 @@ def true_parameters(model, seed=0):
         theta = problem.theta(start + random.uniform(0.08, 0.25, len(start)) * (side - start))
         if all(
             model.at_current(theta, current)[quantity.name] > 1.2 * quantity.lower
-            for quantity in model.quantities
+            for quantity in model.coefficients
             if quantity.per_ampere and not quantity.multiplies and quantity.law != "constant"
             for current in LEVELS
         ):

@@ -6,7 +6,7 @@ from scipy.interpolate import BPoly
 from scipy.signal import lfilter
 
 from mrd_runs import Run, make_run
-from mrd_runs.signals.motion import between_samples, finer, motion_errors
+from mrd_runs.signals.motion import motion_between_samples, motion_errors, subdivide
 from mrd_runs.signals.smoothed_run import remeasure, smooth_run
 
 FREQUENCIES = 0.5 * np.arange(1, 16, 2)
@@ -98,11 +98,11 @@ def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
     read = exact[::every] + rng.normal(0, 5e-7, len(t))
     run = make_run("few", {"time_s": t, "position_m": read, "current_A": t / 60, "force_N": np.sin(t)})
     motion = smooth_run(run).motion
-    values, errors = between_samples(run.time, motion, 8), motion_errors(run.time, motion, rng, 8, 8)
+    values, errors = motion_between_samples(run.time, motion, 8), motion_errors(run.time, motion, rng, 8, 8)
     true = exact, np.gradient(exact, 1 / 1600)
     for estimate, right, drawn in zip(values, true, errors, strict=False):
         wrong = estimate - right[: len(exact) - every + 1 : every // 8]
-        assert drawn.shape == (8, len(finer(t, 8)))
+        assert drawn.shape == (8, len(subdivide(t, 8)))
         assert 1 / 1.5 < rms(wrong[4::8]) / rms(drawn[:, 4::8]) < 1.5
     assert rms(errors[0][:, 4::8]) > 1.2 * rms(errors[0][:, ::8])
 
@@ -110,7 +110,7 @@ def test_between_few_samples_errors_are_larger_and_as_drawn() -> None:
 def test_between_samples_nothing_changes_at_the_samples() -> None:
     run = measured(accelerometer=True, n=300)
     motion = smooth_run(run).motion
-    for fine, values in zip(between_samples(run.time, motion, 4), (motion.position, motion.velocity), strict=False):
+    for fine, values in zip(motion_between_samples(run.time, motion, 4), (motion.position, motion.velocity), strict=False):
         np.testing.assert_allclose(fine[::4], values, rtol=1e-6, atol=1e-9)
     coarse, fine = (motion_errors(run.time, motion, np.random.default_rng(3), 400, parts)[1] for parts in (1, 4))
     assert rms(fine[:, ::4]) == pytest.approx(rms(coarse), rel=0.05)
@@ -121,6 +121,6 @@ def test_between_samples_position_is_the_polynomial_of_its_derivatives_at_both_e
     parts = np.random.default_rng(4).integers(1, 9, 299)
     at = smooth_run(run).motion
     expected = BPoly.from_derivatives(run.time, np.stack([at.position, at.velocity, at.acceleration], axis=1))
-    for order, fine in enumerate(between_samples(run.time, at, parts)):
-        right = expected(finer(run.time, parts), order)
+    for order, fine in enumerate(motion_between_samples(run.time, at, parts)):
+        right = expected(subdivide(run.time, parts), order)
         np.testing.assert_allclose(fine, right, atol=1e-9 * np.abs(right).max())

@@ -154,7 +154,7 @@ def section(effect: Effect) -> str:
 - Looks like: {_links(effect.confused_with)}.
 - Told apart by: {effect.separated_by}.
 - Source: {effect.source}.
-{"- Its state goes on from one run to the next; pauses between runs do not count." + chr(10) if effect.carries else ""}"""
+{"- Its state continues in the next run; pauses do not count." + chr(10) if effect.outlasts_run else ""}"""
 
 
 def catalogue() -> list[Effect]:

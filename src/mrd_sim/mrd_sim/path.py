@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mrd_runs import Run
 from mrd_runs.signals.mains import mains_phase
-from mrd_runs.signals.motion import between_samples, divided, finer
+from mrd_runs.signals.motion import motion_between_samples, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 
 Array = NDArray[np.float64]
@@ -60,16 +60,18 @@ class Path:
         return replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains)
 
 
-def path_of(smoothed: SmoothedRun) -> Path:
+def run_path(smoothed: SmoothedRun) -> Path:
     """Return the path of a recorded run: its smoothed motion, its current without sensor noise, the phase of the mains."""
     return replace(_along(smoothed, 1), mains=mains_phase(smoothed.run, smoothed.current), smoothed=smoothed)
 
 
 def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:
-    """Return the path of a recorded run with its sampling intervals `divided`."""
+    """Return the path of a recorded run with its sampling intervals `subdivided_indices`."""
     time = smoothed.run.time
-    path = make_path(finer(time, parts), *between_samples(time, smoothed.motion, parts), finer(smoothed.current, parts))
-    return replace(path, samples=path.samples[divided(len(time), parts)])
+    path = make_path(
+        subdivide(time, parts), *motion_between_samples(time, smoothed.motion, parts), subdivide(smoothed.current, parts)
+    )
+    return replace(path, samples=path.samples[subdivided_indices(len(time), parts)])
 
 
 def pieces(run: Run) -> NDArray[np.intp]:

@@ -13,7 +13,7 @@ from mrd_base import InputError
 from mrd_runs import Run, make_run
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.damper import Damper
-from mrd_sim.path import make_path, path_of
+from mrd_sim.path import make_path, run_path
 from mrd_trajectory.plan import Plan
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def simulate_run(run: Run, damper: Damper) -> Run:
     """Replace the force of a run by that of a damper along its (smoothed) motion and measured current."""
     smoothed = smooth_run(run)
     motion = smoothed.motion
-    force = damper.model.force(damper.theta, path_of(smoothed))
+    force = damper.model.force(damper.theta, run_path(smoothed))
     return Run(
         f"{run.name}_{damper.model.id}",
         run.time,

@@ -14,11 +14,11 @@ from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.dual import STEP
 from mrd_sim.effects import EFFECTS, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.path import Path, make_path, path_of
+from mrd_sim.path import Path, make_path, run_path
 
 EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 BY_NAME = pytest.mark.parametrize("name", EFFECTS)  # a failing random example then shows a name and a seed only
-SERIES = pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.stretch], ids=lambda effect: effect.id)
+SERIES = pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.elongation], ids=lambda effect: effect.id)
 MONOTONE = tuple(name for name in MODELS if name != "polynomial")
 """In series, the force is unique only where the damper's does not fall with its speed: not all over the polynomial's box."""
 SMOOTH = ("algebraic", "bingham", "bouc_wen", "modified_bouc_wen")
@@ -69,7 +69,7 @@ def rich(rate=1000.0, seconds=3.0):
 
 def affected(examples, rng, effect, margin=0.0, models=None):
     """A damper model with the effect, and parameters of both from anywhere in their bounds, ``margin`` away from them."""
-    models = models or (MONOTONE if effect.stretch else tuple(MODELS))
+    models = models or (MONOTONE if effect.elongation else tuple(MODELS))
     model = find_model(str(rng.choice(models)), effects=[effect.id])
     return model, examples.values(rng, model.parameters, margin)
 
@@ -143,7 +143,7 @@ def test_declaration(effect):
         assert parameter.lower < typical < parameter.upper
     assert effect.parameters[0].default == 0.0
     assert effect.typical[effect.parameters[0].name] != 0.0
-    assert (effect.kernel is None) != (effect.stretch is None)
+    assert (effect.kernel is None) != (effect.elongation is None)
     for text in (effect.title, effect.equation, effect.source, effect.signature, effect.separated_by):
         assert text
         assert text.isprintable()
@@ -188,7 +188,7 @@ def test_finite_over_the_whole_bounds_box(name, examples, seed):
 @EVERY
 def test_finite_around_every_model(effect, examples):
     rng = np.random.default_rng(list(effect.id.encode()))
-    for name in MONOTONE if effect.stretch else MODELS:
+    for name in MONOTONE if effect.elongation else MODELS:
         model = find_model(name, effects=[effect.id])
         for _ in range(10):
             path = make_path(*examples.two_tones(**examples.motion(rng, samples=[12, 100])))
@@ -238,21 +238,21 @@ def test_block_by_block_equals_at_once(name, examples, seed):
     effect = EFFECTS[name]
     rng = np.random.default_rng(seed)
     # Where a force has several roots, or none at a jump, which one is found depends on where the search begins.
-    model, theta = affected(examples, rng, effect, models=SMOOTH if effect.stretch else None)
+    model, theta = affected(examples, rng, effect, models=SMOOTH if effect.elongation else None)
     time, *series = examples.two_tones(**examples.motion(rng))
     dt = np.diff(time, prepend=time[0])
     whole = Path(dt, *series, np.arange(len(time)))
     at_once = model.force(theta, whole)
     size = int(rng.integers(1, 78))
     state = model.initial_state(whole)
-    close = TINY * np.max(np.abs(at_once)) + (1e-4 if effect.stretch else 0.0)  # a root is found to within 1e-6 N
+    close = TINY * np.max(np.abs(at_once)) + (1e-4 if effect.elongation else 0.0)  # a root is found to within 1e-6 N
     for first in range(0, len(time), size):
         part = slice(first, first + size)
         block = Path(dt[part], *(values[part] for values in series), np.arange(len(time[part])))
         assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=close)
 
 
-@pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.carries], ids=lambda effect: effect.id)
+@pytest.mark.parametrize("effect", [e for e in EFFECTS.values() if e.outlasts_run], ids=lambda effect: effect.id)
 def test_what_outlasts_a_run_goes_on_in_the_next_as_without_a_cut(effect):
     """The rod moved in between: no travel of either run."""
     time, *signals = rich()
@@ -283,7 +283,7 @@ def test_next_run_begins_at_rest_but_for_what_outlasts_a_run(effect):
     assert following.dtype == state.dtype
     second = model.force(theta, path, following)
     difference = rms(second - first)
-    assert difference > 2e-5 * rms(first) if effect.carries else difference == 0.0
+    assert difference > 2e-5 * rms(first) if effect.outlasts_run else difference == 0.0
 
 
 def test_each_effect_carries_its_own_state():
@@ -297,12 +297,12 @@ def test_each_effect_carries_its_own_state():
     edges = 2 + model.states + np.cumsum([0, *(effect.states for effect in model.effects)])
     expected = np.zeros(len(state), bool)
     for effect, first, last in zip(model.effects, edges, edges[1:], strict=False):
-        expected[first:last] = effect.carries
+        expected[first:last] = effect.outlasts_run
     assert np.array_equal(changed, expected)
 
 
 def test_as_many_may_be_in_series_as_the_catalogue_has_and_no_more():
-    series = [effect for effect in EFFECTS.values() if effect.stretch is not None]
+    series = [effect for effect in EFFECTS.values() if effect.elongation is not None]
     model, theta = switched_on("bouc_wen", *(effect.id for effect in series))
     assert np.isfinite(model.force(theta, make_path(*rich(rate=500.0, seconds=1.0)))).all()
     with pytest.raises(InputError, match=r"joint_play, own: all in series with the damper, expected at most 4"):
@@ -355,8 +355,8 @@ def test_elongation_never_falls_with_the_force(effect, examples):
     for _ in range(50):
         p = np.resize(examples.values(rng, effect.parameters), 4)
         x = rng.uniform(-0.02, 0.02)
-        before = effect.stretch(p, 0.0, 0.01, rng.normal() * 500.0, x)
-        elongation = np.array([effect.stretch(p, before, 1e-3, value, x) for value in force])
+        before = effect.elongation(p, 0.0, 0.01, rng.normal() * 500.0, x)
+        elongation = np.array([effect.elongation(p, before, 1e-3, value, x) for value in force])
         assert (np.diff(elongation) >= 0.0).all()
         assert np.max(np.abs(elongation)) < 0.03 or effect.id == "cavitation"
 
@@ -463,7 +463,7 @@ def test_what_follows_the_force_is_resolved_between_the_samples_of_a_recording(e
     model, theta = switched_on("bouc_wen", effect)
     expected = model.force(theta, make_path(time, x, v, a, current))
     at = slice(None, None, 32)
-    path = path_of(smooth_run(Run("recorded", time[at], x[at], v[at], current[at], expected[at], a[at])))
+    path = run_path(smooth_run(Run("recorded", time[at], x[at], v[at], current[at], expected[at], a[at])))
 
     def error(along):
         return float(np.sqrt(np.mean((model.force(theta, along) - expected[at])[100:] ** 2)))

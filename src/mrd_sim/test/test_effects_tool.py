@@ -20,13 +20,13 @@ from mrd_sim.effects import Effect
 from mrd_sim.parameter import Parameter
 
 @njit
-def stretch(p, before, dt, force, x):
+def elongation(p, before, dt, force, x):
     return p[0] * force
 
 EFFECT = Effect(
     id="rubber", title="Rubber mount", stage="structure", equation="e = s F", source="mine",
     parameters=(Parameter("softness", "m/N", 0.0, 0.0, 1e-5, "softness"),), typical={"softness": 1e-6},
-    signature="-", confused_with=("series_compliance",), separated_by="-", stretch=stretch,
+    signature="-", confused_with=("series_compliance",), separated_by="-", elongation=elongation,
 )
 """
 
@@ -105,11 +105,11 @@ def test_loaded_again_an_effect_takes_the_place_of_the_one_before(tmp_path):
         ('id="rubber"', 'id="Rubber mount"', r"mine\.py: id is 'Rubber mount', expected lower-case"),
         ('id="rubber"', 'id="backlash"', r"mine\.py: there is an effect backlash already"),
         ('"structure"', '"concrete"', r"mine\.py: stage is 'concrete', expected one of drive, "),
-        ("stretch=stretch", "kernel=None", r"mine\.py: expected either kernel or stretch"),
+        ("elongation=elongation", "kernel=None", r"mine\.py: expected either kernel or elongation"),
         ('title="', 'phrase="{ghost} of give", title="', r"mine\.py: phrase '{ghost} of give' names ghost, expected"),
         ('title="', 'phrase="{softness of give", title="', r"mine\.py: phrase '{softness of give' cannot be filled in"),
         ("0.0, 0.0, 1e-5", "0.0, 1e-6, 1e-5", r"mine\.py: softness has default 0, typical 1e-06, expected both within"),
-        ("@njit", "", r"mine\.py: stretch is not compiled, expected numba's @njit"),
+        ("@njit", "", r"mine\.py: elongation is not compiled, expected numba's @njit"),
         ("return p[0] * force", "return force", r"mine\.py: the effect acts at its parameters' defaults"),
         ("return p[0] * force", "return ghost * force", r"mine\.py: the effect fails \(TypingError: .*ghost"),
     ],

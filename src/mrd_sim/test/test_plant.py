@@ -151,7 +151,7 @@ def plain():
 
 
 def test_neutral_effects_change_nothing(plain):
-    found = driven("{" + ", ".join(f"{name}: {{}}" for name, effect in EFFECTS.items() if effect.stretch is None) + "}")
+    found = driven("{" + ", ".join(f"{name}: {{}}" for name, effect in EFFECTS.items() if effect.elongation is None) + "}")
     assert np.array_equal(joined(found, "voltage"), joined(plain, "voltage"))
 
 

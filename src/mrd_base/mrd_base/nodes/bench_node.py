@@ -134,12 +134,12 @@ class BenchNode(Node, Generic[C]):
         whole = int(bench_time // 1)
         return Time(sec=whole, nanosec=min(int((bench_time - whole) * 1e9), 999_999_999))
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         """Return the node's problem in one line, "" without one, and values for the diagnostics; nodes override this."""
         return "", {}
 
     def _publish_diagnostics(self) -> None:
-        problem, values = self.diagnose()
+        problem, values = self.health()
         status = DiagnosticStatus(
             level=DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name().lstrip('/')}: state",

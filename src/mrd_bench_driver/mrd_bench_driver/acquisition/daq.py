@@ -200,7 +200,7 @@ class Daq:
         self._refused = ""
         self._emergency_stopped = False
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or the latched stop, and counts of lost and clipped readings and the latest refused setpoint."""
         problem = self._fault or ("the emergency stop is latched; call reset_fault" if self._emergency_stopped else "")
         values: dict[str, Any] = {

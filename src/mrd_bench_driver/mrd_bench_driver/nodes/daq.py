@@ -107,9 +107,9 @@ class DaqNode(BenchNode[DaqConfig]):
             response.message = f"daq: {error}"
         return response
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         """Return the state of the DAQ."""
-        return self._daq.diagnose()
+        return self._daq.health()
 
     def close(self) -> None:
         """Set the coil output to 0 V, first and last."""

@@ -69,7 +69,7 @@ class ServoNode(BenchNode[ServoConfig]):
             self.get_logger().info("motor connected" if status.connected else "motor not connected")
         self._published = status
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or that the motor is not connected, and the state."""
         controller = self._controller
         status = controller.status(self.bench.now())

@@ -191,7 +191,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
 
     # The base of a node
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault, if there is one, and the mode."""
         mode = self._supervisor.mode
         problem = mode.reason if mode.current is Mode.FAULT else ""

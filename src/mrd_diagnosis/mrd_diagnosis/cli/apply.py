@@ -30,12 +30,13 @@ def work() -> None:
     add_effects_folder(parser)
     arguments = parser.parse_args()
     report = read_gap_report(arguments.report)
+    refitted = report["corrected"] or {"parameters": {}, "effects": []}  # null where the recordings are faulty
     corrected = correction(
         report["verdict"],
         report["model"],
         report["laws"],
-        report["corrected"]["parameters"],
-        report["corrected"]["effects"],
+        refitted["parameters"],
+        refitted["effects"],
         anyway=arguments.anyway,
         where=arguments.report,
         effects_folder=arguments.effects_folder,

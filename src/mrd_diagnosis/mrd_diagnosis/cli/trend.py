@@ -93,6 +93,8 @@ def _start(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.report:
         report = read_gap_report(source)
         corrected = report["corrected"]
+        if corrected is None:
+            raise InputError(f"{source}: found the verdict data_fault, expected a report of sound recordings")
         stored = StoredFit(report["model"], report["laws"], corrected["effects"], corrected["parameters"], report)
         follow = follow or next(iter([*(cause["effect"] for cause in report["causes"]), *stored.effects]), None)
     elif arguments.parameters:

@@ -97,7 +97,7 @@ class Explanation:
     def force(self, theta: Array, path: Path, solutions: SeriesSolutions | None = None) -> Array:
         """Return the force (n,) in N in a run after the recorded ones."""
         model = self.problem.model
-        if not any(effect.carries for effect in model.effects):
+        if not any(effect.outlasts_run for effect in model.effects):
             return model.force(theta, path, solutions=solutions)
         return model.force(theta, path, model.next_state(self.state_after_runs(theta), path), solutions)
 

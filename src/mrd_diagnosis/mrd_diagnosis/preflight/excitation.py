@@ -104,7 +104,7 @@ def _summary(runs: Sequence[CheckedRun]) -> Finding:
     )
 
 
-def one_speed(runs: Sequence[Run]) -> bool:
+def has_one_peak_speed(runs: Sequence[Run]) -> bool:
     """Whether all full strokes of the runs have about the same peak speed."""
     return _are_alike(_peaks_and_frequencies([CheckedRun(run) for run in runs])[0])
 

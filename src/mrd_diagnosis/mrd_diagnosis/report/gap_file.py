@@ -22,7 +22,7 @@ from mrd_diagnosis.diagnosis import (
     RunResidual,
 )
 from mrd_diagnosis.effect_names import parameters_of_effect
-from mrd_identification.json_file import finite, read_json, run_json, versions, write_json
+from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -51,13 +51,14 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "where": [_region(region) for region in diagnosis.where],
         "causes": [_cause(cause) for cause in diagnosis.causes],
         "alternatives": [
-            asdict(alternative) | {"probability": finite(alternative.probability)} for alternative in diagnosis.alternatives
+            asdict(alternative) | {"probability": finite_or_none(alternative.probability)}
+            for alternative in diagnosis.alternatives
         ],
         "nearest": None if diagnosis.nearest is None else _candidate(diagnosis.nearest),
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
         "untestable": [asdict(entry) for entry in diagnosis.untestable],
         "alternative_models": [
-            {"model": other.name, "nrmse": finite(other.nrmse), **_closed_fraction(other.closed_fraction)}
+            {"model": other.name, "nrmse": finite_or_none(other.nrmse), **_closed_fraction(other.closed_fraction)}
             for other in diagnosis.alternative_models
         ],
         "next_experiment": None if advice is None else _advice(advice),
@@ -88,11 +89,11 @@ def read_gap_report(path: str | Path) -> Mapping[str, Any]:
 def _gap(gap: Gap) -> dict[str, Any]:
     return {
         "noise_floor": _interval(gap.noise_floor),
-        "as_given": None if gap.as_given is None else finite(gap.as_given),
+        "as_given": None if gap.as_given is None else finite_or_none(gap.as_given),
         "before": _interval(gap.before),
         "after": _interval(gap.after),
         "closed_fraction": _interval(gap.closed_fraction),
-        "explainable_fraction": finite(gap.explainable_fraction),
+        "explainable_fraction": finite_or_none(gap.explainable_fraction),
         "extrapolated": None if gap.extrapolated is None else _interval(gap.extrapolated),
     }
 
@@ -100,7 +101,7 @@ def _gap(gap: Gap) -> dict[str, Any]:
 def _corrected(corrected: CorrectedSimulator) -> dict[str, Any]:
     return {
         "effects": list(corrected.effects),
-        "parameters": {name: finite(float(value)) for name, value in corrected.parameters.items()},
+        "parameters": {name: finite_or_none(float(value)) for name, value in corrected.parameters.items()},
     }
 
 
@@ -108,19 +109,19 @@ def _run(residual: RunResidual) -> dict[str, Any]:
     spread = float(np.std(residual.recording.force)) or math.nan
 
     def nrmse(errors: Array) -> float | None:
-        return finite(float(np.sqrt(np.mean(errors**2))) / spread) if len(errors) else None
+        return finite_or_none(float(np.sqrt(np.mean(errors**2))) / spread) if len(errors) else None
 
     return run_json(residual.recording.run) | {
         "before": nrmse(residual.before),
         "after": nrmse(residual.after),
         "noise_floor": nrmse(residual.noise.sigma),
         "noise": {
-            "force_N": finite(residual.noise.force),
-            "motion_N": finite(residual.noise.motion),
+            "force_N": finite_or_none(residual.noise.force),
+            "motion_N": finite_or_none(residual.noise.motion),
             "source": residual.noise.source,
         },
-        "offset_N": finite(residual.offset),
-        "gain": finite(residual.gain),
+        "offset_N": finite_or_none(residual.offset),
+        "gain": finite_or_none(residual.gain),
         "extrapolates": residual.extrapolates,
         "by_folds": residual.by_folds,
     }
@@ -129,13 +130,13 @@ def _run(residual: RunResidual) -> dict[str, Any]:
 def _region(region: Region) -> dict[str, Any]:
     return {
         "axis": region.axis,
-        "lower": finite(region.lower),
-        "upper": finite(region.upper),
+        "lower": finite_or_none(region.lower),
+        "upper": finite_or_none(region.upper),
         "unit": region.unit,
-        "share": finite(region.share.value),
-        "lift": finite(region.lift),
+        "share": finite_or_none(region.share.value),
+        "lift": finite_or_none(region.lift),
         "ci95": _ends(region.share),
-        "q_value": finite(region.q_value),
+        "q_value": finite_or_none(region.q_value),
         "label": region.label,
     }
 
@@ -143,21 +144,21 @@ def _region(region: Region) -> dict[str, Any]:
 def _cause(cause: Cause) -> dict[str, Any]:
     return {
         "effect": cause.effect,
-        "probability": finite(cause.probability),
+        "probability": finite_or_none(cause.probability),
         "stage": EFFECTS[cause.effect].stage if cause.effect in EFFECTS else None,
         "parameters": _parameters(parameters_of_effect(cause.effect, cause.parameters)),
         **_closed_fraction(cause.closed_fraction),
-        "p_value": finite(cause.p_value),
+        "p_value": finite_or_none(cause.p_value),
     }
 
 
 def _candidate(candidate: Candidate) -> dict[str, Any]:
     return {
         "effects": list(candidate.effects),
-        "probability": finite(candidate.probability),
-        "nrmse": finite(candidate.nrmse),
+        "probability": finite_or_none(candidate.probability),
+        "nrmse": finite_or_none(candidate.nrmse),
         **_closed_fraction(candidate.closed_fraction),
-        "p_value": finite(candidate.p_value),
+        "p_value": finite_or_none(candidate.p_value),
         "parameters": _parameters(candidate.parameters),
         "indistinguishable": list(candidate.indistinguishable),
         "remark": candidate.remark,
@@ -170,7 +171,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
         "text": advice.text,
         "experiment": advice.experiment or None,
         "between": list(advice.between),
-        "error_rate": finite(advice.error_rate),
+        "error_rate": finite_or_none(advice.error_rate),
     }
 
 
@@ -179,12 +180,12 @@ def _parameters(values: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
 
 
 def _interval(interval: Interval) -> dict[str, Any]:
-    return {"value": finite(interval.value), "ci95": _ends(interval)}
+    return {"value": finite_or_none(interval.value), "ci95": _ends(interval)}
 
 
 def _closed_fraction(closed: Interval) -> dict[str, Any]:
-    return {"closed_fraction": finite(closed.value), "ci95": _ends(closed)}
+    return {"closed_fraction": finite_or_none(closed.value), "ci95": _ends(closed)}
 
 
 def _ends(interval: Interval) -> list[float | None]:
-    return [finite(interval.lower), finite(interval.upper)]
+    return [finite_or_none(interval.lower), finite_or_none(interval.upper)]

@@ -24,7 +24,7 @@ from mrd_diagnosis.report.candidates import describe_candidate, with_probabiliti
 from mrd_diagnosis.report.gap_file import write_gap_file
 from mrd_diagnosis.sentences import corrected_label, next_command, notable_model
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.figures import html
+from mrd_identification.figures import to_html
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
 
@@ -115,10 +115,10 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
     shown = figures.most_informative_run(diagnosis.residuals)
     return {
         "headline": _headline(diagnosis, gap),
-        "errors": html(figures.error_chart(diagnosis, gap)),
+        "errors": to_html(figures.error_chart(diagnosis, gap)),
         "error_notes": _error_notes(diagnosis, gap),
         "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],
-        "candidates": html(figures.candidate_chart(diagnosis)) if diagnosis.candidates else "",
+        "candidates": to_html(figures.candidate_chart(diagnosis)) if diagnosis.candidates else "",
         "candidate_rows": [(candidate_title(c), *describe_candidate(diagnosis, c)) for c in diagnosis.candidates],
         "with_probabilities": with_probabilities(diagnosis),
         "most_candidates": figures.MOST_CANDIDATES,
@@ -136,11 +136,11 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
             for other in diagnosis.alternatives
         ],
         "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
-        "regions": html(figures.region_chart(regions)) if regions else "",
-        "maps": [(capitalised(title), html(figure)) for title, figure in figures.map_figures(diagnosis)],
+        "regions": to_html(figures.region_chart(regions)) if regions else "",
+        "maps": [(capitalised(title), to_html(figure)) for title, figure in figures.map_figures(diagnosis)],
         "shown_run": shown.recording.run.name,
-        "loops": [html(figure) for figure in figures.hysteresis_loops(shown, label)],
-        "over_time": html(figures.error_over_time(shown, label)),
+        "loops": [to_html(figure) for figure in figures.hysteresis_loops(shown, label)],
+        "over_time": to_html(figures.error_over_time(shown, label)),
         "not_ruled_out": _not_ruled_out(diagnosis, corrected),
         "untestable": sorted((EFFECTS[entry.effect].title, entry.effect, entry.why) for entry in diagnosis.untestable),
         "runs": [_run_row(residual) for residual in diagnosis.residuals],

@@ -16,7 +16,7 @@ from mrd_identification.method import Method
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.residual_correlation import correlation_length, independent_segments
-from mrd_identification.uncertainty import FEWEST_SPARE_BLOCKS, normal_inverse
+from mrd_identification.uncertainty import LEAST_DEGREES_OF_FREEDOM, normal_inverse
 from mrd_runs import Run
 from mrd_sim.dual import STEP
 from mrd_sim.models import DamperModel, Parameter, SeriesSolutions, find_model
@@ -289,7 +289,7 @@ def _estimate_values(problem: DatedProblem, unit: Array) -> tuple[Array, Array, 
     values = theta[at_dates] + np.where(on_bound.any(), step[at_dates], 0.0) * scale[at_dates]
     segments = independent_segments(problem.blocks, correlation_length(residuals))
     degrees_of_freedom = len(segments) - int(estimated.sum()) - problem.run_offsets
-    if degrees_of_freedom < FEWEST_SPARE_BLOCKS:
+    if degrees_of_freedom < LEAST_DEGREES_OF_FREEDOM:
         few = f"single dates have no intervals: the runs have {len(segments)} independent segments only; record longer runs"
         return values, np.zeros((dates, dates)), [few]
     scores = np.stack([scaled[segment].T @ residuals[segment] for segment in segments])

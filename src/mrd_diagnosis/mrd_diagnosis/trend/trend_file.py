@@ -8,7 +8,7 @@ from mrd_diagnosis.trend.figure import trend_figure
 from mrd_diagnosis.trend.trend import Trend
 from mrd_diagnosis.trend.trend_line import CHANGE_ALPHA
 from mrd_identification import figures
-from mrd_identification.json_file import finite, run_json, versions, write_json
+from mrd_identification.json_file import finite_or_none, run_json, versions, write_json
 from mrd_identification.report import render
 
 SCHEMA = "mrd-trend/2"
@@ -51,7 +51,7 @@ def to_json(trend: Trend) -> dict[str, Any]:
         ],
         "slope": {**_interval(line.slope), "unit": slope_unit},
         "scatter": line.scatter,
-        "change_point": {"p_value": finite(line.p_change), "detected": change},
+        "change_point": {"p_value": finite_or_none(line.p_change), "detected": change},
         "limit": limit,
         "common_parameters": {name: {"value": value, "unit": units[name]} for name, value in fit.common_parameters.items()},
         "run_offsets": fit.run_offsets,
@@ -72,7 +72,7 @@ def write_trend(trend: Trend, folder: str | Path) -> Path:
         "mrd_diagnosis",
         title=f"{trend.fit.parameter.name} over {len(trend.calendar.times)} dates",
         sentence=trend.sentence,
-        figure=figures.html(trend_figure(trend)),
+        figure=figures.to_html(trend_figure(trend)),
         trend=trend,
         units=_units(trend),
         change_alpha=CHANGE_ALPHA,
@@ -86,4 +86,4 @@ def _units(trend: Trend) -> dict[str, str]:
 
 
 def _interval(interval: Interval) -> dict[str, Any]:
-    return {"value": interval.value, "ci95": [finite(interval.lower), finite(interval.upper)]}
+    return {"value": interval.value, "ci95": [finite_or_none(interval.lower), finite_or_none(interval.upper)]}

@@ -115,7 +115,7 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         runs = read_runs([*request.runs, *request.held_out])
         return runs[: len(request.runs)], runs[len(request.runs) :]
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         """Return no problem, and whether an analysis is running."""
         return "", {"blocks heard": len(self._buffer), "busy": self._busy}
 

@@ -141,7 +141,7 @@ class Recorder(BenchNode[RecorderSettings]):
         (self.get_logger().error if problem else self.get_logger().info)(f"closed {writer.path}: {response.message}")
         return response
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         if self._writer is None:
             return "", {"recording": "no"}
         silence = self.bench.now() - self._last_samples

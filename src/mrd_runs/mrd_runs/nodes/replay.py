@@ -114,7 +114,7 @@ class Replay(BenchNode[ReplaySettings]):
             earliest = max(due, time.monotonic() - 5e-3) + shortest_interval
         return True
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         return "", {"bag": self.config.bag, "sent": self._sent, "of": len(self._messages)}
 
     def close(self) -> None:

@@ -106,7 +106,7 @@ def smooth_motion(time: Array, position: Array, acceleration: Array | None = Non
     return _motion(readings, interval, position[0], model, note)
 
 
-def divided(samples: int, parts: int | NDArray[np.intp]) -> NDArray[np.intp]:
+def subdivided_indices(samples: int, parts: int | NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the indices (n,) of the samples after every sampling interval is divided into parts.
 
     ``parts`` is the number of parts of every interval, or that of each interval (n - 1,).
@@ -114,14 +114,14 @@ def divided(samples: int, parts: int | NDArray[np.intp]) -> NDArray[np.intp]:
     return np.concatenate([[0], np.cumsum(np.broadcast_to(parts, samples - 1))])
 
 
-def finer(series: Array, parts: int | NDArray[np.intp]) -> Array:
-    """Interpolate a series (n,), such as the time, linearly after every interval is `divided`; return it (m,)."""
-    indices = divided(len(series), parts)
+def subdivide(series: Array, parts: int | NDArray[np.intp]) -> Array:
+    """Interpolate a series (n,), such as the time, linearly after every interval is `subdivided_indices`; return it (m,)."""
+    indices = subdivided_indices(len(series), parts)
     return np.interp(np.arange(indices[-1] + 1), indices, series)
 
 
-def between_samples(time: Array, motion: Motion, parts: int | NDArray[np.intp]) -> tuple[Array, Array, Array]:
-    """Return smoothed position, velocity and acceleration (m,) after the intervals of ``time`` (n,) are `divided`.
+def motion_between_samples(time: Array, motion: Motion, parts: int | NDArray[np.intp]) -> tuple[Array, Array, Array]:
+    """Return smoothed position, velocity and acceleration (m,) on a subdivided ``time`` (n,), see `subdivided_indices`.
 
     Between two samples the smoother (order 3) expects the polynomial of fifth degree that matches all three series there.
     """
@@ -133,7 +133,7 @@ def between_samples(time: Array, motion: Motion, parts: int | NDArray[np.intp]) 
     leaving = x[:-1], x[:-1] + step * v[:-1] / 5, x[:-1] + step * (2 * v[:-1] / 5 + step * a[:-1] / 20)
     arriving = x[1:] - step * (2 * v[1:] / 5 - step * a[1:] / 20), x[1:] - step * v[1:] / 5, x[1:]
     position = BPoly(np.stack([*leaving, *arriving]), time)
-    fine = finer(time, parts)
+    fine = subdivide(time, parts)
     return position(fine), position(fine, 1), position(fine, 2)
 
 
@@ -151,7 +151,7 @@ def motion_errors(
     count : int
         Number of draws.
     parts : int
-        Number of parts into which every sampling interval is `divided`.
+        Number of parts into which every sampling interval is `subdivided_indices`.
 
     Returns
     -------

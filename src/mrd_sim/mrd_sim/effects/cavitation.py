@@ -47,5 +47,5 @@ EFFECT = Effect(
     signature="the force in compression is capped, the more so the more current; the rebound after it comes late",
     confused_with=("backlash", "flow_asymmetry", "current_saturation"),
     separated_by="rising current at one speed; another gas pressure",
-    stretch=_elongation,
+    elongation=_elongation,
 )

@@ -33,7 +33,7 @@ class Effect:
     starts : callable, optional
         ``starts(force)``: values of the first parameter from which a fit to such forces in N (n,) may begin. For an effect
         that sets in at a threshold, or that does not change the force in proportion (a play).
-    forms : sequence of mapping
+    variants : sequence of mapping
         Other values of fixed parameters, with which the effect may occur as well.
     kernel : callable, optional
         ``kernel(parameters, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
@@ -44,11 +44,11 @@ class Effect:
         Length of ``state``.
     begin : callable, optional
         ``begin(path)``: state (states,) at the start of a path. Zeros without it.
-    carries : bool
+    outlasts_run : bool
         Whether the state outlasts a recorded run, so that the next run begins with it (`DamperModel.next_state`). Pauses
         between runs do not count.
-    stretch : callable, optional
-        ``stretch(parameters, before, dt, force, x)``, compiled likewise: the elongation in m of an element in series with
+    elongation : callable, optional
+        ``elongation(parameters, before, dt, force, x)``, compiled likewise: the elongation in m of an element in series with
         the damper, after ``dt`` under ``force`` with the rod at ``x``, from the elongation ``before``. It must never fall
         with the force. An effect has either this or a ``kernel``.
     follows_force : bool
@@ -77,12 +77,12 @@ class Effect:
     confused_with: tuple[str, ...]
     separated_by: str
     starts: Callable[[Array], Sequence[float]] | None = None
-    forms: Sequence[Mapping[str, float]] = ()
+    variants: Sequence[Mapping[str, float]] = ()
     kernel: Callable[[Any, Any, Any, Any, Any, Any, Any, Any], None] | None = None
     states: int = 0
     begin: Callable[[Path], Array] | None = None
-    carries: bool = False
-    stretch: Callable[[Any, Any, Any, Any, Any], Any] | None = None
+    outlasts_run: bool = False
+    elongation: Callable[[Any, Any, Any, Any, Any], Any] | None = None
     follows_force: bool = False
     phrase: str = ""
     structural: bool = False
@@ -91,5 +91,5 @@ class Effect:
         return f"<Effect {self.id}>"
 
     def __post_init__(self) -> None:
-        if self.stretch is not None:
+        if self.elongation is not None:
             object.__setattr__(self, "follows_force", True)

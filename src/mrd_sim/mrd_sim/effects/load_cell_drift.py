@@ -40,5 +40,5 @@ EFFECT = Effect(
     separated_by="the free rod before and after the runs; dead weights",
     kernel=_apply,
     states=1,
-    carries=True,
+    outlasts_run=True,
 )

@@ -91,9 +91,9 @@ def _check_phrase(file: Path, effect: Effect) -> None:
 
 def _check_function(file: Path, effect: Effect) -> None:
     """Refuse a kernel or an elongation that is not compiled, that fails on a few samples, or that acts at the defaults."""
-    function: Any = effect.kernel or effect.stretch
-    if function is None or (effect.kernel is not None and effect.stretch is not None):
-        raise InputError(f"{file}: expected either kernel or stretch")
+    function: Any = effect.kernel or effect.elongation
+    if function is None or (effect.kernel is not None and effect.elongation is not None):
+        raise InputError(f"{file}: expected either kernel or elongation")
     if not hasattr(function, "py_func"):
         raise InputError(f"{file}: {function.__name__} is not compiled, expected numba's @njit")
     defaults = np.array([parameter.default for parameter in effect.parameters])

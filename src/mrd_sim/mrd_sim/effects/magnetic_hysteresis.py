@@ -48,5 +48,5 @@ EFFECT = Effect(
     separated_by="a staircase of current up and down at constant speed, with demagnetisation afterwards",
     kernel=_apply,
     states=_DOMAINS,
-    carries=True,
+    outlasts_run=True,
 )

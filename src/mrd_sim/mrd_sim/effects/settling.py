@@ -46,5 +46,5 @@ EFFECT = Effect(
     separated_by="runs after rests of different length; a repetition at the end",
     kernel=_apply,
     states=2,
-    carries=True,
+    outlasts_run=True,
 )

@@ -46,5 +46,5 @@ EFFECT = Effect(
     separated_by="a reference run repeated hot and cold, with a rest in between",
     kernel=_apply,
     states=1,
-    carries=True,
+    outlasts_run=True,
 )

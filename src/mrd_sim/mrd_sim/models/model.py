@@ -127,11 +127,6 @@ class DamperModel:
             raise InputError(f"effects {series}: all in series with the damper, expected at most {MOST_IN_SERIES} of these")
         return extended
 
-    @property
-    def quantities(self) -> tuple[Coefficient, ...]:
-        """Former name of ``coefficients``, for callers that still use it."""
-        return self.coefficients
-
     @cached_property
     def laws(self) -> dict[str, str]:
         """Current law of every coefficient that may depend on current, by its name."""
@@ -242,7 +237,7 @@ class DamperModel:
         """
         following = self.initial_state(path).astype(state.dtype)
         for effect, part in zip(self.effects, self._effect_states, strict=True):
-            if effect.carries:
+            if effect.outlasts_run:
                 following[part] = state[part]
         return following
 
@@ -306,7 +301,7 @@ class DamperModel:
         Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
         """
         parameters = np.stack([np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self._series)])
-        functions = [effect.stretch for effect in self._series]
+        functions = [effect.elongation for effect in self._series]
         functions += functions[:1] * (MOST_IN_SERIES - len(functions))
         with_derivatives = np.iscomplexobj(theta)
         key = theta.real.tobytes(), start
@@ -335,7 +330,7 @@ class DamperModel:
     @cached_property
     def _series(self) -> tuple[Effect, ...]:
         """Effects that are elements in series with the damper."""
-        return tuple(effect for effect in self.effects if effect.stretch is not None)
+        return tuple(effect for effect in self.effects if effect.elongation is not None)
 
     @cached_property
     def _effect_states(self) -> tuple[slice, ...]:

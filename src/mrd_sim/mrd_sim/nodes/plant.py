@@ -88,7 +88,7 @@ class PlantNode(BenchNode[PlantConfig]):
         state.header.stamp = self.stamp(self.plant.time)
         self._true_state.publish(state)
 
-    def diagnose(self) -> tuple[str, dict[str, object]]:
+    def health(self) -> tuple[str, dict[str, object]]:
         """Return a problem, and port, largest delay against the bench clock, and temperature."""
         problem = ""
         if not self._stepper.is_alive():

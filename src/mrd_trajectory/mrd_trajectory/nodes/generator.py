@@ -113,7 +113,7 @@ class Generator(BenchNode[GeneratorSettings]):
         if now - self._start >= self._plan.duration:
             self._enter("done")
 
-    def diagnose(self) -> tuple[str, dict[str, Any]]:
+    def health(self) -> tuple[str, dict[str, Any]]:
         values: dict[str, Any] = {"state": self._state, "emergency stop": self._stopped}
         if self._plan is not None:
             values["experiment"] = self._plan.experiment.name

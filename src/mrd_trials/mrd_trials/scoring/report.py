@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from mrd_identification.figures import html
+from mrd_identification.figures import to_html
 from mrd_identification.report import render
 from mrd_trials.scoring import figures
 from mrd_trials.scoring.score import TrialScore
@@ -35,12 +35,12 @@ def _content(score: TrialScore) -> dict[str, Any]:
         "goals": [_BADGES[goal_verdict(goal)] for goal in score.goals],
         "tables": {table.title: table for table in tabulate(score)},
         "naming": [
-            (factor, html(figures.naming([rates for rates in score.by_stratum if rates.factor == factor])))
+            (factor, to_html(figures.naming([rates for rates in score.by_stratum if rates.factor == factor])))
             for factor in factors
         ],
-        "methods": html(figures.methods(score.methods)),
-        "reliability": html(figures.reliability(rich.calibration, rich.calibration_with_candidates)),
-        "distributions": html(figures.distributions(shown)) if shown else "",
-        "coverage": html(figures.coverage(rich.coverage_by_effect)) if rich.coverage_by_effect else "",
-        "confusion": html(figures.confusion(score.confusion)) if score.confusion.rows else "",
+        "methods": to_html(figures.methods(score.methods)),
+        "reliability": to_html(figures.reliability(rich.calibration, rich.calibration_with_candidates)),
+        "distributions": to_html(figures.distributions(shown)) if shown else "",
+        "coverage": to_html(figures.coverage(rich.coverage_by_effect)) if rich.coverage_by_effect else "",
+        "confusion": to_html(figures.confusion(score.confusion)) if score.confusion.rows else "",
     }
