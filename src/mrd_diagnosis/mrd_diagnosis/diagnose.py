@@ -39,6 +39,7 @@ from mrd_diagnosis.sentences import (
 )
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
+from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_runs import Run
@@ -277,4 +278,4 @@ def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weightin
         return None
     problem = weighting.problem(model, theta)
     errors = [error_of_run(problem, theta, run)[1] for run in range(len(weighting.recordings))]
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2) / np.var(problem.force)))
+    return nrmse(np.concatenate(errors), problem.force)

@@ -78,16 +78,6 @@ def without_offset_and_gain(residual: Array, force: Array) -> Array:
     return np.asarray(residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0])
 
 
-def quantisation_step(series: Array) -> float:
-    """Return the step between the possible values of a reading; 0 where there is none."""
-    steps = np.diff(np.unique(series))
-    steps = steps[steps > 1e-9 * np.abs(series).max(initial=1e-300)]
-    if not len(steps):
-        return 0.0
-    step = float(steps.min())
-    return step if np.mean(np.abs(steps / step - np.round(steps / step)) < 0.05) > 0.95 else 0.0
-
-
 def _variance_from_repeat(
     recordings: Sequence[Recording], residuals: Sequence[Array], propagated: Sequence[Array], index: int, other: int
 ) -> float:

@@ -14,7 +14,7 @@ from mrd_runs.signals.current import current_noise, steady_current
 from mrd_runs.signals.motion import motion_between_samples, motion_errors, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 from mrd_sim.models import DamperModel
-from mrd_sim.path import Path, make_path, pieces
+from mrd_sim.path import Path, cubic_hermite, make_path, pieces
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -140,19 +140,13 @@ def _switched_path(
         return np.insert(series, before + 1, values)
 
     position, velocity, acceleration = motion
-    h, x, v = fraction, position[before], velocity[before]
-    x_after, v_after = position[before + 1], velocity[before + 1]
-    interpolated = (
-        (1 + 2 * h) * (1 - h) ** 2 * x
-        + h * (1 - h) ** 2 * step * v
-        + h**2 * (3 - 2 * h) * x_after
-        + h**2 * (h - 1) * step * v_after
-    )
+    after = before + 1
+    interpolated = cubic_hermite(fraction, step, position[before], velocity[before], position[after], velocity[after])
     path = make_path(
-        insert(time, time[before] + h * step),
+        insert(time, time[before] + fraction * step),
         insert(position, interpolated),
-        insert(velocity, (1 - h) * v + h * v_after),
-        insert(acceleration, (1 - h) * acceleration[before] + h * acceleration[before + 1]),
+        insert(velocity, (1 - fraction) * velocity[before] + fraction * velocity[after]),
+        insert(acceleration, (1 - fraction) * acceleration[before] + fraction * acceleration[after]),
         insert(current, current[before + np.tile([0, 1], len(switches))]),
     )
     is_sample = np.insert(np.ones(len(time), dtype=bool), before + 1, False)

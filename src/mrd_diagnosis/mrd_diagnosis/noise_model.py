@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.force_noise import force_noise_variance, quantisation_step, without_offset_and_gain
+from mrd_diagnosis.force_noise import force_noise_variance, without_offset_and_gain
 from mrd_diagnosis.input_errors import propagated_variance
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, consecutive_forces
+from mrd_runs.signals.quantisation import quantisation_step
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -56,7 +57,7 @@ def estimate_noise(
         residual = without_offset_and_gain(residuals[index], recording.force)
         variance, source = force_noise_variance(index, recordings, residuals, propagated)
         # No noise is larger than the residual itself, and none is smaller than the rounding of the readings.
-        variance = min(max(variance, quantisation_step(recording.force) ** 2 / 12), float(np.mean(residual**2)))
+        variance = min(max(variance, _rounding_variance(recording.force)), float(np.mean(residual**2)))
         smallest = BEST_RESOLUTION * float(np.abs(recording.force).max())
         variance = max(variance, smallest**2, np.finfo(float).tiny)
         of_inputs = _limited_by_residual(_without_dips(propagated[index]), residual, variance)
@@ -78,3 +79,9 @@ def _limited_by_residual(propagated: Array, residual: Array, variance: float) ->
         available = max(float(np.mean(residual[group] ** 2)) - variance, 0.0)
         limited[group] *= min(1.0, available / max(float(propagated[group].mean()), 1e-300))
     return limited
+
+
+def _rounding_variance(force: Array) -> float:
+    """Return the variance in N² of the rounding of a quantised force; steps after a calibration are not quite equal."""
+    step = quantisation_step(force, 1e-9 * float(np.abs(force).max()), tolerance=0.05, multiples=0.95)
+    return step**2 / 12

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,10 +109,6 @@ class WeightedProblem(Problem):
 
     whitenings: tuple[Whitening, ...] = ()
     sigmas: tuple[Array, ...] = ()
-
-    @cached_property
-    def _alike(self) -> bool:
-        return False
 
     def counted(self, errors: Array) -> Array:
         """Return the white errors (samples,)."""

@@ -14,6 +14,7 @@ from mrd_identification.fit import Estimate, Fit, RunResult, evaluate_model, poo
 from mrd_identification.fit_warnings import fit_warnings
 from mrd_identification.least_squares import fit_from_front, fit_least_squares, with_loss_scale
 from mrd_identification.method import Method
+from mrd_identification.metrics import nrmse
 from mrd_identification.nsga2 import Front, search
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording, run_weights
@@ -257,7 +258,7 @@ def _pose(recordings: Sequence[Recording], model: str, method: Method) -> tuple[
 
 
 def _nrmse(problem: Problem, theta: Array) -> float:
-    return float(np.sqrt(np.mean(problem.errors(theta) ** 2)) / np.std(problem.force))
+    return nrmse(problem.errors(theta), problem.force)
 
 
 def _leave_one_out(

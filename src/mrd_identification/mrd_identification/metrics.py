@@ -44,13 +44,20 @@ def error_norms(error: Array) -> tuple[float, float]:
     return float(np.sqrt(error @ error)) / k, float(np.max(np.abs(error))) / k
 
 
+def nrmse(error: Array, force: Array) -> float:
+    """Return the rms of errors in N over the standard deviation of the measured force; infinite for a constant force."""
+    spread = float(np.std(force))
+    return float(np.sqrt(np.mean(error**2))) / spread if spread > 0 else float("inf")
+
+
 def metrics(measured: Array, modelled: Array) -> Metrics:
     """Compare two equally long series of force in N."""
     error = measured - modelled
     e2, einf = error_norms(error)
     spread = float(np.std(measured))
     rmse = float(np.sqrt(np.mean(error**2)))
-    # A constant force has no standard deviation to normalise with.
-    nrmse = rmse / spread if spread > 0 else float("inf")
+    relative = nrmse(error, measured)
     vaf = 100 * (1 - float(np.var(error)) / spread**2) if spread > 0 else float("-inf")
-    return Metrics(samples=len(error), rmse=rmse, nrmse=nrmse, fit_percent=100 * (1 - nrmse), vaf=vaf, e2=e2, einf=einf)
+    return Metrics(
+        samples=len(error), rmse=rmse, nrmse=relative, fit_percent=100 * (1 - relative), vaf=vaf, e2=e2, einf=einf
+    )

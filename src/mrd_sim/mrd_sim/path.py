@@ -98,13 +98,7 @@ def make_path(time: Array, position: Array, velocity: Array, acceleration: Array
     before, fraction = before[inside], fraction[inside]
     after = before + 1
     step = time[after] - time[before]
-    f2, f3 = fraction**2, fraction**3
-    turning = (
-        (2 * f3 - 3 * f2 + 1) * position[before]
-        + (f3 - 2 * f2 + fraction) * step * velocity[before]
-        + (3 * f2 - 2 * f3) * position[after]
-        + (f3 - f2) * step * velocity[after]
-    )
+    turning = cubic_hermite(fraction, step, position[before], velocity[before], position[after], velocity[after])
 
     def between(series: Array) -> Array:
         return (1 - fraction) * series[before] + fraction * series[after]
@@ -121,4 +115,12 @@ def make_path(time: Array, position: Array, velocity: Array, acceleration: Array
         acceleration=insert(acceleration, between(acceleration)),
         current=insert(current, between(current)),
         samples=np.flatnonzero(is_sample),
+    )
+
+
+def cubic_hermite(fraction: Array, step: Array, x0: Array, v0: Array, x1: Array, v1: Array) -> Array:
+    """Interpolate at a ``fraction`` of steps of ``step`` s, by the cubic that matches position and velocity at both ends."""
+    f2, f3 = fraction**2, fraction**3
+    return np.asarray(
+        (2 * f3 - 3 * f2 + 1) * x0 + (f3 - 2 * f2 + fraction) * step * v0 + (3 * f2 - 2 * f3) * x1 + (f3 - f2) * step * v1
     )

@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Finding, Severity
+from mrd_identification.recording import current_varies
 from mrd_runs import Run
+from mrd_runs.signals.quantisation import resolution
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -56,13 +58,9 @@ class Channel:
     values: Array
 
     @cached_property
-    def quantisation_step(self) -> float:
-        """Smallest step between different readings; 0 where the readings have no common step."""
-        levels = np.unique(self.values)
-        gaps = np.diff(levels)
-        gaps = gaps[gaps > 1e-12 * max(np.abs(levels[0]), np.abs(levels[-1]))] if len(gaps) else gaps
-        # Among n continuous readings the closest two are about span/n² apart, and the median gap is about span/n.
-        return float(gaps.min()) if len(gaps) and gaps.min() > 0.1 * np.median(gaps) else 0.0
+    def resolution(self) -> float:
+        """Smallest difference between two readings; 0 where they are continuous."""
+        return resolution(self.values)
 
     @cached_property
     def noise(self) -> float:
@@ -133,7 +131,7 @@ class CheckedRun:
         position = self.channels["position"]
         span = float(np.ptp(position.values))
         # White noise of 100000 samples spans about 9 standard deviations.
-        return span if span > max(10 * position.noise, 2.5 * position.quantisation_step) else 0.0
+        return span if span > max(10 * position.noise, 2.5 * position.resolution) else 0.0
 
     @cached_property
     def top_speed(self) -> float:
@@ -152,11 +150,7 @@ class CheckedRun:
     @cached_property
     def current_varies(self) -> bool:
         """Whether the current changes by more than its noise."""
-        current = self.channels["current"]
-        low, high = np.quantile(current.values, [0.01, 0.99])
-        noise = 1.4826 * float(np.median(np.abs(np.diff(current.values)))) / np.sqrt(2.0)
-        # The quantiles of white noise are 4.7 standard deviations apart; levels of a command differ by more than 2 mA.
-        return bool(high - low > max(6 * noise, 2e-3))
+        return current_varies(self.run)
 
     def finding(self, kind: str, severity: Severity, channel: str, text: str) -> Finding:
         """Make a finding about a channel of this run."""

@@ -108,14 +108,14 @@ def _refresh_period(channel: Channel, length: Indices) -> int:
     usual = int(np.bincount(short).argmax())
     changes = np.abs(np.diff(channel.values))
     # Noise within one step and a slow signal also repeat readings, but not with large changes at regular intervals.
-    has_large_changes = np.median(changes[changes > 0]) > 3 * channel.quantisation_step
+    has_large_changes = np.median(changes[changes > 0]) > 3 * channel.resolution
     is_regular = np.mean(length == usual) > 0.6 and usual * np.sum(short == usual) > 0.4 * len(channel.values)
     return usual if has_large_changes and is_regular else 0
 
 
 def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) -> Mask:
     """Which segments of equal readings are longer than the noise of the channel allows."""
-    step = channel.quantisation_step
+    step = channel.resolution
     if not channel.is_noisy or channel.lowest_noise <= 2 * step:
         return np.zeros(len(first), dtype=bool)
     values = channel.values
@@ -131,7 +131,7 @@ def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) ->
 
 def _followed_by_a_jump(channel: Channel, first: Indices, last: Indices) -> Mask:
     """Which segments of equal readings during motion end with a jump that makes up for the motion."""
-    values, least = channel.values, max(5 * channel.quantisation_step, 8 * channel.noise)
+    values, least = channel.values, max(5 * channel.resolution, 8 * channel.noise)
     inside = (first >= 3) & (last < len(values) - 1) & (last - first + 1 >= 3)
     start, end = np.where(inside, first, 3), np.where(inside, last, 3)
     slope = (values[start] - values[start - 3]) / 3
@@ -147,7 +147,7 @@ def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
     values = channel.values
     neighbours = np.median(np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]]), axis=0)
     distance = np.abs(values[2:-2] - neighbours)
-    least = max(SPIKE_NOISE * channel.noise, 5 * channel.quantisation_step, SPIKE_ACCELERATION * interval**2)
+    least = max(SPIKE_NOISE * channel.noise, 5 * channel.resolution, SPIKE_ACCELERATION * interval**2)
     # At a corner of the motion, a position is about the travel between two samples away from its neighbours.
     count = int(np.sum(distance > least + 3 * checked.top_speed * interval))
     if count:
@@ -182,7 +182,7 @@ def check_clipping(checked: CheckedRun) -> Iterator[Finding]:
 def _clipped_samples(checked: CheckedRun, channel: Channel, limit: float) -> int:
     """Number of samples in a flat part at ``limit`` that no other level has; 0 without one."""
     # If an amplifier clips, the noise of the converter behind it is left: a few steps.
-    band = 0.0 if checked.is_slowly_sampled else min(4 * channel.quantisation_step, 0.25 * channel.highest_noise)
+    band = 0.0 if checked.is_slowly_sampled else min(4 * channel.resolution, 0.25 * channel.highest_noise)
     first, last = true_segments(np.abs(channel.values - limit) <= band)
     length = last - first + 1
     if channel.name == "position":
@@ -200,7 +200,7 @@ def _clipped_turns(checked: CheckedRun, first: Indices, last: Indices) -> int:
     position, force = checked.channels["position"], checked.run.force
     # A true turn comes to rest gradually, over steps not much larger than the quantisation step.
     entry = np.abs(position.values[first] - position.values[first - 1])
-    sudden = entry > np.maximum(4 * position.quantisation_step, 4 * position.noise)
+    sudden = entry > np.maximum(4 * position.resolution, 4 * position.noise)
     kept = (first > 0) & (last - first >= SHORTEST_HOLD) & sudden
     first, last = first[kept], last[kept]
     if len(first) < 2:
@@ -221,7 +221,7 @@ def _clipped_turns(checked: CheckedRun, first: Indices, last: Indices) -> int:
 def check_quantisation(checked: CheckedRun) -> Iterator[Finding]:
     """Find channels whose quantisation step is coarse against the signal."""
     for channel in checked.channels.values():
-        step, deviation = channel.quantisation_step, float(np.std(channel.values))
+        step, deviation = channel.resolution, float(np.std(channel.values))
         if not step or not deviation:
             continue
         if channel.name == "current" and not checked.current_varies:

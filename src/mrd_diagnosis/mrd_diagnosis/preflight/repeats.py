@@ -34,7 +34,7 @@ def check_duplicates(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
             continue
         # Two simulations of one experiment without noise are equal as well.
         other_noise = (channel.is_noisy for name, channel in first.channels.items() if name != "force")
-        digitised = first.channels["position"].quantisation_step > 0
+        digitised = first.channels["position"].resolution > 0
         recorded = first.channels["force"].is_noisy and (digitised or any(other_noise))
         text = (
             f"this run has the same force as {first.run.name}: {equal} samples are equal to the last digit, expected "

@@ -49,7 +49,7 @@ def check_units(checked: CheckedRun) -> Iterator[Finding]:
         )
         yield checked.finding("rig", "fault", "current", text)
     # A force that never changes is reported as a dead channel.
-    changes = force > 2 * checked.channels["force"].quantisation_step
+    changes = force > 2 * checked.channels["force"].resolution
     if force > LARGEST_FORCE or (checked.stroke > MOVING_STROKE and changes and force < SMALLEST_FORCE):
         unit = "kN or V" if force < SMALLEST_FORCE else "mN"
         text = (
@@ -64,12 +64,12 @@ def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:
     position = checked.channels["position"]
     if checked.stroke > MOVING_STROKE:
         yield from _check_dead_force(checked)
-    elif np.std(position.values) <= 1.3 * position.noise or np.ptp(position.values) <= 2.5 * position.quantisation_step:
+    elif np.std(position.values) <= 1.3 * position.noise or np.ptp(position.values) <= 2.5 * position.resolution:
         yield from _check_dead_position(checked)
     acceleration = checked.channels.get("acceleration")
     if acceleration is None or checked.stroke <= MOVING_STROKE:
         return
-    if np.ptp(acceleration.values) <= 2 * acceleration.quantisation_step:
+    if np.ptp(acceleration.values) <= 2 * acceleration.resolution:
         text = (
             "the acceleration is constant while the rod moves: expected the acceleration of the rod. The channel tells "
             "nothing. Check the accelerometer."
@@ -79,7 +79,7 @@ def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:
 
 def _check_dead_force(checked: CheckedRun) -> Iterator[Finding]:
     run = checked.run
-    if np.ptp(run.force) <= 2 * checked.channels["force"].quantisation_step:
+    if np.ptp(run.force) <= 2 * checked.channels["force"].resolution:
         text = (
             f"the force stays at {run.force[0]:.4g} N while the rod moves over {milli(checked.stroke)} mm: expected the "
             "force of a damper. Check the load cell and its channel."

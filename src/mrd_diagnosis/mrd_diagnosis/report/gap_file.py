@@ -1,6 +1,5 @@
 """gap_report.json: a diagnosis as a file."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +22,7 @@ from mrd_diagnosis.diagnosis import (
 )
 from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
+from mrd_identification.metrics import nrmse
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
@@ -106,15 +106,13 @@ def _corrected(corrected: CorrectedSimulator) -> dict[str, Any]:
 
 
 def _run(residual: RunResidual) -> dict[str, Any]:
-    spread = float(np.std(residual.recording.force)) or math.nan
-
-    def nrmse(errors: Array) -> float | None:
-        return finite_or_none(float(np.sqrt(np.mean(errors**2))) / spread) if len(errors) else None
+    def relative(errors: Array) -> float | None:
+        return finite_or_none(nrmse(errors, residual.recording.force)) if len(errors) else None
 
     return run_json(residual.recording.run) | {
-        "before": nrmse(residual.before),
-        "after": nrmse(residual.after),
-        "noise_floor": nrmse(residual.noise.sigma),
+        "before": relative(residual.before),
+        "after": relative(residual.after),
+        "noise_floor": relative(residual.noise.sigma),
         "noise": {
             "force_N": finite_or_none(residual.noise.force),
             "motion_N": finite_or_none(residual.noise.motion),

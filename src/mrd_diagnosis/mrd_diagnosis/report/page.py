@@ -25,6 +25,7 @@ from mrd_diagnosis.report.gap_file import write_gap_file
 from mrd_diagnosis.sentences import corrected_label, next_command, notable_model
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.figures import to_html
+from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
 
@@ -256,12 +257,11 @@ def _advice(advice: Advice) -> dict[str, Any]:
 
 
 def _run_row(residual: RunResidual) -> dict[str, Any]:
-    spread = float(np.std(residual.recording.force)) or np.nan
     return {
         "name": residual.recording.run.name,
         "held_out": "from the start" if residual.held_out else "by segments" if residual.by_folds else "in turn",
         "errors": [
-            format_error(float(np.sqrt(np.mean(errors**2))) / spread)
+            format_error(nrmse(errors, residual.recording.force))
             for errors in (residual.before, residual.after, residual.noise.sigma)
         ],
         "force_noise": format_quantity(residual.noise.force, "N"),

@@ -13,6 +13,7 @@ from mrd_diagnosis.quantities import format_share
 from mrd_identification.identify import search_and_fit
 from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt
 from mrd_identification.method import Method
+from mrd_identification.metrics import nrmse
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.residual_correlation import correlation_length, independent_segments
@@ -179,7 +180,7 @@ def fit_dates(
         covariance=covariance,
         common_parameters={name: float(theta[i]) for i, name in enumerate(model.names) if i != followed},
         run_offsets=run_offsets,
-        nrmse=float(np.sqrt(np.mean(dated.residuals(theta) ** 2)) / np.std(dated.force)),
+        nrmse=nrmse(dated.residuals(theta), dated.force),
         notes=(*notes, *notes_on_intervals),
     )
 

@@ -50,3 +50,16 @@ def quantisation_variance(readings: Array, resolution: float) -> float:
     step = quantisation_step(readings, resolution)
     samples_per_change = len(readings) / (1 + np.count_nonzero(np.diff(readings)))
     return max(step**2 / 12 * samples_per_change, resolution**2)
+
+
+def resolution(readings: Array) -> float:
+    """Return the smallest difference between two readings (n,); 0 where they are continuous.
+
+    Unlike `quantisation_step`, it does not demand that all differences are multiples of it: the readings of a file may have
+    been calibrated, rounded again, or averaged.
+    """
+    levels = np.unique(readings)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-12 * max(np.abs(levels[0]), np.abs(levels[-1]))] if len(gaps) else gaps
+    # Among n continuous readings the closest two are about span/n² apart, and the median gap is about span/n.
+    return float(gaps.min()) if len(gaps) and gaps.min() > 0.1 * np.median(gaps) else 0.0
