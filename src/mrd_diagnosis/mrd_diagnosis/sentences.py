@@ -95,13 +95,16 @@ def notable_model(nearest: Candidate | None, alternative_models: Sequence[Altern
 
 
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
-    """Return the command that follows from a verdict; empty where none does. ``folder`` is the folder of the report."""
+    """Return the commands that follow from a verdict, one a line; empty where none do. ``folder`` is that of the report."""
     folder = shlex.quote(folder)
     model, advice = notable_model(diagnosis.nearest, diagnosis.alternative_models), diagnosis.next_experiment
     if diagnosis.verdict == "explained":
         return f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "ambiguous" and advice is not None and advice.experiment:
-        return f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml"
+        return (
+            f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
+            f"ros2 run mrd_diagnosis diagnose RUN... NEW_RUN --model {diagnosis.model.id} --output DIR"
+        )
     if diagnosis.verdict == "unknown_effect" and model is not None:
         model_id, _, change = model.name.partition(" with ")
         arguments = {"": f"--model {model_id}", "quadratic current laws": f"--model {model_id} --law quadratic"}.get(change)

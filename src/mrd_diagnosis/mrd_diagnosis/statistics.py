@@ -84,7 +84,7 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
         remark = ""
         if unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE:
             if refitted.theta[index] != parameter.default:
-                remark = "at the limit of the plausible range"
+                remark = "the fit stopped at the limit of the plausible range; the true value may lie beyond it"
         elif ends[0] == 0.0 and ends[1] == 1.0:
             remark = "not determined by these runs"
         interval = Interval(float(refitted.theta[index]), float(lower), float(upper))

@@ -373,7 +373,9 @@ def test_the_next_command_follows_from_the_verdict():
     assert next_command(diagnosed("explained"), "my runs") == (
         "ros2 run mrd_diagnosis apply 'my runs'/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     )
-    assert next_command(diagnosed("ambiguous")) == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
+    record, diagnose_again = next_command(diagnosed("ambiguous")).splitlines()
+    assert record == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
+    assert diagnose_again.startswith("ros2 run mrd_diagnosis diagnose RUN... NEW_RUN --model ")
     unknown = diagnosed("unknown_effect")
     # The nearest effect removes more than the other model.
     assert next_command(unknown) == ""

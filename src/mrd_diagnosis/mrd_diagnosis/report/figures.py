@@ -108,8 +108,8 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     figure.update_xaxes(
         title_text="share of the gap that the effect removes",
         tickformat=".0%",
-        range=[max(lowest, -0.3), 1.4 if with_probabilities(diagnosis) else 1.05],
-        tickvals=[0, 0.25, 0.5, 0.75, 1],
+        range=[max(lowest, -1.05), 1.4 if with_probabilities(diagnosis) else 1.05],
+        tickvals=[-1, -0.5, 0, 0.25, 0.5, 0.75, 1],
     )
     return _bar_layout(figure, len(shown), top=28)
 

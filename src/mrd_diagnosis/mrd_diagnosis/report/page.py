@@ -54,7 +54,8 @@ _NOISE_SOURCES = {
 _SEVERITIES = ("fault", "limitation", "remark")
 
 GLOSSARY = {
-    "gap": "The part of the model's error that noise does not explain.",
+    "gap": "The part of the model's error that noise does not explain, after all parameters of the model were refitted. It "
+    "is also called the explainable gap.",
     "NRMSE": "Normalised root-mean-square error: the rms of measured minus modelled force, divided by the standard "
     "deviation of the measured force. 0 % is a perfect model, 100 % is as bad as a constant force.",
     "noise": "The error that a perfect model would still have: noise of the force sensor, and errors of the measured motion "
@@ -62,11 +63,14 @@ GLOSSARY = {
     "excess error": "The squared error beyond what noise explains.",
     "held out": "Not used to fit the parameters. An error on held-out data shows how well the model predicts.",
     "share of the gap removed": "1 − (after² − noise²) / (before² − noise²), where before and after are NRMSE without and "
-    "with the effect.",
+    "with the effect; limited to ±100 %. It is negative where an effect predicts held-out data worse than the model without "
+    "it: its parameters then fit something else. At the top of the page whole runs are held out; in the comparison of "
+    "candidates segments of runs, so that the two differ a little.",
     "probability": "How likely an effect is the cause, compared with the other effects that were fitted in its place. It "
     "compares the effects that were tried; an effect that is not in the catalogue is not among them.",
     "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases.",
-    "p-value": "The probability that noise alone gives so large an improvement.",
+    "p-value": "The probability that noise alone improves the fit to the same data so much. An effect can improve the fit "
+    "and still predict held-out data worse.",
     "smallest detectable size": "The size from which these recordings would have shown an effect.",
 }
 """Terms of the page, in the order in which they are listed."""
@@ -186,12 +190,15 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     if gap.explainable_fraction >= figures.LEAST_SHARE and diagnosis.verdict != "no_gap":
         notes.append(
             f"A flexible function of motion and current removes {format_share(gap.explainable_fraction)} of the gap: at "
-            "least this much is not random."
+            "least this much is not random. A true effect has a better formula and can remove more."
         )
     if gap.extrapolated is not None:
-        notes.append(f"On the runs that exceed the others, {removes} {format_share(gap.extrapolated)} of the gap.")
+        notes.append(
+            f"On the runs whose stroke, speed or current exceeds that of the others, {removes} "
+            f"{format_share(gap.extrapolated)} of the gap."
+        )
     elif label:
-        notes.append("No run exceeds the others, so that the result is untested for larger, faster or stronger motions.")
+        notes.append("No run exceeds the others in stroke, speed or current; beyond these the result is untested.")
     return notes
 
 
