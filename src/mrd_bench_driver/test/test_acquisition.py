@@ -15,16 +15,16 @@ from mrd_bench_driver.acquisition import (
     BACKENDS,
     AcquisitionError,
     Averager,
+    ConverterSettings,
     Simulated,
     VoltBlock,
-    Wiring,
     averaging_ratio,
     make_backend,
 )
 from mrd_bench_driver.acquisition.channels import ChannelMap, CoilOutput
 
 HARDWARE = 2000.0
-WIRING = Wiring("Dev1", ChannelMap(), CoilOutput(), HARDWARE, 0.02)
+WIRING = ConverterSettings("Dev1", ChannelMap(), CoilOutput(), HARDWARE, 0.02)
 
 
 # Averaging

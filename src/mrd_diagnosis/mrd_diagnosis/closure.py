@@ -239,10 +239,10 @@ def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: 
 
 
 def _bootstrap_units(residuals: Sequence[RunResidual], rng: np.random.Generator) -> tuple[Array, Array, Array, Array, Array]:
-    """Sum squared errors in N² before and after, of the noise, and samples, by units that scatter independently; and draw
-    them.
+    """Return the squared errors in N² before, after and of the noise, and the samples, of each unit; and bootstrap draws of
+    units.
 
-    The units are runs, or segments of them where there are few runs.
+    The units, which scatter independently, are runs, or segments of them where there are few runs.
     """
     pieces = 1 if len(residuals) >= LEAST_RUNS_TO_RESAMPLE else -(-LEAST_SEGMENTS // len(residuals))
 

@@ -133,8 +133,6 @@ class Candidate:
         Parameters of the effects by EFFECT.PARAMETER.
     indistinguishable : tuple of str
         Effects that close nearly the same part of the gap on these runs.
-    remark : str
-        Why the candidate cannot be tested, or what is odd about it.
     smallest_detectable : str
         The smallest size that these runs would have shown, in words; empty where it was not computed.
     """
@@ -146,7 +144,6 @@ class Candidate:
     probability: float
     parameters: Mapping[str, ParameterEstimate]
     indistinguishable: tuple[str, ...] = ()
-    remark: str = ""
     smallest_detectable: str = ""
 
 
@@ -259,7 +256,7 @@ class RunResidual:
 class Gap:
     """Size of the gap as NRMSE (rms error over the standard deviation of the force) on held-out runs.
 
-    Each run's offset and gain error are removed, except in ``as_given``'s own fit of them.
+    Each run's offset and gain error are removed; for ``as_given`` they are estimated with the given parameters.
 
     Attributes
     ----------
@@ -334,7 +331,7 @@ class Diagnosis:
     nearest : Candidate or None
         What comes nearest to the gap where it is not explained.
     candidates : tuple of Candidate
-        Everything that was tried, best first.
+        The effects that were tried by themselves, and the chosen ones together; best first, without ``untestable``.
     untestable : tuple of UntestableEffect
         Effects about which these runs say nothing.
     alternative_models : tuple of AlternativeModel

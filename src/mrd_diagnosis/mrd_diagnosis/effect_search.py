@@ -32,12 +32,12 @@ BEST_SINGLES = 3
 ROUGHLY_CONVERGED = 1e-4
 """Relative decrease of the cost at which a fit beside another effect ends; the chosen one is refitted."""
 
-LEAST_STEP = 0.03
+LEAST_START_FACTOR = 0.03
 """Share of an effect's start value at which its fit starts at least: from zero, the derivatives to its other parameters
 vanish.
 """
 
-LARGEST_STEP = 3.0
+LARGEST_START_FACTOR = 3.0
 """Multiple of an effect's start value up to which its change of the force is extrapolated linearly."""
 
 LOWER_START, MIDDLE_START, UPPER_START = 0.15, 0.5, 0.85
@@ -267,9 +267,8 @@ def score_effect(problem: WeightedProblem, base: BaseFit, effect: Effect) -> Eff
         unabsorbed = change + base.jacobian @ absorbed
         strength = float(unabsorbed @ unabsorbed)
         lower, upper = sorted((size.lower / trial[size.name], size.upper / trial[size.name]))
-        factor = float(
-            np.clip(-(unabsorbed @ base.residual) / strength, max(lower, -LARGEST_STEP), min(upper, LARGEST_STEP))
-        )
+        lower, upper = max(lower, -LARGEST_START_FACTOR), min(upper, LARGEST_START_FACTOR)
+        factor = float(np.clip(-(unabsorbed @ base.residual) / strength, lower, upper))
         gain = max(0.0, -factor * (2 * float(unabsorbed @ base.residual) + factor * strength))
         if best is None or gain > best.gain:
             best = EffectScore(gain, _start_of_fit(problem, base, effect, places, neutral, trial, absorbed, factor))
@@ -288,7 +287,7 @@ def _start_of_fit(
 ) -> Array:
     """Return the parameters from which to fit an effect: scaled by ``factor``, the model's own parameters adapted."""
     names, size = problem.model.names, effect.parameters[0]
-    factor = factor if abs(factor) > LEAST_STEP else LEAST_STEP
+    factor = factor if abs(factor) > LEAST_START_FACTOR else LEAST_START_FACTOR
     # Effects with start values of their own act beyond a threshold; a smaller value might not reach it.
     scale = 1.0 if effect.starts else factor
     theta = neutral.copy()

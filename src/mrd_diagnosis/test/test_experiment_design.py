@@ -8,7 +8,7 @@ import pytest
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design import advice as advice_module
 from mrd_diagnosis.experiment_design.advice import advise, sensor
-from mrd_diagnosis.experiment_design.candidates import library
+from mrd_diagnosis.experiment_design.experiment_library import library
 from mrd_diagnosis.experiment_design.prediction import Explanation
 from mrd_diagnosis.experiment_design.separation import Predictor, Separation
 from mrd_diagnosis.explanation import advise_next

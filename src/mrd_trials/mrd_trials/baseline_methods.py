@@ -70,7 +70,7 @@ class ScatterFreeProblem(Problem):
 
 
 @dataclass(frozen=True)
-class EffectFit:
+class BaselineScore:
     """What one effect does for the model.
 
     Attributes
@@ -94,7 +94,7 @@ class EffectFit:
 def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> BaselineResult:
     """Fit the model without and with every effect of the catalogue, and rank the effects by five methods.
 
-    ``correlation``, ``score`` and ``in_sample`` are the first three fields of `EffectFit`. ``bic`` is the Bayesian
+    ``correlation``, ``score`` and ``in_sample`` are the first three fields of `BaselineScore`. ``bic`` is the Bayesian
     information criterion of the refits, as if all samples were independent. ``random`` is a random order.
 
     Parameters
@@ -127,7 +127,7 @@ def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> B
     return BaselineResult(rankings, {name: total - fit.squared_error for name, fit in fits.items()})
 
 
-def _fit_effect(alone: ScatterFreeProblem, theta: Array, nuisance: Array, effect: Effect) -> EffectFit:
+def _fit_effect(alone: ScatterFreeProblem, theta: Array, nuisance: Array, effect: Effect) -> BaselineScore:
     """Score an effect from its typical size, then refit the model with it from the size that removes most."""
     model = find_model(alone.model.id, effects=[effect.id])
     posed, _ = make_problem(model, alone.recordings, fixed={"coil_lag": 0.0})
@@ -159,7 +159,7 @@ def _fit_effect(alone: ScatterFreeProblem, theta: Array, nuisance: Array, effect
                 begin[place] *= factor if abs(factor) > SMALLEST_SIZE else SMALLEST_SIZE
     fitted, best = _refit(replace(problem, base=begin), begin)
     squared_error = float(np.sum(fitted.residuals(best) ** 2))
-    return EffectFit(correlation, promise, squared_error, len(problem.free) - len(alone.free))
+    return BaselineScore(correlation, promise, squared_error, len(problem.free) - len(alone.free))
 
 
 def _refit(problem: ScatterFreeProblem, theta: Array) -> tuple[ScatterFreeProblem, Array]:

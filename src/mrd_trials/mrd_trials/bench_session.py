@@ -12,7 +12,7 @@ from mrd_trials.trial_design import PlantDesign
 from mrd_trials.truth import (
     BenchCommand,
     Readings,
-    RunScatter,
+    RunDeviation,
     TrueInstruments,
     TruePlant,
     draw_parameters,
@@ -79,7 +79,7 @@ class BenchSession:
         return [as_run(name, run) for name, run in zip(self.names, silent.record(effects), strict=True)]
 
     @property
-    def scatter(self) -> list[RunScatter]:
+    def scatter(self) -> list[RunDeviation]:
         """Scatter of every run."""
         return draw_scatter(self.instruments, np.random.default_rng(self.noise_seed), len(self.commands))
 

@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 from mrd_base import BenchClock, InputError
 from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
-from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock, Wiring
+from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, ConverterSettings, VoltBlock
 from mrd_bench_driver.acquisition.ni_usb_6216 import NiUsb6216
 from mrd_bench_driver.acquisition.simulated import Simulated
 
-BACKENDS: dict[str, Callable[[Wiring, BenchClock], Backend]] = {"simulated": Simulated, "ni_usb_6216": NiUsb6216}
+BACKENDS: dict[str, Callable[[ConverterSettings, BenchClock], Backend]] = {"simulated": Simulated, "ni_usb_6216": NiUsb6216}
 
 
-def make_backend(name: str, wiring: Wiring, clock: BenchClock) -> Backend:
+def make_backend(name: str, wiring: ConverterSettings, clock: BenchClock) -> Backend:
     """Return a backend of the catalogue, not yet open."""
     if name not in BACKENDS:
         raise InputError(f"backend is {name!r}, expected one of {', '.join(BACKENDS)}")
@@ -25,9 +25,9 @@ __all__ = [
     "AcquisitionError",
     "Averager",
     "Backend",
+    "ConverterSettings",
     "Simulated",
     "VoltBlock",
-    "Wiring",
     "averaging_ratio",
     "make_backend",
 ]

@@ -14,8 +14,8 @@ class AcquisitionError(Exception):
 
 
 @dataclass(frozen=True)
-class Wiring:
-    """Wiring of the converter, its sample rate in Hz, and the length of a block in s."""
+class ConverterSettings:
+    """ConverterSettings of the converter, its sample rate in Hz, and the length of a block in s."""
 
     device: str
     channels: ChannelMap

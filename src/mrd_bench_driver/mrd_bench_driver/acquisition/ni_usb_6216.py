@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mrd_base import BenchClock, InputError
-from mrd_bench_driver.acquisition.backend import AcquisitionError, VoltBlock, Wiring
+from mrd_bench_driver.acquisition.backend import AcquisitionError, ConverterSettings, VoltBlock
 from mrd_bench_driver.acquisition.channels import OUTPUT_RANGE
 
 # Blocks that NI's driver buffers before it overruns: a second of them at the default of 20 ms.
@@ -35,7 +35,7 @@ _REMEDIES = {
 class NiUsb6216:
     """Backend of the real converter, with continuous clocked input and a static output."""
 
-    def __init__(self, wiring: Wiring, clock: BenchClock) -> None:
+    def __init__(self, wiring: ConverterSettings, clock: BenchClock) -> None:
         self.product = ""
         self._wiring = wiring
         self._clock = clock

@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import BenchClock
-from mrd_bench_driver.acquisition.backend import AcquisitionError, VoltBlock, Wiring
+from mrd_bench_driver.acquisition.backend import AcquisitionError, ConverterSettings, VoltBlock
 
 
 class Simulated:
     """Backend that receives blocks by `feed` and passes the coil voltage to ``send``."""
 
-    def __init__(self, wiring: Wiring, _clock: BenchClock) -> None:
+    def __init__(self, wiring: ConverterSettings, _clock: BenchClock) -> None:
         self.product = "simulated"
         self.send: Callable[[float], None] = lambda _volts: None
         self._wiring = wiring

@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 
 from mrd_base import InputError
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
-from mrd_bench_driver.acquisition import Simulated, VoltBlock, Wiring, make_backend
+from mrd_bench_driver.acquisition import ConverterSettings, Simulated, VoltBlock, make_backend
 from mrd_bench_driver.acquisition.channels import UNITS, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
 from mrd_bench_driver.acquisition.daq import Daq
@@ -26,7 +26,7 @@ class DaqNode(BenchNode[DaqConfig]):
         config = self.config
         self._samples = self.create_publisher(BenchSamples, "samples", RECORDED)
         self._calibration = self.create_publisher(Calibration, "calibration", LATCHED)
-        wiring = Wiring(config.device, config.channels, config.coil, config.hardware_rate, config.block)
+        wiring = ConverterSettings(config.device, config.channels, config.coil, config.hardware_rate, config.block)
         self._backend = make_backend(config.backend, wiring, self.bench)
         self._daq = Daq(
             config,

@@ -25,7 +25,7 @@ _PORT_ERRORS = (serial.SerialException, OSError, termios.error, TypeError)
 
 
 class LineLostError(Exception):
-    """The port is not usable, no longer or not yet."""
+    """The port is lost, or not open yet."""
 
 
 class WaitInterrupted(Exception):  # noqa: N818 (no error: somebody asked for it)

@@ -31,7 +31,7 @@ from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
 # Distance in m from mid-stroke below which the rod need not be homed again before an experiment.
 CENTRE_TOLERANCE = 5e-4
 # Speed in m/s below which a fault may be reset.
-STANDSTILL_SPEED = 2e-3
+RESET_SPEED = 2e-3
 # Bench time in s for what takes effect within a few periods of servo, DAQ or generator, with a margin.
 _EFFECT_TIMEOUT = 2.0
 # Bench time in s for samples to pass through the DAQ, and for inputs to become healthy.
@@ -295,9 +295,7 @@ class BenchOperations:
         if trip is not None:
             raise RefusedError(f"not reset, {trip.interlock}: {trip.message}")
         self._wait_until(
-            lambda: abs(self._servo().velocity) < STANDSTILL_SPEED,
-            _EFFECT_TIMEOUT,
-            "the rod still moves; reset once it stands",
+            lambda: abs(self._servo().velocity) < RESET_SPEED, _EFFECT_TIMEOUT, "the rod still moves; reset once it stands"
         )
         self._call("servo/reset_fault", _RESET_TIMEOUT)
         self._call("daq/reset_fault", _RESET_TIMEOUT)

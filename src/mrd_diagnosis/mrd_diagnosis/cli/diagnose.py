@@ -13,7 +13,7 @@ from tqdm import tqdm
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
+from mrd_diagnosis.report.candidate_text import describe_candidate, with_probabilities
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs

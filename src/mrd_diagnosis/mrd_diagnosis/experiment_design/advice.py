@@ -13,7 +13,7 @@ import numpy as np
 
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.effect_names import effect_name, effect_names
-from mrd_diagnosis.experiment_design.candidates import RATE, library
+from mrd_diagnosis.experiment_design.experiment_library import RATE, library
 from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.thresholds import THRESHOLDS

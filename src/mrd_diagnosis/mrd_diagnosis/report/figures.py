@@ -13,7 +13,7 @@ from mrd_diagnosis.diagnosis import Diagnosis, Gap, Interval, Region, RunResidua
 from mrd_diagnosis.effect_names import candidate_title
 from mrd_diagnosis.excess_maps import Map, maps
 from mrd_diagnosis.quantities import format_error
-from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
+from mrd_diagnosis.report.candidate_text import describe_candidate, with_probabilities
 from mrd_diagnosis.sentences import corrected_label
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 
@@ -115,7 +115,7 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
 
 
 def map_figures(diagnosis: Diagnosis) -> list[tuple[str, go.Figure]]:
-    """Draw maps of the excess error, before the correction above after it, each with its title.
+    """Draw maps of the excess error, each with its title: before the correction and, below, after it.
 
     The spectrogram shows only the run with the greatest excess.
     """

@@ -159,7 +159,6 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         "p_value": finite_or_none(candidate.p_value),
         "parameters": _parameters(candidate.parameters),
         "indistinguishable": list(candidate.indistinguishable),
-        "remark": candidate.remark,
         "smallest_detectable": candidate.smallest_detectable,
     }
 

@@ -20,7 +20,7 @@ from mrd_diagnosis.diagnosis import (
 from mrd_diagnosis.effect_names import candidate_title, effect_clause, effect_name, parameters_of_effect
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
-from mrd_diagnosis.report.candidates import describe_candidate, with_probabilities
+from mrd_diagnosis.report.candidate_text import describe_candidate, with_probabilities
 from mrd_diagnosis.report.gap_file import write_gap_file
 from mrd_diagnosis.sentences import corrected_label, next_command, notable_model
 from mrd_diagnosis.thresholds import THRESHOLDS

@@ -115,7 +115,7 @@ def subdivided_indices(samples: int, parts: int | NDArray[np.intp]) -> NDArray[n
 
 
 def subdivide(series: Array, parts: int | NDArray[np.intp]) -> Array:
-    """Interpolate a series (n,), such as the time, linearly after every interval is `subdivided_indices`; return it (m,)."""
+    """Interpolate a series (n,), such as the time, linearly at the points of `subdivided_indices`; return it (m,)."""
     indices = subdivided_indices(len(series), parts)
     return np.interp(np.arange(indices[-1] + 1), indices, series)
 
@@ -151,7 +151,7 @@ def motion_errors(
     count : int
         Number of draws.
     parts : int
-        Number of parts into which every sampling interval is `subdivided_indices`.
+        Number of parts into which every sampling interval is divided, see `subdivided_indices`.
 
     Returns
     -------

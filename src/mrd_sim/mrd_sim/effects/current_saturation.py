@@ -8,7 +8,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 SMALL = 0.03
-"""Of z = s u. Up to it four terms of the series are exact to some 1e-14."""
+"""Largest z = s u at which four terms of the series of tanh(z)/z are exact to 1e-14."""
 
 PARAMETERS = (
     Parameter("inverse_current", "1/A", 0.0, 0.0, 2.0, "s, one over the current I_s of saturation"),

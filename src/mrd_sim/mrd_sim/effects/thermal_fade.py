@@ -1,4 +1,4 @@
-"""Thermal fade: the dissipated power heats the fluid, which thins.
+"""Thermal fade: dissipated heat lowers the whole force, yield force included.
 
 The heat capacity is one lump. Heat goes on from one path to the next; pauses between them do not count.
 """

@@ -6,7 +6,7 @@ Signs: the position of a rod that moves out is positive, and so is a force that 
 from mrd_trials.truth.damper_forms import DAMPER_FORMS, DamperForm, draw_parameters
 from mrd_trials.truth.effects import EFFECTS, EffectParameter, TrueEffect
 from mrd_trials.truth.instruments import Readings, TrueInstruments
-from mrd_trials.truth.recording import BenchCommand, RunScatter, TruePlant, draw_scatter, record
+from mrd_trials.truth.recording import BenchCommand, RunDeviation, TruePlant, draw_scatter, record
 
 __all__ = [
     "DAMPER_FORMS",
@@ -15,7 +15,7 @@ __all__ = [
     "DamperForm",
     "EffectParameter",
     "Readings",
-    "RunScatter",
+    "RunDeviation",
     "TrueEffect",
     "TrueInstruments",
     "TruePlant",

@@ -91,7 +91,7 @@ class TruePlant:
 
 
 @dataclass(frozen=True)
-class RunScatter:
+class RunDeviation:
     """What differs from run to run though the plant does not.
 
     Attributes
@@ -109,7 +109,7 @@ class RunScatter:
     phase: float
 
 
-def draw_scatter(instruments: TrueInstruments, rng: np.random.Generator, runs: int) -> list[RunScatter]:
+def draw_scatter(instruments: TrueInstruments, rng: np.random.Generator, runs: int) -> list[RunDeviation]:
     """Return the scatter of the runs that `record` makes with a generator in the same state."""
     return [scatter for scatter, _ in _draw_runs(instruments, rng, runs)]
 
@@ -159,14 +159,14 @@ def record(
 
 def _draw_runs(
     instruments: TrueInstruments, rng: np.random.Generator, runs: int
-) -> list[tuple[RunScatter, list[np.random.Generator]]]:
+) -> list[tuple[RunDeviation, list[np.random.Generator]]]:
     """Return the scatter of each run, and the generators of its noise: time, position, current, acceleration, force."""
     drawn = []
     for run_rng in rng.spawn(runs):
         scatter, *streams = run_rng.spawn(6)
         gain, offset, phase = scatter.normal(), scatter.normal(), scatter.uniform()
         drawn.append(
-            (RunScatter(1.0 + instruments.gain_scatter * gain, instruments.offset_scatter * offset, phase), streams)
+            (RunDeviation(1.0 + instruments.gain_scatter * gain, instruments.offset_scatter * offset, phase), streams)
         )
     return drawn
 

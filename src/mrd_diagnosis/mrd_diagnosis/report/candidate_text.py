@@ -19,15 +19,13 @@ class CandidateText(NamedTuple):
 
 def describe_candidate(diagnosis: Diagnosis, candidate: Candidate) -> CandidateText:
     """Return the columns of a table of candidates."""
-    remarks = [candidate.remark] if candidate.remark else []
-    if candidate.indistinguishable:
-        remarks.append(f"fits nearly as well as {effect_names(candidate.indistinguishable)}")
+    similar = effect_names(candidate.indistinguishable)
     return CandidateText(
         format_probability(candidate_probability(diagnosis, candidate)),
         format_share(candidate.closed_fraction),
         format_error(candidate.nrmse),
         f"{candidate.p_value:.3f}",
-        "; ".join(remarks),
+        f"fits nearly as well as {similar}" if similar else "",
     )
 
 
