@@ -226,3 +226,17 @@ def test_what_the_sources_import_is_declared(package):
         else:
             assert name in WITHOUT_ROSDEP_KEY
             assert re.search(rf"<!-- No rosdep key[^>]*\b{name}\b", declared), f"{name} is not named in package.xml"
+
+
+def test_the_page_on_architecture_is_drawn_from_the_sources():
+    script = SOURCES.parent / "docs" / "tables" / "architecture.py"
+    drawn = subprocess.run([sys.executable, script, "--check"], capture_output=True, text=True)
+    assert drawn.returncode == 0, drawn.stderr
+
+
+def test_the_page_on_architecture_names_modules_that_exist():
+    text = (SOURCES.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`(mrd_\w+(?:\.\w+)+)`", text))
+    assert len(named) > 10
+    missing = [name for name in named if not list((SOURCES / name.partition(".")[0]).glob(name.replace(".", "/") + "*"))]
+    assert not missing

@@ -59,6 +59,19 @@ def package_diagram() -> str:
     return "\n".join([*lines, "```"])
 
 
+def executables_of(module: str) -> set[str]:
+    """Return the executables that run a module of nodes: itself, or those that derive their node from it."""
+    trees = {file.stem: tree for _, file, tree in modules() if file.parent.name == "nodes"}
+    if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in trees[module].body):
+        return {module}
+    return {
+        stem
+        for stem, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").endswith(f".nodes.{module}")
+    }
+
+
 def topics() -> tuple[dict[str, set[str]], dict[str, set[str]]]:
     """Return publishers and subscribers of every topic whose name the sources give as a literal."""
     publishers: dict[str, set[str]] = defaultdict(set)
@@ -70,9 +83,9 @@ def topics() -> tuple[dict[str, set[str]], dict[str, set[str]]]:
             literals = [a.value for a in call.args[1:2] if isinstance(a, ast.Constant) and isinstance(a.value, str)]
             for topic in literals:
                 if call.func.attr in PUBLISHING:
-                    publishers[topic].add(file.stem)
+                    publishers[topic] |= executables_of(file.stem)
                 if call.func.attr in SUBSCRIBING:
-                    subscribers[topic].add(file.stem)
+                    subscribers[topic] |= executables_of(file.stem)
     return publishers, subscribers
 
 

@@ -239,8 +239,7 @@ def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: 
 
 
 def _bootstrap_units(residuals: Sequence[RunResidual], rng: np.random.Generator) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the squared errors in N² before, after and of the noise, and the samples, of each unit; and bootstrap draws of
-    units.
+    """Return squared errors in N² (before, after, noise) and samples of each unit, and bootstrap draws of the units.
 
     The units, which scatter independently, are runs, or segments of them where there are few runs.
     """
