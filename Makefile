@@ -17,7 +17,7 @@ demo: build  ## drive the simulated bench, record, replay and identify a damper
 	@. ./env.sh; exec python setup/demo.py
 
 test: build lint  ## check style and types, then run all tests but the slow ones
-	@. ./env.sh; python -m pytest
+	@. ./env.sh; python -m pytest -n logical -m 'not slow and not realtime'; python -m pytest -m 'realtime and not slow'
 
 lint: build  ## check style (ruff) and types (mypy)
 	@. ./env.sh; ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))

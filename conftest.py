@@ -1,14 +1,105 @@
 """All tests of one run share a ROS domain that nobody else uses, and no compiled function is older than its sources."""
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 try:
     from mrd_base.domain import claim_domain
+    from mrd_runs import Run
     from mrd_sim import stale_kernels
+    from mrd_sim.models import find_model
+    from mrd_sim.path import make_path
+    from mrd_sim.simulate import write_csv
 except ImportError:
     pytest.exit("the packages are not in reach; enter the environment first: . ./env.sh", returncode=2)
 
 claim_domain()
 stale_kernels.delete_stale_kernels(Path(stale_kernels.__file__).parent)
+
+
+@pytest.fixture
+def recorded(tmp_path) -> list[str]:
+    """Three runs of a damper whose force sensor lags by 20 ms."""
+    model = find_model("bingham", effects=["force_sensor_lag"])
+    random = np.random.default_rng(1)
+    time = np.arange(1500) / 250
+    paths = []
+    for name in ("a", "b", "c"):
+        position, velocity, acceleration = np.zeros((3, len(time)))
+        for frequency, amplitude in ((0.5, 9e-3), (1.5, 4e-3), (3.5, 1.2e-3)):
+            w, phase = 2 * np.pi * frequency, random.uniform(0, 2 * np.pi)
+            position += amplitude * np.sin(w * time + phase)
+            velocity += amplitude * w * np.cos(w * time + phase)
+            acceleration -= amplitude * w**2 * np.sin(w * time + phase)
+        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3], len(time) // 50), 50)
+        theta = model.vector({"force_sensor_lag.lag": 0.02, "coil_lag": 0.0})
+        force = model.force(theta, make_path(time, position, velocity, acceleration, current))
+        force += random.standard_normal(len(time))
+        paths.append(str(tmp_path / f"{name}.csv"))
+        write_csv(Run(name, time, position, velocity, current, force), paths[-1])
+    return paths
+
+
+class ActionNodeClient:
+    """A node that serves one action, and a client of it, in one process; the thread of the test spins both."""
+
+    def __init__(self, node: type, action: Any, name: str) -> None:
+        import rclpy
+        from rclpy.action import ActionClient
+        from rclpy.executors import SingleThreadedExecutor
+
+        rclpy.init()
+        self.node = node()
+        self._client = rclpy.create_node("client")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._executor.add_node(self._client)
+        self.feedback: list[Any] = []
+        self._action = ActionClient(self._client, action, name)
+        self.until(self._action.server_is_ready)
+
+    def until(self, done: Callable[[], Any]) -> None:
+        for _ in range(12000):
+            if done():
+                return
+            self._executor.spin_once(timeout_sec=0.01)
+        pytest.fail("timed out")
+
+    def send(self, goal: Any) -> Any:
+        future = self._action.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
+        self.until(future.done)
+        return future.result()
+
+    def ended(self, handle: Any) -> Any:
+        future = handle.get_result_async()
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        import rclpy
+
+        self.node.close()
+        self._action.destroy()
+        self._executor.shutdown()
+        self._client.destroy_node()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def serve_action(monkeypatch) -> Iterator[Callable[[type, Any, str], ActionNodeClient]]:
+    """Start a node that serves an action, and return its client."""
+    clients: list[ActionNodeClient] = []
+
+    def start(node: type, action: Any, name: str) -> ActionNodeClient:
+        monkeypatch.setattr("sys.argv", ["node"])
+        clients.append(ActionNodeClient(node, action, name))
+        return clients[-1]
+
+    yield start
+    for client in clients:
+        client.close()

@@ -26,6 +26,8 @@ from mrd_interfaces.msg import BenchSamples, ServoState
 from mrd_runs import read_run
 from mrd_trajectory.experiment import format_experiment, read_experiment
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).resolve().parents[1]
 BENCH, PLANT = ROOT / "config/bench.yaml", ROOT / "config/plant.yaml"
 

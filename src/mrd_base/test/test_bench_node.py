@@ -14,6 +14,8 @@ from rclpy.parameter import Parameter
 
 from mrd_base.nodes.bench_node import seconds
 
+pytestmark = pytest.mark.realtime
+
 NODE = [sys.executable, str(Path(__file__).with_name("tiny_node.py"))]
 
 

@@ -8,6 +8,8 @@ import pytest
 
 from mrd_bench_driver.nodes import bench
 
+pytestmark = pytest.mark.realtime
+
 CONFIG = Path(__file__).parents[3] / "config"
 GENTLE = "{name: x, duration_s: 1, rate_hz: 25, rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 1}}"
 

@@ -14,6 +14,8 @@ from std_srvs.srv import Trigger
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, seconds
 from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibration, Setpoint
 
+pytestmark = pytest.mark.realtime
+
 RATE, BLOCK = 2000.0, 20
 # Volts at rest of ai0 to ai4, of which ai3 is not used.
 REST = (0.4, 0.1, 2.51, 5.0, 1.66)

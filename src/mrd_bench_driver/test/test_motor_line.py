@@ -15,6 +15,8 @@ from mrd_base import BenchClock
 from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted, WakeUp
 from mrd_bench_driver.servo.smartmotor import ReplyError
 
+pytestmark = pytest.mark.realtime
+
 
 class Far:
     """The far end: answers each request with the next script of (wait, bytes)."""

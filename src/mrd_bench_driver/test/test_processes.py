@@ -14,6 +14,8 @@ import yaml
 from mrd_base import InputError
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, ProcessSpec, bench_processes, find_executable
 
+pytestmark = pytest.mark.realtime
+
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 
 # Tells its arguments and what ended it, as the others may not have ended yet.

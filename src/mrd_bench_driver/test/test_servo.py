@@ -25,6 +25,8 @@ from mrd_bench_driver.servo.motor_setup import MotorIdentity
 from mrd_bench_driver.servo.smartmotor import Drivetrain, MotorUnits
 from mrd_bench_driver.servo.streaming import RodSetpoint
 
+pytestmark = pytest.mark.realtime
+
 UNITS = MotorUnits(Drivetrain())
 MM = 1e-3
 

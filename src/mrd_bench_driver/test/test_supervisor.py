@@ -17,6 +17,8 @@ from mrd_interfaces.action import RunExperiment, RunSet
 from mrd_interfaces.msg import BenchSamples, BenchState, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
+pytestmark = pytest.mark.realtime
+
 EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
 SET = [EXPERIMENT.replace("short", name) for name in ("01_a", "02_b", "03_c")]
 ALL = ("servo", "daq", "generator", "recorder")

@@ -2,15 +2,10 @@
 
 import json
 import threading
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-import rclpy
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base import InputError
 from mrd_diagnosis.nodes import diagnoser
@@ -38,52 +33,9 @@ EFFECT = Effect(
 """
 
 
-class Client:
-    """Node and client in one process; the test's thread spins both."""
-
-    def __init__(self) -> None:
-        rclpy.init()
-        self.node = diagnoser.Diagnoser()
-        self._client = rclpy.create_node("client")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        self._executor.add_node(self._client)
-        self.feedback: list[Any] = []
-        self._action = ActionClient(self._client, Diagnose, "diagnose")
-        self.until(self._action.server_is_ready)
-
-    def until(self, done: Any) -> None:
-        for _ in range(12000):
-            if done():
-                return
-            self._executor.spin_once(timeout_sec=0.01)
-        pytest.fail("timed out")
-
-    def send(self, goal: Any) -> Any:
-        future = self._action.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
-        self.until(future.done)
-        return future.result()
-
-    def ended(self, handle: Any) -> Any:
-        future = handle.get_result_async()
-        self.until(future.done)
-        return future.result()
-
-    def close(self) -> None:
-        self.node.close()
-        self._action.destroy()
-        self._executor.shutdown()
-        self._client.destroy_node()
-        self.node.destroy_node()
-        rclpy.try_shutdown()
-
-
 @pytest.fixture
-def client(monkeypatch) -> Iterator[Client]:
-    monkeypatch.setattr("sys.argv", ["diagnoser"])
-    client = Client()
-    yield client
-    client.close()
+def client(serve_action):
+    return serve_action(diagnoser.Diagnoser, Diagnose, "diagnose")
 
 
 def test_diagnose_answers_as_the_tool_does(client, recorded, tmp_path):

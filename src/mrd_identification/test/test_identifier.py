@@ -1,14 +1,9 @@
 """The identifier node: the options and messages of the tool, one goal at a time, and cancelling."""
 
 import threading
-from collections.abc import Iterator
-from typing import Any
 
 import pytest
-import rclpy
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base import InputError
 from mrd_identification.method import Method
@@ -16,52 +11,9 @@ from mrd_identification.nodes import identifier
 from mrd_interfaces.action import Identify
 
 
-class Client:
-    """Node and client in one process; the test's thread spins both."""
-
-    def __init__(self) -> None:
-        rclpy.init()
-        self.node = identifier.Identifier()
-        self._client = rclpy.create_node("client")
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        self._executor.add_node(self._client)
-        self.feedback: list[Any] = []
-        self._action = ActionClient(self._client, Identify, "identify")
-        self.until(self._action.server_is_ready)
-
-    def until(self, done: Any) -> None:
-        for _ in range(12000):
-            if done():
-                return
-            self._executor.spin_once(timeout_sec=0.01)
-        pytest.fail("timed out")
-
-    def send(self, goal: Any) -> Any:
-        future = self._action.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
-        self.until(future.done)
-        return future.result()
-
-    def ended(self, handle: Any) -> Any:
-        future = handle.get_result_async()
-        self.until(future.done)
-        return future.result()
-
-    def close(self) -> None:
-        self.node.close()
-        self._action.destroy()
-        self._executor.shutdown()
-        self._client.destroy_node()
-        self.node.destroy_node()
-        rclpy.try_shutdown()
-
-
 @pytest.fixture
-def client(monkeypatch) -> Iterator[Client]:
-    monkeypatch.setattr("sys.argv", ["identifier"])
-    client = Client()
-    yield client
-    client.close()
+def client(serve_action):
+    return serve_action(identifier.Identifier, Identify, "identify")
 
 
 def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):

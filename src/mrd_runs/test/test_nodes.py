@@ -22,6 +22,8 @@ from mrd_runs import read_run
 from mrd_runs.bag import read_bag
 from mrd_runs.blocks import decode_as_table
 
+pytestmark = pytest.mark.realtime
+
 PERIOD = 0.02  # s, of the blocks
 
 

@@ -18,6 +18,8 @@ from mrd_base import BenchClock
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
 from mrd_interfaces.msg import AnalogInput, AnalogOutput
 
+pytestmark = pytest.mark.realtime
+
 NODE = [sys.executable, "-c", "from mrd_sim.nodes.plant import main; main()", "--ros-args"]
 
 

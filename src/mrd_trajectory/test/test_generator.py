@@ -20,6 +20,8 @@ from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
 from mrd_trajectory.plan import plan
 
+pytestmark = pytest.mark.realtime
+
 TEXT = """
 name: short
 duration_s: 2.0

@@ -209,7 +209,7 @@ class Predictor:
         return predicted
 
     def _gap(self, without: Explanation, predicted: PredictedRun) -> float:
-        """Return the squared white error without any explanation: of recorded runs beyond the best one, and of the new run."""
+        """Return the squared white error without an explanation: of recorded runs beyond the best, and of the new one."""
         recorded = without.held_out_cost - min(explanation.held_out_cost for explanation in self.explanations.values())
         return recorded + predicted.dispersion * self.distance(predicted, without)
 
