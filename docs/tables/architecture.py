@@ -9,7 +9,7 @@ import ast
 import re
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,9 +59,8 @@ def package_diagram() -> str:
     return "\n".join([*lines, "```"])
 
 
-def executables_of(module: str) -> set[str]:
+def executables_of(module: str, trees: Mapping[str, ast.Module]) -> set[str]:
     """Return the executables that run a module of nodes: itself, or those that derive their node from it."""
-    trees = {file.stem: tree for _, file, tree in modules() if file.parent.name == "nodes"}
     if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in trees[module].body):
         return {module}
     return {
@@ -76,16 +75,15 @@ def topics() -> tuple[dict[str, set[str]], dict[str, set[str]]]:
     """Return publishers and subscribers of every topic whose name the sources give as a literal."""
     publishers: dict[str, set[str]] = defaultdict(set)
     subscribers: dict[str, set[str]] = defaultdict(set)
-    for _, file, tree in modules():
-        if file.parent.name != "nodes":
-            continue
+    trees = {file.stem: tree for _, file, tree in modules() if file.parent.name == "nodes"}
+    for module, tree in trees.items():
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             literals = [a.value for a in call.args[1:2] if isinstance(a, ast.Constant) and isinstance(a.value, str)]
             for topic in literals:
                 if call.func.attr in PUBLISHING:
-                    publishers[topic] |= executables_of(file.stem)
+                    publishers[topic] |= executables_of(module, trees)
                 if call.func.attr in SUBSCRIBING:
-                    subscribers[topic] |= executables_of(file.stem)
+                    subscribers[topic] |= executables_of(module, trees)
     return publishers, subscribers
 
 
