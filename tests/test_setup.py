@@ -10,8 +10,6 @@ from pathlib import Path
 import psutil
 import pytest
 
-pytestmark = pytest.mark.realtime
-
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = sys._base_executable
 VERSION = f"{sys.version_info.major}.{sys.version_info.minor}"
