@@ -51,7 +51,9 @@ def ambiguous_sentence(causes: Sequence[Cause], alternatives: Sequence[Alternati
         text += f" The most likely explanation removes {format_share(gap.closed_fraction.value)} of the explainable gap."
     if advice is not None:
         experiment = experiment_name(advice.experiment)
-        text += f" Record the experiment “{experiment}” to separate them." if experiment else f" {advice.text}"
+        # Without an experiment, the first sentence of the advice repeats that nothing separates them.
+        remedy = advice.text.partition(". ")[2] or advice.text
+        text += f" Record the experiment “{experiment}” to separate them." if experiment else f" {remedy}"
     return text
 
 
@@ -75,7 +77,11 @@ def unknown_effect_sentence(
     named = {cause.effect for cause in causes}
     if model := notable_model(nearest, alternative_models):
         sentences.append(f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next.")
-    elif nearest is not None and not named.issuperset(nearest.effects):
+    elif (
+        nearest is not None
+        and not named.issuperset(nearest.effects)
+        and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model
+    ):
         names = effect_names([effect for effect in nearest.effects if effect not in named])
         verb = "comes" if len(nearest.effects) - len(named.intersection(nearest.effects)) == 1 else "come"
         removes = "in total removes" if named else "would remove"
