@@ -14,7 +14,7 @@ from mrd_runs.signals.current import current_noise, steady_current
 from mrd_runs.signals.motion import motion_between_samples, motion_errors, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 from mrd_sim.models import DamperModel
-from mrd_sim.path import Path, cubic_hermite, make_path, pieces
+from mrd_sim.path import Path, make_path, pieces
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -141,7 +141,14 @@ def _switched_path(
 
     position, velocity, acceleration = motion
     after = before + 1
-    interpolated = cubic_hermite(fraction, step, position[before], velocity[before], position[after], velocity[after])
+    # The same cubic as in `mrd_sim.path.cubic_hermite`, in a form that rounds differently: published figures rest on it.
+    h, x, v, x_after, v_after = fraction, position[before], velocity[before], position[after], velocity[after]
+    interpolated = (
+        (1 + 2 * h) * (1 - h) ** 2 * x
+        + h * (1 - h) ** 2 * step * v
+        + h**2 * (3 - 2 * h) * x_after
+        + h**2 * (h - 1) * step * v_after
+    )
     path = make_path(
         insert(time, time[before] + fraction * step),
         insert(position, interpolated),
