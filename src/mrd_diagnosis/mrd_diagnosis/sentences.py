@@ -116,6 +116,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         arguments = {"": f"--model {model_id}", "quadratic current laws": f"--model {model_id} --law quadratic"}.get(change)
         if model_id in MODELS and arguments:
             return f"ros2 run mrd_diagnosis diagnose RUN... {arguments} --output DIR"
+    if diagnosis.verdict == "unknown_effect":
+        return "ros2 run mrd_identification compare RUN... --output DIR"
     return ""
 
 

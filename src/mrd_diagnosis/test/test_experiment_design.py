@@ -228,7 +228,7 @@ def test_advice_keeps_within_the_limits_of_the_users_bench(alike, experiments, m
     advice = advise_next(comparison, chances, weak)
     assert benches == [weak]
     assert advice.experiment == ""
-    assert "No run of the library is safe: each would exceed 100 N" in advice.text
+    assert "No experiment that can be advised is safe: each would exceed 100 N" in advice.text
 
 
 def test_runs_at_one_current_leave_the_slopes_over_current_open():

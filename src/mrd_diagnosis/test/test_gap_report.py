@@ -377,17 +377,17 @@ def test_the_next_command_follows_from_the_verdict():
     assert record == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
     assert diagnose_again.startswith("ros2 run mrd_diagnosis diagnose RUN... NEW_RUN --model ")
     unknown = diagnosed("unknown_effect")
-    # The nearest effect removes more than the other model.
-    assert next_command(unknown) == ""
+    # The nearest effect removes more than the other model, so all models are compared.
+    compare = "ros2 run mrd_identification compare RUN... --output DIR"
+    assert next_command(unknown) == compare
     unknown = replace(unknown, nearest=None)
     assert next_command(unknown) == "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR"
     for name, arguments in (
         ("bouc_wen with quadratic current laws", "--model bouc_wen --law quadratic --output DIR"),
-        ("bouc_wen with exponent freed", ""),
+        ("bouc_wen with exponent freed", compare),
     ):
         command = next_command(replace(unknown, alternative_models=(AlternativeModel(name, 0.01, about(0.9)),)))
         assert command.endswith(arguments)
-        assert bool(command) == bool(arguments)
     assert next_command(diagnosed("no_gap")) == next_command(diagnosed("data_fault")) == ""
 
 

@@ -104,7 +104,7 @@ def advise(
     safe = [(planned, of_plan) for planned, of_plan in zip(plans, separations_of_plans, strict=True) if of_plan is not None]
     if not safe:
         pair = next(itertools.combinations(explanations, 2))
-        text = f"No run of the library is safe: each would exceed {bench.limits.force:g} N or another limit of the bench."
+        text = f"No experiment that can be advised is safe: each would exceed {bench.limits.force:g} N or another limit."
         return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
     planned, separations = max(safe, key=lambda item: _merit(*item))
     open_pairs = [pair for pair, separation in separations.items() if not separation.is_conclusive]
@@ -142,7 +142,7 @@ def _advise_experiment(planned: Plan, separations: Mapping[Pair, Separation], we
     experiment = replace(planned.experiment, rate=_rate(weighting))
     text = (
         f"Record {experiment.name}: {experiment.description}. It tells {effect_names(between)} apart; "
-        f"after it, {_percent(error_rate)} of the choices would be wrong."
+        f"after it, a choice between them would be wrong in {_percent(error_rate)} of all cases."
     )
     return Advice(text, format_experiment(experiment), between, error_rate)
 
@@ -150,10 +150,10 @@ def _advise_experiment(planned: Plan, separations: Mapping[Pair, Separation], we
 def _advise_sensor(pair: Pair, separation: Separation, predictor: Predictor) -> Advice:
     """Advise a sensor for a pair of explanations that no run tells apart."""
     if separation.error_rate >= THRESHOLDS.wrong_choices:
-        why = f"even after the best one, {_percent(separation.error_rate)} of the choices would be wrong"
+        why = f"even after the best one, a choice would be wrong in {_percent(separation.error_rate)} of all cases"
     else:
         why = "they differ by less than the error of either formula"
-    text = f"No run of the library would tell {effect_names(pair)} apart: {why}."
+    text = f"No experiment that can be advised would tell {effect_names(pair)} apart: {why}."
     return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
 
 

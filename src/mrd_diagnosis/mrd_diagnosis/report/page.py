@@ -217,6 +217,8 @@ def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     nearest = diagnosis.nearest
     if nearest is None or diagnosis.verdict != "unknown_effect":
         return []
+    if nearest.closed_fraction.value <= THRESHOLDS.notable_alternative_model:
+        return []
     causes = {cause.effect for cause in diagnosis.causes}
     removes = "all effects together remove" if len(nearest.effects) > 1 else "removes"
     facts = f"{removes} {format_share(nearest.closed_fraction)} of the gap"

@@ -14,7 +14,7 @@ COIL_RESISTANCE = 5.0
 """Ohm; of a RD-8040-1 at room temperature."""
 
 PARAMETERS = (
-    Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force lost per joule of heat, b"),
+    Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force that a unit of heat removes, b"),
     Parameter("cooling_time", "s", 400.0, 30.0, 3000.0, "time constant of cooling, t_c", log=True),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
