@@ -15,7 +15,6 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
-from std_srvs.srv import Trigger
 
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
 from mrd_bench_driver.nodes.bench_client import BenchClient
@@ -61,10 +60,9 @@ class WholeBench:
         # These are created beforehand: how long ROS takes to match a client is no part of how long the rod takes to stop.
         self.plant = self.client.node.create_client(SetParameters, "plant/set_parameters")
         self.button = self.client.node.create_publisher(Bool, "emergency_stop", LATCHED)
-        self.reset = self.client.node.create_client(Trigger, "reset_fault")
         self.truth: list[JointState] = self.subscribe("plant/true_state", JointState, RECORDED)
         self.servo: list[ServoState] = self.subscribe("servo_state", ServoState, RECORDED)
-        assert self.client.spin(lambda: self.plant.service_is_ready() and self.reset.service_is_ready(), 10)
+        assert self.client.spin(lambda: self.plant.service_is_ready(), 10)
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -88,45 +86,15 @@ class WholeBench:
         response = self.call(self.plant, SetParameters.Request(parameters=[Parameter(name="fault", value=value)]))
         assert response.results[0].successful
 
-    def restore(self) -> None:
-        """Repair everything, and reset the faults."""
-        for name in self.processes.specs.keys() - self.processes.running.keys():
-            self.processes.start(name)
-        self.processes.running["daq"].send_signal(signal.SIGCONT)
-        self.set_fault("")
-        deadline = time.monotonic() + 30
-        while not (answer := self.call(self.reset, Trigger.Request())).success:
-            assert time.monotonic() < deadline, answer.message
-        self.truth.clear()
-        self.servo.clear()
-        assert self.client.spin(lambda: bool(self.servo) and self.servo[-1].connected, 10), "no servo"
-
 
 @pytest.fixture
-def own_bench(tmp_path: Path) -> Iterator[WholeBench]:
+def bench(tmp_path: Path) -> Iterator[WholeBench]:
     with WholeBench(tmp_path) as bench:
         yield bench
 
 
-@pytest.fixture(scope="module")
-def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WholeBench]:
-    with WholeBench(tmp_path_factory.mktemp("bench")) as bench:
-        yield bench
-
-
-@pytest.fixture
-def bench(shared_bench: WholeBench) -> WholeBench:
-    """The bench that tests share, in order and without a fault.
-
-    It runs until the end of the module: tests with a bench of their own come before those that use it.
-    """
-    shared_bench.restore()
-    return shared_bench
-
-
 @pytest.mark.timeout(300)
-def test_the_papers_experiment_from_serial_line_to_fit(own_bench: WholeBench, tmp_path: Path) -> None:
-    bench = own_bench
+def test_the_papers_experiment_from_serial_line_to_fit(bench: WholeBench, tmp_path: Path) -> None:
     blocks = bench.subscribe("samples", BenchSamples, RECORDED)
     # The paper's run takes 60 s; a third of it holds all that is checked here.
     paper = dataclasses.replace(read_experiment(ROOT / "config/experiments/paper.yaml"), duration=20.0)
