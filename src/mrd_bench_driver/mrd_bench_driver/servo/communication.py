@@ -4,6 +4,7 @@ import random
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 from mrd_base import BenchClock, InputError
 from mrd_bench_driver.servo.config import ServoConfig
@@ -81,9 +82,14 @@ class ServoCommunication:
             delay = min(_RETRY_DELAY[1], 2 * delay)
 
     def _wait_to_retry(self, delay: float) -> None:
-        """Wait about ``delay`` bench s and go on publishing. The wait varies, lest two drivers collide again and again."""
+        """Wait about ``delay`` bench s and go on publishing. The wait varies, lest two drivers collide again and again.
+
+        It ends early when the port appears: a cable that was plugged in, or a simulated motor that was started.
+        """
         end = self._clock.now() + delay * random.uniform(0.8, 1.2)
-        while not self._closing.is_set() and (now := self._clock.now()) < end:
+        port = Path(self._config.port)
+        absent = not port.exists()
+        while not self._closing.is_set() and (now := self._clock.now()) < end and not (absent and port.exists()):
             self._publish(now)
             self._wake_up.wait(self._clock.wall(min(0.1, end - now)))
 
