@@ -564,13 +564,15 @@ def test_a_motor_that_is_plugged_in_again_does_not_move(fake):
         assert not statuses[-1].enabled
 
 
-def test_a_port_that_appears_late_is_opened_at_once(fake):
+def test_a_port_that_appears_late_is_opened_at_once_and_its_motor_may_boot(fake):
     fake.unplug()
     with communicating(fake) as (_controller, statuses):
         time.sleep(5.0)  # by now, the driver waits for several seconds between its attempts
         assert not statuses[-1].connected
+        fake.mute = True  # it boots
         fake.plug()
-        until(lambda: statuses[-1].connected, limit=1.0)
+        threading.Timer(1.0, setattr, (fake, "mute", False)).start()
+        until(lambda: statuses[-1].connected, limit=3.0)
 
 
 def test_late_replies_are_never_taken_for_others(fake):

@@ -78,20 +78,23 @@ class ServoCommunication:
             finally:
                 if line is not None:
                     self._disconnect(line)
-            self._wait_to_retry(delay)
-            delay = min(_RETRY_DELAY[1], 2 * delay)
+            delay = self._wait_to_retry(delay)
 
-    def _wait_to_retry(self, delay: float) -> None:
-        """Wait about ``delay`` bench s and go on publishing. The wait varies, lest two drivers collide again and again.
+    def _wait_to_retry(self, delay: float) -> float:
+        """Wait about ``delay`` bench s and go on publishing; return the next delay.
 
-        It ends early when the port appears: a cable that was plugged in, or a simulated motor that was started.
+        The wait varies, lest two drivers collide again and again. It ends when the port appears: a cable was plugged in, or a
+        simulated motor was started. Delays begin at the shortest again then, because that motor may still boot.
         """
         end = self._clock.now() + delay * random.uniform(0.8, 1.2)
         port = Path(self._config.port)
         absent = not port.exists()
-        while not self._closing.is_set() and (now := self._clock.now()) < end and not (absent and port.exists()):
+        while not self._closing.is_set() and (now := self._clock.now()) < end:
+            if absent and port.exists():
+                return _RETRY_DELAY[0]
             self._publish(now)
             self._wake_up.wait(self._clock.wall(min(0.1, end - now)))
+        return min(_RETRY_DELAY[1], 2 * delay)
 
     def _exchange_until_closed(self, line: MotorLine) -> None:
         controller, clock = self.controller, self._clock
