@@ -8,7 +8,7 @@ import resource
 import time
 
 import numpy as np
-from common import console, duration, machine
+from common import console, describe_machine, format_duration
 from rich.table import Table
 from scipy.optimize import least_squares
 
@@ -49,7 +49,7 @@ DAMPERS = ("", "coil_lag", "moving_mass", "backlash", "gas_spring")
 
 
 def recorded(effect: str) -> list[Run]:
-    """The seven runs of a damper."""
+    """Record the seven runs of a damper."""
     settings = read_settings(None)
     texts = [f"name: run_{place}\nduration_s: 15\nrate_hz: 500\n{text}" for place, text in enumerate(RUNS)]
     plans = [plan(parse_experiment(text, "run"), settings.limits, settings.force_envelope) for text in texts]
@@ -58,7 +58,7 @@ def recorded(effect: str) -> list[Run]:
 
 
 def candidates(runs: list[Run]) -> Table:
-    """Time of each candidate's refit, and of the peer's."""
+    """Measure the time of each candidate's refit, and of the peer's."""
     recordings = in_threads(prepare_recording, runs)
     base = find_model(MODEL)
     problem, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
@@ -83,14 +83,18 @@ def candidates(runs: list[Run]) -> Table:
         least_squares(lambda at, p=problem: p.residuals(p.theta(at)), unit, bounds=(0, 1), ftol=1e-6)
         peer = time.perf_counter() - fitted
         table.add_row(
-            name, duration(scored - began), duration(fitted - scored), duration(peer), f"{peer / (fitted - scored):.1f}"
+            name,
+            format_duration(scored - began),
+            format_duration(fitted - scored),
+            format_duration(peer),
+            f"{peer / (fitted - scored):.1f}",
         )
     return table
 
 
 def main() -> None:
     """Measure and print."""
-    console.print(f"[b]Diagnosis[/b], {machine()}")
+    console.print(f"[b]Diagnosis[/b], {describe_machine()}")
     table = Table("effect of the damper", box=None)
     for title in ("samples", "verdict", "named", "time"):
         table.add_column(title, justify="right")
@@ -101,10 +105,10 @@ def main() -> None:
         diagnosis = diagnose(runs, MODEL)
         times.append(time.perf_counter() - began)
         named = ", ".join(cause.effect for cause in diagnosis.causes)
-        table.add_row(effect or "none", str(sum(map(len, runs))), diagnosis.verdict, named, duration(times[-1]))
+        table.add_row(effect or "none", str(sum(map(len, runs))), diagnosis.verdict, named, format_duration(times[-1]))
     console.print(table)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
-    median, longest = duration(float(np.median(times[1:]))), duration(max(times[1:]))
+    median, longest = format_duration(float(np.median(times[1:]))), format_duration(max(times[1:]))
     console.print(f"median {median}, longest {longest}, memory {peak:.2f} GiB")
     console.print(candidates(recorded("moving_mass")))
 
