@@ -43,7 +43,7 @@ RANDOM_SECONDS, RANDOM_RATE = 12.0, 500.0
 
 @dataclass(frozen=True)
 class Tier:
-    """How plants of a trial are excited and sampled.
+    """Excitation and sampling of the plants of a trial.
 
     Attributes
     ----------
