@@ -1,4 +1,4 @@
-"""What all packages share: input errors, configuration, bench time, exit status of tools, base of nodes."""
+"""Base of all packages: input errors, configuration, bench time, exit status of tools, base of nodes."""
 
 from mrd_base.clock import BenchClock
 from mrd_base.config import from_mapping, node_patterns, quantity, read_node_parameters, read_yaml, to_mapping

@@ -29,7 +29,7 @@ class ProcessDiedError(Exception):
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """What to start: an executable of a package, its parameter files, and parameters that override them."""
+    """A process to start: an executable of a package, its parameter files, and parameters that override them."""
 
     package: str
     executable: str

@@ -30,7 +30,7 @@ REDUCED_NOISE = 0.01
 
 @dataclass(frozen=True)
 class Detectability:
-    """What recordings can tell about one effect.
+    """Detectability of one effect in given recordings.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Detectability:
 
     @property
     def remark(self) -> str:
-        """Why these recordings cannot test the effect; empty where they can."""
+        """Reason why these recordings cannot test the effect; empty where they can."""
         if np.isfinite(self.smallest_size):
             return ""
         if not self.information.any():

@@ -197,7 +197,7 @@ class AlternativeModel:
 
 @dataclass(frozen=True)
 class Advice:
-    """What to record next.
+    """The experiment to record next.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class CorrectedSimulator:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Where simulator and recordings disagree, which effects cause it, and how far the gap closes with them.
+    """The gap between simulator and recordings: its place, its causes, and the share of it that they close.
 
     Attributes
     ----------

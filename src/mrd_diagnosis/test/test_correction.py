@@ -25,23 +25,6 @@ from mrd_sim.simulate import write_csv
 
 SHIPPED = Path(__file__).parents[3] / "config" / "plant.yaml"
 
-USER_EFFECT = """
-from numba import njit
-from mrd_sim.effects import Effect
-from mrd_sim.parameter import Parameter
-
-@njit
-def kernel(p, state, dt, x, v, a, u, force):
-    for k in range(len(force)):
-        force[k] += p[0] * x[k]
-
-EFFECT = Effect(
-    id="own_spring", title="Spring", stage="structure", equation="F + k x", source="mine",
-    parameters=(Parameter("rate", "N/m", 0.0, 0.0, 1e4, "rate"),), typical={"rate": 1e3},
-    signature="-", confused_with=("gas_spring",), separated_by="-", kernel=kernel,
-)
-"""
-
 
 def diagnosed(model="bouc_wen", laws=None, effects=(), seed=0):
     """Return a model with effects, random parameters within their bounds, and these parameters by name."""
@@ -139,17 +122,6 @@ def test_what_is_not_proven_needs_anyway():
     _, _, made = corrected("bouc_wen", [], "unknown_effect", anyway=True)
     assert made.effects == {}
     assert made.remark == "The damper is bouc_wen with refitted parameters: an effect is missing that is NOT known."
-
-
-@pytest.fixture
-def user_effects(tmp_path):
-    """Return a folder with an effect of the user, and remove the effect from the catalogue afterwards."""
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "spring.py").write_text(USER_EFFECT)
-    before = dict(EFFECTS)
-    yield tmp_path / "own"
-    EFFECTS.clear()
-    EFFECTS.update(before)
 
 
 def test_effects_of_the_user_go_with_their_folder(tmp_path, user_effects):

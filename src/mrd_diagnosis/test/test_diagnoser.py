@@ -1,7 +1,6 @@
-"""The diagnoser node: one goal at a time, with the results of the tool, and cancelled on request."""
+"""The diagnoser node: results, options and messages of the tool. `test_analysis_node.py` tests what all analyses share."""
 
 import json
-import threading
 from pathlib import Path
 
 import pytest
@@ -14,23 +13,6 @@ from mrd_sim.effects import EFFECTS
 from mrd_trajectory.settings import read_settings
 
 SHIPPED_BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
-
-OWN_EFFECT = """
-from numba import njit
-from mrd_sim.effects import Effect
-from mrd_sim.parameter import Parameter
-
-@njit
-def kernel(p, state, dt, x, v, a, u, force):
-    for k in range(len(force)):
-        force[k] += p[0] * x[k]
-
-EFFECT = Effect(
-    id="own_spring", title="Spring", stage="structure", equation="F + k x", source="mine",
-    parameters=(Parameter("rate", "N/m", 0.0, 0.0, 1e4, "rate"),), typical={"rate": 1e3},
-    signature="-", confused_with=("gas_spring",), separated_by="-", kernel=kernel,
-)
-"""
 
 
 @pytest.fixture
@@ -63,21 +45,19 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
     for goal, message in (
         (Diagnose.Goal(runs=recorded, model="bingham", effects=["ghost"], output=str(tmp_path)), "unknown effect ghost"),
         (Diagnose.Goal(runs=recorded, model="bingham"), "--output is empty"),
-        (Diagnose.Goal(model="bingham", output=str(tmp_path)), ""),
+        (Diagnose.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
         (Diagnose.Goal(runs=recorded, model="bingham", parameters="no", output=str(tmp_path)), "no: cannot be read"),
         (Diagnose.Goal(runs=recorded, model="bingham", laws="cubic", output=str(tmp_path)), "cubic"),
         (Diagnose.Goal(runs=recorded, model="bingham", bench="no.yaml", output=str(tmp_path)), "no.yaml"),
         (Diagnose.Goal(runs=recorded, model="bingham", effects_folder="nowhere", output=str(tmp_path)), "nowhere"),
     ):
-        ended = client.ended(client.send(goal))
-        assert ended.status == GoalStatus.STATUS_ABORTED
-        assert not ended.result.success
-        assert message in ended.result.message
-        assert "\n" not in ended.result.message.strip()
-        assert ended.result.message
+        result = client.ended(client.send(goal)).result
+        assert not result.success
+        assert message in result.message
+        assert "\n" not in result.message.strip()
 
 
-def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch):
+def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch, user_effects):
     used = {}
 
     def recording(runs, model, **options):
@@ -86,8 +66,6 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
 
     monkeypatch.setattr(diagnoser, "diagnose", recording)
     monkeypatch.delenv("MRD_BENCH", raising=False)
-    (tmp_path / "effects").mkdir()
-    (tmp_path / "effects" / "own_spring.py").write_text(OWN_EFFECT)
     bench = tmp_path / "bench.yaml"
     bench.write_text(SHIPPED_BENCH.read_text())
     goal = Diagnose.Goal(
@@ -96,7 +74,7 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
         model="bingham",
         laws="yield_force=quadratic",
         effects=["own_spring"],
-        effects_folder=str(tmp_path / "effects"),
+        effects_folder=str(user_effects),
         bench=str(bench),
         seed=7,
         output=str(tmp_path / "out"),
@@ -119,28 +97,11 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     assert (used["laws"], used["bench"]) == (None, read_settings(None))
 
 
-def test_one_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch):
-    going, cancelled = threading.Event(), threading.Event()
-
-    def endless(*_arguments, progress, **_options):
-        while True:
-            going.set()
-            cancelled.wait(0.02)
-            progress("trying effects", 0.5)
-
-    monkeypatch.setattr(diagnoser, "diagnose", endless)
-    goal = Diagnose.Goal(runs=recorded, model="bingham", output=str(tmp_path))
+def test_a_diagnosis_ends_when_its_goal_is_cancelled(client, recorded, tmp_path, user_effects):
+    goal = Diagnose.Goal(runs=recorded, model="bingham", effects_folder=str(user_effects), output=str(tmp_path / "out"))
     handle = client.send(goal)
     client.until(lambda: client.feedback)
-    assert going.is_set()
-    assert not client.send(goal).accepted
     handle.cancel_goal_async()
-    ended = client.ended(handle)
-    assert ended.status == GoalStatus.STATUS_CANCELED
-    assert (ended.result.success, ended.result.message) == (False, "cancelled")
-    client.feedback.clear()
-    again = client.send(goal)
-    assert again.accepted
-    client.until(lambda: client.feedback)
-    again.cancel_goal_async()
-    assert client.ended(again).status == GoalStatus.STATUS_CANCELED
+    assert client.ended(handle).status == GoalStatus.STATUS_CANCELED
+    assert list((tmp_path / "out").iterdir()) == []
+    assert "own_spring" not in EFFECTS

@@ -15,7 +15,7 @@ LEAST_POPULATION = 8
 
 @dataclass(frozen=True)
 class Method:
-    """How a model is identified.
+    """Options of an identification.
 
     Attributes
     ----------

@@ -67,12 +67,12 @@ class Problem:
 
     @cached_property
     def log(self) -> NDArray[np.bool_]:
-        """Which free parameters have a logarithmic scale."""
+        """Whether each free parameter has a logarithmic scale."""
         return np.array([p.log for p in self.parameters], dtype=bool)
 
     @cached_property
     def linear(self) -> NDArray[np.bool_]:
-        """Which free parameters the force depends on linearly."""
+        """Whether the force depends linearly on each free parameter."""
         return np.isin(self.free, self.model.linear)
 
     @cached_property

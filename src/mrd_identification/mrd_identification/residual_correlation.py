@@ -1,4 +1,4 @@
-"""How long residuals are correlated in time, and segments of runs that are long enough to count as independent."""
+"""Correlation time of residuals, and segments of runs that are long enough to count as independent."""
 
 import itertools
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How well the recordings determine each parameter: covariance, correlation, profile of the objective."""
+"""Uncertainty of each parameter as the recordings determine it: covariance, correlation, profile of the objective."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

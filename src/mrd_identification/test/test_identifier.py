@@ -1,6 +1,4 @@
-"""The identifier node: the options and messages of the tool, one goal at a time, and cancelling."""
-
-import threading
+"""The identifier node: options and messages of the tool. `test_analysis_node.py` tests what all analyses share."""
 
 import pytest
 from action_msgs.msg import GoalStatus
@@ -26,12 +24,10 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         (Identify.Goal(runs=recorded, model="bingham"), "--output is empty"),
         (Identify.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
     ):
-        ended = client.ended(client.send(goal))
-        assert ended.status == GoalStatus.STATUS_ABORTED
-        assert not ended.result.success
-        assert words in ended.result.message
-        assert "\n" not in ended.result.message.strip()
-        assert ended.result.message
+        result = client.ended(client.send(goal)).result
+        assert not result.success
+        assert words in result.message
+        assert "\n" not in result.message.strip()
 
 
 def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch):
@@ -64,28 +60,17 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     assert methods == [Method(laws=""), Method(**given)]
 
 
-def test_one_goal_at_a_time_and_cancelled_on_request(client, recorded, tmp_path, monkeypatch):
-    going, cancelled = threading.Event(), threading.Event()
-
-    def endless(*_arguments, progress, **_options):
-        while True:
-            going.set()
-            cancelled.wait(0.02)
-            progress(1, 0.5)
-
-    monkeypatch.setattr(identifier, "identify", endless)
-    goal = Identify.Goal(runs=recorded, model="bingham", output=str(tmp_path))
-    handle = client.send(goal)
-    client.until(lambda: client.feedback)
-    assert going.is_set()
-    assert not client.send(goal).accepted
+def test_an_identification_reports_progress_and_ends_when_its_goal_is_cancelled(client, recorded, tmp_path):
+    generations = 1_000_000
+    handle = client.send(
+        Identify.Goal(runs=recorded, model="bingham", population=8, generations=generations, output=str(tmp_path / "fit"))
+    )
+    client.until(lambda: len(client.feedback) > 1)
     handle.cancel_goal_async()
-    ended = client.ended(handle)
-    assert ended.status == GoalStatus.STATUS_CANCELED
-    assert (ended.result.success, ended.result.message) == (False, "cancelled")
-    client.feedback.clear()
-    again = client.send(goal)
-    assert again.accepted
-    client.until(lambda: client.feedback)
-    again.cancel_goal_async()
-    assert client.ended(again).status == GoalStatus.STATUS_CANCELED
+    assert client.ended(handle).status == GoalStatus.STATUS_CANCELED
+    assert list((tmp_path / "fit").iterdir()) == []
+    steps = [feedback.generation for feedback in client.feedback]
+    assert 0 < steps[0] < steps[1]
+    assert steps == sorted(steps)
+    assert all(feedback.generations >= generations for feedback in client.feedback)
+    assert all(feedback.nrmse > 0.0 for feedback in client.feedback)

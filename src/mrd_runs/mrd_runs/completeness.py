@@ -11,7 +11,7 @@ from mrd_runs.blocks import Blocks, decode_blocks
 
 @dataclass(frozen=True)
 class Completeness:
-    """What a closed bag holds of the samples.
+    """Completeness of the samples in a closed bag.
 
     Attributes
     ----------

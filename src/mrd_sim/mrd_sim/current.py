@@ -19,7 +19,7 @@ SAME_STEP = 1e-9
 
 @dataclass(frozen=True)
 class CurrentLaw:
-    """How a coefficient p depends on the effective coil current u.
+    """A law by which a coefficient p depends on the effective coil current u.
 
     Attributes
     ----------

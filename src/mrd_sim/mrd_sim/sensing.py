@@ -231,7 +231,7 @@ _OVERRANGE = 1.05
 
 
 class _Channel(NamedTuple):
-    """What `_measure` needs of a sensor and its terminal."""
+    """Constants of a sensor and its terminal that `_measure` needs."""
 
     keep: float
     """Share of a deviation from the lagged value that a step of the input leaves."""

@@ -16,7 +16,11 @@ from mrd_trajectory.limits import Limits
 from mrd_trajectory.path import REST, MotionState, concatenate, cut, end_state, extremes, largest_magnitude, state_at
 from mrd_trajectory.transition import transition
 from mrd_trajectory.waveform_paths import coil_path, rod_path, waveform_shape
-from mrd_trajectory.waveforms import Holds
+from mrd_trajectory.waveforms import Holds, Waveform
+from mrd_trajectory.waveforms.waveform import fields_in
+
+REDUCTION, MOST_SIZES = 0.8, 8
+"""Factor from one size of an experiment to the next smaller one, and number of sizes; the last is a fifth of the first."""
 
 Array = NDArray[np.float64]
 
@@ -158,6 +162,27 @@ def plan(experiment: Experiment, limits: Limits, envelope: ForceEnvelope) -> Pla
         Peak("expected force", max(force, envelope.force(speed, 0.0)), limits.force, "N"),
     )
     return Plan(experiment, lead_in, body, coil, lead_out, peaks)
+
+
+def plan_scaled(experiment: Experiment, limits: Limits, envelope: ForceEnvelope) -> Plan | None:
+    """Plan an experiment, with motion and current scaled down where they exceed the limits; None if no size fits."""
+    for reductions in range(MOST_SIZES):
+        factor = REDUCTION**reductions
+        rod, coil = _scaled(experiment.rod, factor), _scaled(experiment.coil, factor)
+        try:
+            return plan(dataclasses.replace(experiment, rod=rod, coil=coil), limits, envelope)
+        except InputError:
+            continue
+    return None
+
+
+def _scaled(waveform: Waveform, factor: float) -> Waveform:
+    """Return a waveform with its levels, and the slopes between them, multiplied by a factor."""
+    changes = {}
+    for field in (*fields_in(waveform, "level"), *fields_in(waveform, "level/s")):
+        value = getattr(waveform, field.name)
+        changes[field.name] = tuple(factor * item for item in value) if isinstance(value, tuple) else factor * value
+    return dataclasses.replace(waveform, **changes)  # type: ignore[type-var]
 
 
 def _gentle_transition(experiment: Experiment, start: MotionState, end: MotionState, limits: Limits, where: str) -> PPoly:

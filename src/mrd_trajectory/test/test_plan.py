@@ -10,11 +10,15 @@ from hypothesis import assume, event, given, settings
 from hypothesis import strategies as st
 
 from mrd_base import InputError
-from mrd_trajectory.experiment import parse_experiment, read_experiment
+from mrd_trajectory.experiment import Experiment, parse_experiment, read_experiment
 from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
-from mrd_trajectory.plan import plan
+from mrd_trajectory.plan import plan, plan_scaled
 from mrd_trajectory.settings import GeneratorSettings, read_settings
+from mrd_trajectory.waveforms import Constant
+from mrd_trajectory.waveforms.sine import Sine
+from mrd_trajectory.waveforms.staircase import Staircase
+from mrd_trajectory.waveforms.triangle import Triangle
 
 LIMITS, ENVELOPE = Limits(), ForceEnvelope()
 CONFIG = Path(__file__).parents[3] / "config"
@@ -389,6 +393,23 @@ def test_wrong_traces_are_refused_in_one_line(tmp_path, text, message):
 def test_a_missing_trace_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"rod: .*none\.csv: cannot be read \(No such file"):
         planned({"waveform": "trace", "file": "none.csv"}, folder=tmp_path)
+
+
+def test_an_experiment_beyond_the_limits_is_scaled_down_until_it_fits():
+    """Of the sizes of 40 mm, the third fits within the reach of 26 mm; of those of 1 m, none does."""
+    coil = Constant(0.1)
+    fitting = Experiment("t", 4.0, 100.0, Sine(0.010, 0.5), coil)
+    assert plan_scaled(fitting, LIMITS, ENVELOPE).experiment == fitting
+    large = plan_scaled(Experiment("t", 4.0, 100.0, Sine(0.040, 0.2), coil), LIMITS, ENVELOPE)
+    assert large.experiment.rod.amplitude == 0.8**2 * 0.040
+    assert large.experiment.coil.level == 0.8**2 * 0.1
+    assert plan_scaled(Experiment("t", 4.0, 100.0, Sine(1.0, 0.2), coil), LIMITS, ENVELOPE) is None
+    levels = Staircase((0.0, 0.2, 0.4), 1.0)
+    steps = plan_scaled(Experiment("t", 4.0, 100.0, Triangle(0.010, 1.3 * LIMITS.speed), levels), LIMITS, ENVELOPE)
+    factor = steps.experiment.rod.amplitude / 0.010
+    assert factor < 1.0
+    assert steps.experiment.rod.slope == factor * 1.3 * LIMITS.speed
+    assert steps.experiment.coil.levels == tuple(factor * level for level in levels.levels)
 
 
 # --- shipped configuration

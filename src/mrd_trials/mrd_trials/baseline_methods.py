@@ -30,7 +30,7 @@ beyond the typical size first order says little."""
 
 @dataclass(frozen=True)
 class BaselineResult:
-    """What baseline methods say of the recordings of a plant.
+    """Results of the baseline methods for the recordings of a plant.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class ScatterFreeProblem(Problem):
 
 @dataclass(frozen=True)
 class BaselineScore:
-    """What one effect does for the model.
+    """Scores of one effect as an extension of the model.
 
     Attributes
     ----------

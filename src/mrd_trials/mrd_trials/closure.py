@@ -1,4 +1,4 @@
-"""How far a corrected model closes the gap, measured against the noise that the ground truth knows exactly."""
+"""Share of the gap that a corrected model closes, measured against the noise that the ground truth knows exactly."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

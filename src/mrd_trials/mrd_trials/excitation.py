@@ -1,7 +1,7 @@
 """Excitation of the plants: sets of runs by tier, replays of recorded runs, and random experiments."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ from mrd_base import InputError
 from mrd_runs import Run, read_runs
 from mrd_runs.signals.motion import smooth_motion
 from mrd_trajectory.experiment import Experiment, parse_experiment
-from mrd_trajectory.plan import Plan, plan
-from mrd_trajectory.settings import GeneratorSettings, read_settings
+from mrd_trajectory.plan import Plan, plan, plan_scaled
+from mrd_trajectory.settings import read_settings
 from mrd_trajectory.waveforms import Waveform
 from mrd_trajectory.waveforms.aprbs import Aprbs
 from mrd_trajectory.waveforms.chirp import Chirp
@@ -22,7 +22,6 @@ from mrd_trajectory.waveforms.multisine import Multisine
 from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.sine import Sine
 from mrd_trajectory.waveforms.staircase import Staircase
-from mrd_trajectory.waveforms.waveform import fields_in
 from mrd_trials.truth import BenchCommand
 
 STEP = 1 / 8000
@@ -34,16 +33,13 @@ RunSpecification = tuple[str, float, Waveform, Waveform]
 FRESH_RUNS = 2
 """Number of runs at the end of a set that the diagnosis is not given."""
 
-SHRINKING, TRIES = 0.8, 8
-"""An experiment beyond the bench's limits is scaled by ``SHRINKING``; at the last of ``TRIES`` it is a fifth as large."""
-
 RANDOM_SECONDS, RANDOM_RATE = 12.0, 500.0
 """Duration in s and sample rate in Hz of a random experiment, as those of the experiments that the diagnosis recommends."""
 
 
 @dataclass(frozen=True)
 class Tier:
-    """How plants of a trial are excited and sampled.
+    """Excitation and sampling of the plants of a trial.
 
     Attributes
     ----------
@@ -95,7 +91,8 @@ def commands_of_runs(tier: Tier, rng: np.random.Generator, recorded: Sequence[Ru
         return [(run.name, replay(run)) for run in recorded]
     bench = read_settings(None)
     specifications = SETS[tier.excitation](np.random.default_rng(int(rng.integers(2**31))))
-    plans = [_plan_within_limits(specification, tier.rate, bench) for specification in specifications]
+    experiments = [Experiment(name, seconds, tier.rate, rod, coil) for name, seconds, rod, coil in specifications]
+    plans = [plan_scaled(experiment, bench.limits, bench.force_envelope) for experiment in experiments]
     return [(planned.experiment.name, command(planned)) for planned in plans if planned is not None]
 
 
@@ -192,32 +189,10 @@ def random_command(rng: np.random.Generator) -> BenchCommand | None:
         Prbs(0.0, 0.3, 0.06, 8, seed),
     )
     rod, coil = rods[int(rng.integers(len(rods)))], coils[int(rng.integers(len(coils)))]
-    planned = _plan_within_limits(("random", RANDOM_SECONDS, rod, coil), RANDOM_RATE, read_settings(None))
+    experiment, bench = Experiment("random", RANDOM_SECONDS, RANDOM_RATE, rod, coil), read_settings(None)
+    planned = plan_scaled(experiment, bench.limits, bench.force_envelope)
     return None if planned is None else command(planned)
 
 
 def _random_levels(highest: float, seed: int) -> Aprbs:
     return Aprbs(0.0, highest, 0.03, 0.3, 12, seed)
-
-
-def _plan_within_limits(specification: RunSpecification, rate: float, bench: GeneratorSettings) -> Plan | None:
-    """Plan a run within the limits of the bench, scaled down where needed; None where it does not fit even then."""
-    name, seconds, rod, coil = specification
-    experiment = Experiment(name, seconds, rate, rod, coil)
-    for shrinks in range(TRIES):
-        factor = SHRINKING**shrinks
-        try:
-            smaller = replace(experiment, rod=_scaled(rod, factor), coil=_scaled(coil, factor))
-            return plan(smaller, bench.limits, bench.force_envelope)
-        except InputError:
-            continue
-    return None
-
-
-def _scaled(waveform: Waveform, factor: float) -> Waveform:
-    """Return a waveform with its levels, and the slopes between them, multiplied by a factor."""
-    changes = {}
-    for entry in (*fields_in(waveform, "level"), *fields_in(waveform, "level/s")):
-        value = getattr(waveform, entry.name)
-        changes[entry.name] = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
-    return replace(waveform, **changes)  # type: ignore[type-var]

@@ -1,4 +1,4 @@
-"""What is stored for each plant: its ground truth, the submission of the diagnosis, the evaluation of that submission.
+"""Records stored for each plant: its ground truth, the submission of the diagnosis, the evaluation of that submission.
 
 All of it is plain data, one JSON object per line and plant, so that another version can score a trial years later.
 """
@@ -23,7 +23,7 @@ NAN = float("nan")
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What a plant is: known to `mrd_trials.make` and, once the sealed answers are opened, to the evaluation.
+    """Ground truth of a plant, known to `mrd_trials.make` and, once the sealed answers are opened, to the evaluation.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class GapBin:
 
 @dataclass(frozen=True)
 class Submission:
-    """What the diagnosis says of a plant.
+    """Result of the diagnosis for a plant.
 
     Attributes
     ----------
@@ -162,7 +162,7 @@ class Submission:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What the ground truth shows about a plant and its submission, and what baseline methods say.
+    """Evaluation of a plant and its submission against the ground truth, with the results of the baseline methods.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is submitted: the verdict of the installed diagnosis on one plant."""
+"""Submission of the installed diagnosis: its verdict on one plant."""
 
 import hashlib
 import json
@@ -23,7 +23,7 @@ DIAGNOSER_FILE = "diagnoser.json"
 
 @dataclass(frozen=True)
 class Diagnoser:
-    """What diagnoses: code and options, recorded so that everybody can check them.
+    """Code and options of a diagnosis, recorded so that everybody can check them.
 
     Attributes
     ----------

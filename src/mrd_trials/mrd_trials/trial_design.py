@@ -28,7 +28,7 @@ MODEL, MODEL_FORM = "bouc_wen", "bouc_wen"
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a trial is made from.
+    """Inputs from which a trial is made.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ class PublicPlant:
 
 @dataclass(frozen=True)
 class PublicTrial:
-    """What everybody may know of a trial."""
+    """Public part of a trial."""
 
     recipe: Recipe
     plants: tuple[PublicPlant, ...]

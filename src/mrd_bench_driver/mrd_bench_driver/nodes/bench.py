@@ -40,7 +40,7 @@ class SignalCounter:
 
 @dataclass(frozen=True)
 class Session:
-    """What one call of the tool does.
+    """The experiments of one call of the tool, with the bench that runs them and the folder of their results.
 
     Attributes
     ----------

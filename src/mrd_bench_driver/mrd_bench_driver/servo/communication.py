@@ -83,8 +83,8 @@ class ServoCommunication:
     def _wait_to_retry(self, delay: float) -> float:
         """Wait about ``delay`` bench s and go on publishing; return the next delay.
 
-        The wait varies, lest two drivers collide again and again. It ends when the port appears: a cable was plugged in, or a
-        simulated motor was started. Delays begin at the shortest again then, because that motor may still boot.
+        The wait varies, lest two drivers collide again and again. It ends when the port appears: a cable was plugged in, or
+        a simulated motor was started. Delays begin at the shortest again then, because that motor may still boot.
         """
         end = self._clock.now() + delay * random.uniform(0.8, 1.2)
         port = Path(self._config.port)

@@ -58,7 +58,7 @@ _MAX_TICK = 0.1
 
 
 class Activity(Enum):
-    """What moves the rod."""
+    """Source of the rod's motion."""
 
     NOTHING = "standing"
     SETPOINTS = "following setpoints"
@@ -74,7 +74,7 @@ class Response(NamedTuple):
 
 @dataclass(frozen=True)
 class Batch:
-    """What one tick writes.
+    """Outputs of one tick.
 
     Attributes
     ----------

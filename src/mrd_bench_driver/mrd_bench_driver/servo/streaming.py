@@ -28,7 +28,7 @@ _MIN_FULL_RATE = 25
 
 @dataclass(frozen=True)
 class StreamingSchedule:
-    """What the ticks of streaming carry over the serial line.
+    """Rate and contents of the ticks that stream motion commands over the serial line.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def plan_streaming(baud_rate: int, units: MotorUnits, limits: Limits, max_rate: 
 
 @dataclass(frozen=True)
 class Horizon:
-    """How long a motion command lasts if no other follows: ``coast`` s at speed, then braking until ``stop`` s.
+    """Duration of a motion command that no other follows: ``coast`` s at speed, then braking until ``stop`` s.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Horizon:
 
 @dataclass(frozen=True)
 class RodSetpoint:
-    """Where the rod should be at a bench time in s: position in m, velocity in m/s, acceleration in m/s²."""
+    """Intended motion of the rod at a bench time in s: position in m, velocity in m/s, acceleration in m/s²."""
 
     time: float
     position: float

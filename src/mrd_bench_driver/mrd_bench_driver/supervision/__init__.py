@@ -1,1 +1,1 @@
-"""What supervises the bench: modes, interlocks, the emergency stop, and the procedure of an experiment."""
+"""Supervision of the bench: modes, interlocks, the emergency stop, and the procedure of an experiment."""

@@ -1,4 +1,4 @@
-"""Why a request to the supervisor ends early. Each message is one line for the user."""
+"""Errors that end a request to the supervisor early. Each message is one line for the user."""
 
 
 class RefusedError(Exception):

@@ -14,7 +14,7 @@ from mrd_trajectory.limits import Limits
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far readings may exceed the limits of the setpoints; section ``interlocks`` of bench.yaml."""
+    """Margins by which readings may exceed the limits of the setpoints; section ``interlocks`` of bench.yaml."""
 
     overspeed: float = quantity(1.25, doc="measured speed, as a multiple of limits.speed", lower=1, upper=3)
     current: float = quantity(0.1, "A", "measured coil current beyond limits.current", lower=0, upper=2)

@@ -14,7 +14,7 @@ Progress = Callable[[str, float, float], None]
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run ended."""
+    """Outcome of a run."""
 
     success: bool
     cancelled: bool
@@ -24,7 +24,7 @@ class RunOutcome:
 
 @dataclass(frozen=True)
 class SetOutcome:
-    """How a set of runs ended, with the outcome of each run that was started."""
+    """Outcome of a set of runs, and of each run of it that was started."""
 
     success: bool
     cancelled: bool

@@ -1,4 +1,4 @@
-"""What the supervisor knows of the bench at one instant."""
+"""State of the bench at one instant, as far as the supervisor knows it."""
 
 import dataclasses
 import math

@@ -44,7 +44,7 @@ SENSORS: Mapping[tuple[str, ...], str] = {
         "Record with the load cell off the damper, at rest and while rod and current move."
     ),
 }
-"""What to measure besides the runs, by effect; the first entry that applies counts."""
+"""Measurement advised besides the runs, by effect; the first entry that applies counts."""
 
 SENSORS_OF_STAGE = {
     "drive": "Add a displacement sensor on the rod, besides the one on the drive.",
@@ -53,7 +53,7 @@ SENSORS_OF_STAGE = {
     "structure": "Add a load cell at the other end of the damper.",
     "sensing": "Check the load cell and its amplifier with known forces.",
 }
-"""What to measure for any other effect, by its stage."""
+"""Measurement advised for any other effect, by its stage."""
 
 
 def advise(

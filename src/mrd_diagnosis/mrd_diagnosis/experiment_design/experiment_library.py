@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from mrd_base import InputError
 from mrd_trajectory.experiment import Experiment
-from mrd_trajectory.plan import Plan, plan
+from mrd_trajectory.plan import Plan, plan_scaled
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.waveforms import Constant, Waveform
 from mrd_trajectory.waveforms.aprbs import Aprbs
@@ -16,16 +15,12 @@ from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.sine import Sine
 from mrd_trajectory.waveforms.staircase import Staircase
 from mrd_trajectory.waveforms.triangle import Triangle
-from mrd_trajectory.waveforms.waveform import fields_in
 
 RATE = 500.0
 """Sample rate in Hz of the experiments."""
 
 DURATION = 12.0
 """Duration in s of an experiment without its repeats."""
-
-REDUCTION, MOST_SIZES = 0.8, 8
-"""Factor by which an experiment beyond the limits is made smaller, and number of sizes that are tried."""
 
 MM, MA = 1e-3, 1e-3
 """One millimetre in m, one milliampere in A."""
@@ -111,26 +106,5 @@ def library(bench: GeneratorSettings) -> tuple[Plan, ...]:
         repeats=3,
         description="the same fast motion for half a minute at constant current, which warms and settles the damper",
     )
-    plans = (within(experiment, bench) for experiment in (*experiments, warm))
+    plans = (plan_scaled(experiment, bench.limits, bench.force_envelope) for experiment in (*experiments, warm))
     return tuple(planned for planned in plans if planned is not None)
-
-
-def within(experiment: Experiment, bench: GeneratorSettings) -> Plan | None:
-    """Plan the largest of a few sizes of an experiment that fits within the limits of a bench; None where none fits."""
-    for reductions in range(MOST_SIZES):
-        factor = REDUCTION**reductions
-        rod, coil = _scaled(experiment.rod, factor), _scaled(experiment.coil, factor)
-        try:
-            return plan(replace(experiment, rod=rod, coil=coil), bench.limits, bench.force_envelope)
-        except InputError:
-            continue
-    return None
-
-
-def _scaled(waveform: Waveform, factor: float) -> Waveform:
-    """Scale the levels of a waveform, and the slopes between them, by a factor."""
-    changes = {}
-    for field in (*fields_in(waveform, "level"), *fields_in(waveform, "level/s")):
-        value = getattr(waveform, field.name)
-        changes[field.name] = tuple(factor * item for item in value) if isinstance(value, tuple) else factor * value
-    return replace(waveform, **changes)  # type: ignore[type-var]

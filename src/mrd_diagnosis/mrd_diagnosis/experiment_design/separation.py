@@ -40,7 +40,7 @@ SMOOTHED_SAMPLES = 15
 
 @dataclass(frozen=True)
 class Separation:
-    """How well a run tells two explanations apart, whichever of them is true.
+    """Ability of a run to tell two explanations apart, whichever of them is true.
 
     Attributes
     ----------

@@ -114,7 +114,7 @@ def _refresh_period(channel: Channel, length: Indices) -> int:
 
 
 def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) -> Mask:
-    """Which segments of equal readings are longer than the noise of the channel allows."""
+    """Return whether each segment of equal readings is longer than the noise of the channel allows."""
     step = channel.resolution
     if not channel.is_noisy or channel.lowest_noise <= 2 * step:
         return np.zeros(len(first), dtype=bool)
@@ -130,7 +130,7 @@ def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) ->
 
 
 def _followed_by_a_jump(channel: Channel, first: Indices, last: Indices) -> Mask:
-    """Which segments of equal readings during motion end with a jump that makes up for the motion."""
+    """Return whether each segment of equal readings during motion ends with a jump that makes up for the motion."""
     values, least = channel.values, max(5 * channel.resolution, 8 * channel.noise)
     inside = (first >= 3) & (last < len(values) - 1) & (last - first + 1 >= 3)
     start, end = np.where(inside, first, 3), np.where(inside, last, 3)

@@ -1,4 +1,4 @@
-"""What the page, its chart and the terminal say of a candidate."""
+"""Text about a candidate for the page, its chart and the terminal."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What a reader of a file format returns, and what describes a file format."""
+"""The result of a reader of a file format, and the description of a file format."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -10,7 +10,7 @@ _ROOM = 1024
 """Vertices in the ring buffer: the longest delay at 20 kHz, or at 2.5 kHz with the most vertices between samples."""
 _TIMES = 3
 _FORCES = _TIMES + _ROOM
-"""Where the ring buffer begins in the state: times, then forces."""
+"""Index in the state at which the ring buffer begins: times, then forces."""
 _SAME_INSTANT = 1e-9
 """s. Vertices that are closer together count as one."""
 

@@ -13,7 +13,7 @@ from mrd_sim.models.shared_coefficients import PRELOAD, VISCOUS, YIELD_FORCE
 from mrd_sim.named import Row, named_row, tuple_type
 
 MOST_EVENTS = 16
-"""How often the element may yield or stop within one step. At constant rod speed it does so a few times at most."""
+"""Number of times the element may yield or stop within one step. At constant rod speed it does so a few times at most."""
 
 COEFFICIENTS = (
     # Neither may be 0: without a yield force the element would never stand, and the equations divide by c0.

@@ -162,7 +162,7 @@ class DamperModel:
 
     @cached_property
     def law_columns(self) -> NDArray[np.intp]:
-        """Where each coefficient's parameters are in a parameter vector, (coefficients, 3); -1 for those its law lacks."""
+        """Indices of each coefficient's parameters in a parameter vector, (coefficients, 3); -1 for those its law lacks."""
         columns = np.full((len(self.coefficients), 3), -1, dtype=np.intp)
         first = 0
         for row, coefficient in zip(columns, self.coefficients, strict=True):
@@ -334,12 +334,12 @@ class DamperModel:
 
     @cached_property
     def _effect_states(self) -> tuple[slice, ...]:
-        """Where the state of each effect is in the model's state."""
+        """Slice of each effect's state in the model's state."""
         edges = np.cumsum([2 + self.states, *(effect.states for effect in self.effects)]).tolist()
         return tuple(slice(first, last) for first, last in pairwise(edges))
 
     def _effect_parameters(self, effects: Sequence[Effect]) -> list[slice]:
-        """Where the parameters of effects are in a parameter vector."""
+        """Return the slices of the parameters of effects in a parameter vector."""
         edges = np.cumsum([len(self._model_parameters), *(len(effect.parameters) for effect in self.effects)]).tolist()
         return [slice(edges[i], edges[i + 1]) for i in (self.effects.index(effect) for effect in effects)]
 

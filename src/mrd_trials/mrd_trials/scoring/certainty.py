@@ -1,4 +1,4 @@
-"""How certain a diagnosis may be: calibration of its probabilities, coverage of its intervals."""
+"""Justified certainty of a diagnosis: calibration of its probabilities, coverage of its intervals."""
 
 from collections.abc import Sequence
 

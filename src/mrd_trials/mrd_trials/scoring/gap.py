@@ -1,4 +1,4 @@
-"""How far the gap closes, whether it is found where it lies, and whether the recommended experiment resolves it."""
+"""Closure of the gap, its localisation, and its resolution by the recommended experiment."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -8,7 +8,7 @@ from mrd_trials.scoring.gap import ExperimentComparison
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 
 Figure = Rate | Distribution | Calibration | ExperimentComparison | float
-"""What a score consists of."""
+"""A figure that a score consists of."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""How often the right effects are named: single effects, pairs, candidate sets, and baseline methods in comparison."""
+"""Rates at which the right effects are named: single effects, pairs, candidate sets, and baseline methods in comparison."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from mrd_trials.scoring.rates import Distribution, Rate
 
 @dataclass(frozen=True)
 class NamingRates:
-    """How often the cause of plants with one effect comes first.
+    """Rates at which the cause of a plant with one effect comes first.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def naming_by_stratum(results: PlantResults) -> tuple[NamingRates, ...]:
 
 @dataclass(frozen=True)
 class PairRates:
-    """How often the causes of plants with two effects are named.
+    """Rates at which the causes of plants with two effects are named.
 
     Attributes
     ----------

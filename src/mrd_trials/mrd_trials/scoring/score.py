@@ -91,7 +91,7 @@ class ExcitationScore:
 
 @dataclass(frozen=True)
 class TrialScore:
-    """How good the diagnosis was in a trial.
+    """Score of the diagnosis in a trial.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which verdicts and names the plants get: mistakes, verdicts by kind of plant, confusion of effects."""
+"""Counts of verdicts and of named effects: mistakes, verdicts by kind of plant, confusion of effects."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -32,7 +32,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class MistakeRates:
-    """What should not happen.
+    """Rates of wrong verdicts.
 
     Attributes
     ----------

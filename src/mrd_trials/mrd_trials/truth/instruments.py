@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrueInstruments:
-    """How a bench reads its channels, and how runs scatter.
+    """Instruments of a bench, and the scatter between its runs.
 
     Attributes
     ----------

@@ -33,7 +33,7 @@ REST = 30.0
 
 @dataclass(frozen=True)
 class BenchCommand:
-    """What drive and supply are commanded to do during one run.
+    """Commands to drive and supply during one run.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class TruePlant:
 
 @dataclass(frozen=True)
 class RunDeviation:
-    """What differs from run to run though the plant does not.
+    """Scatter of one run, by which it differs from other runs of the same plant.
 
     Attributes
     ----------

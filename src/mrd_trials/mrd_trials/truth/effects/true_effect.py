@@ -1,4 +1,4 @@
-"""What an effect of the ground truth declares: its parameters, and how they are drawn."""
+"""Declaration of an effect of the ground truth: its parameters, and the distributions they are drawn from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
