@@ -172,7 +172,9 @@ def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[boo
     problem, runs = refit.problem, range(len(by_folds))
     thetas = _without_each_run(refit, comparison) if len(by_folds) > 1 else [refit.theta]
     by_other_runs = [-error_of_run(problem, thetas[run], run)[1] for run in runs]
-    thetas_of_folds = without_each(problem, problem.unit(refit.theta), refit.normal_matrices, refit.gradients)
+    thetas_of_folds, _ = without_each(
+        problem, problem.unit(refit.theta), refit.coefficients, refit.normal_matrices, refit.gradients
+    )
     known = list(by_other_runs)
     for run in runs:
         if not by_folds[run]:
@@ -192,7 +194,7 @@ def _without_each_run(refit: Refit, comparison: ModelComparison) -> Array:
     runs = range(len(comparison.weighting.recordings))
     matrices = np.stack([refit.normal_matrices[run_of_fold == run].sum(axis=0) for run in runs])
     gradients = np.stack([refit.gradients[run_of_fold == run].sum(axis=0) for run in runs])
-    starts = without_each(problem, problem.unit(refit.theta), matrices, gradients)
+    starts, _ = without_each(problem, problem.unit(refit.theta), refit.coefficients, matrices, gradients)
 
     def fit_without(run: int) -> Array:
         weightless = problem.whitenings[run].without_weight()

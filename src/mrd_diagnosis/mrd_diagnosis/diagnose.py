@@ -27,6 +27,7 @@ from mrd_diagnosis.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.localisation import localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
+from mrd_diagnosis.partial_explanation import explain_in_part
 from mrd_diagnosis.preflight import preflight
 from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
@@ -35,6 +36,7 @@ from mrd_diagnosis.sentences import (
     explained_sentence,
     fault_sentence,
     no_gap_sentence,
+    partly_explained_sentence,
     unknown_effect_sentence,
 )
 from mrd_diagnosis.weighting import Weighting, error_of_run
@@ -183,6 +185,13 @@ def _diagnose_physics(
     p_value_of = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
     p_values = [p_value_of[effect] for effect in comparison.effects]
     verdict = decide(comparison, base.chi_square, chances, p_values, rng)
+    if verdict == "unknown_effect":
+        progress("looking for causes beside a wrong form", 0.8)
+        partial = explain_in_part(comparison, [e for e in candidates if e not in excluded], rng)
+        if partial.comparison.effects:
+            verdict = "partly_explained"
+            comparison, chances = partial.comparison, partial.probabilities
+            p_values = [partial.p_values[effect] for effect in comparison.effects]
     if verdict == "no_gap":
         comparison, chances = comparison.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
@@ -198,7 +207,7 @@ def _diagnose_physics(
         progress("locating the gap", 0.9)
         where, explainable = _locate(closure, rng)
     nearest = models = None
-    if verdict == "unknown_effect":
+    if verdict in ("unknown_effect", "partly_explained"):
         progress("trying other damper models", 0.93)
         nearest = _nearest(comparison, listed)
         if not other_models:
@@ -224,6 +233,7 @@ def _diagnose_physics(
         "no_gap": lambda: no_gap_sentence(gap),
         "explained": lambda: explained_sentence(causes, gap),
         "ambiguous": lambda: ambiguous_sentence(causes, alternatives, gap, advice),
+        "partly_explained": lambda: partly_explained_sentence(causes, gap),
         "unknown_effect": lambda: unknown_effect_sentence(causes, where, nearest, models or ()),
     }
     runs, set_aside = (tuple(recording.run for recording in group) for group in (recordings, held_out))

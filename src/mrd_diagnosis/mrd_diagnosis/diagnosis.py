@@ -12,7 +12,7 @@ from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
-Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "unknown_effect"]
+Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "partly_explained", "unknown_effect"]
 Severity = Literal["fault", "limitation", "remark"]
 Axis = Literal["run", "time", "position", "velocity", "acceleration", "current", "frequency", "reversal", "sign"]
 HeldOutBy = Literal["runs", "leave-one-run-out", "blocks"]

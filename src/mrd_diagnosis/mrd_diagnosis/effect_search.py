@@ -128,7 +128,7 @@ def search_effects(
         chosen.append(best)
         if len(chosen) == MOST_CAUSES:
             break
-        weighting = weighting.updated(best.refit.problem.model, best.refit.theta)
+        weighting = weighting.updated(best.refit.problem.model, best.refit.theta, best.refit.coefficients)
         before = refit_on(weighting, best.refit)
         # Both weightings count: before the effect was added, the gap itself had flattened the weights.
         excess = min(best.refit.chi_square, before.chi_square) - 1.0

@@ -124,18 +124,18 @@ def _features(recordings: Sequence[Recording], residuals: Sequence[Array]) -> li
             current,
             modelled,
             modelled * np.cumsum(modelled * velocity * step),
-            *(_fading_memory(np.exp(-np.abs(travel) / scale), direction) for scale in TRAVELS),
-            *(modelled - _fading_memory(np.exp(-np.abs(travel) / scale), modelled) for scale in TRAVELS),
-            *(_fading_memory(np.exp(-np.abs(change) / scale), np.sign(change)) * direction for scale in CURRENTS),
-            *(current - _fading_memory(np.exp(-step / scale), current) for scale in TIMES),
-            *(modelled - _fading_memory(np.exp(-step / scale), modelled) for scale in TIMES),
+            *(fading_memory(np.exp(-np.abs(travel) / scale), direction) for scale in TRAVELS),
+            *(modelled - fading_memory(np.exp(-np.abs(travel) / scale), modelled) for scale in TRAVELS),
+            *(fading_memory(np.exp(-np.abs(change) / scale), np.sign(change)) * direction for scale in CURRENTS),
+            *(current - fading_memory(np.exp(-step / scale), current) for scale in TIMES),
+            *(modelled - fading_memory(np.exp(-step / scale), modelled) for scale in TIMES),
         ]
         features.append(np.stack([column[counted] for column in columns], axis=1))
     return features
 
 
 @njit(cache=True, nogil=True)
-def _fading_memory(kept: Array, series: Array) -> Array:
+def fading_memory(kept: Array, series: Array) -> Array:
     """Return the memory (n,) of a series of which the share ``kept`` remains from sample to sample."""
     memory = np.empty_like(series)
     state = series[0]

@@ -95,6 +95,13 @@ def compare_models(
     best = chosen[-1].refit if chosen else base
     noise = estimate_noise(weighting.recordings, best.problem.model, best.theta, rng)
     weighting = replace(weighting, noise=noise, scatter=estimate_run_scatter(best)).updated(best.problem.model, best.theta)
+    return compare_on(weighting, base, chosen, fits)
+
+
+def compare_on(
+    weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], fits: Sequence[EffectFit]
+) -> ModelComparison:
+    """Refit everything that may still be the explanation with a weighting; arguments as of `compare_models`."""
     chain, without = _drop_superfluous(weighting, in_threads(lambda fit: refit_on(weighting, fit.refit), chosen))
     singles = sorted((fit for fit in fits if len(fit.effects) == 1), key=lambda fit: fit.refit.held_out_cost)
     others = [fit.effects[0] for fit in singles if fit.effects[0] not in without][:MOST_ALTERNATIVES]

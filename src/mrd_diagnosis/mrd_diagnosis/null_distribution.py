@@ -61,7 +61,7 @@ def draw_null_gains(base: Refit, refits: Sequence[Refit], rng: np.random.Generat
 
     def explained(fitted: Refit) -> Array:
         gradient = (fitted.null_gradients[np.arange(folds), choice] * sign[:, :, None]).sum(axis=1)
-        inverse = scaled_inverse(fitted.normal_matrices.sum(axis=0), 1e-9)
+        inverse = scaled_inverse(fitted.information, 1e-9)
         return np.asarray(((gradient @ inverse) * gradient).sum(axis=1))
 
     explained_by_base = explained(base)

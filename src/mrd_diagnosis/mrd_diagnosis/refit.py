@@ -1,7 +1,7 @@
 """Refits: a model fitted to all runs, and to all but each cross-validation fold."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ class Refit:
     Attributes
     ----------
     problem : WeightedProblem
+    folds : tuple of (int, slice)
+        Number of the run and samples of each fold.
     theta : ndarray (parameters,)
         Parameters fitted to all folds.
     fold_costs : ndarray (folds,)
@@ -40,22 +42,26 @@ class Refit:
         Sum of squared errors in N² with those parameters, without the run's offset and gain error.
     held_out_chi_squares : ndarray (folds,)
         The same over the variance of the noise alone.
-    normal_matrices : ndarray (folds, free, free)
-        Normal matrix of each fold at the optimum.
-    gradients : ndarray (folds, free)
+    coefficients : ndarray (columns,)
+        Coefficients of the problem's remainder.
+    normal_matrices : ndarray (folds, free + columns, free + columns)
+        Normal matrix of each fold at the optimum, for the free parameters and the coefficients of the remainder.
+    gradients : ndarray (folds, free + columns)
         Gradient of half the cost of each fold.
-    averaging_gradient : ndarray (free,)
+    averaging_gradient : ndarray (free + columns,)
         Jacobian transposed times the white change of the force if its samples were means over the sampling period.
-    null_gradients : ndarray (folds, draws, free)
+    null_gradients : ndarray (folds, draws, free + columns)
         Jacobian transposed times white errors that are only noise, see `refit`.
     """
 
     problem: WeightedProblem
+    folds: tuple[tuple[int, slice], ...]
     theta: Array
     fold_costs: Array
     held_out_costs: Array
     held_out_squares: Array
     held_out_chi_squares: Array
+    coefficients: Array
     normal_matrices: Array
     gradients: Array
     averaging_gradient: Array
@@ -71,6 +77,12 @@ class Refit:
     def chi_square(self) -> float:
         """Reduced chi-square on held-out folds: mean squared error over the noise variance, 1 where nothing is missing."""
         return float(self.held_out_chi_squares.sum() / len(self.problem.force))
+
+    @property
+    def information(self) -> Array:
+        """Normal matrix (free + columns, free + columns) of all folds and of the prior of the remainder."""
+        prior = np.concatenate([np.zeros(len(self.problem.free)), np.ones(len(self.coefficients))])
+        return np.asarray(self.normal_matrices.sum(axis=0) + np.diag(prior))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -106,17 +118,22 @@ def refit(
         problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, converged, renewal=3
     )
     theta = problem.theta(unit)
-    force, jacobian = problem.forces(theta), problem.jacobian(unit)
-    residuals = problem.counted(force - problem.force)
+    coefficients = problem.coefficients(theta)
+    alone = replace(problem, remainder=())
+    force = alone.forces(theta)
+    jacobian = np.concatenate([alone.jacobian(unit), problem.white_remainder], axis=1)
+    residuals = alone.counted(force - problem.force) + problem.white_remainder @ coefficients
     normal_matrices = np.stack([jacobian[fold].T @ jacobian[fold] for _, fold in folds])
     gradients = np.stack([jacobian[fold].T @ residuals[fold] for _, fold in folds])
     costs = np.array([residuals[fold] @ residuals[fold] for _, fold in folds])
     joined = np.concatenate(null_errors, axis=1) if len(null_errors) else np.empty((0, len(residuals)))
     null_gradients = [joined[:, fold] @ jacobian[fold] for _, fold in folds]
-    averaging = jacobian.T @ problem.counted(averaged_over_period(force, problem.blocks) - force)
-    thetas = without_each(problem, unit, normal_matrices, gradients)
-    held_out = held_out_errors(problem, thetas, folds)
-    return Refit(problem, theta, costs, *held_out, normal_matrices, gradients, averaging, np.array(null_gradients))
+    averaging = jacobian.T @ alone.counted(averaged_over_period(force, problem.blocks) - force)
+    thetas, of_remainder = without_each(problem, unit, coefficients, normal_matrices, gradients)
+    held_out = held_out_errors(problem, thetas, of_remainder, folds)
+    return Refit(
+        problem, tuple(folds), theta, costs, *held_out, coefficients, normal_matrices, gradients, averaging, np.array(null_gradients)
+    )
 
 
 def refit_on(weighting: Weighting, old: Refit) -> Refit:
@@ -132,34 +149,49 @@ def averaged_over_period(series: Array, blocks: Sequence[slice]) -> Array:
     return averaged
 
 
-def without_each(problem: Problem, unit: Array, normal_matrices: Array, gradients: Array) -> Array:
-    """Estimate the parameters (pieces, parameters) without each piece of the recordings.
+def without_each(
+    problem: Problem, unit: Array, coefficients: Array, normal_matrices: Array, gradients: Array
+) -> tuple[Array, Array]:
+    """Estimate the parameters (pieces, parameters) and the remainder's coefficients (pieces, columns) without each piece.
+
+    Beside a remainder, only the parameters of effects are estimated again, not those of the damper.
 
     Parameters
     ----------
     problem : Problem
     unit : ndarray (free,)
         Joint optimum in unit coordinates.
-    normal_matrices : ndarray (pieces, free, free)
-    gradients : ndarray (pieces, free)
+    coefficients : ndarray (columns,)
+        Coefficients of the remainder at the joint optimum.
+    normal_matrices : ndarray (pieces, free + columns, free + columns)
+    gradients : ndarray (pieces, free + columns)
     """
-    matrix, gradient = normal_matrices.sum(axis=0), gradients.sum(axis=0)
-    neutral = problem.unit(problem.model.defaults)
-    units = np.empty((len(normal_matrices), len(unit)))
+    free = len(unit)
+    prior = np.concatenate([np.zeros(free), np.ones(len(coefficients))])
+    matrix = normal_matrices.sum(axis=0) + np.diag(prior)
+    joint = np.concatenate([unit, coefficients])
+    gradient = gradients.sum(axis=0) + prior * joint
+    neutral = np.concatenate([problem.unit(problem.model.defaults), np.zeros(len(coefficients))])
+    lower, upper = -joint, 1.0 - joint
+    lower[free:], upper[free:] = -np.inf, np.inf
+    # Beside a remainder, the parameters of the damper are nearly redundant: a step along them would lead far away.
+    of_damper = np.array(["." not in parameter.name for parameter in problem.parameters] + [False] * len(coefficients))
+    moving = ~of_damper if len(coefficients) else np.ones(free, dtype=bool)
+    solutions = np.empty((len(normal_matrices), len(joint)))
     for index, (matrix_of_piece, gradient_of_piece) in enumerate(zip(normal_matrices, gradients, strict=True)):
         rest = matrix - matrix_of_piece
         determined = np.diag(rest) > NO_INFORMATION * np.maximum(np.diag(matrix), 1e-300)
-        new = np.where(determined, unit, neutral)
-        chosen = np.flatnonzero(determined)
+        new = np.where(determined, joint, neutral)
+        chosen = np.flatnonzero(determined & moving)
         step = bounded_step(
             rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]),
             (gradient - gradient_of_piece)[chosen],
-            -unit[chosen],
-            1.0 - unit[chosen],
+            lower[chosen],
+            upper[chosen],
         )
-        new[chosen] = unit[chosen] + step
-        units[index] = np.clip(new, 0.0, 1.0)
-    return problem.theta(units)
+        new[chosen] = joint[chosen] + step
+        solutions[index] = new
+    return problem.theta(np.clip(solutions[:, :free], 0.0, 1.0)), solutions[:, free:]
 
 
 def scaled_inverse(matrix: Array, least: float) -> Array:
@@ -170,15 +202,17 @@ def scaled_inverse(matrix: Array, least: float) -> Array:
 
 
 def held_out_errors(
-    problem: WeightedProblem, thetas: Array, folds: Sequence[tuple[int, slice]]
+    problem: WeightedProblem, thetas: Array, coefficients: Array, folds: Sequence[tuple[int, slice]]
 ) -> tuple[Array, Array, Array]:
-    """Sum the squared errors of each fold with its own parameters: white, in N², and over the noise variance."""
+    """Sum the squared errors of each fold with its own parameters and coefficients of the remainder: white, in N², and over
+    the noise variance.
+    """
 
     def errors_of(index: int) -> tuple[float, float, float]:
         run, fold = folds[index]
         start = problem.blocks[run].start
         samples = slice(fold.start - start, fold.stop - start)
-        white, plain = (error[samples] for error in error_of_run(problem, thetas[index], run))
+        white, plain = (error[samples] for error in error_of_run(problem, thetas[index], run, coefficients[index]))
         relative = plain / problem.sigmas[run][samples]
         return float(white @ white), float(plain @ plain), float(relative @ relative)
 

@@ -37,6 +37,11 @@ def explained_sentence(causes: Sequence[Cause], gap: Gap) -> str:
     return f"{_clauses(causes)} ({_certainty(causes)}). {_removal(causes, gap)}."
 
 
+def partly_explained_sentence(causes: Sequence[Cause], gap: Gap) -> str:
+    """Return the verdict that names causes although they do not explain the whole gap."""
+    return f"{_clauses(causes)} ({_certainty(causes)}). {_removal(causes, gap)}; the rest is not explained."
+
+
 def ambiguous_sentence(causes: Sequence[Cause], alternatives: Sequence[Alternative], gap: Gap, advice: Advice | None) -> str:
     """Return the verdict that several explanations fit nearly as well."""
     doubted = {alternative.instead_of for alternative in alternatives}

@@ -61,8 +61,8 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
     the sampling period, and a play is crossed within one period; intervals of effects that follow the force contain both.
     """
     problem, unit = refitted.problem, refitted.problem.unit(refitted.theta)
-    inverse = scaled_inverse(refitted.normal_matrices.sum(axis=0), 1e-12)
-    degrees = len(refitted.gradients) - len(unit)
+    inverse = scaled_inverse(refitted.information, 1e-12)
+    degrees = len(refitted.gradients) - len(inverse)
     deviation = 1.96 * np.sqrt(error_dispersion(problem.residuals(refitted.theta)) * np.diag(inverse))
     if degrees > 4:
         root = inverse @ refitted.gradients.T * np.sqrt(len(refitted.gradients) / degrees)

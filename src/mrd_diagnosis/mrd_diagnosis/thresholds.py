@@ -64,6 +64,20 @@ class Thresholds:
         "test the effect",
         "the first simulated dampers",
     )
+    # Causes beside a wrong form of the damper
+    form_effect_energy: float = threshold(
+        0.05,
+        "of the energy",
+        "share of what an effect changes beyond the model's parameters that the form remainder must leave; below it, the "
+        "effect belongs to the form",
+        "other forms with one effect, seed 990",
+    )
+    least_form_share: float = threshold(
+        0.75,
+        "of what the form remainder closes",
+        "share that an effect of the form must close by its own formula to be named",
+        "other forms with one effect, seed 990",
+    )
     # The verdict
     no_gap_chi_square: float = threshold(
         1.1,

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,19 +106,69 @@ class WeightedProblem(Problem):
         One for each run.
     sigmas : tuple of ndarray
         Noise of each run in N at the counted samples.
+    remainder : tuple of ndarray (n, columns)
+        Columns in N of a linear function that is added to the modelled force of each run, see
+        `mrd_diagnosis.form_remainder`. The prior of its coefficients is a standard normal distribution. Empty where the
+        model stands alone.
     """
 
     whitenings: tuple[Whitening, ...] = ()
     sigmas: tuple[Array, ...] = ()
+    remainder: tuple[Array, ...] = ()
 
-    def counted(self, errors: Array) -> Array:
+    def whitened(self, errors: Array) -> Array:
         """Return the white errors (samples,)."""
         return np.concatenate([white(errors[block]) for white, block in zip(self.whitenings, self.blocks, strict=True)])
 
+    def counted(self, errors: Array) -> Array:
+        """Return the white errors (samples,) that the remainder leaves: their squares are the cost, penalty included."""
+        white = self.whitened(errors)
+        if not self.remainder:
+            return white
+        basis, damping = self._profile
+        return np.asarray(white - basis @ (damping * (basis.T @ white)))
 
-def error_of_run(problem: WeightedProblem, theta: Array, run: int) -> tuple[Array, Array]:
-    """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset and gain error."""
+    @cached_property
+    def white_remainder(self) -> Array:
+        """The whitened columns (samples, columns) of the remainder."""
+        if not self.remainder:
+            return np.empty((len(self.force), 0))
+        return np.concatenate([white(of_run) for white, of_run in zip(self.whitenings, self.remainder, strict=True)])
+
+    @cached_property
+    def _profile(self) -> tuple[Array, Array]:
+        """Orthonormal basis of the remainder, and the share that it removes along each vector.
+
+        With D the columns, the root of (I + D Dᵀ)⁻¹ maps errors to errors whose squares are the least penalised cost.
+        """
+        columns = self.white_remainder
+        values, vectors = np.linalg.eigh(columns.T @ columns)
+        values = np.maximum(values, 1e-12 * values[-1])
+        return columns @ (vectors / np.sqrt(values)), 1.0 - 1.0 / np.sqrt(1.0 + values)
+
+    def coefficients(self, theta: Array) -> Array:
+        """Return the coefficients (columns,) of the remainder that fit best beside these parameters."""
+        if not self.remainder:
+            return np.empty(0)
+        columns = self.white_remainder
+        matrix = columns.T @ columns + np.eye(columns.shape[1])
+        return np.asarray(-np.linalg.solve(matrix, columns.T @ self.whitened(self.errors(theta))))
+
+    def remainder_of_run(self, coefficients: Array, run: int) -> Array:
+        """Return the force (n,) in N that the remainder adds to a run."""
+        return self.remainder[run] @ coefficients if self.remainder else np.zeros(len(self.recordings[run].force))
+
+
+def error_of_run(
+    problem: WeightedProblem, theta: Array, run: int, coefficients: Array | None = None
+) -> tuple[Array, Array]:
+    """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset and gain error.
+
+    ``coefficients`` are those of the remainder, which belongs to the modelled force; without them it is left out.
+    """
     error = problem.modelled(theta, run) - problem.recordings[run].force
+    if coefficients is not None:
+        error = error + problem.remainder_of_run(coefficients, run)
     whitening_of_run = problem.whitenings[run]
     gain, offset = whitening_of_run.run_errors @ error
     return whitening_of_run(error), error - gain * whitening_of_run.reference - offset
@@ -141,6 +192,8 @@ class Weighting:
     error_correlation : float
         Number of samples over which that error is correlated. The run's gain and offset are restricted accordingly;
         otherwise they would compensate for what is missing.
+    remainder : tuple of ndarray (n, columns)
+        See `WeightedProblem`.
     """
 
     recordings: Sequence[Recording]
@@ -149,6 +202,7 @@ class Weighting:
     fixed: Mapping[str, float]
     discrepancy: float = 0.0
     error_correlation: float = 1.0
+    remainder: tuple[Array, ...] = ()
 
     def problem(self, model: DamperModel, theta: Array, freed: Sequence[str] = ()) -> WeightedProblem:
         """Make the fitting problem of a model on these recordings.
@@ -173,15 +227,26 @@ class Weighting:
             whitening(np.sqrt(sigma**2 + self.discrepancy**2), force, scatter)
             for sigma, force in zip(sigmas, consecutive_forces(model, theta, self.recordings), strict=True)
         )
-        return WeightedProblem(plain.model, plain.recordings, plain.free, base, whitenings=whitenings, sigmas=sigmas)
+        return WeightedProblem(
+            plain.model,
+            plain.recordings,
+            plain.free,
+            base,
+            whitenings=whitenings,
+            sigmas=sigmas,
+            remainder=self.remainder,
+        )
 
-    def updated(self, model: DamperModel, theta: Array) -> "Weighting":
-        """Return the weighting with the discrepancy of another best model."""
+    def updated(self, model: DamperModel, theta: Array, coefficients: Array | None = None) -> "Weighting":
+        """Return the weighting with the discrepancy of another best model and its remainder."""
         remainders = []
-        for recording, noise, force in zip(
-            self.recordings, self.noise, consecutive_forces(model, theta, self.recordings), strict=True
+        columns = self.remainder if self.remainder and coefficients is not None else [None] * len(self.recordings)
+        for recording, noise, force, of_run in zip(
+            self.recordings, self.noise, consecutive_forces(model, theta, self.recordings), columns, strict=True
         ):
             error = force - recording.force
+            if of_run is not None:
+                error = error + of_run @ coefficients
             gain, offset = whitening(noise.sigma, force, self.scatter).run_errors @ error
             remainders.append(error - gain * force - offset)
         error, sigma = np.concatenate(remainders), np.concatenate([noise.sigma for noise in self.noise])
@@ -190,6 +255,23 @@ class Weighting:
         share = discrepancy**2 / (discrepancy**2 + float(np.mean(sigma**2)))
         correlation = 1.0 + share * (correlation_length(white) - 1.0)
         return replace(self, discrepancy=discrepancy, error_correlation=correlation)
+
+    def thinned(self, most_samples: int) -> "Weighting":
+        """Return the weighting with every n-th counted sample, so that about ``most_samples`` remain at most."""
+        stride = -(-self.samples // most_samples)
+        if stride == 1:
+            return self
+        recordings = [
+            replace(recording, counted=slice(recording.counted.start, recording.counted.stop, stride))
+            for recording in self.recordings
+        ]
+        return replace(
+            self,
+            recordings=recordings,
+            noise=[replace(noise, sigma=noise.sigma[::stride]) for noise in self.noise],
+            error_correlation=max(1.0, self.error_correlation / stride),
+            remainder=tuple(columns[::stride] for columns in self.remainder),
+        )
 
     @property
     def noise_cost(self) -> float:

@@ -67,7 +67,7 @@ class Explanation:
     @classmethod
     def from_refit(cls, refit: Refit, fixed: Collection[str]) -> Self:
         """Make an explanation from a refit. No run may free the parameters whose names are ``fixed``."""
-        problem, unit, matrix = refit.problem, refit.problem.unit(refit.theta), refit.normal_matrices.sum(axis=0)
+        problem, unit, matrix = refit.problem, refit.problem.unit(refit.theta), refit.information
         model = problem.model
         free = tuple(i for i, p in enumerate(model.parameters) if p.free and p.name not in fixed)
         undetermined = sorted(set(free) - set(problem.free))

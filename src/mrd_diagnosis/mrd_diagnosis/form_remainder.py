@@ -1,0 +1,131 @@
+"""Form remainder: a flexible function for what the form of the damper model lacks, beside which effects are judged.
+
+No base model has the form of a measured damper: its curve of force over speed bends otherwise, the force develops over
+another travel after a reversal, and both change otherwise with the current. Effects that describe neither would be named for
+such errors, or be lost behind them. The remainder is linear in its coefficients, which have a normal prior (Kennedy &
+O'Hagan, 2001, with a basis in place of the kernel), and depends on nothing but speed, the recent travel and the measured
+current. It is odd in the direction of motion. It can therefore not take the place of what depends on position, time, heat,
+acceleration, the history of the current or of the force, nor of what differs between extension and compression.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_diagnosis.base_fit import BaseFit, with_effect
+from mrd_diagnosis.effect_search import start_values
+from mrd_diagnosis.flexible_remainder import fading_memory
+from mrd_diagnosis.refit import Refit, refit_on
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighting import Weighting
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording
+from mrd_sim.effects import find_effects
+
+Array = NDArray[np.float64]
+
+TRAVELS = (0.1e-3, 0.4e-3, 1.6e-3)
+"""Travels in m over which the memory of the rod's direction fades: the yield travels of dampers lie between."""
+
+SPEEDS = (0.01, 0.03, 0.1, 0.3)
+"""Shares of the largest speed at which a step of the force over speed is smoothed."""
+
+POWERS_OF_CURRENT = (0, 1, 2)
+"""Powers of the current by which the functions of motion are multiplied."""
+
+SCALES = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""Standard deviations of the coefficients that are tried, as shares of the rms force."""
+
+ROUNDS = 3
+"""Rounds in which the remainder and the weighting of the residuals are adapted to each other."""
+
+
+def form_columns(recordings: Sequence[Recording]) -> tuple[Array, ...]:
+    """Return the columns (counted samples, columns) of each run, of rms one over all runs, orthogonal to each other."""
+    top = max(float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings)
+    largest = max(float(np.quantile(np.abs(recording.path.current), 0.995)) for recording in recordings)
+    parts = [_functions(recording, top, largest) for recording in recordings]
+    columns = np.concatenate(parts)
+    columns /= np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
+    # Functions that the runs cannot tell apart count once.
+    values, vectors = np.linalg.eigh(columns.T @ columns / len(columns))
+    kept = values > 1e-6 * values[-1]
+    columns = columns @ vectors[:, kept]
+    edges = np.cumsum([0, *(len(part) for part in parts)])
+    return tuple(columns[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True))
+
+
+def _functions(recording: Recording, top_speed: float, largest_current: float) -> Array:
+    path = recording.path
+    position, velocity, current = (series[path.samples] for series in (path.position, path.velocity, path.current))
+    speed = velocity / top_speed
+    travel = np.diff(position, prepend=position[0])
+    memories = [fading_memory(np.exp(-np.abs(travel) / scale), np.sign(travel)) for scale in TRAVELS]
+    motion = [
+        speed,
+        speed * np.abs(speed),
+        speed**3,
+        *(np.tanh(speed / scale) for scale in SPEEDS),
+        *memories,
+        *(memory * np.abs(speed) for memory in memories),
+        *(memory / np.cosh(np.clip(speed / scale, -20.0, 20.0)) ** 2 for memory in memories for scale in SPEEDS),
+    ]
+    relative = current / largest_current if largest_current > 0.0 else np.zeros_like(current)
+    functions = [function * relative**power for power in POWERS_OF_CURRENT for function in motion]
+    return np.stack(functions, axis=1)[recording.counted]
+
+
+def with_form_remainder(weighting: Weighting, base: Refit) -> tuple[Weighting, Refit]:
+    """Return the weighting with the remainder that predicts held-out folds best beside a model, and the model's refit.
+
+    The better the form, the smaller the discrepancy in the weighting, and the more the remainder can tell in turn.
+    """
+    columns = form_columns(weighting.recordings)
+    rms = float(np.sqrt(np.mean(base.problem.force**2)))
+    refitted = base
+    for _ in range(ROUNDS):
+        fits = []
+        for scale in SCALES:
+            extended = replace(weighting, remainder=tuple(scale * rms * of_run for of_run in columns))
+            fits.append((extended, refit_on(extended, refitted)))
+        weighting, refitted = min(fits, key=lambda fit: fit[1].held_out_cost)
+        weighting = weighting.updated(refitted.problem.model, refitted.theta, refitted.coefficients)
+    return weighting, refit_on(weighting, refitted)
+
+
+def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> list[str]:
+    """Return the effects that the remainder of a weighting can take the place of: they change the form of the damper.
+
+    Parameters
+    ----------
+    weighting : Weighting
+        With the remainder.
+    base : Refit
+        The model beside the remainder.
+    effects : sequence of str
+        Ids of the candidates.
+    """
+    alone = replace(weighting, remainder=())
+    spaces = [(space, BaseFit.linearise(space, base)) for space in (alone, weighting)]
+
+    def unabsorbed(effect: str) -> list[float]:
+        """Return the energy of the effect's change of the force that the model leaves, without and with the remainder."""
+        model, neutral = with_effect(base.problem.model, base.theta, effect)
+        theta = neutral.copy()
+        for name, value in start_values(find_effects([effect])[0], base.problem.force)[0].items():
+            theta[model.names.index(f"{effect}.{name}")] = value
+        energies = []
+        for space, linearised in spaces:
+            change = space.problem(model, neutral).residuals(theta) - linearised.residual
+            change -= linearised.jacobian @ (linearised.inverse @ (linearised.jacobian.T @ change))
+            energies.append(float(change @ change))
+        return energies
+
+    energies = in_threads(unabsorbed, effects)
+    return [
+        effect
+        for effect, (without, beside) in zip(effects, energies, strict=True)
+        if beside < THRESHOLDS.form_effect_energy * without
+    ]

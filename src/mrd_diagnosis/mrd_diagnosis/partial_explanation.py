@@ -1,0 +1,245 @@
+"""Partial explanation: the effects that can be named although the model's form is wrong, and what remains beside them.
+
+No base model has the form of a measured damper. A cause is named all the same when it holds against three things: a flexible
+remainder for the form of the damper (`form_remainder`), the other half of the recordings, and another base model. An effect
+that belongs to the form itself holds against the remainder where its formula closes most of what the remainder can close.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.effect_search import refit_with_effects, search_effects
+from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
+from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
+from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
+from mrd_diagnosis.refit import Refit, held_out_errors, refit, refit_on, without_each
+from mrd_diagnosis.statistics import probabilities
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighting import Weighting
+from mrd_identification.problem import make_problem
+from mrd_sim.models import find_model
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+MOST_SAMPLES = 20_000
+"""Samples of all runs together on which effects are judged beside the remainder, evenly spaced."""
+
+OTHER_FORMS = ("hyperbolic_tangent", "bouc_wen")
+"""Damper models around which a cause has to hold as well: the first that is not the user's own."""
+
+RANDOM_STARTS, EVALUATIONS = 20, 40
+"""Random points from which the other model is fitted, and evaluations of the fit."""
+
+MOST_FORM_EFFECTS = 2
+"""Effects of the form that are added to the model one after the other, at most."""
+
+
+@dataclass(frozen=True)
+class PartialExplanation:
+    """Effects that hold whatever the form of the damper, and what a freer form would remove.
+
+    Attributes
+    ----------
+    comparison : ModelComparison
+        The user's model with these effects and without the remainder.
+    probabilities : dict
+        For each effect, the probability of every alternative to it, itself included, by name.
+    p_values : dict
+        For each effect, the probability of its improvement in noise alone.
+    form_share : float
+        Share of the gap that a freer form of the damper would close beside these effects.
+    """
+
+    comparison: ModelComparison
+    probabilities: dict[str, dict[str, float]]
+    p_values: dict[str, float]
+    form_share: float
+
+
+def explain_in_part(
+    comparison: ModelComparison,
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    progress: Progress = lambda _fraction: None,
+) -> PartialExplanation:
+    """Find the effects that can be named although they do not explain the whole gap.
+
+    Parameters
+    ----------
+    comparison : ModelComparison
+        Of the user's model and the effects that were chosen beside it.
+    effects : sequence of str
+        Ids of the candidates.
+    rng : numpy Generator
+    progress : callable
+        Called with the fraction of the work that is done.
+    """
+    weighting = comparison.weighting.thinned(MOST_SAMPLES)
+    alone = refit_on(weighting, comparison.base)
+    other = _other_form(weighting, alone, rng)
+    chances, p_values, values, of_form, null_gains, remainder = _beside_remainder(
+        weighting, alone, other, effects, rng, progress
+    )
+    progress(0.8)
+    explained = _with_effects(weighting, alone, list(chances), values)
+    freed = refit_on(replace(weighting, remainder=remainder), explained)
+    for effect, fitted in _form_chain(weighting, explained, freed, of_form):
+        support = _supports((weighting, other), fitted, effect, rng)
+        gain = float(explained.held_out_cost - fitted.held_out_cost)
+        if support < THRESHOLDS.listed_probability or not _holds_in_halves(explained, fitted):
+            break
+        chances[effect], p_values[effect] = {effect: support}, p_value(gain, null_gains)
+        values |= dict(zip(fitted.problem.model.names, map(float, fitted.theta), strict=True))
+        explained = fitted
+    progress(0.9)
+    named = list(chances)
+    freed = refit_on(replace(weighting, remainder=remainder), explained)
+    gap = alone.held_out_cost - weighting.noise_cost
+    form_share = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
+    return PartialExplanation(_comparison_with(comparison, named, values), chances, p_values, form_share)
+
+
+def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) -> Refit:
+    """Fit another damper model, without effects."""
+    model = find_model(next(name for name in OTHER_FORMS if name != alone.problem.model.id))
+    problem, _ = make_problem(model, weighting.recordings, fixed=weighting.fixed)
+    theta = global_fit(problem, None, rng, RANDOM_STARTS, EVALUATIONS)
+    return refit(weighting.problem(model, theta), theta, weighting.folds)
+
+
+def _beside_remainder(
+    weighting: Weighting,
+    alone: Refit,
+    other: Refit,
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[dict[str, dict[str, float]], dict[str, float], dict[str, float], list[str], Array, tuple[Array, ...]]:
+    """Search for effects beside the remainder.
+
+    Returns
+    -------
+    chances, p_values : dict
+        See `PartialExplanation`, for the effects that hold.
+    values : dict
+        Parameters of the model with these effects, by name.
+    of_form : list of str
+        Candidates that belong to the form of the damper.
+    null_gains : ndarray
+        See `mrd_diagnosis.null_distribution.draw_null_gains`.
+    remainder : tuple of ndarray
+    """
+    beside, base = with_form_remainder(weighting, alone)
+    of_form = form_effects(beside, base, effects)
+    tried = [effect for effect in effects if effect not in of_form]
+    null_errors = draw_null_errors(base.problem, base.theta, [noise.force for noise in beside.noise], beside.scatter, rng)
+    base = refit(base.problem, base.theta, beside.folds, null_errors)
+    chosen, fits = search_effects(beside, base, tried, null_errors, lambda fraction: progress(0.8 * fraction))
+    singles = [fit.refit for fit in fits if len(fit.effects) == 1]
+    null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
+    if not chosen:
+        return {}, {}, {}, of_form, null_gains, beside.remainder
+    best = chosen[-1].refit
+    compared = compare_on(beside.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
+    around_other = with_form_remainder(weighting, other)
+    gains = {fit.effects[-1]: fit.gain for fit in chosen}
+    chances, p_values = {}, {}
+    for effect, others in compared.alternatives.items():
+        p = p_value(gains[effect], null_gains)
+        if p > THRESHOLDS.p_value or not _holds_in_halves(others[NO_EFFECT], others[effect]):
+            continue
+        support = _supports(around_other, compared.best, effect, rng)
+        if support < THRESHOLDS.listed_probability:
+            continue
+        of_others = map(float, probabilities(list(others.values()), rng))
+        chances[effect] = {name: support * p for name, p in zip(others, of_others, strict=True) if name != NO_EFFECT}
+        p_values[effect] = p
+    values = dict(zip(compared.best.problem.model.names, map(float, compared.best.theta), strict=True))
+    return chances, p_values, values, of_form, null_gains, beside.remainder
+
+
+def _form_chain(
+    weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]
+) -> list[tuple[str, Refit]]:
+    """Add effects of the form one after the other; return them where they close most of what the remainder closes.
+
+    ``explained`` is the model with all other causes, ``freed`` the same with the remainder.
+    """
+    available = explained.held_out_cost - freed.held_out_cost
+    gap = explained.held_out_cost - weighting.noise_cost
+    if available < THRESHOLDS.least_share_first * gap:
+        return []
+    chain: list[tuple[str, Refit]] = []
+    best = explained
+    while len(chain) < MOST_FORM_EFFECTS:
+        remaining = [effect for effect in effects if effect not in best.effects]
+        fits = refit_with_effects(
+            weighting, BaseFit.linearise(weighting, best), remaining, len(remaining), present=best.effects
+        )
+        if not fits:
+            break
+        fit = min(fits, key=lambda fit: fit.refit.held_out_cost)
+        if best.held_out_cost - fit.refit.held_out_cost < THRESHOLDS.least_share_next * (
+            best.held_out_cost - freed.held_out_cost
+        ):
+            break
+        best = fit.refit
+        chain.append((fit.effects[-1], best))
+    closed = explained.held_out_cost - best.held_out_cost
+    return chain if closed >= THRESHOLDS.least_form_share * available else []
+
+
+def _supports(form: tuple[Weighting, Refit], best: Refit, effect: str, rng: np.random.Generator) -> float:
+    """Return the probability of an effect against none around another form of the damper, the other effects present."""
+    weighting, refitted = form
+    values = dict(zip(best.problem.model.names, map(float, best.theta), strict=True))
+    present = [other.id for other in best.problem.model.effects]
+    fits = [
+        _with_effects(weighting, refitted, wanted, values)
+        for wanted in (present, [name for name in present if name != effect])
+    ]
+    return float(probabilities(fits, rng)[0])
+
+
+def _with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], values: Mapping[str, float]) -> Refit:
+    """Refit a model with effects, whose parameters start from ``values``."""
+    model, theta = refitted.problem.model, refitted.theta
+    for effect in effects:
+        model, theta = with_effect(model, theta, effect)
+    theta = np.array([values[n] if "." in n else v for n, v in zip(model.names, theta, strict=True)])
+    return refit(weighting.problem(model, theta), theta, weighting.folds)
+
+
+def _holds_in_halves(without: Refit, with_effect: Refit) -> bool:
+    """Whether an effect lowers the error of either half of the folds with parameters fitted to the other half."""
+    return bool((_cost_of_halves(with_effect) < _cost_of_halves(without)).all())
+
+
+def _cost_of_halves(refitted: Refit) -> Array:
+    """Return the sum of squared white residuals (2,) of every second fold, predicted from the others."""
+    problem, folds = refitted.problem, refitted.folds
+    halves = [np.arange(first, len(folds), 2) for first in (0, 1)]
+    matrices = np.stack([refitted.normal_matrices[half].sum(axis=0) for half in halves])
+    gradients = np.stack([refitted.gradients[half].sum(axis=0) for half in halves])
+    thetas, coefficients = without_each(problem, problem.unit(refitted.theta), refitted.coefficients, matrices, gradients)
+    costs = []
+    for half, theta, of_remainder in zip(halves, thetas, coefficients, strict=True):
+        pieces = [folds[index] for index in half]
+        shape = (len(pieces), 1)
+        white, _, _ = held_out_errors(problem, np.tile(theta, shape), np.tile(of_remainder, shape), pieces)
+        costs.append(float(white.sum()))
+    return np.array(costs)
+
+
+def _comparison_with(comparison: ModelComparison, effects: Sequence[str], values: Mapping[str, float]) -> ModelComparison:
+    """Refit the user's model with one effect more at a time, on all samples and without the remainder."""
+    chain = [
+        _with_effects(comparison.weighting, comparison.base, effects[: count + 1], values) for count in range(len(effects))
+    ]
+    alternatives = {effect: {effect: chain[-1]} for effect in effects}
+    return replace(comparison, chain=tuple(chain), effects=tuple(effects), alternatives=alternatives)
