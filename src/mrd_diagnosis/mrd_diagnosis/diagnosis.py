@@ -50,6 +50,11 @@ class Finding:
     run: str = ""
     channel: str = ""
 
+    @property
+    def remedy(self) -> str:
+        """What to do: the last sentence of the text."""
+        return self.text.rpartition(". ")[2]
+
 
 @dataclass(frozen=True)
 class RunNoise:
@@ -87,9 +92,10 @@ class Region:
     share : Interval
         Share of all excess squared error; the interval is a bootstrap over runs.
     lift : float
-        Share of the excess over share of the samples.
+        Share of the excess over share of the samples; nan for an oscillation.
     q_value : float
-        Significance of more excess than a uniform distribution gives, after false-discovery control over all bins.
+        Significance of more excess than a uniform distribution gives, after false-discovery control over all bins; nan
+        for an oscillation.
     label : str
         The bin in words.
     """
@@ -134,7 +140,7 @@ class Candidate:
     indistinguishable : tuple of str
         Effects that close nearly the same part of the gap on these runs.
     smallest_detectable : str
-        The smallest size that these runs would have shown, in words; empty where it was not computed.
+        The effect with the smallest size that these runs would have shown, as a clause; empty where it was not computed.
     """
 
     effects: tuple[str, ...]
@@ -168,12 +174,16 @@ class Cause:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect, or another damper model, that these runs cannot tell from a cause."""
+    """An effect, or another damper model, that these runs cannot tell from a cause.
+
+    ``parameters`` are those of the effect, fitted in place of the cause.
+    """
 
     effect: str
     instead_of: str
     probability: float
     why: str
+    parameters: Mapping[str, ParameterEstimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -318,13 +328,15 @@ class Diagnosis:
         What the preflight check found.
     verdict : str
     sentence : str
-        The verdict in one or two sentences.
+        The verdict in words, from `mrd_diagnosis.sentences.verdict_sentence`.
     held_out_by : {"runs", "leave-one-run-out", "blocks"}
         How the errors on unseen data were obtained.
     gap, corrected
         None where the recordings are faulty.
     where : tuple of Region
         Where the excess error lies; most significant first.
+    oscillation : Region or None
+        A narrow band of frequencies that has most of the excess error, where there is one.
     causes : tuple of Cause
         The named effects; with an unknown effect, only what the model lacks by construction.
     alternatives : tuple of Alternative
@@ -354,6 +366,7 @@ class Diagnosis:
     gap: Gap | None = None
     corrected: CorrectedSimulator | None = None
     where: tuple[Region, ...] = ()
+    oscillation: Region | None = None
     causes: tuple[Cause, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
     nearest: Candidate | None = None
