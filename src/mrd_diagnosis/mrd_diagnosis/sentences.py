@@ -21,12 +21,12 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if gap is None:
         return fault_sentence(diagnosis.findings)
     if diagnosis.verdict == "no_gap":
-        return no_gap_sentence(gap)
+        return _no_gap_sentence(gap)
     if diagnosis.verdict == "explained":
-        return explained_sentence(diagnosis, gap)
+        return _explained_sentence(diagnosis, gap)
     if diagnosis.verdict == "ambiguous":
-        return ambiguous_sentence(diagnosis, gap)
-    return unknown_effect_sentence(diagnosis)
+        return _ambiguous_sentence(diagnosis, gap)
+    return _unknown_effect_sentence(diagnosis)
 
 
 def fault_sentence(findings: Sequence[Finding]) -> str:
@@ -37,7 +37,7 @@ def fault_sentence(findings: Sequence[Finding]) -> str:
     return f"Data problem{f' ({place})' if place else ''}: {faults[0].text.rstrip('.')}.{more}"
 
 
-def no_gap_sentence(gap: Gap) -> str:
+def _no_gap_sentence(gap: Gap) -> str:
     """Return the verdict that noise explains the error."""
     before, noise = format_error(gap.before.value), format_error(gap.noise_floor.value)
     if gap.as_given is not None and gap.as_given > THRESHOLDS.notable_refit * gap.before.value:
@@ -48,7 +48,7 @@ def no_gap_sentence(gap: Gap) -> str:
     return f"No gap beyond the noise. The model's error is {before} of the force's standard deviation, the noise is {noise}."
 
 
-def explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
+def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names the causes."""
     text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
     beyond = gap.extrapolated
@@ -58,7 +58,7 @@ def explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     return text
 
 
-def ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
+def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that several explanations fit nearly as well."""
     alternatives = diagnosis.alternatives
     doubted = {alternative.instead_of for alternative in alternatives}
@@ -79,7 +79,7 @@ def ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     return text
 
 
-def unknown_effect_sentence(diagnosis: Diagnosis) -> str:
+def _unknown_effect_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict that no effect explains the gap, with the best clues."""
     causes, nearest = diagnosis.causes, diagnosis.nearest
     tested, untestable = _effects_tried(diagnosis), len(diagnosis.untestable)

@@ -191,7 +191,6 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
             for other in diagnosis.alternatives
         ],
         "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
-        "oscillation": diagnosis.oscillation,
         "regions": to_html(figures.region_chart(regions)) if regions else "",
         "maps": [(capitalised(title), to_html(figure)) for title, figure in figures.map_figures(diagnosis)],
         "shown_run": shown.recording.run.name,
@@ -312,30 +311,24 @@ def _effect_card(
         "equation": catalogued.equation if catalogued else "",
         "facts": facts,
         "parameters": [
-            (
-                name,
-                format_quantity(estimate.value, estimate.unit),
-                declared[name].meaning if name in declared else "",
-                _parameter_remark(estimate, declared.get(name)),
-            )
+            (name, *_fitted_value(estimate, declared.get(name)))
             for name, estimate in parameters_of_effect(effect, parameters).items()
         ],
     }
 
 
-def _parameter_remark(estimate: ParameterEstimate, declared: Parameter | None) -> str:
-    """Return what limits the value of a parameter, and what follows for a parameter that any plausible value fits."""
-    value = estimate.value
+def _fitted_value(estimate: ParameterEstimate, declared: Parameter | None) -> tuple[str, str, str]:
+    """Return the value of a parameter, its meaning, and a remark; a value that the runs do not determine has no interval."""
+    value, meaning = estimate.value, declared.meaning if declared else ""
     if declared is None or not np.allclose(
         (value.lower, value.upper), (declared.lower, declared.upper), rtol=1e-6, atol=0.0
     ):
-        return estimate.remark
-    lower, upper = format_quantity(declared.lower, declared.unit), format_quantity(declared.upper, declared.unit)
-    default = format_quantity(declared.default, declared.unit)
-    return (
-        f"{estimate.remark}: any plausible value ({lower} to {upper}) fits about as well, so do not rely on this one. "
-        f"The default is {default}."
+        return format_quantity(value, estimate.unit), meaning, estimate.remark
+    fitted, lower, upper, default = (
+        format_quantity(number, declared.unit) for number in (value.value, declared.lower, declared.upper, declared.default)
     )
+    remark = f"any plausible value ({lower} to {upper}) fits about as well; the default is {default}"
+    return fitted, meaning, ": ".join(filter(None, (estimate.remark, remark)))
 
 
 def _unnoticed(diagnosis: Diagnosis, nearest: Collection[str]) -> list[tuple[str, str, str]]:
