@@ -82,15 +82,17 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 def _unknown_effect_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict that no effect explains the gap, with the best clues."""
     causes, nearest = diagnosis.causes, diagnosis.nearest
-    tested, untestable = _effects_tried(diagnosis), len(diagnosis.untestable)
-    cannot = f"; {untestable} more cannot be tested with them" if untestable else ""
-    sentences = [f"None of the effects that these runs can test ({tested}) explains the gap{cannot}."]
+    tested, untestable = _effects_tried(diagnosis) - len(causes), len(diagnosis.untestable)
+    other, what = ("other ", "rest") if causes else ("", "gap")
+    sentences = []
     if causes:
         closed = format_share(sum(cause.closed_fraction.value for cause in causes))
-        sentences = [
-            f"{capitalised(_clauses(causes))}; this removes {closed} of the gap.",
-            f"None of the other effects that these runs can test ({tested - len(causes)}) explains the rest{cannot}.",
-        ]
+        sentences.append(f"{capitalised(_clauses(causes))}; this removes {closed} of the gap.")
+    if tested:
+        cannot = f"; {untestable} more cannot be tested with them" if untestable else ""
+        sentences.append(f"None of the {other}effects that these runs can test ({tested}) explains the {what}{cannot}.")
+    else:
+        sentences.append(f"These runs cannot test any of the {other}effects ({untestable}) that may explain the {what}.")
     if where := _where_sentence(diagnosis):
         sentences.append(where)
     named = {cause.effect for cause in causes}

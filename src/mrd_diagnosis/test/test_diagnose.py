@@ -128,7 +128,7 @@ def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
     assert diagnosis.verdict == "unknown_effect"
     assert not diagnosis.causes
     assert diagnosis.where
-    assert "None of the effects that these runs can test (2) explains the gap" in diagnosis.sentence
+    assert "These runs cannot test any of the effects (2) that may explain the gap" in diagnosis.sentence
     assert {model.name for model in diagnosis.alternative_models} >= {"sigmoid", "bouc_wen with exponent fitted too"}
 
 
