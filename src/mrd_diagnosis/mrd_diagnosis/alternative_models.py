@@ -68,7 +68,7 @@ def _alternatives(weighting: Weighting, base: Refit) -> Iterator[_AlternativeMod
     levels, _ = current_levels([recording.run for recording in weighting.recordings])
     freed = tuple(parameter.name for parameter in model.parameters if not parameter.free)
     if freed and model.id != "quasi_static":  # its fixed parameters are its dimensions
-        yield f"{model.id} with {', '.join(freed)} freed", model, freed, base.theta
+        yield f"{model.id} with {', '.join(freed)} fitted too", model, freed, base.theta
     if levels > 2 and any(law == "affine" for law in model.laws.values()):
         quadratic = find_model(model.id, "quadratic")
         values = dict(zip(model.names, base.theta, strict=True))

@@ -1,5 +1,6 @@
 """Detectability: the smallest size of each effect that recordings would show, and the runs that show it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -8,7 +9,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from mrd_diagnosis.base_fit import BaseFit, with_effect
+from mrd_diagnosis.diagnosis import Interval, ParameterEstimate
+from mrd_diagnosis.effect_names import effect_clause
 from mrd_diagnosis.noise_model import estimate_noise
+from mrd_diagnosis.quantities import format_quantity
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import RunScatter, Weighting
@@ -154,6 +158,19 @@ def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, need
         share,
         evidence / max(float(evidence.sum()), np.finfo(float).tiny),
     )
+
+
+def clause_of_size(effect: Effect, size: float) -> str:
+    """Return an effect of a size without sign, with its typical shape, as a clause."""
+    values = scaled_effect(effect, math.copysign(size, largest_size(effect)))
+    units = {parameter.name: parameter.unit for parameter in effect.parameters}
+    clause = effect_clause(
+        effect.id, {name: ParameterEstimate(Interval(value), units[name]) for name, value in values.items()}
+    )
+    first = effect.parameters[0]
+    if not effect.phrase or f"{{{first.name}" in effect.phrase:
+        return clause
+    return f"{clause}, with a {first.name.replace('_', ' ')} of {format_quantity(size, first.unit)}"
 
 
 def largest_size(effect: Effect) -> float:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import takewhile
 
 import numpy as np
@@ -12,7 +13,7 @@ from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.closure import Closure, compute_closure
 from mrd_diagnosis.decision import decide
-from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Region, Verdict
+from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Region
 from mrd_diagnosis.effect_search import search_effects, tolerated_excess
 from mrd_diagnosis.explanation import (
     advise_next,
@@ -24,21 +25,14 @@ from mrd_diagnosis.explanation import (
 )
 from mrd_diagnosis.flexible_remainder import explainable_fraction
 from mrd_diagnosis.limitations import limitation_notes, untestable_effects
-from mrd_diagnosis.localisation import localise
+from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
 from mrd_diagnosis.partial_explanation import explain_in_part
 from mrd_diagnosis.preflight import preflight
 from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
-from mrd_diagnosis.sentences import (
-    ambiguous_sentence,
-    explained_sentence,
-    fault_sentence,
-    no_gap_sentence,
-    partly_explained_sentence,
-    unknown_effect_sentence,
-)
+from mrd_diagnosis.sentences import fault_sentence, verdict_sentence
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
@@ -185,9 +179,11 @@ def _diagnose_physics(
     p_value_of = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
     p_values = [p_value_of[effect] for effect in comparison.effects]
     verdict = decide(comparison, base.chi_square, chances, p_values, rng)
+    form_fraction = float("nan")
     if verdict == "unknown_effect":
         progress("looking for causes beside a wrong form", 0.8)
         partial = explain_in_part(comparison, [e for e in candidates if e not in excluded], rng)
+        form_fraction = partial.form_fraction
         if partial.comparison.effects:
             verdict = "partly_explained"
             comparison, chances = partial.comparison, partial.probabilities
@@ -202,10 +198,12 @@ def _diagnose_physics(
     progress("measuring how far the gap closes", 0.85)
     closure = compute_closure(comparison, held_out, rng)
     where: tuple[Region, ...] = ()
+    oscillation = None
     explainable = float("nan")
     if verdict != "no_gap":
         progress("locating the gap", 0.9)
-        where, explainable = _locate(closure, rng)
+        residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
+        where, oscillation, explainable = _locate(closure, residuals, rng)
     nearest = models = None
     if verdict in ("unknown_effect", "partly_explained"):
         progress("trying other damper models", 0.93)
@@ -218,7 +216,7 @@ def _diagnose_physics(
     if conclusive:
         progress("designing the next experiment", 0.95)
     advice = advise_next(comparison, chances, bench) if conclusive else None
-    alternatives = list_alternatives(chances) if conclusive else ()
+    alternatives = list_alternatives(comparison, chances) if conclusive else ()
     gap = Gap(
         closure.noise_floor,
         closure.before,
@@ -227,18 +225,12 @@ def _diagnose_physics(
         _error_as_given(model, theta_as_given, weighting),
         explainable,
         closure.extrapolated,
+        form_fraction,
     )
     best = comparison.best
-    sentences: Mapping[Verdict, Callable[[], str]] = {
-        "no_gap": lambda: no_gap_sentence(gap),
-        "explained": lambda: explained_sentence(causes, gap),
-        "ambiguous": lambda: ambiguous_sentence(causes, alternatives, gap, advice),
-        "partly_explained": lambda: partly_explained_sentence(causes, gap),
-        "unknown_effect": lambda: unknown_effect_sentence(causes, where, nearest, models or ()),
-    }
     runs, set_aside = (tuple(recording.run for recording in group) for group in (recordings, held_out))
     progress("done", 1.0)
-    return Diagnosis(
+    diagnosis = Diagnosis(
         model=model,
         runs=runs,
         held_out=set_aside,
@@ -246,11 +238,12 @@ def _diagnose_physics(
         elapsed=time.monotonic() - began,
         findings=findings,
         verdict=verdict,
-        sentence=sentences[verdict](),
+        sentence="",
         held_out_by=_held_out_by(runs, set_aside),
         gap=gap,
         corrected=CorrectedSimulator(best.effects, dict(zip(best.problem.model.names, map(float, best.theta), strict=True))),
         where=where,
+        oscillation=oscillation,
         causes=causes,
         alternatives=alternatives,
         nearest=nearest,
@@ -261,15 +254,18 @@ def _diagnose_physics(
         residuals=closure.residuals,
         notes=(*notes, *limitation_notes(recordings, weighting.noise)),
     )
+    return replace(diagnosis, sentence=verdict_sentence(diagnosis))
 
 
-def _locate(closure: Closure, rng: np.random.Generator) -> tuple[tuple[Region, ...], float]:
-    """Return where the gap lies, and the share of it that a flexible function can explain."""
+def _locate(
+    closure: Closure, residuals: Sequence[Array], rng: np.random.Generator
+) -> tuple[tuple[Region, ...], Region | None, float]:
+    """Return where the gap lies, an oscillation that has most of it, and the share that a flexible function can explain."""
     recordings = [residual.recording for residual in closure.counted]
     noise = [residual.noise for residual in closure.counted]
-    residuals = [residual.before for residual in closure.counted]
     where = localise(recordings, noise, residuals, rng)
-    return where, explainable_fraction(recordings, residuals, [of_run.sigma for of_run in noise], rng)
+    oscillation = find_oscillation(recordings, noise, residuals)
+    return where, oscillation, explainable_fraction(recordings, residuals, [of_run.sigma for of_run in noise], rng)
 
 
 def _nearest(comparison: ModelComparison, candidates: Sequence[Candidate]) -> Candidate | None:

@@ -50,6 +50,11 @@ class Finding:
     run: str = ""
     channel: str = ""
 
+    @property
+    def remedy(self) -> str:
+        """What to do: the last sentence of the text."""
+        return self.text.rpartition(". ")[2]
+
 
 @dataclass(frozen=True)
 class RunNoise:
@@ -87,9 +92,10 @@ class Region:
     share : Interval
         Share of all excess squared error; the interval is a bootstrap over runs.
     lift : float
-        Share of the excess over share of the samples.
+        Share of the excess over share of the samples; nan for an oscillation.
     q_value : float
-        Significance of more excess than a uniform distribution gives, after false-discovery control over all bins.
+        Significance of more excess than a uniform distribution gives, after false-discovery control over all bins; nan
+        for an oscillation.
     label : str
         The bin in words.
     """
@@ -134,7 +140,7 @@ class Candidate:
     indistinguishable : tuple of str
         Effects that close nearly the same part of the gap on these runs.
     smallest_detectable : str
-        The smallest size that these runs would have shown, in words; empty where it was not computed.
+        The effect with the smallest size that these runs would have shown, as a clause; empty where it was not computed.
     """
 
     effects: tuple[str, ...]
@@ -168,12 +174,16 @@ class Cause:
 
 @dataclass(frozen=True)
 class Alternative:
-    """An effect, or another damper model, that these runs cannot tell from a cause."""
+    """An effect, or another damper model, that these runs cannot tell from a cause.
+
+    ``parameters`` are those of the effect, fitted in place of the cause.
+    """
 
     effect: str
     instead_of: str
     probability: float
     why: str
+    parameters: Mapping[str, ParameterEstimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -273,6 +283,9 @@ class Gap:
         there is no gap.
     extrapolated : Interval or None
         ``closed_fraction`` on the runs that exceed the others.
+    form_fraction : float
+        Share of the gap that a freer form of the damper model would close beside the causes, on held-out data; nan where it
+        was not computed, because the causes explain the gap.
     """
 
     noise_floor: Interval
@@ -282,6 +295,7 @@ class Gap:
     as_given: float | None = None
     explainable_fraction: float = float("nan")
     extrapolated: Interval | None = None
+    form_fraction: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -318,15 +332,18 @@ class Diagnosis:
         What the preflight check found.
     verdict : str
     sentence : str
-        The verdict in one or two sentences.
+        The verdict in words, from `mrd_diagnosis.sentences.verdict_sentence`.
     held_out_by : {"runs", "leave-one-run-out", "blocks"}
         How the errors on unseen data were obtained.
     gap, corrected
         None where the recordings are faulty.
     where : tuple of Region
-        Where the excess error lies; most significant first.
+        Where the excess error lies, most significant first; with a partly explained gap, the error that remains.
+    oscillation : Region or None
+        A narrow band of frequencies that has most of the excess error, where there is one.
     causes : tuple of Cause
-        The named effects; with an unknown effect, only what the model lacks by construction.
+        The named effects. With a partly explained gap, they hold whatever the form of the damper model; with an unknown
+        effect, there are only those that the model lacks by construction.
     alternatives : tuple of Alternative
     nearest : Candidate or None
         What comes nearest to the gap where it is not explained.
@@ -354,6 +371,7 @@ class Diagnosis:
     gap: Gap | None = None
     corrected: CorrectedSimulator | None = None
     where: tuple[Region, ...] = ()
+    oscillation: Region | None = None
     causes: tuple[Cause, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
     nearest: Candidate | None = None

@@ -40,7 +40,7 @@ def effect_clause(effect: str, parameters: Mapping[str, ParameterEstimate]) -> s
     """
     known = parameters_of_effect(effect, parameters)
     if effect not in EFFECTS:
-        return effect_name(effect)
+        return f"another damper model is right ({effect})"
     declared = EFFECTS[effect].parameters
     values = {p.name: _formattable(p, known) for p in declared}
     if EFFECTS[effect].phrase:

@@ -94,7 +94,7 @@ def _spectrogram(recording: Recording, residual: Array) -> Map:
     power = np.add.reduceat(density, rows, axis=0) / np.diff(np.append(rows, len(frequency)))[:, None]
     half, begin = 0.5 * length / run.rate, float(run.time[recording.counted][0])
     return Map(
-        f"run {run.name}",
+        f"spectrum of the error over time, run {run.name}",
         "time, s",
         "frequency, Hz",
         np.append(time - half, time[-1] + half) + begin,

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from mrd_diagnosis.base_fit import BaseFit
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.decision import Probabilities
-from mrd_diagnosis.detectability import detectable_sizes
+from mrd_diagnosis.detectability import clause_of_size, detectable_sizes
 from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, UntestableEffect
+from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_diagnosis.effect_search import EffectFit, detection_threshold, tolerated_excess
 from mrd_diagnosis.experiment_design.advice import advise
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison
 from mrd_diagnosis.null_distribution import p_value
-from mrd_diagnosis.quantities import format_quantity
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.statistics import effect_parameters, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -69,10 +69,16 @@ def name_causes(
     return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))
 
 
-def list_alternatives(chances: Probabilities) -> tuple[Alternative, ...]:
+def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tuple[Alternative, ...]:
     """Return the explanations that are likely enough to be listed beside a cause."""
     return tuple(
-        Alternative(other, effect, float(chance), "predicts held-out data nearly as well")
+        Alternative(
+            other,
+            effect,
+            float(chance),
+            "predicts held-out data nearly as well",
+            parameters_of_effect(other, effect_parameters(comparison.alternatives[effect][other])),
+        )
         for effect, chances_of_others in chances.items()
         for other, chance in sorted(chances_of_others.items(), key=lambda item: -item[1])
         if other not in (NO_EFFECT, effect) and chance >= THRESHOLDS.listed_probability
@@ -129,8 +135,8 @@ def list_candidates(
 
 
 def _detectable(comparison: ModelComparison, effects: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Return the smallest detectable size of each effect in words, and why it cannot be tested; each empty where it does
-    not apply.
+    """Return each effect with its smallest detectable size as a clause, and why it cannot be tested; each empty where it
+    does not apply.
     """
     weighting, best = comparison.weighting, comparison.best
     threshold = detection_threshold(weighting, comparison.base, best)
@@ -138,7 +144,7 @@ def _detectable(comparison: ModelComparison, effects: Sequence[str]) -> dict[str
     for detectability in detectable_sizes(weighting, BaseFit.linearise(weighting, best), effects, threshold):
         effect, smallest = detectability.effect, ""
         if np.isfinite(detectability.smallest_size):
-            smallest = format_quantity(detectability.smallest_size, EFFECTS[effect].parameters[0].unit)
+            smallest = clause_of_size(EFFECTS[effect], detectability.smallest_size)
         described[effect] = smallest, detectability.remark
     return described
 

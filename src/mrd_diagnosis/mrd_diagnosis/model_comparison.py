@@ -98,9 +98,7 @@ def compare_models(
     return compare_on(weighting, base, chosen, fits)
 
 
-def compare_on(
-    weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], fits: Sequence[EffectFit]
-) -> ModelComparison:
+def compare_on(weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], fits: Sequence[EffectFit]) -> ModelComparison:
     """Refit everything that may still be the explanation with a weighting; arguments as of `compare_models`."""
     chain, without = _drop_superfluous(weighting, in_threads(lambda fit: refit_on(weighting, fit.refit), chosen))
     singles = sorted((fit for fit in fits if len(fit.effects) == 1), key=lambda fit: fit.refit.held_out_cost)

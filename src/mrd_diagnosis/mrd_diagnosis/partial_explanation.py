@@ -51,14 +51,14 @@ class PartialExplanation:
         For each effect, the probability of every alternative to it, itself included, by name.
     p_values : dict
         For each effect, the probability of its improvement in noise alone.
-    form_share : float
+    form_fraction : float
         Share of the gap that a freer form of the damper would close beside these effects.
     """
 
     comparison: ModelComparison
     probabilities: dict[str, dict[str, float]]
     p_values: dict[str, float]
-    form_share: float
+    form_fraction: float
 
 
 def explain_in_part(
@@ -100,8 +100,8 @@ def explain_in_part(
     named = list(chances)
     freed = refit_on(replace(weighting, remainder=remainder), explained)
     gap = alone.held_out_cost - weighting.noise_cost
-    form_share = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
-    return PartialExplanation(_comparison_with(comparison, named, values), chances, p_values, form_share)
+    form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
+    return PartialExplanation(_comparison_with(comparison, named, values), chances, p_values, form_fraction)
 
 
 def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) -> Refit:
@@ -113,12 +113,7 @@ def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) ->
 
 
 def _beside_remainder(
-    weighting: Weighting,
-    alone: Refit,
-    other: Refit,
-    effects: Sequence[str],
-    rng: np.random.Generator,
-    progress: Progress,
+    weighting: Weighting, alone: Refit, other: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
 ) -> tuple[dict[str, dict[str, float]], dict[str, float], dict[str, float], list[str], Array, tuple[Array, ...]]:
     """Search for effects beside the remainder.
 
@@ -163,9 +158,7 @@ def _beside_remainder(
     return chances, p_values, values, of_form, null_gains, beside.remainder
 
 
-def _form_chain(
-    weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]
-) -> list[tuple[str, Refit]]:
+def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]) -> list[tuple[str, Refit]]:
     """Add effects of the form one after the other; return them where they close most of what the remainder closes.
 
     ``explained`` is the model with all other causes, ``freed`` the same with the remainder.

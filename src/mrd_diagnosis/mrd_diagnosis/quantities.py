@@ -11,6 +11,9 @@ EXACT = 1e-3
 SMALLEST, LARGEST = 0.1, 1e4
 """Magnitudes between which a unit needs no prefix: 31 ms, but 0.4 s; 2000 N, but 25 kN."""
 
+LEAST_P_VALUE = 0.001
+"""Least p-value that the 999 realisations of the noise in `mrd_diagnosis.null_distribution` can resolve."""
+
 _PREFIXES = {"µ": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6, "G": 1e9}
 _PREFIXED_UNITS = ("m", "s", "N", "A", "V", "J", "W", "Pa")
 
@@ -48,11 +51,13 @@ def format_quantity(value: float | Interval, unit: str = "", style: str = "") ->
 
 
 def format_share(value: float | Interval) -> str:
-    """Format a share in whole per cent, with its interval if it has one."""
+    """Format a share in whole per cent, with its interval if it has one; shares are limited to ±100 %."""
     if not isinstance(value, Interval):
         return f"{_decimals(100 * value, 0)} %" if math.isfinite(value) else "–"
     if not math.isfinite(value.value):
         return "–"
+    if value.value <= -1.0:
+        return "≤ \u2212100 %"
     ends = f" ({_decimals(100 * value.lower, 0)} to {_decimals(100 * value.upper, 0)})"
     return format_share(value.value) + (ends if math.isfinite(value.lower + value.upper) else "")
 
@@ -66,7 +71,12 @@ def format_probability(value: float) -> str:
 
 def format_error(ratio: float) -> str:
     """Format an error relative to the standard deviation of the force, in per cent."""
-    return f"{_significant(100 * ratio, 2)} %" if math.isfinite(ratio) else "–"
+    return f"{_significant(100 * ratio)} %" if math.isfinite(ratio) else "–"
+
+
+def format_p_value(value: float) -> str:
+    """Format a p-value; the least one that can be resolved is written as a bound."""
+    return f"≤ {LEAST_P_VALUE:g}" if value <= LEAST_P_VALUE else f"{value:.3f}"
 
 
 def join_words(items: Sequence[str], last: str = "and") -> str:

@@ -132,7 +132,16 @@ def refit(
     thetas, of_remainder = without_each(problem, unit, coefficients, normal_matrices, gradients)
     held_out = held_out_errors(problem, thetas, of_remainder, folds)
     return Refit(
-        problem, tuple(folds), theta, costs, *held_out, coefficients, normal_matrices, gradients, averaging, np.array(null_gradients)
+        problem,
+        tuple(folds),
+        theta,
+        costs,
+        *held_out,
+        coefficients,
+        normal_matrices,
+        gradients,
+        averaging,
+        np.array(null_gradients),
     )
 
 

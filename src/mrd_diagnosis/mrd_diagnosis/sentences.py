@@ -1,16 +1,34 @@
-"""The verdict in one or two sentences: what was found, how sure it is, and how much of the gap it removes."""
+"""The verdict in words: what was found, how sure it is, how much of the gap it removes, and what to do next."""
 
 import math
 import shlex
 from collections.abc import Sequence
 
-import yaml
-
-from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, Diagnosis, Finding, Gap, Region
+from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
 from mrd_diagnosis.effect_names import effect_clause, effect_names
-from mrd_diagnosis.quantities import capitalised, format_error, format_share, join_words
+from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_runs import Run
 from mrd_sim.models import MODELS
+
+NEARLY_ALL = 0.85
+"""Share of the error from which a reader calls it nearly all."""
+
+
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """Return the verdict in words."""
+    gap = diagnosis.gap
+    if gap is None:
+        return fault_sentence(diagnosis.findings)
+    if diagnosis.verdict == "no_gap":
+        return _no_gap_sentence(gap)
+    if diagnosis.verdict == "explained":
+        return _explained_sentence(diagnosis, gap)
+    if diagnosis.verdict == "ambiguous":
+        return _ambiguous_sentence(diagnosis, gap)
+    if diagnosis.verdict == "partly_explained":
+        return _partly_explained_sentence(diagnosis, gap)
+    return _unknown_effect_sentence(diagnosis)
 
 
 def fault_sentence(findings: Sequence[Finding]) -> str:
@@ -21,7 +39,7 @@ def fault_sentence(findings: Sequence[Finding]) -> str:
     return f"Data problem{f' ({place})' if place else ''}: {faults[0].text.rstrip('.')}.{more}"
 
 
-def no_gap_sentence(gap: Gap) -> str:
+def _no_gap_sentence(gap: Gap) -> str:
     """Return the verdict that noise explains the error."""
     before, noise = format_error(gap.before.value), format_error(gap.noise_floor.value)
     if gap.as_given is not None and gap.as_given > THRESHOLDS.notable_refit * gap.before.value:
@@ -32,55 +50,67 @@ def no_gap_sentence(gap: Gap) -> str:
     return f"No gap beyond the noise. The model's error is {before} of the force's standard deviation, the noise is {noise}."
 
 
-def explained_sentence(causes: Sequence[Cause], gap: Gap) -> str:
+def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names the causes."""
-    return f"{_clauses(causes)} ({_certainty(causes)}). {_removal(causes, gap)}."
-
-
-def partly_explained_sentence(causes: Sequence[Cause], gap: Gap) -> str:
-    """Return the verdict that names causes although they do not explain the whole gap."""
-    return f"{_clauses(causes)} ({_certainty(causes)}). {_removal(causes, gap)}; the rest is not explained."
-
-
-def ambiguous_sentence(causes: Sequence[Cause], alternatives: Sequence[Alternative], gap: Gap, advice: Advice | None) -> str:
-    """Return the verdict that several explanations fit nearly as well."""
-    doubted = {alternative.instead_of for alternative in alternatives}
-    certain = [cause for cause in causes if cause.effect not in doubted]
-    uncertain = [cause.effect for cause in causes if cause.effect in doubted]
-    options = list(dict.fromkeys([*uncertain, *(alternative.effect for alternative in alternatives)]))
-    if not options:
-        return f"Probably {_clauses(causes, capital=False)} ({_certainty(causes)}). {_removal(causes, gap)}."
-    cannot = f"these runs cannot tell {effect_names(options)} apart."
-    text = f"{_clauses(certain)}. Beyond that, {cannot}" if certain else capitalised(cannot)
-    if math.isfinite(gap.closed_fraction.value):
-        text += f" The most likely explanation removes {format_share(gap.closed_fraction.value)} of the explainable gap."
-    if advice is not None:
-        experiment = experiment_name(advice.experiment)
-        # Without an experiment, the first sentence of the advice repeats that nothing separates them.
-        remedy = advice.text.partition(". ")[2] or advice.text
-        text += f" Record the experiment “{experiment}” to separate them." if experiment else f" {remedy}"
+    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+    beyond = gap.extrapolated
+    if beyond is not None and beyond.value < gap.closed_fraction.lower:
+        share = format_share(beyond.value)
+        text += f" On the runs that go beyond the others in stroke, speed or current, this removes only {share}."
     return text
 
 
-def unknown_effect_sentence(
-    causes: Sequence[Cause],
-    where: Sequence[Region],
-    nearest: Candidate | None,
-    alternative_models: Sequence[AlternativeModel],
-) -> str:
-    """Return the verdict that no catalogued effect explains the gap, with the best clues."""
-    sentences = ["No catalogued effect explains the gap."]
+def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return the verdict that several explanations fit nearly as well."""
+    alternatives = diagnosis.alternatives
+    doubted = {alternative.instead_of for alternative in alternatives}
+    certain = [cause for cause in diagnosis.causes if cause.effect not in doubted]
+    uncertain = [cause for cause in diagnosis.causes if cause.effect in doubted]
+    options: dict[str, Cause | Alternative] = {cause.effect: cause for cause in uncertain}
+    for alternative in alternatives:
+        # An effect may be an alternative to two causes.
+        options.setdefault(alternative.effect, alternative)
+    if not options:
+        return f"Probably {_clauses(diagnosis.causes)} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+    clauses = [effect_clause(option.effect, option.parameters) for option in options.values()]
+    likely = [format_probability(option.probability) for option in options.values()]
+    whether = f"these runs do not show whether {join_words(clauses, 'or')} (probabilities {join_words(likely)})."
+    text = f"{capitalised(_clauses(certain))}. Beyond that, {whether}" if certain else capitalised(whether)
+    if math.isfinite(gap.closed_fraction.value):
+        text += f" The most likely explanation removes {format_share(gap.closed_fraction.value)} of the explainable gap."
+    return text
+
+
+def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return the verdict that names causes although they do not explain the whole gap, and describe the rest."""
+    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+    if gap.form_fraction > THRESHOLDS.notable_alternative_model:
+        text += (
+            f" Another {format_share(gap.form_fraction)} lies in the form of the damper model: in how its force depends on "
+            "speed, recent travel and current."
+        )
+    where = _where_sentence(diagnosis)
+    return f"{text} {where.replace('of the error', 'of the remaining error')}".rstrip()
+
+
+def _unknown_effect_sentence(diagnosis: Diagnosis) -> str:
+    """Return the verdict that no effect explains the gap, with the best clues."""
+    causes, nearest = diagnosis.causes, diagnosis.nearest
+    tested, untestable = _effects_tried(diagnosis) - len(causes), len(diagnosis.untestable)
+    other, what = ("other ", "rest") if causes else ("", "gap")
+    sentences = []
     if causes:
         closed = format_share(sum(cause.closed_fraction.value for cause in causes))
-        sentences = [f"{_clauses(causes)}; this removes {closed} of the gap.", "No catalogued effect explains the rest."]
-    significant = [region for region in where if region.q_value < THRESHOLDS.q_value]
-    places = [region for region in significant if region.axis != "run"] or significant
-    if places:
-        share = places[0].share.value
-        part = "Most of the error" if share > 0.5 else "The largest part of the error"
-        sentences.append(f"{part} ({format_share(share)}) occurs {_at(places[0].label)}.")
+        sentences.append(f"{capitalised(_clauses(causes))}; this removes {closed} of the gap.")
+    if tested:
+        cannot = f"; {untestable} more cannot be tested with them" if untestable else ""
+        sentences.append(f"None of the {other}effects that these runs can test ({tested}) explains the {what}{cannot}.")
+    else:
+        sentences.append(f"These runs cannot test any of the {other}effects ({untestable}) that may explain the {what}.")
+    if where := _where_sentence(diagnosis):
+        sentences.append(where)
     named = {cause.effect for cause in causes}
-    if model := notable_model(nearest, alternative_models):
+    if model := notable_model(diagnosis):
         sentences.append(f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next.")
     elif (
         nearest is not None
@@ -96,67 +126,117 @@ def unknown_effect_sentence(
     return " ".join(sentences)
 
 
-def notable_model(nearest: Candidate | None, alternative_models: Sequence[AlternativeModel]) -> AlternativeModel | None:
+def _where_sentence(diagnosis: Diagnosis) -> str:
+    """Return where most of the error lies; empty where no part of the recordings has significantly more than the others."""
+    oscillation = diagnosis.oscillation
+    significant = [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value]
+    if oscillation is not None:
+        significant = [region for region in significant if region.axis != "frequency"]
+    places = [region for region in significant if region.axis != "run"] or significant
+    place = f"({format_share(places[0].share.value)}) occurs {_at(places[0].label)}" if places else ""
+    if oscillation is not None:
+        share = oscillation.share.value
+        much = "Nearly all of the error" if share > NEARLY_ALL else "Most of the error"
+        also = f", and most of the error {place}" if places and places[0].share.value > 0.5 else ""
+        return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
+    if not places:
+        return ""
+    return f"{'Most' if places[0].share.value > 0.5 else 'The largest part'} of the error {place}."
+
+
+def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
     """Return the best other damper model if it closes notably more of the gap than the nearest effect."""
-    reached = nearest.closed_fraction.value if nearest is not None else 0.0
+    models = diagnosis.alternative_models
+    reached = diagnosis.nearest.closed_fraction.value if diagnosis.nearest is not None else 0.0
     needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
-    if alternative_models and alternative_models[0].closed_fraction.value > needed:
-        return alternative_models[0]
-    return None
+    return models[0] if models and models[0].closed_fraction.value > needed else None
+
+
+def next_step(diagnosis: Diagnosis) -> str:
+    """Return what to do after a verdict; empty where nothing follows. `next_command` has the command for it."""
+    if diagnosis.verdict in ("explained", "partly_explained"):
+        return f"Add {corrected_label(diagnosis).removeprefix('with ')} to your simulator, with the next command."
+    if diagnosis.verdict == "ambiguous":
+        advice = diagnosis.next_experiment
+        text = advice.text if advice is not None else ""
+        if advice is not None and advice.experiment:
+            return f"{text} Diagnose all runs again, together with the new one."
+        return f"{text} The next command applies the most likely explanation, which is not proven.".strip()
+    if diagnosis.verdict != "unknown_effect":
+        return ""
+    if model := notable_model(diagnosis):
+        return f"Try the model {model.name}."
+    text = ""
+    if diagnosis.alternative_models:
+        best = diagnosis.alternative_models[0]
+        share = format_share(max(best.closed_fraction.value, 0.0))
+        text = f"Other damper models were tried and do not explain the gap either: the best one removes {share} of it. "
+    remedies = dict.fromkeys(finding.remedy for finding in diagnosis.findings if finding.severity == "limitation")
+    if remedies:
+        return f"{text}{' '.join(remedies)} Then diagnose all runs again."
+    return f"{text}See where the error lies, and describe the missing effect in a file of your own (docs/effects.md)."
 
 
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the commands that follow from a verdict, one a line; empty where none do. ``folder`` is that of the report."""
-    folder = shlex.quote(folder)
-    model, advice = notable_model(diagnosis.nearest, diagnosis.alternative_models), diagnosis.next_experiment
-    if diagnosis.verdict == "explained":
-        return f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
-    if diagnosis.verdict == "ambiguous" and advice is not None and advice.experiment:
+    folder, runs = shlex.quote(folder), _run_arguments(diagnosis.runs)
+    held_out = f" --held-out {_run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
+    diagnose = f"ros2 run mrd_diagnosis diagnose {runs}"
+    apply = f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
+    if diagnosis.verdict in ("explained", "partly_explained"):
+        return apply
+    if diagnosis.verdict == "ambiguous":
+        if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
+            return f"{apply} --anyway"
         return (
             f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
-            f"ros2 run mrd_diagnosis diagnose RUN... NEW_RUN --model {diagnosis.model.id} --output DIR"
+            f"{diagnose} NEW_RUN{held_out} --model {diagnosis.model.id} --output DIR"
         )
-    if diagnosis.verdict == "unknown_effect" and model is not None:
+    if diagnosis.verdict == "unknown_effect" and (model := notable_model(diagnosis)):
         model_id, _, change = model.name.partition(" with ")
-        arguments = {"": f"--model {model_id}", "quadratic current laws": f"--model {model_id} --law quadratic"}.get(change)
-        if model_id in MODELS and arguments:
-            return f"ros2 run mrd_diagnosis diagnose RUN... {arguments} --output DIR"
-    if diagnosis.verdict == "unknown_effect":
-        return "ros2 run mrd_identification compare RUN... --output DIR"
+        if change.endswith(" fitted too"):
+            free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
+            return f"ros2 run mrd_identification identify {runs}{held_out} --model {model_id} {free} --output DIR"
+        law = " --law quadratic" if change else ""
+        return f"{diagnose}{held_out} --model {model_id}{law} --output DIR" if model_id in MODELS else ""
     return ""
+
+
+def _run_arguments(runs: Sequence[Run]) -> str:
+    """Return runs as arguments of a tool; ``RUN...`` where they were not read from files."""
+    sources = [str(run.info.get("source", "")) for run in runs]
+    return shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN..."
 
 
 def corrected_label(diagnosis: Diagnosis) -> str:
     """Return what the corrected simulator contains, such as "with the cause"; empty where it contains no effect."""
     if diagnosis.corrected is None or not diagnosis.corrected.effects:
         return ""
-    if diagnosis.verdict == "explained":
+    if diagnosis.verdict in ("explained", "partly_explained"):
         return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
     if diagnosis.verdict == "ambiguous":
         return "with the most likely cause" if len(diagnosis.causes) == 1 else "with the most likely causes"
     return "with the nearest effect" if len(diagnosis.corrected.effects) == 1 else "with the nearest effects"
 
 
-def experiment_name(text: str) -> str:
-    """Return the name that an experiment.yaml gives itself; empty without an experiment."""
-    content = yaml.safe_load(text)
-    return str(content.get("name") or "next_experiment") if isinstance(content, dict) else ""
+def _clauses(causes: Sequence[Cause]) -> str:
+    return join_words([effect_clause(cause.effect, cause.parameters) for cause in causes])
 
 
-def _clauses(causes: Sequence[Cause], capital: bool = True) -> str:
-    text = join_words([effect_clause(cause.effect, cause.parameters) for cause in causes])
-    return capitalised(text) if capital else text
+def _effects_tried(diagnosis: Diagnosis) -> int:
+    return sum(len(candidate.effects) == 1 for candidate in diagnosis.candidates)
 
 
-def _certainty(causes: Sequence[Cause]) -> str:
+def _certainty(diagnosis: Diagnosis) -> str:
     """Return the probability of the least certain cause in words."""
-    least = min((cause.probability for cause in causes), default=math.nan)
-    bound = "above " if least > 0.99 else "at least " if len(causes) > 1 else ""
-    return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)}"
+    least = min((cause.probability for cause in diagnosis.causes), default=math.nan)
+    bound = "above " if least > 0.99 else "at least " if len(diagnosis.causes) > 1 else ""
+    among = f"among the {_effects_tried(diagnosis)} effects that were tried"
+    return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)} {among}"
 
 
-def _removal(causes: Sequence[Cause], gap: Gap) -> str:
-    adding = {1: "this effect", 2: "both effects"}.get(len(causes), "these effects")
+def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
+    adding = {1: "this effect", 2: "both effects"}.get(len(diagnosis.causes), "these effects")
     return f"Adding {adding} removes {format_share(gap.closed_fraction.value)} of the explainable gap"
 
 

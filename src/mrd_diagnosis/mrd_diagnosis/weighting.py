@@ -159,9 +159,7 @@ class WeightedProblem(Problem):
         return self.remainder[run] @ coefficients if self.remainder else np.zeros(len(self.recordings[run].force))
 
 
-def error_of_run(
-    problem: WeightedProblem, theta: Array, run: int, coefficients: Array | None = None
-) -> tuple[Array, Array]:
+def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients: Array | None = None) -> tuple[Array, Array]:
     """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset and gain error.
 
     ``coefficients`` are those of the remainder, which belongs to the modelled force; without them it is left out.
@@ -228,13 +226,7 @@ class Weighting:
             for sigma, force in zip(sigmas, consecutive_forces(model, theta, self.recordings), strict=True)
         )
         return WeightedProblem(
-            plain.model,
-            plain.recordings,
-            plain.free,
-            base,
-            whitenings=whitenings,
-            sigmas=sigmas,
-            remainder=self.remainder,
+            plain.model, plain.recordings, plain.free, base, whitenings=whitenings, sigmas=sigmas, remainder=self.remainder
         )
 
     def updated(self, model: DamperModel, theta: Array, coefficients: Array | None = None) -> "Weighting":

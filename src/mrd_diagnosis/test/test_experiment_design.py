@@ -1,5 +1,6 @@
 """The advised experiment tells explanations apart, better than any other; where none does, a sensor is advised."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -177,7 +178,7 @@ def test_a_run_must_separate_by_more_than_the_error_of_a_formula():
     advice = advise(refits, weighting, without=without)
     assert advice.experiment == ""
     assert "differ by less than the error of either formula" in advice.text
-    assert "Show all channels one event" in advice.text
+    assert "Give the rod one sharp blow" in advice.text
 
 
 def test_unlikely_explanations_need_no_experiment():
@@ -200,7 +201,7 @@ def test_explanations_that_no_run_tells_apart_need_a_sensor():
     assert advice.experiment == ""
     assert np.isnan(advice.error_rate)
     assert "dead weights" in advice.text
-    assert "gain of the load cell and no effect apart" in advice.text
+    assert re.search(r"gain of the load cell and no effect (differ|would still be wrong)", advice.text)
 
 
 def test_one_explanation_needs_no_experiment(alike):

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis.cli.diagnose import print_summary
+from mrd_diagnosis.detectability import clause_of_size
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
@@ -27,25 +28,20 @@ from mrd_diagnosis.diagnosis import (
     Gap,
     Interval,
     ParameterEstimate,
+    Region,
     RunNoise,
     RunResidual,
     UntestableEffect,
 )
 from mrd_diagnosis.effect_names import effect_clause
 from mrd_diagnosis.localisation import localise
-from mrd_diagnosis.quantities import format_probability, format_quantity, format_share
+from mrd_diagnosis.null_distribution import REALISATIONS, p_value
+from mrd_diagnosis.quantities import format_error, format_p_value, format_probability, format_quantity, format_share
 from mrd_diagnosis.report import figures
+from mrd_diagnosis.report.candidate_text import describe_candidate, ordered_candidates
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
-from mrd_diagnosis.report.page import page_content, write_gap_report
-from mrd_diagnosis.sentences import (
-    ambiguous_sentence,
-    corrected_label,
-    explained_sentence,
-    fault_sentence,
-    next_command,
-    no_gap_sentence,
-    unknown_effect_sentence,
-)
+from mrd_diagnosis.report.page import page_content, significant_regions, write_gap_report
+from mrd_diagnosis.sentences import corrected_label, next_command, next_step, verdict_sentence
 from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem
@@ -145,7 +141,7 @@ def diagnosed(verdict):
         "held_out_by": "leave-one-run-out",
     }
     if verdict == "data_fault":
-        return Diagnosis(**common, sentence=fault_sentence(findings))
+        return with_sentence(Diagnosis(**common, sentence=""))
     noise = [RunNoise(np.full(len(r.force), NOISE), NOISE, 0.0, "residual") for r in recordings]
     chosen = {"no_gap": (), "unknown_effect": ("force_sensor_lag",)}.get(verdict, (effect,))
     before, base = fitted(recordings, ())
@@ -180,21 +176,16 @@ def diagnosed(verdict):
     causes = tuple(Cause(name, 0.9, 0.005, about(closed, 0.04), estimates(name, parameters)) for name in named)
     alternatives, advice, models = (), None, ()
     if verdict == "ambiguous":
-        alternatives = (Alternative("coil_lag", effect, 0.38, "predicts held-out data nearly as well"),)
+        lag = {"lag": ParameterEstimate(about(0.009), "s")}
+        alternatives = (Alternative("coil_lag", effect, 0.38, "predicts held-out data nearly as well", lag),)
         text = "Steps of the coil current while the rod moves at a constant speed: a lag of the current then shows alone."
         advice = Advice(text, EXPERIMENT, (effect, "coil_lag"), 0.02)
     nearest = candidates[0] if verdict == "unknown_effect" else None
     if nearest is not None:
         models = (AlternativeModel("modified_dahl", last, about(0.3)),)
-    sentence = {
-        "no_gap": lambda: no_gap_sentence(gap),
-        "explained": lambda: explained_sentence(causes, gap),
-        "ambiguous": lambda: ambiguous_sentence(causes, alternatives, gap, advice),
-        "unknown_effect": lambda: unknown_effect_sentence(causes, where, nearest, models),
-    }[verdict]()
-    return Diagnosis(
+    diagnosis = Diagnosis(
         **common,
-        sentence=sentence,
+        sentence="",
         gap=gap,
         corrected=CorrectedSimulator(chosen, parameters),
         where=where,
@@ -214,6 +205,13 @@ def diagnosed(verdict):
         ),
         notes=("Only three runs: the intervals are uncertain.",),
     )
+    return with_sentence(diagnosis)
+
+
+def with_sentence(diagnosis, **changes):
+    """Return a diagnosis with changes, and with the sentence that follows from them."""
+    diagnosis = replace(diagnosis, **changes)
+    return replace(diagnosis, sentence=verdict_sentence(diagnosis))
 
 
 def markup_of(page):
@@ -266,15 +264,78 @@ def test_the_file_lists_what_is_not_ruled_out():
 
 def test_the_page_lists_what_is_not_ruled_out(tmp_path):
     comparison = page_content(diagnosed("ambiguous"))["comparison"]
-    titles = [title for title, _, _ in comparison["not_ruled_out"]]
+    effects = [effect for _, effect, _ in comparison["unnoticed"]]
     # Neither the cause nor its alternative is listed.
-    assert EFFECTS["channel_delay"].title not in titles
-    assert EFFECTS["coil_lag"].title not in titles
-    assert len(titles) == 13
-    assert all(smallest.endswith(" mm") for _, smallest, _ in comparison["not_ruled_out"])
+    assert not {"channel_delay", "coil_lag"}.intersection(effects)
+    assert len(effects) == 13
+    assert all(smallest.endswith(" mm") for _, _, smallest in comparison["unnoticed"])
     markup = markup_of(write_gap_report(diagnosed("ambiguous"), tmp_path))
-    assert "smallest detectable size</th>" in markup
+    assert "could be present up to this size</th>" in markup
     assert "it does not act in these runs" in markup
+
+
+@pytest.mark.parametrize(("closed", "has_card"), [(0.4, True), (0.001, False)])
+def test_every_effect_that_was_tried_has_a_card_or_a_row(closed, has_card):
+    diagnosis = diagnosed("unknown_effect")
+    nearest = replace(diagnosis.candidates[0], closed_fraction=about(closed), smallest_detectable="a joint has play")
+    diagnosis = replace(diagnosis, nearest=nearest, candidates=(nearest, *diagnosis.candidates[1:]))
+    comparison = page_content(diagnosis)["comparison"]
+    assert bool(comparison["nearest"]) is has_card
+    shown = [card["id"] for card in comparison["nearest"]] + [effect for _, effect, _ in comparison["unnoticed"]]
+    assert sorted(shown) == sorted(candidate.effects[0] for candidate in diagnosis.candidates)
+
+
+def test_the_smallest_detectable_size_is_a_clause_in_units_that_a_reader_knows():
+    assert clause_of_size(EFFECTS["cavitation"], 2e-3) == "cavitation limits the force in compression to 500 N"
+    assert clause_of_size(EFFECTS["flow_asymmetry"], 0.0096).startswith("the force differs by 0.96 % in extension")
+    assert clause_of_size(EFFECTS["end_stop"], 2e4).endswith("off mid-stroke, with a stiffness of 20 kN/m²")
+
+
+def test_the_size_of_an_alternative_is_reported(tmp_path):
+    diagnosis = diagnosed("ambiguous")
+    (alternative,) = to_json(diagnosis)["alternatives"]
+    assert alternative["parameters"]["lag"]["value"] == 0.009
+    page = markup_of(write_gap_report(diagnosis, tmp_path))
+    assert "The damper&#39;s force lags its current by 9.0 ± 0.5 ms</td>" in page
+
+
+def test_a_parameter_that_any_value_fits_has_a_remark():
+    diagnosis = diagnosed("explained")
+    time = ParameterEstimate(Interval(700.0, 30.0, 3000.0), "s", "not determined by these runs")
+    fade = ParameterEstimate(about(6e-5), "1/J")
+    cause = replace(diagnosis.causes[0], effect="thermal_fade", parameters={"fade": fade, "cooling_time": time})
+    (card,) = page_content(replace(diagnosis, causes=(cause,)))["comparison"]["causes"]
+    fade_row, time_row = card["parameters"]
+    assert fade_row[1] == "60 ± 3 per MJ"
+    assert not fade_row[3]
+    assert time_row[1] == "700 s"
+    assert time_row[3] == (
+        "not determined by these runs: any plausible value (30 s to 3000 s) fits about as well; the default is 400 s"
+    )
+
+
+def test_what_removes_nothing_needs_no_table(capsys, tmp_path):
+    diagnosis = diagnosed("unknown_effect")
+    candidates = tuple(replace(candidate, closed_fraction=about(0.001)) for candidate in diagnosis.candidates)
+    diagnosis = replace(diagnosis, candidates=candidates, nearest=None)
+    print_summary(diagnosis, write_gap_report(diagnosis, tmp_path))
+    assert "15 effects were tried; none removes more than 0.5 % of the gap." in capsys.readouterr().out
+    assert not page_content(diagnosis)["comparison"]["candidates"]
+
+
+def test_an_effect_that_imitates_the_cause_is_called_so():
+    diagnosis = diagnosed("explained")
+    texts = {candidate.effects[0]: describe_candidate(diagnosis, candidate) for candidate in ordered_candidates(diagnosis)}
+    assert texts["lvdt_nonlinearity"].remark == "imitates the cause, which removes more"
+    assert not describe_candidate(diagnosed("unknown_effect"), diagnosis.candidates[3]).remark
+
+
+def test_candidates_are_shown_in_the_order_of_the_columns():
+    diagnosis = diagnosed("explained")
+    shown = ordered_candidates(replace(diagnosis, candidates=diagnosis.candidates[::-1]))
+    assert [candidate.probability for candidate in shown[:3]] == [0.9, 0.06, 0.03]
+    removed = [candidate.closed_fraction.value for candidate in shown[3:]]
+    assert removed == sorted(removed, reverse=True)
 
 
 def test_runs_are_called_held_out_as_they_were():
@@ -282,7 +343,7 @@ def test_runs_are_called_held_out_as_they_were():
     first, second, third = diagnosis.residuals
     residuals = (second, replace(third, by_folds=True), replace(first, held_out=True))
     comparison = page_content(replace(diagnosis, held_out_by="runs", residuals=residuals))["comparison"]
-    assert [run["held_out"] for run in comparison["runs"]] == ["in turn", "by segments", "from the start"]
+    assert [run["held_out"] for run in comparison["runs"]] == ["whole run", "by segments", "from the start"]
 
 
 def test_the_advised_experiment_lies_beside_the_report(tmp_path):
@@ -317,19 +378,22 @@ def test_faults_come_first_and_nothing_is_compared(tmp_path):
 
 def test_sentences():
     assert diagnosed("explained").sentence == (
-        "The force channel is late by 12.0 ± 0.6 ms (probability 90 %). "
-        "Adding this effect removes 100 % of the explainable gap."
+        "The force channel is late by 12.0 ± 0.6 ms (probability 90 % among the 15 effects that were tried). "
+        "Adding this effect removes 100 % of the explainable gap. "
+        "On the runs that go beyond the others in stroke, speed or current, this removes only 90 %."
     )
     gap = diagnosed("no_gap").gap
     assert diagnosed("no_gap").sentence.startswith(
         "The parameters caused the gap. With refitted parameters, the error falls"
     )
-    assert no_gap_sentence(replace(gap, as_given=None)).startswith("No gap beyond the noise. The model's error is 0.9")
+    no_gap = with_sentence(diagnosed("no_gap"), gap=replace(gap, as_given=None))
+    assert no_gap.sentence.startswith("No gap beyond the noise. The model's error is 0.9")
     assert diagnosed("data_fault").sentence == (
         "Data problem (run multisine_1, force): 42 samples stay at 981 N; widen the range. (1 more problem below.)"
     )
     assert re.fullmatch(
-        r"No catalogued effect explains the gap\. (Most|The largest part) of the error \(\d+ %\) occurs .*\. "
+        r"None of the effects that these runs can test \(15\) explains the gap; 2 more cannot be tested with them\. "
+        r"(Most|The largest part) of the error \(\d+ %\) occurs .*\. "
         r"Lag of the force sensor comes nearest: this would remove \d+ % of the gap\.",
         diagnosed("unknown_effect").sentence,
     )
@@ -337,36 +401,64 @@ def test_sentences():
 
 def test_the_sentence_on_ambiguous_causes():
     diagnosis = diagnosed("ambiguous")
-    causes, alternatives, gap = diagnosis.causes, diagnosis.alternatives, diagnosis.gap
-    assert diagnosis.sentence.startswith("These runs cannot tell delay of the force channel and lag behind the coil current")
-    assert diagnosis.sentence.endswith("Record the experiment “current_steps” to separate them.")
-    sensor = Advice("A second displacement sensor across the damper would tell them apart.")
-    assert ambiguous_sentence(causes, alternatives, gap, sensor).endswith(f"of the explainable gap. {sensor.text}")
     assert re.fullmatch(
-        r"Probably the force channel is late by 12\.0 ± 0\.6 ms \(probability 90 %\)\. "
+        r"These runs do not show whether the force channel is late by 12\.0 ± 0\.6 ms or the damper's force lags its "
+        r"current by 9\.0 ± 0\.5 ms \(probabilities 90 % and 38 %\)\. "
+        r"The most likely explanation removes \d+ % of the explainable gap\.",
+        diagnosis.sentence,
+    )
+    assert re.fullmatch(
+        r"Probably the force channel is late by 12\.0 ± 0\.6 ms \(probability 90 % among the 15 effects that were tried\)\. "
         r"Adding this effect removes \d+ % of the explainable gap\.",
-        ambiguous_sentence(causes, (), gap, None),
+        with_sentence(diagnosis, alternatives=()).sentence,
     )
+    model = replace(diagnosis.alternatives[0], effect="sigmoid", parameters={})
+    text = with_sentence(diagnosis, alternatives=(model,)).sentence
+    assert "or another damper model is right (sigmoid) (probabilities" in text
     certain = Cause("joint_play", 0.97, 0.005, about(0.5), {"joint_play.play": ParameterEstimate(about(3e-4), "m")})
-    text = ambiguous_sentence((certain, *causes), alternatives, gap, None)
+    text = with_sentence(diagnosis, causes=(certain, *diagnosis.causes)).sentence
     assert text.startswith(
-        "A joint has 0.300 ± 0.015 mm of play. Beyond that, these runs cannot tell delay of the force channel"
+        "A joint has 0.300 ± 0.015 mm of play. Beyond that, these runs do not show whether the force channel is late"
     )
-    both = explained_sentence((certain, *causes), gap)
-    assert "of play and the force channel is late by 12.0 ± 0.6 ms (probability at least 90 %)" in both
+
+
+def test_the_sentence_on_several_causes_and_on_sure_ones():
+    diagnosis = diagnosed("explained")
+    certain = Cause("joint_play", 0.97, 0.005, about(0.5), {"joint_play.play": ParameterEstimate(about(3e-4), "m")})
+    both = with_sentence(diagnosis, causes=(certain, *diagnosis.causes)).sentence
+    assert "of play and the force channel is late by 12.0 ± 0.6 ms (probability at least 90 % among the 15 effects" in both
     assert "Adding both effects removes" in both
-    sure = explained_sentence((replace(certain, probability=0.99999),), gap)
-    assert "(probability above 99 %)" in sure
+    sure = with_sentence(diagnosis, causes=(replace(certain, probability=0.99999),)).sentence
+    assert "(probability above 99 % among the 15 effects that were tried)" in sure
 
 
 def test_the_sentence_on_an_unknown_effect_points_only_at_significant_regions():
     diagnosis = diagnosed("unknown_effect")
     where = tuple(replace(region, q_value=0.3) for region in diagnosis.where)
-    text = unknown_effect_sentence((), where, diagnosis.nearest, diagnosis.alternative_models)
-    assert text.startswith("No catalogued effect explains the gap. Lag of the force sensor comes nearest")
+    text = with_sentence(diagnosis, where=where, untestable=()).sentence
+    assert text.startswith(
+        "None of the effects that these runs can test (15) explains the gap. Lag of the force sensor comes nearest"
+    )
+    text = with_sentence(diagnosis, where=where, causes=diagnosed("explained").causes).sentence
+    assert "None of the other effects that these runs can test (14) explains the rest; 2 more cannot" in text
     model = AlternativeModel("modified_dahl", 0.01, Interval(1.0))
-    text = unknown_effect_sentence((), (), diagnosis.nearest, (model,))
+    text = with_sentence(diagnosis, where=(), alternative_models=(model,)).sentence
     assert text.endswith("The model modified_dahl removes 100 %: try it next.")
+
+
+def test_an_oscillation_is_named_in_place_of_bands_of_frequencies():
+    diagnosis = diagnosed("unknown_effect")
+    line = Region("frequency", 29.0, 34.5, "Hz", Interval(0.89), float("nan"), float("nan"), "an oscillation near 31 Hz")
+    level = replace(line, axis="current", label="at 0.3 A", share=about(0.79), lift=2.4, q_value=0.001)
+    band = replace(level, axis="frequency", label="frequencies of 10 to 30 Hz", share=about(0.46))
+    diagnosis = with_sentence(diagnosis, where=(band, level), oscillation=line)
+    assert (
+        "Nearly all of the error (89 %) is an oscillation near 31 Hz, and most of the error (79 %) occurs at 0.3 A."
+        in diagnosis.sentence
+    )
+    assert significant_regions(diagnosis) == [line, level]
+    assert to_json(diagnosis)["oscillation"]["label"] == line.label
+    assert figures.region_chart([band, level]).data[1].x == (pytest.approx(0.79 / 2.4, abs=1e-4), None)
 
 
 def test_the_next_command_follows_from_the_verdict():
@@ -376,19 +468,58 @@ def test_the_next_command_follows_from_the_verdict():
     record, diagnose_again = next_command(diagnosed("ambiguous")).splitlines()
     assert record == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
     assert diagnose_again.startswith("ros2 run mrd_diagnosis diagnose RUN... NEW_RUN --model ")
+    # Without an experiment, the most likely cause can still be applied.
+    command = next_command(replace(diagnosed("ambiguous"), next_experiment=Advice("Add a sensor.")))
+    assert command == f"{next_command(diagnosed('explained'))} --anyway"
     unknown = diagnosed("unknown_effect")
-    # The nearest effect removes more than the other model, so all models are compared.
-    compare = "ros2 run mrd_identification compare RUN... --output DIR"
-    assert next_command(unknown) == compare
+    # The nearest effect removes more than the other model.
+    assert next_command(unknown) == ""
     unknown = replace(unknown, nearest=None)
     assert next_command(unknown) == "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR"
-    for name, arguments in (
-        ("bouc_wen with quadratic current laws", "--model bouc_wen --law quadratic --output DIR"),
-        ("bouc_wen with exponent freed", compare),
+    for name, command in (
+        (
+            "bouc_wen with quadratic current laws",
+            "ros2 run mrd_diagnosis diagnose RUN... --model bouc_wen --law quadratic --output DIR",
+        ),
+        (
+            "bouc_wen with exponent fitted too",
+            "ros2 run mrd_identification identify RUN... --model bouc_wen --free exponent --output DIR",
+        ),
     ):
-        command = next_command(replace(unknown, alternative_models=(AlternativeModel(name, 0.01, about(0.9)),)))
-        assert command.endswith(arguments)
+        model = AlternativeModel(name, 0.01, about(0.9))
+        assert next_command(replace(unknown, alternative_models=(model,))) == command
     assert next_command(diagnosed("no_gap")) == next_command(diagnosed("data_fault")) == ""
+
+
+def test_the_next_command_names_the_files_of_the_runs():
+    unknown = replace(diagnosed("unknown_effect"), nearest=None)
+    *runs, last = (replace(run, info={"source": f"my runs/{run.name}.csv"}) for run in unknown.runs)
+    unknown = replace(unknown, runs=tuple(runs), held_out=(last,))
+    assert next_command(unknown) == (
+        "ros2 run mrd_diagnosis diagnose 'my runs/multisine_1.csv' 'my runs/multisine_2.csv' "
+        "--held-out 'my runs/multisine_3.csv' --model modified_dahl --output DIR"
+    )
+    content = page_content(unknown)
+    assert content["title"] == "Bouc-Wen model against 3 runs of my runs"
+    assert content["placeholders"] == ["DIR: a folder for the reports"]
+
+
+def test_the_next_step_follows_from_the_findings():
+    unknown = diagnosed("unknown_effect")
+    coverage = Finding(
+        "coverage", "limitation", "all strokes peak at one speed: nothing else is known. Record other speeds."
+    )
+    models = "Other damper models were tried and do not explain the gap either: the best one removes 30 % of it."
+    assert next_step(replace(unknown, findings=(coverage,))) == (
+        f"{models} Record other speeds. Then diagnose all runs again."
+    )
+    assert next_step(replace(unknown, findings=())).startswith(f"{models} See where the error lies")
+    assert next_step(replace(unknown, nearest=None)) == "Try the model modified_dahl."
+    ambiguous = diagnosed("ambiguous")
+    assert next_step(ambiguous) == f"{ambiguous.next_experiment.text} Diagnose all runs again, together with the new one."
+    sensor = replace(ambiguous, next_experiment=Advice("Add a sensor."))
+    assert next_step(sensor) == "Add a sensor. The next command applies the most likely explanation, which is not proven."
+    assert next_step(diagnosed("no_gap")) == next_step(diagnosed("data_fault")) == ""
 
 
 def test_the_terminal_shows_all_of_its_summary(monkeypatch, capsys, tmp_path):
@@ -398,7 +529,8 @@ def test_the_terminal_shows_all_of_its_summary(monkeypatch, capsys, tmp_path):
     together = replace(diagnosis.candidates[0], effects=effects)
     print_summary(replace(diagnosis, candidates=(together, *diagnosis.candidates)), tmp_path / "gap_report.html")
     output = capsys.readouterr().out
-    assert output.startswith(f"{diagnosis.sentence}\nnext command: {next_command(diagnosis, str(tmp_path))}\n")
+    step, command = next_step(diagnosis), next_command(diagnosis, str(tmp_path))
+    assert output.startswith(f"{diagnosis.sentence}\nnext step: {step}\nnext command: {command}\n")
     lines = output.splitlines()
     assert any("rate_dependent_hysteresis + pre_yield_hysteresis + channel_delay" in line for line in lines)
     assert not any("…" in line for line in lines)
@@ -428,7 +560,7 @@ def test_an_effect_without_phrase_is_called_by_its_title(monkeypatch):
     monkeypatch.setitem(EFFECTS, "joint_play", replace(EFFECTS["joint_play"], phrase=""))
     parameters = {"joint_play.play": ParameterEstimate(Interval(3e-4), "m")}
     assert effect_clause("joint_play", parameters) == "play in a joint (play 0.3 mm)"
-    assert effect_clause("long_gone", {}) == "another damper model (long_gone)"
+    assert effect_clause("long_gone", {}) == "another damper model is right (long_gone)"
 
 
 @pytest.mark.parametrize(
@@ -478,7 +610,17 @@ def test_quantities_keep_their_size_whatever_their_unit(value, unit, negative):
 def test_shares():
     assert format_share(0.931) == "93 %"
     assert format_share(Interval(0.931, 0.88, 0.96)) == "93 % (88 to 96)"
+    assert format_share(Interval(-1.0, -1.0, -1.0)) == "≤ \u2212100 %"
     assert format_share(float("nan")) == "–"
+
+
+def test_the_least_p_value_that_can_be_resolved_is_a_bound():
+    assert format_p_value(p_value(10.0, np.zeros(REALISATIONS))) == "≤ 0.001"
+    assert format_p_value(p_value(10.0, np.append(np.zeros(REALISATIONS - 1), 11.0))) == "0.002"
+
+
+def test_errors_keep_three_figures():
+    assert (format_error(0.01134), format_error(0.00979)) == ("1.13 %", "0.979 %")
 
 
 @pytest.mark.parametrize(

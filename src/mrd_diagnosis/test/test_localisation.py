@@ -8,7 +8,7 @@ import pytest
 from mrd_diagnosis.axis_bins import travel_since_reversal
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.excess_maps import maps
-from mrd_diagnosis.localisation import localise
+from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -132,6 +132,35 @@ def test_one_run_has_intervals_from_blocks_and_no_axis_that_does_not_vary():
     assert located[0].label == "within 0.2 mm after a reversal"
     assert 0.0 < located[0].share.lower < located[0].share.upper
     assert {r.axis for r in located} == {"time", "position", "velocity", "acceleration", "frequency", "reversal", "sign"}
+
+
+def oscillation_of(recordings, planted):
+    noises, drawn = noise_of(recordings)
+    return find_oscillation(recordings, noises, [n + p for n, p in zip(drawn, on(recordings, planted), strict=True)])
+
+
+def test_an_oscillation_is_found_with_its_frequency_and_share(campaign):
+    steady = oscillation_of(campaign, lambda r: 3.0 * np.sin(2 * np.pi * 71.3 * r.run.time))
+    assert steady.label == "an oscillation near 71 Hz"
+    assert steady.lower < 71.3 < steady.upper
+    assert steady.share.value == pytest.approx(1.0, abs=0.05)
+    # The sign of the velocity divides the line into two, at both sides of its frequency.
+    reversing = oscillation_of(campaign, lambda r: 3.0 * np.sign(r.motion.velocity) * np.sin(2 * np.pi * 71.3 * r.run.time))
+    assert reversing.label == "an oscillation near 71 Hz"
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0], ids=["white", "pink", "red"])
+def test_a_broadband_error_is_no_oscillation(campaign, exponent):
+    random = np.random.default_rng(3)
+
+    def broadband(r):
+        spectrum = np.fft.rfft(random.standard_normal(len(r.run)))
+        series = np.fft.irfft(spectrum / np.maximum(np.arange(len(spectrum)), 1) ** exponent, len(r.run))
+        return 6.0 * series / series.std()
+
+    assert oscillation_of(campaign, broadband) is None
+    assert oscillation_of(campaign, lambda r: 6.0 * np.sign(r.motion.velocity)) is None
+    assert oscillation_of(campaign, lambda r: np.zeros(len(r.run))) is None
 
 
 def test_without_excess_there_are_no_regions(campaign):

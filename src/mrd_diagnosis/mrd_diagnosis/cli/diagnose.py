@@ -13,9 +13,15 @@ from tqdm import tqdm
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.report.candidate_text import describe_candidate, with_probabilities
+from mrd_diagnosis.report.candidate_text import (
+    LEAST_SHOWN,
+    describe_candidate,
+    nothing_removes,
+    ordered_candidates,
+    with_probabilities,
+)
 from mrd_diagnosis.report.page import write_gap_report
-from mrd_diagnosis.sentences import next_command
+from mrd_diagnosis.sentences import next_command, next_step
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
@@ -100,23 +106,24 @@ def work() -> None:
 
 
 def print_summary(diagnosis: Diagnosis, page: Path) -> None:
-    """Print the verdict, the next command, findings, candidates, notes and the paths of the reports."""
+    """Print the verdict, what to do next, findings, candidates, notes and the paths of the reports."""
     print(diagnosis.sentence)
+    if step := next_step(diagnosis):
+        print(f"next step: {step}")
     if command := next_command(diagnosis, str(page.parent)):
         print(f"next command: {command}")
-    advice = diagnosis.next_experiment
-    if advice:
-        print(f"next experiment: {advice.text}")
     for finding in diagnosis.findings:
         print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.channel, finding.text)))}")
-    if diagnosis.candidates:
+    if diagnosis.candidates and nothing_removes(diagnosis):
+        print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
+    elif diagnosis.candidates:
         Console(width=WIDEST_TABLE).print(candidate_table(diagnosis))
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
     for note in diagnosis.notes:
         print(f"note: {note}")
     paths = [page, page.with_suffix(".json")]
-    if advice and advice.experiment:
+    if diagnosis.next_experiment and diagnosis.next_experiment.experiment:
         paths.append(page.with_name("next_experiment.yaml"))
     for path in paths:
         print(path)
@@ -127,10 +134,10 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
     table = Table(box=None)
     table.add_column("effects")
     first = 0 if with_probabilities(diagnosis) else 1
-    for title in ("probability", "removes of the gap", "held-out error", "p-value")[first:]:
+    for title in ("probability", "gap removed, by segments", "held-out error (NRMSE)", "p-value")[first:]:
         table.add_column(title, justify="right")
     table.add_column("remark")
-    for candidate in diagnosis.candidates[:MOST_ROWS]:
+    for candidate in ordered_candidates(diagnosis)[:MOST_ROWS]:
         columns = describe_candidate(diagnosis, candidate)[first:]
         table.add_row(escape(" + ".join(candidate.effects)), *map(escape, columns))
     return table

@@ -36,7 +36,9 @@ SENSORS: Mapping[tuple[str, ...], str] = {
     ),
     ("backlash", "joint_play", "series_compliance"): "Add a second displacement sensor across the damper itself.",
     ("channel_delay", "force_sensor_lag"): (
-        "Show all channels one event, such as a blow to the rod, and compare when each channel shows it."
+        "Give the rod one sharp blow, and record position and force at 10 kHz or more, for example with an oscilloscope. A "
+        "delay of the channel shifts the rise of the force and keeps its shape; a lag of the sensor lets it begin at once, "
+        "but makes it slow."
     ),
     ("lvdt_nonlinearity", "servo_ripple"): "Compare the position sensor with the motor's encoder or with gauge blocks.",
     ("current_sensor_error",): "Record the sensors without current, and measure the current with a shunt beside its sensor.",
@@ -110,7 +112,7 @@ def advise(
     open_pairs = [pair for pair, separation in separations.items() if not separation.is_conclusive]
     worst_pair = max(open_pairs, key=lambda pair: separations[pair].error_rate, default=None)
     if worst_pair and len(open_pairs) == len(separations):
-        return _advise_sensor(worst_pair, separations[worst_pair], predictor)
+        return _advise_sensor(planned, worst_pair, separations[worst_pair], predictor)
     advice = _advise_experiment(planned, separations, weighting)
     if worst_pair:
         text = f"It does not tell {effect_names(worst_pair)} apart. {_sensor_for(worst_pair, predictor)}"
@@ -147,13 +149,19 @@ def _advise_experiment(planned: Plan, separations: Mapping[Pair, Separation], we
     return Advice(text, format_experiment(experiment), between, error_rate)
 
 
-def _advise_sensor(pair: Pair, separation: Separation, predictor: Predictor) -> Advice:
-    """Advise a sensor for a pair of explanations that no run tells apart."""
+def _advise_sensor(best: Plan, pair: Pair, separation: Separation, predictor: Predictor) -> Advice:
+    """Advise a sensor for a pair of explanations that no run tells apart, not even the best one."""
+    run = f"the best run that this bench can make ({best.experiment.name})"
     if separation.error_rate >= THRESHOLDS.wrong_choices:
-        why = f"even after the best one, a choice would be wrong in {_percent(separation.error_rate)} of all cases"
+        text = (
+            f"After {run}, a choice between {effect_names(pair)} would still be wrong in {_percent(separation.error_rate)} "
+            f"of all cases; {_percent(THRESHOLDS.wrong_choices)} is wanted. So use another measurement."
+        )
     else:
-        why = "they differ by less than the error of either formula"
-    text = f"No experiment that can be advised would tell {effect_names(pair)} apart: {why}."
+        text = (
+            f"Even in {run}, {effect_names(pair)} differ by less than the error of either formula. So use another "
+            "measurement."
+        )
     return Advice(f"{text} {_sensor_for(pair, predictor)}", between=pair)
 
 

@@ -94,14 +94,15 @@ def _summary(runs: Sequence[CheckedRun]) -> Finding:
     lowest = min(float(checked.run.position.min()) for checked in runs)
     highest = max(float(checked.run.position.max()) for checked in runs)
     _, frequencies = _peaks_and_frequencies(runs)
-    band = f" at {frequencies.min():.2g} to {frequencies.max():.2g} Hz" if len(frequencies) else ""
-    return Finding(
-        "coverage",
-        "remark",
-        f"{counted(len(runs), 'run')}, {sum(checked.run.duration for checked in runs):.4g} s: position "
-        f"{milli(lowest)} to {milli(highest)} mm, speed up to {milli(max(checked.top_speed for checked in runs))} mm/s, "
-        f"current {current.min():.3g} to {current.max():.3g} A, {counted(_reversals(runs), 'reversal')}{band}.",
+    band = f", motion at {frequencies.min():.2g} to {frequencies.max():.2g} Hz" if len(frequencies) else ""
+    rates = sorted({f"{1 / checked.sampling_interval:.4g}" for checked in runs}, key=float)
+    text = (
+        f"{counted(len(runs), 'run')}, {sum(checked.run.duration for checked in runs):.4g} s, sampled at "
+        f"{' to '.join(dict.fromkeys((rates[0], rates[-1])))} Hz: position {milli(lowest)} to {milli(highest)} mm, speed up "
+        f"to {milli(max(checked.top_speed for checked in runs))} mm/s, current {current.min():.3g} to {current.max():.3g} "
+        f"A, {counted(_reversals(runs), 'reversal')}{band}."
     )
+    return Finding("coverage", "remark", text.replace("-", "\u2212"))
 
 
 def has_one_peak_speed(runs: Sequence[Run]) -> bool:

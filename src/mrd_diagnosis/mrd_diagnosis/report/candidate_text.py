@@ -2,9 +2,15 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from mrd_diagnosis.diagnosis import Candidate, Diagnosis
 from mrd_diagnosis.effect_names import effect_names
-from mrd_diagnosis.quantities import format_error, format_probability, format_share
+from mrd_diagnosis.quantities import format_error, format_p_value, format_probability, format_share
+from mrd_diagnosis.sentences import corrected_label
+
+LEAST_SHOWN = 0.005
+"""Share of the gap that rounds to 0 %."""
 
 
 class CandidateText(NamedTuple):
@@ -19,14 +25,45 @@ class CandidateText(NamedTuple):
 
 def describe_candidate(diagnosis: Diagnosis, candidate: Candidate) -> CandidateText:
     """Return the columns of a table of candidates."""
-    similar = effect_names(candidate.indistinguishable)
     return CandidateText(
         format_probability(candidate_probability(diagnosis, candidate)),
         format_share(candidate.closed_fraction),
         format_error(candidate.nrmse),
-        f"{candidate.p_value:.3f}",
-        f"fits nearly as well as {similar}" if similar else "",
+        format_p_value(candidate.p_value),
+        _remark(diagnosis, candidate),
     )
+
+
+def ordered_candidates(diagnosis: Diagnosis) -> list[Candidate]:
+    """Return the candidates as tables show them: those with several effects, then by probability if shown, then by the
+    share of the gap that they remove.
+    """
+
+    def key(candidate: Candidate) -> tuple[bool, float, float]:
+        probability = candidate_probability(diagnosis, candidate) if with_probabilities(diagnosis) else 0.0
+        # Probabilities that read the same count as the same.
+        return len(candidate.effects) == 1, -round(probability, 2), -float(np.nan_to_num(candidate.closed_fraction.value))
+
+    return sorted(diagnosis.candidates, key=key)
+
+
+def nothing_removes(diagnosis: Diagnosis) -> bool:
+    """Whether no candidate removes as much of the gap as a table in whole per cent can show."""
+    return all(candidate.closed_fraction.value < LEAST_SHOWN for candidate in diagnosis.candidates)
+
+
+def _remark(diagnosis: Diagnosis, candidate: Candidate) -> str:
+    if candidate.indistinguishable:
+        return f"fits nearly as well as {effect_names(candidate.indistinguishable)}"
+    likely = {cause.effect for cause in diagnosis.causes} | {alternative.effect for alternative in diagnosis.alternatives}
+    if (
+        with_probabilities(diagnosis)
+        and not likely.intersection(candidate.effects)
+        and candidate.closed_fraction.lower > LEAST_SHOWN
+    ):
+        cause = corrected_label(diagnosis).removeprefix("with ")
+        return f"imitates {cause}, which {'remove' if cause.endswith('s') else 'removes'} more"
+    return ""
 
 
 def with_probabilities(diagnosis: Diagnosis) -> bool:

@@ -13,7 +13,7 @@ from mrd_diagnosis.diagnosis import Diagnosis, Gap, Interval, Region, RunResidua
 from mrd_diagnosis.effect_names import candidate_title
 from mrd_diagnosis.excess_maps import Map, maps
 from mrd_diagnosis.quantities import format_error
-from mrd_diagnosis.report.candidate_text import describe_candidate, with_probabilities
+from mrd_diagnosis.report.candidate_text import describe_candidate, ordered_candidates, with_probabilities
 from mrd_diagnosis.sentences import corrected_label
 from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 
@@ -23,14 +23,20 @@ NEUTRAL, HIGHLIGHT = "#cbd2d9", "#edae49"
 HEAT = [[0.0, "#f0f4f8"], [0.25, "#f7dfb0"], [0.6, HIGHLIGHT], [1.0, MODELLED]]
 SOFT_TEXT = {"size": 12, "color": "#616e7c"}
 
-MOST_CANDIDATES = 12
-"""Candidates in the chart; more bars do not fit on a screen."""
+MOST_CANDIDATES = 8
+"""Candidates in the chart, as many as the terminal shows."""
 
 LEAST_SHARE = 0.01
 """Share of the gap below which a flexible function removes nothing that is worth a bar or a note."""
 
 MOST_SECONDS = 8.0
 """Longest segment of a run in a plot over time, in s; a longer one cannot be read."""
+
+MOST_PERIODS = 30
+"""Periods of an oscillation in a plot over time; more of them cannot be told from each other."""
+
+NO_DATA = "#d5dbe1"
+"""Background of maps, darker than the lowest colour of `HEAT`."""
 
 
 def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
@@ -72,7 +78,11 @@ def region_chart(regions: Sequence[Region]) -> go.Figure:
     figure = go.Figure(_bars(names, [region.share for region in shown], [MODELLED] * len(shown)))
     figure.add_trace(
         go.Scatter(
-            x=[_rounded_share(region.share.value / region.lift) if region.lift > 0 else None for region in shown],
+            # Every band of frequencies counts as equally many samples, so that a mark there says nothing.
+            x=[
+                _rounded_share(region.share.value / region.lift) if region.lift > 0 and region.axis != "frequency" else None
+                for region in shown
+            ],
             y=names,
             mode="markers",
             name="share of the samples",
@@ -86,7 +96,7 @@ def region_chart(regions: Sequence[Region]) -> go.Figure:
 
 def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     """Draw the share of the gap that the best candidates remove on held-out data, and their probabilities if shown."""
-    shown = diagnosis.candidates[:MOST_CANDIDATES][::-1]
+    shown = ordered_candidates(diagnosis)[:MOST_CANDIDATES][::-1]
     causes = {cause.effect for cause in diagnosis.causes}
     alternatives = {alternative.effect for alternative in diagnosis.alternatives}
     colours = [
@@ -103,13 +113,13 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
         for name, candidate in zip(names, shown, strict=True):
             _right_column(figure, f"<b>{describe_candidate(diagnosis, candidate).probability}</b>", y=name)
         _right_column(figure, "probability", y=1.0, yref="paper", yanchor="bottom", font=SOFT_TEXT)
-    ends = [candidate.closed_fraction.lower for candidate in shown]
-    lowest = min([0.0, *(end - 0.03 for end in ends if end < 0)])
+    lowest = min([0.0, *(candidate.closed_fraction.lower for candidate in shown if candidate.closed_fraction.lower < 0)])
+    # The axis begins at a tick, so that bars and whiskers left of zero can be read.
     figure.update_xaxes(
         title_text="share of the gap that the effect removes",
         tickformat=".0%",
-        range=[max(lowest, -1.05), 1.4 if with_probabilities(diagnosis) else 1.05],
-        tickvals=[-1, -0.5, 0, 0.25, 0.5, 0.75, 1],
+        range=[np.floor(lowest / 0.25) * 0.25 - 0.05 * (lowest < 0), 1.4 if with_probabilities(diagnosis) else 1.05],
+        tickvals=[-1, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1],
     )
     return _bar_layout(figure, len(shown), top=28)
 
@@ -156,7 +166,9 @@ def hysteresis_loops(residual: RunResidual, corrected: str) -> list[go.Figure]:
         figure = go.Figure()
         for name, force, colour, width in lines:
             figure.add_trace(_line(1e3 * series[shown], force[shown], name, colour, width))
-        figure.update_xaxes(title_text=title)
+        low, high = 1e3 * float(series[shown].min()), 1e3 * float(series[shown].max())
+        margin = 0.04 * (high - low)
+        figure.update_xaxes(title_text=title, range=[low - margin, high + margin])
         figure.update_yaxes(title_text="force, N")
         figure.update_layout(**LAYOUT, height=420)
         figure.update_layout(margin_t=50, legend_x=0, legend_xanchor="left")
@@ -164,7 +176,7 @@ def hysteresis_loops(residual: RunResidual, corrected: str) -> list[go.Figure]:
     return figures
 
 
-def error_over_time(residual: RunResidual, corrected: str) -> go.Figure:
+def error_over_time(residual: RunResidual, corrected: str, oscillation: Region | None = None) -> go.Figure:
     """Draw measured minus modelled force over time with the band of the noise, and the current below.
 
     Parameters
@@ -172,8 +184,11 @@ def error_over_time(residual: RunResidual, corrected: str) -> go.Figure:
     residual : RunResidual
     corrected : str
         Name of the corrected model; empty where there is none.
+    oscillation : Region, optional
+        Oscillation that has most of the error; its periods can then be seen.
     """
-    shown = most_informative_segment(residual, MOST_SECONDS)
+    seconds = MOST_SECONDS if oscillation is None else min(MOST_SECONDS, MOST_PERIODS / oscillation.lower)
+    shown = most_informative_segment(residual, seconds)
     run = residual.recording.run
     time, band = _rounded(run.time[shown], 4), 2 * _on_run(residual, residual.noise.sigma)[shown]
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.78, 0.22], vertical_spacing=0.05)
@@ -189,7 +204,7 @@ def error_over_time(residual: RunResidual, corrected: str) -> go.Figure:
     current = _line(time, run.current[shown], "coil current", HIGHLIGHT, 1.4)
     current.showlegend = False
     figure.add_trace(current, 2, 1)
-    figure.update_yaxes(title_text="error, N", row=1, col=1)
+    figure.update_yaxes(title_text="measured − modelled, N", row=1, col=1)
     figure.update_yaxes(title_text="current, A", rangemode="tozero", nticks=4, row=2, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
     figure.update_layout(**LAYOUT, height=430)
@@ -263,9 +278,12 @@ def _map_figure(before: Map, after: Map, corrected: str, noise: float) -> go.Fig
             row,
             1,
         )
-        figure.update_yaxes(title_text=y_title, row=row, col=1)
+        figure.update_yaxes(title_text=y_title, showgrid=False, row=row, col=1)
     figure.update_xaxes(title_text=x_title, row=len(shown), col=1)
-    figure.update_layout(**LAYOUT, height=150 + 220 * len(shown), coloraxis=_colour_axis(before.unit, low, high))
+    figure.update_xaxes(showgrid=False)
+    figure.update_layout(
+        **LAYOUT, plot_bgcolor=NO_DATA, height=150 + 220 * len(shown), coloraxis=_colour_axis(before.unit, low, high)
+    )
     figure.update_layout(margin={"t": 28, "l": 58, "r": 10})
     figure.update_annotations(font_size=13, x=0, xanchor="left", font_color="#616e7c")
     return figure
@@ -273,7 +291,8 @@ def _map_figure(before: Map, after: Map, corrected: str, noise: float) -> go.Fig
 
 def _colour_axis(unit: str, low: float, high: float) -> dict[str, Any]:
     """Return the colour scale of a map; it is logarithmic for a spectrum, where ``low`` is positive."""
-    bar: dict[str, Any] = {"thickness": 10, "title": {"text": unit, "side": "top"}, "xpad": 4, "outlinewidth": 0}
+    title = f"rms error, {unit}" if unit == "N" else f"error, {unit}, logarithmic"
+    bar: dict[str, Any] = {"thickness": 10, "title": {"text": title, "side": "right"}, "xpad": 4, "outlinewidth": 0}
     if unit != "N":
         ticks = np.outer(10.0 ** np.arange(-6, 7), [1, 2, 5] if high < 30 * low else [1]).ravel()
         ticks = ticks[(ticks >= low) & (ticks <= high)]
@@ -312,7 +331,7 @@ def _right_column(figure: go.Figure, text: str, **options: Any) -> None:
 
 def _bar_layout(figure: go.Figure, count: int, top: int = 10) -> go.Figure:
     """Lay out a chart of ``count`` horizontal bars, with a margin of ``top`` pixels above them."""
-    figure.update_yaxes(automargin=True, ticksuffix=" ")
+    figure.update_yaxes(automargin=True, ticks="outside", ticklen=6, tickcolor="rgba(0, 0, 0, 0)")
     figure.update_layout(**LAYOUT, height=top + 70 + 36 * count)
     figure.update_layout(margin={"t": top, "l": 10, "r": 14, "b": 50}, legend_y=1.0, bargap=0.3)
     return figure

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import (
     Advice,
+    Alternative,
     Candidate,
     Cause,
     CorrectedSimulator,
@@ -49,11 +50,9 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "elapsed_s": round(diagnosis.elapsed, 3),
         "gap": None if diagnosis.gap is None else _gap(diagnosis.gap),
         "where": [_region(region) for region in diagnosis.where],
+        "oscillation": None if diagnosis.oscillation is None else _region(diagnosis.oscillation),
         "causes": [_cause(cause) for cause in diagnosis.causes],
-        "alternatives": [
-            asdict(alternative) | {"probability": finite_or_none(alternative.probability)}
-            for alternative in diagnosis.alternatives
-        ],
+        "alternatives": [_alternative(alternative) for alternative in diagnosis.alternatives],
         "nearest": None if diagnosis.nearest is None else _candidate(diagnosis.nearest),
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
         "untestable": [asdict(entry) for entry in diagnosis.untestable],
@@ -147,6 +146,16 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "parameters": _parameters(parameters_of_effect(cause.effect, cause.parameters)),
         **_closed_fraction(cause.closed_fraction),
         "p_value": finite_or_none(cause.p_value),
+    }
+
+
+def _alternative(alternative: Alternative) -> dict[str, Any]:
+    return {
+        "effect": alternative.effect,
+        "instead_of": alternative.instead_of,
+        "probability": finite_or_none(alternative.probability),
+        "why": alternative.why,
+        "parameters": _parameters(parameters_of_effect(alternative.effect, alternative.parameters)),
     }
 
 

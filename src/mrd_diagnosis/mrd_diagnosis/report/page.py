@@ -1,6 +1,6 @@
 """gap_report.html: a diagnosis for a reader who has two minutes and has never seen the project."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +20,21 @@ from mrd_diagnosis.diagnosis import (
 from mrd_diagnosis.effect_names import candidate_title, effect_clause, effect_name, parameters_of_effect
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
-from mrd_diagnosis.report.candidate_text import describe_candidate, with_probabilities
+from mrd_diagnosis.report.candidate_text import (
+    LEAST_SHOWN,
+    describe_candidate,
+    nothing_removes,
+    ordered_candidates,
+    with_probabilities,
+)
 from mrd_diagnosis.report.gap_file import write_gap_file
-from mrd_diagnosis.sentences import corrected_label, next_command, notable_model
+from mrd_diagnosis.sentences import corrected_label, next_command, next_step, notable_model
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.figures import to_html
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
+from mrd_sim.parameter import Parameter
 
 MOST_REGIONS = 10
 """Regions that the page shows; more cannot be read in two minutes."""
@@ -52,6 +59,23 @@ _NOISE_SOURCES = {
     "residual": "the high frequencies of the residual",
 }
 _SEVERITIES = ("fault", "limitation", "remark")
+_STAGES = {
+    "drive": "drive",
+    "magnetics": "coil and magnetic circuit",
+    "fluid": "damper fluid",
+    "structure": "mechanical structure",
+    "sensing": "force measurement",
+}
+"""Where an effect of each stage sits."""
+
+_PLACEHOLDERS = {
+    "PLANT.yaml": "the plant file of your simulator (this workspace has config/plant.yaml)",
+    "CORRECTED.yaml": "the plant file to write",
+    "RUN...": "the recordings",
+    "NEW_RUN": "the new recording",
+    "DIR": "a folder for the reports",
+}
+"""Words of a command that stand for something of the reader."""
 
 GLOSSARY = {
     "gap": "The part of the model's error that noise does not explain, after all parameters of the model were refitted. It "
@@ -61,17 +85,17 @@ GLOSSARY = {
     "noise": "The error that a perfect model would still have: noise of the force sensor, and errors of the measured motion "
     "and current.",
     "excess error": "The squared error beyond what noise explains.",
-    "held out": "Not used to fit the parameters. An error on held-out data shows how well the model predicts.",
+    "held out": "Not used to fit the parameters. An error on held-out data shows how well the model predicts. Whole runs "
+    "are held out in turn, except those that the table of runs marks “by segments”.",
     "share of the gap removed": "1 − (after² − noise²) / (before² − noise²), where before and after are NRMSE without and "
     "with the effect; limited to ±100 %. It is negative where an effect predicts held-out data worse than the model without "
-    "it: its parameters then fit something else. At the top of the page whole runs are held out; in the comparison of "
-    "candidates segments of runs, so that the two differ a little.",
+    "it: its parameters then fit something else. At the top of the page whole runs are held out. “By segments” means that "
+    "segments of runs are held out, as in the comparison of effects; the two differ a little.",
     "probability": "How likely an effect is the cause, compared with the other effects that were fitted in its place. It "
     "compares the effects that were tried; an effect that is not in the catalogue is not among them.",
     "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases.",
     "p-value": "The probability that noise alone improves the fit to the same data so much. An effect can improve the fit "
     "and still predict held-out data worse.",
-    "smallest detectable size": "The size from which these recordings would have shown an effect.",
 }
 """Terms of the page, in the order in which they are listed."""
 
@@ -93,12 +117,15 @@ def write_gap_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
 def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
     """Return what the template of the page is filled with; ``folder`` is the folder of the report."""
     count = len(diagnosis.runs) + len(diagnosis.held_out)
+    command = next_command(diagnosis, folder)
     content = {
-        "title": f"{diagnosis.model.title} model against {count} run{'s' if count != 1 else ''}",
+        "title": f"{diagnosis.model.title} model against {count} run{'s' if count != 1 else ''}{_origin(diagnosis)}",
         "verdict": diagnosis.verdict,
         "verdict_text": _VERDICTS[diagnosis.verdict],
         "verdict_sentence": diagnosis.sentence,
-        "command": next_command(diagnosis, folder),
+        "next_step": next_step(diagnosis),
+        "command": command,
+        "placeholders": [f"{word}: {meaning}" for word, meaning in _PLACEHOLDERS.items() if word in command.split()],
         "diagnosis": diagnosis,
         "glossary": GLOSSARY,
         "faults": [finding for finding in diagnosis.findings if finding.severity == "fault"],
@@ -113,31 +140,54 @@ def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
     return content
 
 
+def _origin(diagnosis: Diagnosis) -> str:
+    """Return the folder of the runs and their date, as far as they are known."""
+    runs = (*diagnosis.runs, *diagnosis.held_out)
+    folders = {Path(str(run.info["source"])).parent.name for run in runs if run.info.get("source")}
+    dates = {str(run.info["started"])[:10] for run in runs if run.info.get("started")}
+    folder = f" of {folders.pop()}" if len(folders) == 1 else ""
+    return f"{folder}, recorded on {min(dates)}" if dates else folder
+
+
 def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -> dict[str, Any]:
     """Return what the page shows of the comparison of model and recordings; faulty recordings have none."""
     label = corrected_label(diagnosis)
     regions = significant_regions(diagnosis)
+    nearest, ordered = _nearest_cards(diagnosis), ordered_candidates(diagnosis)
     shown = figures.most_informative_run(diagnosis.residuals)
     return {
         "headline": _headline(diagnosis, gap),
         "errors": to_html(figures.error_chart(diagnosis, gap)),
         "error_notes": _error_notes(diagnosis, gap),
         "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],
-        "candidates": to_html(figures.candidate_chart(diagnosis)) if diagnosis.candidates else "",
-        "candidate_rows": [(candidate_title(c), *describe_candidate(diagnosis, c)) for c in diagnosis.candidates],
+        "candidates": "" if nothing_removes(diagnosis) else to_html(figures.candidate_chart(diagnosis)),
+        "candidate_rows": [
+            (candidate_title(candidate), " + ".join(candidate.effects), *describe_candidate(diagnosis, candidate))
+            for candidate in ordered
+        ],
+        "least_shown": f"{100 * LEAST_SHOWN:g} %",
         "with_probabilities": with_probabilities(diagnosis),
         "most_candidates": figures.MOST_CANDIDATES,
-        "negative": any(c.closed_fraction.value < 0 for c in diagnosis.candidates[: figures.MOST_CANDIDATES]),
+        "negative": any(c.closed_fraction.value < -LEAST_SHOWN for c in ordered[: figures.MOST_CANDIDATES]),
         "causes": [
-            _effect_card(cause.effect, _cause_facts(diagnosis, cause), cause.parameters) for cause in diagnosis.causes
+            _effect_card(
+                cause.effect, _cause_facts(diagnosis, cause, gap), cause.parameters, diagnosis.verdict == "ambiguous"
+            )
+            for cause in diagnosis.causes
         ],
-        "nearest": _nearest_cards(diagnosis),
+        "nearest": nearest,
         "alternative_models": [
             (model.name, format_share(model.closed_fraction), format_error(model.nrmse))
             for model in diagnosis.alternative_models
         ],
         "alternatives": [
-            (effect_name(other.effect), effect_name(other.instead_of), format_probability(other.probability), other.why)
+            (
+                capitalised(effect_clause(other.effect, other.parameters)),
+                other.effect,
+                effect_name(other.instead_of),
+                format_probability(other.probability),
+                other.why,
+            )
             for other in diagnosis.alternatives
         ],
         "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
@@ -145,8 +195,8 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         "maps": [(capitalised(title), to_html(figure)) for title, figure in figures.map_figures(diagnosis)],
         "shown_run": shown.recording.run.name,
         "loops": [to_html(figure) for figure in figures.hysteresis_loops(shown, label)],
-        "over_time": to_html(figures.error_over_time(shown, label)),
-        "not_ruled_out": _not_ruled_out(diagnosis, corrected),
+        "over_time": to_html(figures.error_over_time(shown, label, diagnosis.oscillation)),
+        "unnoticed": _unnoticed(diagnosis, {card["id"] for card in nearest}),
         "untestable": sorted((EFFECTS[entry.effect].title, entry.effect, entry.why) for entry in diagnosis.untestable),
         "runs": [_run_row(residual) for residual in diagnosis.residuals],
         "noise_sources": join_words(list(dict.fromkeys(_NOISE_SOURCES[r.noise.source] for r in diagnosis.residuals))),
@@ -154,8 +204,14 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
 
 
 def significant_regions(diagnosis: Diagnosis) -> list[Region]:
-    """Return the most significant regions of the excess error, as many as the page shows."""
-    return [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value][:MOST_REGIONS]
+    """Return the most significant regions of the excess error, as many as the page shows.
+
+    An oscillation takes the place of the bands of frequencies, which would divide it.
+    """
+    significant = [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value]
+    if diagnosis.oscillation is not None:
+        significant = [diagnosis.oscillation, *(region for region in significant if region.axis != "frequency")]
+    return significant[:MOST_REGIONS]
 
 
 def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
@@ -164,18 +220,26 @@ def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
     if diagnosis.verdict in ("explained", "ambiguous"):
         least = min(diagnosis.causes, key=lambda cause: cause.probability)
         which = "least certain " if len(diagnosis.causes) > 1 else "most likely " if diagnosis.alternatives else ""
-        numbers.append((format_probability(least.probability), f"probability of the {which}cause", ""))
+        numbers.append(
+            (format_probability(least.probability), f"probability of the {which}cause among the effects tried", "")
+        )
     if label and np.isfinite(gap.closed_fraction.value):
-        ends = format_share(gap.closed_fraction).partition("(")[2].rstrip(")")
-        numbers.append((format_share(gap.closed_fraction.value), f"of the gap removed {label}", ends and f"{ends} %"))
-    if model := notable_model(diagnosis.nearest, diagnosis.alternative_models):
+        numbers.append(_headline_share(gap.closed_fraction, f"of the gap removed {label}"))
+        if gap.extrapolated is not None:
+            numbers.append(_headline_share(gap.extrapolated, "of the gap removed on runs that go beyond the others"))
+    if model := notable_model(diagnosis):
         numbers.append((format_share(model.closed_fraction.value), f"of the gap removed by {model.name}", ""))
-    errors = [("error, parameters refitted", gap.before)]
+    errors = [("error of the model alone, parameters refitted", gap.before)]
     if label:
         errors.append((f"error {label}", gap.after))
     errors.append(("error from noise alone", gap.noise_floor))
     numbers += [(format_error(error.value), name, _ends(error)) for name, error in errors if np.isfinite(error.value)]
     return numbers
+
+
+def _headline_share(share: Interval, name: str) -> tuple[str, str, str]:
+    ends = format_share(share).partition("(")[2].rstrip(")")
+    return format_share(share.value), name, ends and f"{ends} %"
 
 
 def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
@@ -187,29 +251,38 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     removes = f"{label} {'remove' if label.endswith('s') else 'removes'}"
     if label and np.isfinite(gap.closed_fraction.value):
         notes.append(f"{capitalised(removes)} {format_share(gap.closed_fraction)} of the gap.")
-    if gap.explainable_fraction >= figures.LEAST_SHARE and diagnosis.verdict != "no_gap":
+    if diagnosis.verdict != "no_gap":
+        removed = gap.explainable_fraction >= figures.LEAST_SHARE
+        share = format_share(gap.explainable_fraction) if removed else "nothing"
+        meaning = (
+            "at least this much is not random. A true effect has a better formula and can remove more."
+            if removed
+            else "the error does not repeat with motion and current."
+        )
         notes.append(
-            f"A flexible function of motion and current removes {format_share(gap.explainable_fraction)} of the gap: at "
-            "least this much is not random. A true effect has a better formula and can remove more."
+            f"As a check, a free-form fit of the error over motion and current removes {share} of the gap: {meaning}"
         )
     if gap.extrapolated is not None:
         notes.append(
-            f"On the runs whose stroke, speed or current exceeds that of the others, {removes} "
-            f"{format_share(gap.extrapolated)} of the gap."
+            f"On the runs that go beyond the others in stroke, speed or current, {removes} "
+            f"{format_share(gap.extrapolated)} of the gap. There the parameters were fitted to the other runs only."
         )
     elif label:
         notes.append("No run exceeds the others in stroke, speed or current; beyond these the result is untested.")
     return notes
 
 
-def _cause_facts(diagnosis: Diagnosis, cause: Cause) -> str:
+def _cause_facts(diagnosis: Diagnosis, cause: Cause, gap: Gap) -> str:
     """Return how certain a cause is, and how much it removes."""
     if diagnosis.verdict == "unknown_effect":
         # The model certainly lacks such an effect, whatever else is missing.
         certainty = "the model does not contain this effect at all"
     else:
         certainty = f"probability {format_probability(cause.probability)}"
-    return f"{certainty} · removes {format_share(cause.closed_fraction)} of the gap"
+    # The only cause removes what is said at the top of the page; the part of one of several causes is known by segments.
+    single = diagnosis.corrected is not None and diagnosis.corrected.effects == (cause.effect,)
+    share = format_share(gap.closed_fraction) if single else f"{format_share(cause.closed_fraction)} (by segments)"
+    return f"{certainty} · removes {share} of the gap"
 
 
 def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
@@ -225,40 +298,51 @@ def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     return [_effect_card(effect, facts, nearest.parameters) for effect in nearest.effects if effect not in causes]
 
 
-def _effect_card(effect: str, facts: str, parameters: Mapping[str, ParameterEstimate]) -> dict[str, Any]:
-    declared = {parameter.name: parameter for parameter in EFFECTS[effect].parameters} if effect in EFFECTS else {}
+def _effect_card(
+    effect: str, facts: str, parameters: Mapping[str, ParameterEstimate], doubtful: bool = False
+) -> dict[str, Any]:
+    catalogued = EFFECTS.get(effect)
+    clause = effect_clause(effect, parameters)
+    declared = {parameter.name: parameter for parameter in catalogued.parameters} if catalogued else {}
     return {
         "id": effect,
-        "clause": capitalised(effect_clause(effect, parameters)),
-        "stage": EFFECTS[effect].stage if effect in EFFECTS else "",
+        "clause": f"If this is the cause: {clause}" if doubtful else capitalised(clause),
+        "stage": _STAGES[catalogued.stage] if catalogued else "",
+        "equation": catalogued.equation if catalogued else "",
         "facts": facts,
         "parameters": [
-            (
-                name,
-                format_quantity(estimate.value, estimate.unit),
-                declared[name].meaning if name in declared else "",
-                estimate.remark,
-            )
+            (name, *_fitted_value(estimate, declared.get(name)))
             for name, estimate in parameters_of_effect(effect, parameters).items()
         ],
     }
 
 
-def _not_ruled_out(diagnosis: Diagnosis, corrected: CorrectedSimulator) -> list[tuple[str, str, str]]:
-    """Return title, smallest detectable size and its parameter of each effect that was tried and not named."""
-    named = {*corrected.effects, *(alternative.effect for alternative in diagnosis.alternatives)}
-    if diagnosis.nearest is not None:
-        named.update(diagnosis.nearest.effects)
-    singles = [candidate.effects[0] for candidate in diagnosis.candidates if len(candidate.effects) == 1]
-    sizes = {candidate.effects[0]: candidate.smallest_detectable for candidate in diagnosis.candidates}
-    unnamed = [EFFECTS[effect] for effect in singles if effect in EFFECTS and effect not in named]
-    rows = [(effect.title, sizes[effect.id] or "–", effect.parameters[0].meaning) for effect in unnamed]
-    return sorted(rows)
+def _fitted_value(estimate: ParameterEstimate, declared: Parameter | None) -> tuple[str, str, str]:
+    """Return the value of a parameter, its meaning, and a remark; a value that the runs do not determine has no interval."""
+    value, meaning = estimate.value, declared.meaning if declared else ""
+    if declared is None or not np.allclose(
+        (value.lower, value.upper), (declared.lower, declared.upper), rtol=1e-6, atol=0.0
+    ):
+        return format_quantity(value, estimate.unit), meaning, estimate.remark
+    fitted, lower, upper, default = (
+        format_quantity(number, declared.unit) for number in (value.value, declared.lower, declared.upper, declared.default)
+    )
+    remark = f"any plausible value ({lower} to {upper}) fits about as well; the default is {default}"
+    return fitted, meaning, ": ".join(filter(None, (estimate.remark, remark)))
+
+
+def _unnoticed(diagnosis: Diagnosis, nearest: Collection[str]) -> list[tuple[str, str, str]]:
+    """Return title, id and the largest size that may have gone unnoticed of each effect that was tried and has no card."""
+    shown = {*nearest, *(cause.effect for cause in diagnosis.causes), *(other.effect for other in diagnosis.alternatives)}
+    unnamed = [c for c in diagnosis.candidates if len(c.effects) == 1 and shown.isdisjoint(c.effects)]
+    return sorted(
+        (candidate_title(candidate), candidate.effects[0], capitalised(candidate.smallest_detectable) or "not computed")
+        for candidate in unnamed
+    )
 
 
 def _advice(advice: Advice) -> dict[str, Any]:
     return {
-        "text": advice.text,
         "experiment": advice.experiment,
         "between": [effect_name(explanation) for explanation in advice.between],
         "error_rate": format_share(advice.error_rate) if np.isfinite(advice.error_rate) else "",
@@ -268,7 +352,7 @@ def _advice(advice: Advice) -> dict[str, Any]:
 def _run_row(residual: RunResidual) -> dict[str, Any]:
     return {
         "name": residual.recording.run.name,
-        "held_out": "from the start" if residual.held_out else "by segments" if residual.by_folds else "in turn",
+        "held_out": "from the start" if residual.held_out else "by segments" if residual.by_folds else "whole run",
         "errors": [
             format_error(nrmse(errors, residual.recording.force))
             for errors in (residual.before, residual.after, residual.noise.sigma)
