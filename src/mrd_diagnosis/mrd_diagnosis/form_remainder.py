@@ -8,6 +8,7 @@ current. It is odd in the direction of motion. It can therefore not take the pla
 acceleration, the history of the current or of the force, nor of what differs between extension and compression.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -54,7 +55,7 @@ def form_columns(recordings: Sequence[Recording]) -> tuple[Array, ...]:
     kept = values > 1e-6 * values[-1]
     columns = columns @ vectors[:, kept]
     edges = np.cumsum([0, *(len(part) for part in parts)])
-    return tuple(columns[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True))
+    return tuple(columns[a:b] for a, b in itertools.pairwise(edges))
 
 
 def _functions(recording: Recording, top_speed: float, largest_current: float) -> Array:

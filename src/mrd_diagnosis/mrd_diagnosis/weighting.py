@@ -232,13 +232,14 @@ class Weighting:
     def updated(self, model: DamperModel, theta: Array, coefficients: Array | None = None) -> "Weighting":
         """Return the weighting with the discrepancy of another best model and its remainder."""
         remainders = []
-        columns = self.remainder if self.remainder and coefficients is not None else [None] * len(self.recordings)
+        if coefficients is None or not self.remainder:
+            columns, coefficients = tuple(np.empty((len(r.force), 0)) for r in self.recordings), np.empty(0)
+        else:
+            columns = self.remainder
         for recording, noise, force, of_run in zip(
             self.recordings, self.noise, consecutive_forces(model, theta, self.recordings), columns, strict=True
         ):
-            error = force - recording.force
-            if of_run is not None:
-                error = error + of_run @ coefficients
+            error = force - recording.force + of_run @ coefficients
             gain, offset = whitening(noise.sigma, force, self.scatter).run_errors @ error
             remainders.append(error - gain * force - offset)
         error, sigma = np.concatenate(remainders), np.concatenate([noise.sigma for noise in self.noise])
