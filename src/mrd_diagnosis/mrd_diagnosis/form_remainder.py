@@ -22,6 +22,7 @@ from mrd_diagnosis.refit import Refit, refit_on
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
 from mrd_identification.parallel import in_threads
+from mrd_identification.problem import make_problem
 from mrd_identification.recording import Recording
 from mrd_sim.effects import find_effects
 
@@ -43,8 +44,8 @@ ROUNDS = 3
 """Rounds in which the remainder and the weighting of the residuals are adapted to each other."""
 
 
-def form_columns(recordings: Sequence[Recording]) -> tuple[Array, ...]:
-    """Return the columns (counted samples, columns) of each run, of rms one over all runs, orthogonal to each other."""
+def form_columns(recordings: Sequence[Recording]) -> Array:
+    """Return the functions of motion and current (counted samples, columns), of rms one and orthogonal to each other."""
     top = max(float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings)
     largest = max(float(np.quantile(np.abs(recording.path.current), 0.995)) for recording in recordings)
     parts = [_functions(recording, top, largest) for recording in recordings]
@@ -53,9 +54,7 @@ def form_columns(recordings: Sequence[Recording]) -> tuple[Array, ...]:
     # Functions that the runs cannot tell apart count once.
     values, vectors = np.linalg.eigh(columns.T @ columns / len(columns))
     kept = values > 1e-6 * values[-1]
-    columns = columns @ vectors[:, kept]
-    edges = np.cumsum([0, *(len(part) for part in parts)])
-    return tuple(columns[a:b] for a, b in itertools.pairwise(edges))
+    return columns @ vectors[:, kept]
 
 
 def _functions(recording: Recording, top_speed: float, largest_current: float) -> Array:
@@ -83,33 +82,48 @@ def with_form_remainder(weighting: Weighting, base: Refit) -> tuple[Weighting, R
 
     The better the form, the smaller the discrepancy in the weighting, and the more the remainder can tell in turn.
     """
-    columns = form_columns(weighting.recordings)
-    rms = float(np.sqrt(np.mean(base.problem.force**2)))
-    refitted = base
+    columns, refitted = _columns(weighting, base), base
     for _ in range(ROUNDS):
         fits = []
         for scale in SCALES:
-            extended = replace(weighting, remainder=tuple(scale * rms * of_run for of_run in columns))
+            extended = _extended(weighting, columns, scale)
             fits.append((extended, refit_on(extended, refitted)))
         weighting, refitted = min(fits, key=lambda fit: fit[1].held_out_cost)
         weighting = weighting.updated(refitted.problem.model, refitted.theta, refitted.coefficients)
     return weighting, refit_on(weighting, refitted)
 
 
+def _columns(weighting: Weighting, base: Refit) -> tuple[Array, Array]:
+    """Return the functions of the form, and what the damper's own parameters change to first order, in N."""
+    rms = float(np.sqrt(np.mean(base.problem.force**2)))
+    plain, _ = make_problem(base.problem.model, weighting.recordings, fixed=weighting.fixed)
+    own = plain.jacobian(plain.unit(base.theta))
+    size = np.sqrt(np.mean(own**2, axis=0))
+    return rms * form_columns(weighting.recordings), rms * own[:, size > 0.0] / size[size > 0.0]
+
+
+def _extended(weighting: Weighting, columns: tuple[Array, Array], scale: float) -> Weighting:
+    """Return the weighting with a remainder in which the functions of the form have this scale."""
+    form, own = columns
+    joined = np.concatenate([scale * form, own], axis=1)
+    edges = np.cumsum([0, *(len(recording.force) for recording in weighting.recordings)])
+    return replace(weighting, remainder=tuple(joined[a:b] for a, b in itertools.pairwise(edges)))
+
+
 def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> list[str]:
-    """Return the effects that the remainder of a weighting can take the place of: they change the form of the damper.
+    """Return the effects that a remainder can take the place of: they change the form of the damper.
 
     Parameters
     ----------
     weighting : Weighting
-        With the remainder.
     base : Refit
-        The model beside the remainder.
+        The model without effects.
     effects : sequence of str
         Ids of the candidates.
     """
     alone = replace(weighting, remainder=())
-    spaces = [(space, BaseFit.linearise(space, base)) for space in (alone, weighting)]
+    freest = _extended(alone, _columns(weighting, base), SCALES[-1])
+    spaces = [(space, BaseFit.linearise(space, base)) for space in (alone, freest)]
 
     def unabsorbed(effect: str) -> list[float]:
         """Return the energy of the effect's change of the force that the model leaves, without and with the remainder."""

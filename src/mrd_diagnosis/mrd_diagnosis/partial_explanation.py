@@ -89,11 +89,13 @@ def explain_in_part(
     explained = _with_effects(weighting, alone, list(chances), values)
     freed = refit_on(replace(weighting, remainder=remainder), explained)
     for effect, fitted in _form_chain(weighting, explained, freed, of_form):
-        support = _supports((weighting, other), fitted, effect, rng)
-        gain = float(explained.held_out_cost - fitted.held_out_cost)
-        if support < THRESHOLDS.listed_probability or not _holds_in_halves(explained, fitted):
+        # Another base model that predicts better has the form without this effect.
+        instead = _with_effects(weighting, other, explained.effects, values)
+        probability = float(probabilities([fitted, instead], rng)[0])
+        if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
             break
-        chances[effect], p_values[effect] = {effect: support}, p_value(gain, null_gains)
+        gain = float(explained.held_out_cost - fitted.held_out_cost)
+        chances[effect], p_values[effect] = {effect: probability}, p_value(gain, null_gains)
         values |= dict(zip(fitted.problem.model.names, map(float, fitted.theta), strict=True))
         explained = fitted
     progress(0.9)

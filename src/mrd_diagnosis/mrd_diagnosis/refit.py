@@ -114,9 +114,9 @@ def refit(
     converged : float
         Relative decrease of the cost below which the fit ends.
     """
-    unit, _ = levenberg_marquardt(
-        problem, problem.unit(start), np.arange(len(problem.free)), EVALUATIONS, converged, renewal=3
-    )
+    unit = problem.unit(start)
+    if problem.free:
+        unit, _ = levenberg_marquardt(problem, unit, np.arange(len(unit)), EVALUATIONS, converged, renewal=3)
     theta = problem.theta(unit)
     coefficients = problem.coefficients(theta)
     alone = replace(problem, remainder=())
@@ -163,8 +163,6 @@ def without_each(
 ) -> tuple[Array, Array]:
     """Estimate the parameters (pieces, parameters) and the remainder's coefficients (pieces, columns) without each piece.
 
-    Beside a remainder, only the parameters of effects are estimated again, not those of the damper.
-
     Parameters
     ----------
     problem : Problem
@@ -183,15 +181,12 @@ def without_each(
     neutral = np.concatenate([problem.unit(problem.model.defaults), np.zeros(len(coefficients))])
     lower, upper = -joint, 1.0 - joint
     lower[free:], upper[free:] = -np.inf, np.inf
-    # Beside a remainder, the parameters of the damper are nearly redundant: a step along them would lead far away.
-    of_damper = np.array(["." not in parameter.name for parameter in problem.parameters] + [False] * len(coefficients))
-    moving = ~of_damper if len(coefficients) else np.ones(free, dtype=bool)
     solutions = np.empty((len(normal_matrices), len(joint)))
     for index, (matrix_of_piece, gradient_of_piece) in enumerate(zip(normal_matrices, gradients, strict=True)):
         rest = matrix - matrix_of_piece
         determined = np.diag(rest) > NO_INFORMATION * np.maximum(np.diag(matrix), 1e-300)
         new = np.where(determined, joint, neutral)
-        chosen = np.flatnonzero(determined & moving)
+        chosen = np.flatnonzero(determined)
         step = bounded_step(
             rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]),
             (gradient - gradient_of_piece)[chosen],
@@ -205,7 +200,7 @@ def without_each(
 
 def scaled_inverse(matrix: Array, least: float) -> Array:
     """Invert a normal matrix after scaling all parameters alike; eigenvalues below ``least`` are taken as ``least``."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-12 * np.diag(matrix).max()))
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-12 * np.diag(matrix).max(initial=0.0)))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     return np.asarray((vectors / np.maximum(values, least)) @ vectors.T / np.outer(size, size))
 

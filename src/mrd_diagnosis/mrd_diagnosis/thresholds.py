@@ -73,9 +73,9 @@ class Thresholds:
         "other forms with one effect, seed 990",
     )
     least_form_share: float = threshold(
-        0.75,
+        0.8,
         "of what the form remainder closes",
-        "share that an effect of the form must close by its own formula to be named",
+        "share that effects of the form must close by their own formulas to be named",
         "other forms with one effect, seed 990",
     )
     # The verdict

@@ -191,7 +191,7 @@ class Weighting:
         Number of samples over which that error is correlated. The run's gain and offset are restricted accordingly;
         otherwise they would compensate for what is missing.
     remainder : tuple of ndarray (n, columns)
-        See `WeightedProblem`.
+        See `WeightedProblem`. Beside it, only the parameters of effects are searched.
     """
 
     recordings: Sequence[Recording]
@@ -215,8 +215,11 @@ class Weighting:
         """
         plain, _ = make_problem(model, self.recordings, fixed=self.fixed, freed=freed)
         base = plain.base.copy()
+        # Beside a remainder, the parameters of the damper are redundant: it would leave them undetermined.
+        free = tuple(i for i in plain.free if not self.remainder or "." in model.names[i])
         # A parameter that is never searched, such as the frequency of the mains, keeps its value.
         kept = [i for i, p in enumerate(model.parameters) if not (p.free or p.name in freed or p.name in self.fixed)]
+        kept += [i for i in plain.free if i not in free]
         base[kept] = theta[kept].real
         root = np.sqrt(self.error_correlation)
         scatter = RunScatter(self.scatter.gain / root, self.scatter.offset / root)
@@ -226,7 +229,7 @@ class Weighting:
             for sigma, force in zip(sigmas, consecutive_forces(model, theta, self.recordings), strict=True)
         )
         return WeightedProblem(
-            plain.model, plain.recordings, plain.free, base, whitenings=whitenings, sigmas=sigmas, remainder=self.remainder
+            plain.model, plain.recordings, free, base, whitenings=whitenings, sigmas=sigmas, remainder=self.remainder
         )
 
     def updated(self, model: DamperModel, theta: Array, coefficients: Array | None = None) -> "Weighting":

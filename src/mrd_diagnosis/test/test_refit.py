@@ -111,7 +111,8 @@ def test_leaving_a_fold_out_is_fitting_without_it(weighting, alone):
     noise[run_of_fold] = replace(noise[run_of_fold], sigma=sigma)
     without = replace(weighting, noise=noise).problem(BASE, THETA)
     theta, _ = fit_least_squares(without, alone.theta)
-    step = without_each(problem, problem.unit(alone.theta), alone.normal_matrices, alone.gradients)[index]
+    steps, _ = without_each(problem, problem.unit(alone.theta), np.empty(0), alone.normal_matrices, alone.gradients)
+    step = steps[index]
     wrong = np.abs(problem.unit(step) - problem.unit(theta))
     standard_error = np.sqrt(np.diag(np.linalg.inv(alone.normal_matrices.sum(axis=0))))
     assert (wrong < 0.25 * standard_error).all()

@@ -1,0 +1,111 @@
+"""Causes that hold although the base model has another form than the damper."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.base_fit import fit_base
+from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
+from mrd_identification.recording import prepare_recording
+from mrd_runs import Run
+from mrd_sim.models import find_model
+
+FORCE_NOISE = 1.5
+BOUC_WEN = find_model("bouc_wen")
+CANDIDATES = ("moving_mass", "coil_lag", "gas_spring", "shear_thinning", "current_saturation", "settling")
+
+
+def loop(position, velocity, acceleration, current):
+    """Force of a damper that no model of the catalogue describes: a tangent loop over speed and acceleration that bends."""
+    yield_force = 40.0 + 420.0 * np.tanh(1.6 * current)
+    knee = np.tanh((velocity + 2.5e-3 * np.tanh(acceleration / 0.2)) / (0.008 + 0.01 * current))
+    return yield_force * knee + (700.0 + 900.0 * current) * velocity
+
+
+def runs(effect=lambda signals: 0.0, lag=0.0, seeds=range(5), rate=250.0, seconds=6.0):
+    """Record the loop along several motions; ``effect`` adds to its force, ``lag`` in s delays the current that acts."""
+    recorded = []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        t = np.arange(int(seconds * rate)) / rate
+        x, v, a = np.zeros((3, len(t)))
+        for amplitude, frequency in ((8e-3, 0.6), (4e-3, 1.7), (2e-3, 4.1)):
+            w, phase = 2 * np.pi * frequency, rng.uniform(0, 6)
+            x += amplitude * np.sin(w * t + phase)
+            v += amplitude * w * np.cos(w * t + phase)
+            a -= amplitude * w**2 * np.sin(w * t + phase)
+        current = np.repeat(rng.uniform(0, 0.5, 12), len(t) // 12)
+        current = np.concatenate([current, np.full(len(t) - len(current), current[-1])])
+        acting = current.copy()
+        if lag:
+            for k in range(1, len(t)):
+                acting[k] = current[k] + (acting[k - 1] - current[k]) * np.exp(-1 / (rate * lag))
+        force = loop(x, v, a, acting) + effect((t, x, v, a)) + rng.normal(0, FORCE_NOISE, len(t))
+        recorded.append(Run(f"run{seed}", t, x, v, current, force))
+    return recorded
+
+
+@pytest.fixture(scope="module")
+def wrong_form():
+    weighting, base, _, _ = fit_base(BOUC_WEN, None, [prepare_recording(run) for run in runs()], np.random.default_rng(0))
+    return weighting, base
+
+
+@settings(max_examples=20, deadline=None)
+@given(scale=st.floats(1e-2, 1e3), seed=st.integers(0, 2**32 - 1))
+def test_the_cost_beside_the_remainder_is_the_least_penalised_one(wrong_form, scale, seed):
+    weighting, base = wrong_form
+    columns = scale * form_columns(weighting.recordings)
+    by_run = tuple(np.split(columns, np.cumsum([len(r.force) for r in weighting.recordings])[:-1]))
+    problem = replace(weighting, remainder=by_run).problem(base.problem.model, base.theta)
+    coefficients = problem.coefficients(base.theta)
+
+    def penalised(values):
+        errors = problem.whitened(problem.errors(base.theta)) + problem.white_remainder @ values
+        return float(errors @ errors + values @ values)
+
+    least = penalised(coefficients)
+    residuals = problem.residuals(base.theta)
+    assert float(residuals @ residuals) == pytest.approx(least, rel=1e-6)
+    shifted = coefficients + 0.1 * np.random.default_rng(seed).normal(0, 1, len(coefficients))
+    assert penalised(shifted) > least
+
+
+def test_the_remainder_takes_up_what_the_form_lacks_and_nothing_else(wrong_form):
+    weighting, base = wrong_form
+    extended, beside = with_form_remainder(weighting, base)
+    assert beside.chi_square < 0.2 * base.chi_square
+    of_form = form_effects(extended, beside, CANDIDATES)
+    assert {"shear_thinning", "current_saturation"} <= set(of_form)
+    assert {"moving_mass", "coil_lag", "settling"}.isdisjoint(of_form)
+
+
+@pytest.mark.parametrize(
+    ("cause", "recorded"), [("moving_mass", {"effect": lambda signals: 4.0 * signals[3]}), ("coil_lag", {"lag": 0.012})]
+)
+def test_a_cause_is_named_although_the_damper_has_another_form(cause, recorded):
+    diagnosis = diagnose(runs(**recorded), "bouc_wen", effects=CANDIDATES)
+    assert diagnosis.verdict == "partly_explained"
+    assert [named.effect for named in diagnosis.causes] == [cause]
+    assert diagnosis.causes[0].probability > 0.9
+    assert diagnosis.gap.form_fraction > 0.05
+    assert diagnosis.sentence
+
+
+def test_another_form_alone_is_no_effect():
+    diagnosis = diagnose(runs(), "bouc_wen", effects=CANDIDATES)
+    assert diagnosis.verdict == "unknown_effect"
+    assert diagnosis.causes == ()
+    assert diagnosis.gap.form_fraction > 0.8
+
+
+def test_thinned_recordings_keep_every_nth_sample(wrong_form):
+    weighting, _ = wrong_form
+    thinned = weighting.thinned(weighting.samples // 3)
+    assert weighting.samples / 4 <= thinned.samples <= weighting.samples / 3 + len(thinned.recordings)
+    for whole, part in zip(weighting.recordings, thinned.recordings, strict=True):
+        assert np.isin(part.force, whole.force).all()
