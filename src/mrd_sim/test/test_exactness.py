@@ -273,7 +273,8 @@ def test_order_of_convergence_between_reversals(model):
         y = integrated(book, k, rod, t0, t1, y)
         expected.append(book.force(k, *rod(t1), y))
     errors = []
-    for refine in (10, 20, 40, 80):
+    # An error of fourth order is soon below 1e-9 of the force, where the state counts as saturated.
+    for refine in (10, 20, 40, 80) if model.order == 2 else (5, 10, 20):
         time = np.linspace(0.0, end, 25 * refine + 1)
         x, v = rod(time)
         dt = np.diff(time, prepend=0.0)
