@@ -63,8 +63,8 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     for k in range(len(x)):
         c = named_row(Coefficients, q, k)
         per_viscous = 1.0 / (c.viscous + c.series_viscous)
-        share_now, creep_now, pull_now = c.series_viscous * per_viscous, c.yield_force * per_viscous, c.stiffness * per_viscous
-        drive_now = share_now * v[k]
+        share_now = c.series_viscous * per_viscous
+        drive_now, creep_now, pull_now = share_now * v[k], c.yield_force * per_viscous, c.stiffness * per_viscous
         if dt[k] > 0.0:
             whole = 0.5 * (share + share_now) * (x[k] - before)
             middle = 0.5 * (x_y + c.yield_travel)
