@@ -23,12 +23,10 @@ from mrd_sim.models.shared_coefficients import EXPONENT, OFFSET, SHAPE, STIFFNES
 from mrd_sim.named import named_row, tuple_type
 from mrd_sim.root import next_iterate
 
-STATE_TOLERANCE = 1e-7
-"""Share of the yield travel. Newton's last step leaves an error of the order of the square of it."""
 BRACKET_TOLERANCE = 1e-13
 """Share of the yield travel. A bracket as narrow as this is as narrow as rounding lets it become."""
 TRAVEL_TOLERANCE = 3e-5
-"""As `STATE_TOLERANCE`: the state's error is its square, the travel's error less."""
+"""Share of the yield travel. Newton's last step leaves an error of its square in the state, and less in the travel."""
 NEARLY_SATURATED = 1e-3
 """Distance of the state from saturation below which the first guess of the travel is good enough."""
 SATURATED = 1e-9
@@ -88,7 +86,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     state[3], state[4], state[5], state[6], state[7] = share, drive, creep, pull, x_y
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"}, forceinline=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def travel_of_element(
     w: Any,
     e: Any,
@@ -160,13 +158,19 @@ def _travel_with_reversal(
     """
     left = 1.0 - part
     first = part * part * (3.0 - 2.0 * part) * whole + part * left * dt * (left * drive - part * drive_now)
-    turn = 6.0 * part * left * whole / dt + left * (1.0 - 3.0 * part) * drive + part * (3.0 * part - 2.0) * drive_now
+    drive_turn = 6.0 * part * left * whole / dt + left * (1.0 - 3.0 * part) * drive + part * (3.0 * part - 2.0) * drive_now
     creep_turn, pull_turn = left * creep + part * creep_now, left * pull + part * pull_now
-    d, w = travel_of_element(w, e, part * dt, first, drive, turn, creep, creep_turn, pull, pull_turn, x_y, sigma, n)
-    back, w = travel_of_element(
-        w, e + d, left * dt, whole - first, turn, drive_now, creep_turn, creep_now, pull_turn, pull_now, x_y, sigma, n
-    )
-    return d + back, w
+    total = 0.0 * e
+    for i in range(2):  # one call in the code, because the compiler copies what is called
+        if i == 1:
+            part, first = left, whole - first
+            drive, creep, pull = drive_turn, creep_turn, pull_turn
+            drive_turn, creep_turn, pull_turn = drive_now, creep_now, pull_now
+        d, w = travel_of_element(
+            w, e + total, part * dt, first, drive, drive_turn, creep, creep_turn, pull, pull_turn, x_y, sigma, n
+        )
+        total += d
+    return total, w
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -194,24 +198,28 @@ def _solved_travel(
     bent = clip(bent - held * (1.0 / 12.0) * d, -limit, limit)
     bend = w * (1.0 / 3.0) if loading else w * (1.0 - 2.0 * sigma) * (1.0 / 3.0)
     d = d + stiffness * per_stiffness * (bent + bend * clip(d * d, 0.0, 1.0))
-    middle, after = advance_twice(w, 0.5 * d, sigma, n)
-    if direction * w.real > 1.0 - NEARLY_SATURATED:
-        if direction * after.real > 1.0 - SATURATED:
-            after = direction + 0.0 * after
-        return d * x_y, after
-    slope_halfway = slope(middle, direction, sigma, n)
-    stiffness = creeping * slope_halfway
     relaxation = creeping * creeping * (1.0 / STIFF**2)
     smooth = 1.0 - clip(relaxation * relaxation, 0.0, 1.0)
     smooth = smooth * smooth
     half = smooth * creeping * (2.0 / 3.0)
-    end = smooth * (creeping * (1.0 / 6.0 + (held + stiffness) * (1.0 / 12.0)) + change)
-    end = end + (1.0 - smooth) * implicit_weight(creeping) * creeping
-    fixed = free - (creeping - half - end) * w + smooth * stiffness * bent
-    # The state stays within ±1, which bounds the root.
-    low, high = (fixed - half - end).real, (fixed + half + end).real
-    last = high - low
-    for _ in range(100):
+    end, fixed, after = creeping, free, w
+    low, high, last = 0.0, 0.0, 0.0
+    for attempt in range(100):  # the first time inside, too: a second call in the code would double the time of compiling
+        direction = 1.0 if d.real >= 0.0 else -1.0
+        middle, after = advance_twice(w, 0.5 * d, sigma, n)
+        slope_halfway = slope(middle, direction, sigma, n)
+        if attempt == 0:
+            if direction * w.real > 1.0 - NEARLY_SATURATED:
+                if direction * after.real > 1.0 - SATURATED:
+                    after = direction + 0.0 * after
+                return d * x_y, after
+            stiffness = creeping * slope_halfway
+            end = smooth * (creeping * (1.0 / 6.0 + (held + stiffness) * (1.0 / 12.0)) + change)
+            end = end + (1.0 - smooth) * implicit_weight(creeping) * creeping
+            fixed = free - (creeping - half - end) * w + smooth * stiffness * bent
+            # The state stays within ±1, which bounds the root.
+            low, high = (fixed - half - end).real, (fixed + half + end).real
+            last = high - low
         balance = d - fixed + half * middle + end * after
         if balance.real > 0.0:
             high = d.real
@@ -222,9 +230,6 @@ def _solved_travel(
         if abs(step.real) <= TRAVEL_TOLERANCE or high - low <= BRACKET_TOLERANCE:
             return (d + step) * x_y, after + slope_after * step
         d, last = next_iterate(d, step, low, high, last)
-        direction = 1.0 if d.real >= 0.0 else -1.0
-        middle, after = advance_twice(w, 0.5 * d, sigma, n)
-        slope_halfway = slope(middle, direction, sigma, n)
     return d * x_y, after
 
 
