@@ -58,6 +58,33 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
     return direction * _advanced(v, h, sigma, n)
 
 
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def advance_twice(w: Any, travel: Any, sigma: Any, n: Any) -> tuple[Any, Any]:
+    """Return the states after ``travel`` and after twice as much; arguments as of `advance`.
+
+    For n = 2 and up to half a yield travel the error is below 1e-10. The state is (v + t) / (1 + b v t) with the tangent t,
+    hyperbolic while loading, of the travel. Its continued fraction (Lambert, 1768) stands for it: quick, and one form for
+    both.
+    """
+    direction = 1.0 if travel.real >= 0.0 else -1.0
+    h = direction * travel
+    v = direction * w
+    if n == 2.0:
+        b = 1.0 + 0.0 * sigma if v.real >= 0.0 else 1.0 - 2.0 * sigma
+        z = b * h * h
+        if abs(z.real) <= 0.25:
+            p = h * (945.0 + z * (105.0 + z))
+            q = 945.0 + z * (420.0 + 15.0 * z)
+            after_p, after_q = 2.0 * p * q, q * q + b * p * p
+            after = (v * after_q + after_p) / (after_q + b * v * after_p)
+            if v.real >= 0.0 or after.real <= 0.0:
+                return direction * (v * q + p) / (q + b * v * p), direction * after
+    middle, after = v, v
+    for i in range(2):  # one call in the code, because the compiler copies what is called
+        middle, after = after, _advanced(v, (i + 1.0) * h, sigma, n)
+    return direction * middle, direction * after
+
+
 @njit(cache=True, nogil=True)
 def _advanced(v: Any, h: Any, sigma: Any, n: Any) -> Any:
     """Return the state after the travel h >= 0 towards positive states."""

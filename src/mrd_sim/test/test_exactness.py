@@ -273,7 +273,8 @@ def test_order_of_convergence_between_reversals(model):
         y = integrated(book, k, rod, t0, t1, y)
         expected.append(book.force(k, *rod(t1), y))
     errors = []
-    for refine in (10, 20, 40, 80):
+    # An error of fourth order is soon below 1e-9 of the force, where the state counts as saturated.
+    for refine in (10, 20, 40, 80) if model.order == 2 else (5, 10, 20):
         time = np.linspace(0.0, end, 25 * refine + 1)
         x, v = rod(time)
         dt = np.diff(time, prepend=0.0)
@@ -282,6 +283,38 @@ def test_order_of_convergence_between_reversals(model):
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders.min() > model.order - 0.1
     assert errors[-1] < 1e-5 * np.max(np.abs(expected))
+
+
+def test_force_at_1_khz_is_as_accurate_as_a_solver_although_the_element_reverses_between_samples():
+    """With a current that changes, so that all coefficients do."""
+    model, book = find_model("modified_bouc_wen"), TEXTBOOK["modified_bouc_wen"]
+    lag, time = model.defaults[-1], np.arange(1201) / 1000
+    sines = [(4e-3, 4.2 * np.pi, 1.0), (2e-3, 7.4 * np.pi, 2.0)]
+
+    def rod(t):
+        return (
+            sum(amplitude * np.sin(w * t + phase) for amplitude, w, phase in sines),
+            sum(amplitude * w * np.cos(w * t + phase) for amplitude, w, phase in sines),
+        )
+
+    def current(t):
+        return 0.2 + 0.15 * np.sin(5 * t)
+
+    def constants(u):
+        return book.constants(model.at_current(model.defaults, u))
+
+    def rate(t, y):
+        return [*book.rate(constants(y[2]), *rod(t), y[:2]), (current(t) - y[2]) / lag]
+
+    start = [0.0, rod(0.0)[0], current(0.0)]
+    scale = np.array([*book.scale(constants(0.2)), 0.2])
+    solved = solve_ivp(rate, (0.0, time[-1]), start, "LSODA", time, rtol=1e-10, atol=1e-10 * scale, max_step=5e-3).y
+    expected = np.array([book.force(constants(y[2]), *rod(t), y[:2]) for t, y in zip(time, solved.T, strict=True)])
+    x, v = rod(time)
+    element = np.diff(x - solved[1])
+    assert np.sum(element[:-1] * element[1:] < 0) >= 6
+    force = model.force(model.defaults, make_path(time, x, v, np.zeros_like(x), current(time)))
+    assert np.sqrt(np.mean((force - expected) ** 2)) < 1.1e-6 * np.std(expected)
 
 
 SPENCER_1997 = {
@@ -368,7 +401,14 @@ def test_explicit_runge_kutta_at_1_khz_is_finite_and_wrong_and_ours_is_not():
 @pytest.mark.parametrize("speed", [0.05, 0.1, 0.157, 0.21])
 def test_spencer_at_500_hz_is_right_at_any_speed(speed):
     rod, time = sine(speed / (2 * np.pi * 2.0), 2.0), np.arange(500) / 500
-    assert relative(ours(rod, time), spencer_reference(rod, time)) < 0.005
+    assert relative(ours(rod, time), spencer_reference(rod, time)) < 5e-4
+
+
+@pytest.mark.parametrize(("rate", "error"), [(25, 0.02), (100, 0.02), (1000, 2e-5)])
+def test_spencer_at_0_3_m_per_s_at_any_rate(rate, error):
+    """Steps of up to 500 yield travels, and of 1 to 50 times the time in which the element relaxes."""
+    rod, time = sine(0.3 / (2 * np.pi * 2.0), 2.0), np.arange(rate) / rate
+    assert relative(ours(rod, time), spencer_reference(rod, np.arange(1000) / 1000)[:: 1000 // rate]) < error
 
 
 @pytest.mark.parametrize("name", ["modified_bouc_wen", "shear_thinning_bouc_wen"])

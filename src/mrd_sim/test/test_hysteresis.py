@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp, trapezoid
 
 from mrd_sim.dual import STEP
-from mrd_sim.hysteresis import advance, slope
+from mrd_sim.hysteresis import advance, advance_twice, slope
 
 
 def reference(w, travel, sigma, n):
@@ -62,6 +62,14 @@ def test_stays_within_the_bound_along_a_random_path(travels, sigma, n):
     for travel in travels:
         w = advance(w, travel, sigma, n)
         assert abs(w) <= 1 + 1e-12
+
+
+@settings(max_examples=500)
+@given(STATES, LOG_TRAVELS, SIGNS, SIGMAS, EXPONENTS)
+def test_both_states_of_a_divided_travel(w, log_travel, sign, sigma, n):
+    travel = sign * 10**log_travel
+    expected = advance(w, travel, sigma, n), advance(w, 2 * travel, sigma, n)
+    assert advance_twice(w, travel, sigma, n) == pytest.approx(expected, abs=1e-10)
 
 
 @settings(max_examples=500)

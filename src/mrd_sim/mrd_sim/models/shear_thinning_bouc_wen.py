@@ -11,7 +11,7 @@ from mrd_sim.models import modified_bouc_wen
 from mrd_sim.models.bouc_wen import observables
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.model import Array, DamperModel
-from mrd_sim.models.modified_bouc_wen import BRACKET_TOLERANCE, STATE_TOLERANCE, implicit_weight
+from mrd_sim.models.modified_bouc_wen import BRACKET_TOLERANCE, implicit_weight
 from mrd_sim.named import Row, named_row, tuple_type
 from mrd_sim.root import next_iterate
 
@@ -19,6 +19,8 @@ REFERENCE_SPEED = 0.1
 """m/s. At this speed the viscous force is c0 times the speed, whatever the flow index."""
 CREEP_SPEED = 1e-4
 """m/s. Below it the power law gives way to a straight line, so that its slope stays finite."""
+STATE_TOLERANCE = 1e-7
+"""Share of the yield travel. Newton's last step leaves an error of the order of the square of it."""
 SPEED_TOLERANCE = 1e-13
 """Share of the speed and of its bracket. Smaller steps are rounding."""
 
