@@ -28,7 +28,7 @@ from mrd_diagnosis.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
-from mrd_diagnosis.partial_explanation import explain_in_part
+from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
 from mrd_diagnosis.preflight import preflight
 from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
@@ -180,12 +180,13 @@ def _diagnose_physics(
     p_values = [p_value_of[effect] for effect in comparison.effects]
     verdict = decide(comparison, base.chi_square, chances, p_values, rng)
     form_fraction = float("nan")
-    if verdict == "unknown_effect":
+    if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         progress("looking for causes beside a wrong form", 0.8)
         partial = explain_in_part(comparison, [e for e in candidates if e not in excluded], rng)
         form_fraction = partial.form_fraction
-        if partial.comparison.effects:
-            verdict = "partly_explained"
+        if verdict == "unknown_effect" or set(partial.comparison.effects) != set(comparison.effects):
+            verdict = "partly_explained" if partial.comparison.effects else "unknown_effect"
+        if verdict == "partly_explained":
             comparison, chances = partial.comparison, partial.probabilities
             p_values = [partial.p_values[effect] for effect in comparison.effects]
     if verdict == "no_gap":

@@ -106,6 +106,14 @@ def explain_in_part(
     return PartialExplanation(_comparison_with(comparison, named, values), chances, p_values, form_fraction)
 
 
+def rests_on_form(comparison: ModelComparison) -> bool:
+    """Whether an explanation needs effects of the form and leaves more than noise: the base model may be wrong instead."""
+    if comparison.best.chi_square <= THRESHOLDS.noise_chi_square:
+        return False
+    weighting = comparison.weighting.thinned(MOST_SAMPLES)
+    return bool(form_effects(weighting, refit_on(weighting, comparison.base), comparison.effects))
+
+
 def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) -> Refit:
     """Fit another damper model, without effects."""
     model = find_model(next(name for name in OTHER_FORMS if name != alone.problem.model.id))
