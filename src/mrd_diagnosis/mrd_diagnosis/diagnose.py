@@ -183,9 +183,9 @@ def _diagnose_physics(
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         progress("looking for causes beside a wrong form", 0.8)
         partial = explain_in_part(comparison, [e for e in candidates if e not in excluded], rng)
-        form_fraction = partial.form_fraction
         if verdict == "unknown_effect" or set(partial.comparison.effects) != set(comparison.effects):
             verdict = "partly_explained" if partial.comparison.effects else "unknown_effect"
+            form_fraction = partial.form_fraction
         if verdict == "partly_explained":
             comparison, chances = partial.comparison, partial.probabilities
             p_values = [partial.p_values[effect] for effect in comparison.effects]

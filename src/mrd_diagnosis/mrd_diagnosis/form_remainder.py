@@ -54,7 +54,7 @@ def form_columns(recordings: Sequence[Recording]) -> Array:
     # Functions that the runs cannot tell apart count once.
     values, vectors = np.linalg.eigh(columns.T @ columns / len(columns))
     kept = values > 1e-6 * values[-1]
-    return columns @ vectors[:, kept]
+    return np.asarray(columns @ vectors[:, kept])
 
 
 def _functions(recording: Recording, top_speed: float, largest_current: float) -> Array:
