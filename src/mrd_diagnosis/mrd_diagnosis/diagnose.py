@@ -13,7 +13,7 @@ from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.closure import Closure, compute_closure
 from mrd_diagnosis.decision import decide
-from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Region
+from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Interval, Region
 from mrd_diagnosis.effect_search import search_effects, tolerated_excess
 from mrd_diagnosis.explanation import (
     advise_next,
@@ -180,6 +180,7 @@ def _diagnose_physics(
     p_values = [p_value_of[effect] for effect in comparison.effects]
     verdict = decide(comparison, base.chi_square, chances, p_values, rng)
     form_fraction = float("nan")
+    closed_fractions: Mapping[str, Interval] = {}
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         progress("looking for causes beside a wrong form", 0.8)
         partial = explain_in_part(comparison, [e for e in candidates if e not in excluded], rng)
@@ -187,14 +188,16 @@ def _diagnose_physics(
             verdict = "partly_explained" if partial.comparison.effects else "unknown_effect"
             form_fraction = partial.form_fraction
         if verdict == "partly_explained":
-            comparison, chances = partial.comparison, partial.probabilities
-            p_values = [partial.p_values[effect] for effect in comparison.effects]
+            comparison = partial.comparison
+            chances = {effect: held.probabilities for effect, held in partial.causes.items()}
+            p_values = [held.p_value for held in partial.causes.values()]
+            closed_fractions = {effect: held.closed_fraction for effect, held in partial.causes.items()}
     if verdict == "no_gap":
         comparison, chances = comparison.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
     # Beside something unknown, only what the model lacks by construction is a cause.
     believed = list(takewhile(lambda effect: EFFECTS[effect].structural or verdict != "unknown_effect", comparison.effects))
-    causes = name_causes(comparison, believed, p_values, chances, rng)
+    causes = name_causes(comparison, believed, p_values, chances, rng, closed_fractions)
 
     progress("measuring how far the gap closes", 0.85)
     closure = compute_closure(comparison, held_out, rng)

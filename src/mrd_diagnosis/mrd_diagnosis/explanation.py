@@ -9,7 +9,7 @@ from mrd_diagnosis.base_fit import BaseFit
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.decision import Probabilities
 from mrd_diagnosis.detectability import clause_of_size, detectable_sizes
-from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, UntestableEffect
+from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, Interval, UntestableEffect
 from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_diagnosis.effect_search import EffectFit, detection_threshold, tolerated_excess
 from mrd_diagnosis.experiment_design.advice import advise
@@ -48,11 +48,12 @@ def name_causes(
     p_values: Sequence[float],
     chances: Probabilities,
     rng: np.random.Generator,
+    closed_fractions: Mapping[str, Interval],
 ) -> tuple[Cause, ...]:
     """Return the first ``effects`` of the comparison as causes; first the one that is likely to close most.
 
-    Each has the share of the gap that it adds to those before it. Their sizes are those without the effects that were chosen
-    after them.
+    Each has its share of the gap from ``closed_fractions``, or else the one that it adds to those before it. Their sizes
+    are those without the effects that were chosen after them.
     """
     steps = [comparison.base, *comparison.chain]
     parameters = effect_parameters(steps[len(effects)])
@@ -61,7 +62,7 @@ def name_causes(
             effect,
             float(chances[effect][effect]),
             p_values[index],
-            closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
+            closed_fractions.get(effect) or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
             {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
         )
         for index, effect in enumerate(effects)

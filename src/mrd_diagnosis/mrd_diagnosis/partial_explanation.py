@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.closure import closed_fraction_between
+from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.effect_search import refit_with_effects, search_effects
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
@@ -40,6 +42,25 @@ MOST_FORM_EFFECTS = 2
 
 
 @dataclass(frozen=True)
+class HeldCause:
+    """An effect that holds whatever the form of the damper.
+
+    Attributes
+    ----------
+    probabilities : dict
+        Probability of every alternative to it, itself included, by name.
+    p_value : float
+        Probability of its improvement in noise alone.
+    closed_fraction : Interval
+        Share of the gap that it closes beside the others and a freer form of the damper.
+    """
+
+    probabilities: dict[str, float]
+    p_value: float
+    closed_fraction: Interval
+
+
+@dataclass(frozen=True)
 class PartialExplanation:
     """Effects that hold whatever the form of the damper, and what a freer form would remove.
 
@@ -47,17 +68,14 @@ class PartialExplanation:
     ----------
     comparison : ModelComparison
         The user's model with these effects and without the remainder.
-    probabilities : dict
-        For each effect, the probability of every alternative to it, itself included, by name.
-    p_values : dict
-        For each effect, the probability of its improvement in noise alone.
+    causes : dict
+        The effects by id.
     form_fraction : float
         Share of the gap that a freer form of the damper would close beside these effects.
     """
 
     comparison: ModelComparison
-    probabilities: dict[str, dict[str, float]]
-    p_values: dict[str, float]
+    causes: dict[str, HeldCause]
     form_fraction: float
 
 
@@ -81,29 +99,29 @@ def explain_in_part(
     """
     weighting = comparison.weighting.thinned(MOST_SAMPLES)
     alone = refit_on(weighting, comparison.base)
+    thinned = replace(comparison, weighting=weighting, base=alone)
     other = _other_form(weighting, alone, rng)
-    chances, p_values, values, of_form, null_gains, remainder = _beside_remainder(
-        weighting, alone, other, effects, rng, progress
-    )
+    beside = _search_beside_remainder(thinned, other, effects, rng, progress)
     progress(0.8)
-    explained = _with_effects(weighting, alone, list(chances), values)
-    freed = refit_on(replace(weighting, remainder=remainder), explained)
-    for effect, fitted in _form_chain(weighting, explained, freed, of_form):
+    causes, values = beside.causes, beside.values
+    explained = _with_effects(weighting, alone, list(causes), values)
+    freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
+    for effect, fitted in _form_chain(weighting, explained, freed, beside.form_effects):
         # Another base model that predicts better has the form without this effect.
         instead = _with_effects(weighting, other, explained.effects, values)
         probability = float(probabilities([fitted, instead], rng)[0])
         if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
-        chances[effect], p_values[effect] = {effect: probability}, p_value(gain, null_gains)
+        closed = closed_fraction_between(explained, fitted, thinned, rng)
+        causes[effect] = HeldCause({effect: probability}, p_value(gain, beside.null_gains), closed)
         values |= dict(zip(fitted.problem.model.names, map(float, fitted.theta), strict=True))
         explained = fitted
     progress(0.9)
-    named = list(chances)
-    freed = refit_on(replace(weighting, remainder=remainder), explained)
+    freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
     gap = alone.held_out_cost - weighting.noise_cost
     form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
-    return PartialExplanation(_comparison_with(comparison, named, values), chances, p_values, form_fraction)
+    return PartialExplanation(_comparison_with(comparison, list(causes), values), causes, form_fraction)
 
 
 def rests_on_form(comparison: ModelComparison) -> bool:
@@ -122,50 +140,64 @@ def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) ->
     return refit(weighting.problem(model, theta), theta, weighting.folds)
 
 
-def _beside_remainder(
-    weighting: Weighting, alone: Refit, other: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
-) -> tuple[dict[str, dict[str, float]], dict[str, float], dict[str, float], list[str], Array, tuple[Array, ...]]:
-    """Search for effects beside the remainder.
+@dataclass(frozen=True)
+class _BesideRemainder:
+    """What was found beside the remainder.
 
-    Returns
-    -------
-    chances, p_values : dict
-        See `PartialExplanation`, for the effects that hold.
+    Attributes
+    ----------
+    remainder : tuple of ndarray
+        See `mrd_diagnosis.weighting.WeightedProblem`.
+    causes : dict
+        The effects that hold, by id.
     values : dict
-        Parameters of the model with these effects, by name.
-    of_form : list of str
-        Candidates that belong to the form of the damper.
+        Parameters of the model with the chosen effects, by name.
+    form_effects : list of str
+        Candidates that belong to the form of the damper, so that the remainder takes their place.
     null_gains : ndarray
         See `mrd_diagnosis.null_distribution.draw_null_gains`.
-    remainder : tuple of ndarray
     """
-    beside, base = with_form_remainder(weighting, alone)
-    of_form = form_effects(beside, base, effects)
+
+    remainder: tuple[Array, ...]
+    causes: dict[str, HeldCause]
+    values: dict[str, float]
+    form_effects: list[str]
+    null_gains: Array
+
+
+def _search_beside_remainder(
+    comparison: ModelComparison, other: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
+) -> _BesideRemainder:
+    """Search for effects beside the remainder; they have to hold in both halves and around the ``other`` model."""
+    weighting, base = with_form_remainder(comparison.weighting, comparison.base)
+    of_form = form_effects(weighting, base, effects)
     tried = [effect for effect in effects if effect not in of_form]
-    null_errors = draw_null_errors(base.problem, base.theta, [noise.force for noise in beside.noise], beside.scatter, rng)
-    base = refit(base.problem, base.theta, beside.folds, null_errors)
-    chosen, fits = search_effects(beside, base, tried, null_errors, lambda fraction: progress(0.8 * fraction))
+    force_noise = [of_run.force for of_run in weighting.noise]
+    null_errors = draw_null_errors(base.problem, base.theta, force_noise, weighting.scatter, rng)
+    base = refit(base.problem, base.theta, weighting.folds, null_errors)
+    chosen, fits = search_effects(weighting, base, tried, null_errors, lambda fraction: progress(0.8 * fraction))
     singles = [fit.refit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
     if not chosen:
-        return {}, {}, {}, of_form, null_gains, beside.remainder
+        return _BesideRemainder(weighting.remainder, {}, {}, of_form, null_gains)
     best = chosen[-1].refit
-    compared = compare_on(beside.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
-    around_other = with_form_remainder(weighting, other)
+    compared = compare_on(weighting.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
+    around_other = with_form_remainder(comparison.weighting, other)
     gains = {fit.effects[-1]: fit.gain for fit in chosen}
-    chances, p_values = {}, {}
+    causes = {}
     for effect, others in compared.alternatives.items():
         p = p_value(gains[effect], null_gains)
         if p > THRESHOLDS.p_value or not _holds_in_halves(others[NO_EFFECT], others[effect]):
             continue
-        support = _supports(around_other, compared.best, effect, rng)
+        support = _support(around_other, compared.best, effect, rng)
         if support < THRESHOLDS.listed_probability:
             continue
-        of_others = map(float, probabilities(list(others.values()), rng))
-        chances[effect] = {name: support * p for name, p in zip(others, of_others, strict=True) if name != NO_EFFECT}
-        p_values[effect] = p
+        shares = map(float, probabilities(list(others.values()), rng))
+        chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
+        closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
+        causes[effect] = HeldCause(chances, p, closed)
     values = dict(zip(compared.best.problem.model.names, map(float, compared.best.theta), strict=True))
-    return chances, p_values, values, of_form, null_gains, beside.remainder
+    return _BesideRemainder(weighting.remainder, causes, values, of_form, null_gains)
 
 
 def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]) -> list[tuple[str, Refit]]:
@@ -197,7 +229,7 @@ def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: S
     return chain if closed >= THRESHOLDS.least_form_share * available else []
 
 
-def _supports(form: tuple[Weighting, Refit], best: Refit, effect: str, rng: np.random.Generator) -> float:
+def _support(form: tuple[Weighting, Refit], best: Refit, effect: str, rng: np.random.Generator) -> float:
     """Return the probability of an effect against none around another form of the damper, the other effects present."""
     weighting, refitted = form
     values = dict(zip(best.problem.model.names, map(float, best.theta), strict=True))
