@@ -342,6 +342,18 @@ def test_an_effect_that_imitates_the_cause_is_called_so():
     assert not describe_candidate(diagnosed("unknown_effect"), diagnosis.candidates[3]).remark
 
 
+def test_what_a_wrong_form_may_imitate_is_called_unproven(capsys, tmp_path):
+    diagnosis = diagnosed("partly_explained")
+    texts = {candidate.effects[0]: describe_candidate(diagnosis, candidate) for candidate in ordered_candidates(diagnosis)}
+    assert texts["channel_delay"].remark == "named as a cause"
+    assert texts["lvdt_nonlinearity"].remark == "not proven beside a freer form of the model"
+    print_summary(diagnosis, tmp_path / "gap_report.html")
+    output = capsys.readouterr().out
+    assert output.startswith(f"{diagnosis.sentence}\nnext step: Add the cause to your simulator")
+    assert "probability" not in output.partition("next command")[2]
+    assert "named as a cause" in output
+
+
 def test_candidates_are_shown_in_the_order_of_the_columns():
     diagnosis = diagnosed("explained")
     shown = ordered_candidates(replace(diagnosis, candidates=diagnosis.candidates[::-1]))
@@ -485,6 +497,10 @@ def test_the_chart_of_errors_shows_what_remains_beside_the_causes():
     assert error["with the cause, and a freer form"] == pytest.approx(np.sqrt(freer), abs=1e-5)
     flexible = floor + (1 - 0.64) * (after - floor)
     assert error["with the cause, and a flexible function"] == pytest.approx(np.sqrt(flexible), abs=1e-5)
+    unknown = diagnosed("unknown_effect")
+    assert "with a freer form" in figures.error_chart(unknown, unknown.gap).data[0].y
+    explained = diagnosed("explained")
+    assert not any("form" in name for name in figures.error_chart(explained, explained.gap).data[0].y)
 
 
 def test_the_sentence_on_ambiguous_causes():
