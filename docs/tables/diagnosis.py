@@ -176,13 +176,14 @@ def known_rows(lines: list[dict[str, Any]]) -> list[str]:
 
 def null_rows(lines: list[dict[str, Any]]) -> list[str]:
     """Return the table of dampers without an effect."""
-    rows = header("damper without effect", "dampers", "no gap", "unknown effect", "named")
+    rows = header("damper without effect", "dampers", "no gap", "unknown effect", "partly explained", "named")
     for form in dict.fromkeys(line["name"] for line in lines):
         same = [line for line in lines if line["name"] == form]
-        count = {v: sum(line["verdict"] == v for line in same) for v in ("no_gap", "unknown_effect")}
+        count = {v: sum(line["verdict"] == v for line in same) for v in ("no_gap", "unknown_effect", "partly_explained")}
         named = [cause for line in same for cause in line["causes"]]
         title = {"": "the fitted form", "exponent": "exponent 1.4"}.get(form, f"`{form}`")
-        rows.append(f"| {title} | {len(same)} | {count['no_gap']} | {count['unknown_effect']} | {', '.join(named) or '0'} |")
+        counts = " | ".join(map(str, count.values()))
+        rows.append(f"| {title} | {len(same)} | {counts} | {', '.join(named) or '0'} |")
     return rows
 
 

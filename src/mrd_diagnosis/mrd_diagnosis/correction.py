@@ -1,14 +1,17 @@
 """Correction of the simulator: the damper that a diagnosis found, written into a plant.yaml."""
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from mrd_base import InputError, node_patterns
 from mrd_diagnosis.diagnosis import Verdict
+from mrd_diagnosis.quantities import format_share
 from mrd_sim.damper import Damper
 from mrd_sim.models import MODELS
 from mrd_sim.plant import read_damper
@@ -56,6 +59,7 @@ def correction(
     parameters: Mapping[str, float],
     effects: Collection[str],
     *,
+    closed_fraction: float = math.nan,
     anyway: bool = False,
     where: str = "the diagnosis",
     effects_folder: str = "",
@@ -68,6 +72,8 @@ def correction(
     ----------
     verdict, model, laws, parameters, effects
         As in `mrd_diagnosis.diagnosis.Diagnosis`; parameters of effects are named EFFECT.PARAMETER.
+    closed_fraction : float
+        Share of the gap that the effects close, for the remark on a partly explained gap; nan where it is not known.
     anyway : bool
         Apply also what is not proven: the first of several possible causes, the nearest effect, or the parameters alone.
     where : str
@@ -80,7 +86,7 @@ def correction(
     InputError
         If the recordings are faulty, or if the verdict does not prove an effect and ``anyway`` is not set.
     """
-    remark = _remark(verdict, model, effects, anyway, where)
+    remark = _remark(verdict, model, effects, closed_fraction, anyway, where)
     if verdict == "no_gap":
         effects = ()
     parameters_of_effects = {
@@ -93,7 +99,7 @@ def correction(
     return Correction(model, laws, parameters_of_model, parameters_of_effects, remark, effects_folder)
 
 
-def _remark(verdict: Verdict, model: str, effects: Collection[str], anyway: bool, where: str) -> str:
+def _remark(verdict: Verdict, model: str, effects: Collection[str], closed_fraction: float, anyway: bool, where: str) -> str:
     """Return what the corrected damper is, and whether it is proven; refuse what is not proven unless ``anyway``."""
     if verdict == "data_fault":
         raise InputError(
@@ -106,6 +112,11 @@ def _remark(verdict: Verdict, model: str, effects: Collection[str], anyway: bool
         return f"{refitted}: the diagnosis found no missing effect."
     if verdict == "explained":
         return f"{with_effects}: this explains the gap."
+    if verdict == "partly_explained":
+        closed = float(np.clip(closed_fraction, 0.0, 1.0))
+        if math.isnan(closed):
+            return f"{with_effects}: this explains a part of the gap; the rest stays open."
+        return f"{with_effects}: this explains {format_share(closed)} of the gap; {format_share(1.0 - closed)} stays open."
     unproven, advice = f"{named} is not proven", "try the other damper models that it lists"
     if verdict == "ambiguous":
         advice = "record the experiment that it advises"

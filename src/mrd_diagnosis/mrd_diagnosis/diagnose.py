@@ -220,7 +220,7 @@ def _diagnose_physics(
     if conclusive:
         progress("designing the next experiment", 0.95)
     advice = advise_next(comparison, chances, bench) if conclusive else None
-    alternatives = list_alternatives(comparison, chances) if conclusive else ()
+    alternatives = list_alternatives(comparison, chances) if conclusive or verdict == "partly_explained" else ()
     gap = Gap(
         closure.noise_floor,
         closure.before,

@@ -71,16 +71,20 @@ def name_causes(
 
 
 def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tuple[Alternative, ...]:
-    """Return the explanations that are likely enough to be listed beside a cause."""
+    """Return the explanations that are likely enough to be listed beside a cause.
+
+    One that was not refitted in its place has no parameters.
+    """
     return tuple(
         Alternative(
             other,
             effect,
             float(chance),
             "predicts held-out data nearly as well",
-            parameters_of_effect(other, effect_parameters(comparison.alternatives[effect][other])),
+            parameters_of_effect(other, effect_parameters(refits[other])) if other in refits else {},
         )
         for effect, chances_of_others in chances.items()
+        for refits in [comparison.alternatives[effect]]
         for other, chance in sorted(chances_of_others.items(), key=lambda item: -item[1])
         if other not in (NO_EFFECT, effect) and chance >= THRESHOLDS.listed_probability
     )

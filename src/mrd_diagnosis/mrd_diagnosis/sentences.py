@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Sequence
 
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
-from mrd_diagnosis.effect_names import effect_clause, effect_names
+from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs import Run
@@ -13,6 +13,9 @@ from mrd_sim.models import MODELS
 
 NEARLY_ALL = 0.85
 """Share of the error from which a reader calls it nearly all."""
+
+FORM = "speed, recent travel and current"
+"""What the form remainder depends on; see `mrd_diagnosis.form_remainder`."""
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
@@ -28,7 +31,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
         return _ambiguous_sentence(diagnosis, gap)
     if diagnosis.verdict == "partly_explained":
         return _partly_explained_sentence(diagnosis, gap)
-    return _unknown_effect_sentence(diagnosis)
+    return _unknown_effect_sentence(diagnosis, gap)
 
 
 def fault_sentence(findings: Sequence[Finding]) -> str:
@@ -82,18 +85,33 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 
 def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
-    """Return the verdict that names causes although they do not explain the whole gap, and describe the rest."""
-    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
-    if gap.form_fraction > THRESHOLDS.notable_alternative_model:
-        text += (
-            f" Another {format_share(gap.form_fraction)} lies in the form of the damper model: in how its force depends on "
-            "speed, recent travel and current."
+    """Return the verdict that names causes although they do not explain the whole gap, and describes the rest."""
+    sentences = [f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."]
+    for cause in diagnosis.causes:
+        others = [other for other in diagnosis.alternatives if other.instead_of == cause.effect]
+        likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in others]
+        if likely:
+            sentences.append(f"In place of {effect_name(cause.effect)}, the cause may be {join_words(likely, 'or')}.")
+    form = share_of_form(gap)
+    if form > THRESHOLDS.notable_alternative_model:
+        sentences.append(
+            f"Another {format_share(form)} lies in the form of the damper model: in how its force depends on {FORM}."
         )
-    where = _where_sentence(diagnosis)
-    return f"{text} {where.replace('of the error', 'of the remaining error')}".rstrip()
+    sentences.append(where_sentence(diagnosis, "the remaining error"))
+    return " ".join(filter(None, sentences))
 
 
-def _unknown_effect_sentence(diagnosis: Diagnosis) -> str:
+def open_share(gap: Gap) -> float:
+    """Return the share of the gap that stays open beside the causes."""
+    return min(max(1.0 - gap.closed_fraction.value, 0.0), 1.0)
+
+
+def share_of_form(gap: Gap) -> float:
+    """Return the share of the gap that a freer form of the damper would close beside the causes: no more than stays open."""
+    return min(gap.form_fraction, open_share(gap))
+
+
+def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that no effect explains the gap, with the best clues."""
     causes, nearest = diagnosis.causes, diagnosis.nearest
     tested, untestable = _effects_tried(diagnosis) - len(causes), len(diagnosis.untestable)
@@ -107,12 +125,13 @@ def _unknown_effect_sentence(diagnosis: Diagnosis) -> str:
         sentences.append(f"None of the {other}effects that these runs can test ({tested}) explains the {what}{cannot}.")
     else:
         sentences.append(f"These runs cannot test any of the {other}effects ({untestable}) that may explain the {what}.")
-    if where := _where_sentence(diagnosis):
+    if where := where_sentence(diagnosis):
         sentences.append(where)
     named = {cause.effect for cause in causes}
     if model := notable_model(diagnosis):
-        sentences.append(f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next.")
-    elif (
+        share = format_share(model.closed_fraction.value)
+        return " ".join([*sentences, f"The model {model.name} removes {share}: try it next."])
+    if (
         nearest is not None
         and not named.issuperset(nearest.effects)
         and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model
@@ -123,10 +142,19 @@ def _unknown_effect_sentence(diagnosis: Diagnosis) -> str:
         sentences.append(
             f"{capitalised(names)} {verb} nearest: this {removes} {format_share(nearest.closed_fraction.value)} of the gap."
         )
+    if gap.form_fraction > THRESHOLDS.notable_alternative_model:
+        sentences.append(
+            f"A freer form of the damper model would remove {format_share(gap.form_fraction)} of the gap: the force depends "
+            f"on {FORM} in another way than the model says."
+        )
+    elif math.isfinite(gap.form_fraction):
+        sentences.append(
+            f"A freer form of the damper model would remove almost nothing: what is missing depends on more than {FORM}."
+        )
     return " ".join(sentences)
 
 
-def _where_sentence(diagnosis: Diagnosis) -> str:
+def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
     """Return where most of the error lies; empty where no part of the recordings has significantly more than the others."""
     oscillation = diagnosis.oscillation
     significant = [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value]
@@ -136,12 +164,12 @@ def _where_sentence(diagnosis: Diagnosis) -> str:
     place = f"({format_share(places[0].share.value)}) occurs {_at(places[0].label)}" if places else ""
     if oscillation is not None:
         share = oscillation.share.value
-        much = "Nearly all of the error" if share > NEARLY_ALL else "Most of the error"
-        also = f", and most of the error {place}" if places and places[0].share.value > 0.5 else ""
+        much = f"{'Nearly all' if share > NEARLY_ALL else 'Most'} of {error}"
+        also = f", and most of {error} {place}" if places and places[0].share.value > 0.5 else ""
         return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
     if not places:
         return ""
-    return f"{'Most' if places[0].share.value > 0.5 else 'The largest part'} of the error {place}."
+    return f"{'Most' if places[0].share.value > 0.5 else 'The largest part'} of {error} {place}."
 
 
 def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
@@ -154,8 +182,14 @@ def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
 
 def next_step(diagnosis: Diagnosis) -> str:
     """Return what to do after a verdict; empty where nothing follows. `next_command` has the command for it."""
-    if diagnosis.verdict in ("explained", "partly_explained"):
-        return f"Add {corrected_label(diagnosis).removeprefix('with ')} to your simulator, with the next command."
+    add = f"Add {corrected_label(diagnosis).removeprefix('with ')} to your simulator, with the next command."
+    if diagnosis.verdict == "explained":
+        return add
+    if diagnosis.verdict == "partly_explained":
+        if model := notable_model(diagnosis):
+            share = format_share(model.closed_fraction.value)
+            return f"{add} Then try the model {model.name}: it removes {share} of the gap without an effect."
+        return f"{add} {remedies} Then diagnose all runs again." if (remedies := _remedies(diagnosis)) else add
     if diagnosis.verdict == "ambiguous":
         advice = diagnosis.next_experiment
         text = advice.text if advice is not None else ""
@@ -171,9 +205,8 @@ def next_step(diagnosis: Diagnosis) -> str:
         best = diagnosis.alternative_models[0]
         share = format_share(max(best.closed_fraction.value, 0.0))
         text = f"Other damper models were tried and do not explain the gap either: the best one removes {share} of it. "
-    remedies = dict.fromkeys(finding.remedy for finding in diagnosis.findings if finding.severity == "limitation")
-    if remedies:
-        return f"{text}{' '.join(remedies)} Then diagnose all runs again."
+    if remedies := _remedies(diagnosis):
+        return f"{text}{remedies} Then diagnose all runs again."
     return f"{text}See where the error lies, and describe the missing effect in a file of your own (docs/effects.md)."
 
 
@@ -183,7 +216,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     held_out = f" --held-out {_run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
     diagnose = f"ros2 run mrd_diagnosis diagnose {runs}"
     apply = f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
-    if diagnosis.verdict in ("explained", "partly_explained"):
+    if diagnosis.verdict == "explained":
         return apply
     if diagnosis.verdict == "ambiguous":
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
@@ -192,14 +225,23 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
             f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
             f"{diagnose} NEW_RUN{held_out} --model {diagnosis.model.id} --output DIR"
         )
-    if diagnosis.verdict == "unknown_effect" and (model := notable_model(diagnosis)):
+    if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
+        return ""
+    commands = [apply] if diagnosis.verdict == "partly_explained" else []
+    if model := notable_model(diagnosis):
         model_id, _, change = model.name.partition(" with ")
         if change.endswith(" fitted too"):
             free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
-            return f"ros2 run mrd_identification identify {runs}{held_out} --model {model_id} {free} --output DIR"
-        law = " --law quadratic" if change else ""
-        return f"{diagnose}{held_out} --model {model_id}{law} --output DIR" if model_id in MODELS else ""
-    return ""
+            commands.append(f"ros2 run mrd_identification identify {runs}{held_out} --model {model_id} {free} --output DIR")
+        elif model_id in MODELS:
+            law = " --law quadratic" if change else ""
+            commands.append(f"{diagnose}{held_out} --model {model_id}{law} --output DIR")
+    return "\n".join(commands)
+
+
+def _remedies(diagnosis: Diagnosis) -> str:
+    """Return what to do about the limitations of the recordings; empty where they have none."""
+    return " ".join(dict.fromkeys(finding.remedy for finding in diagnosis.findings if finding.severity == "limitation"))
 
 
 def _run_arguments(runs: Sequence[Run]) -> str:

@@ -108,6 +108,32 @@ def test_no_gap_applies_the_parameters_alone():
     assert made.remark.endswith("the diagnosis found no missing effect.")
 
 
+def test_a_part_of_the_gap_is_applied_and_said_to_be_one(tmp_path):
+    built, theta, made = corrected("bouc_wen", ["coil_lag"], "partly_explained", closed_fraction=0.38)
+    output = write_plant(made, SHIPPED, tmp_path / "plant.yaml")
+    assert output.read_text().startswith(
+        "# The damper is bouc_wen with refitted parameters and the effect coil_lag: this explains 38 % of the gap; "
+        "62 % stays open.\n"
+    )
+    damper = read_damper(output).build()
+    assert damper.model.names == built.names
+    assert np.array_equal(damper.theta, theta)
+    _, _, made = corrected("bouc_wen", ["coil_lag"], "partly_explained")
+    assert made.remark.endswith("this explains a part of the gap; the rest stays open.")
+
+
+def test_apply_takes_the_share_from_the_report(tmp_path, monkeypatch, capsys):
+    _, _, values = diagnosed("bingham", effects=["force_sensor_lag"])
+    gap = {"closed_fraction": {"value": 0.38, "ci95": [0.3, 0.4]}}
+    report = {"verdict": "partly_explained", "model": "bingham", "laws": find_model("bingham").laws, "gap": gap}
+    report["corrected"] = {"parameters": values, "effects": ["force_sensor_lag"]}
+    monkeypatch.setattr(apply_tool, "read_gap_report", lambda path: report)
+    monkeypatch.setattr("sys.argv", ["apply", "-", "--plant", str(SHIPPED), "--output", str(tmp_path / "plant.yaml")])
+    apply_tool.work()
+    assert "force_sensor_lag: this explains 38 % of the gap; 62 % stays open." in capsys.readouterr().out
+    assert "62 % stays open" in (tmp_path / "plant.yaml").read_text().splitlines()[0]
+
+
 def test_what_is_not_proven_needs_anyway():
     for verdict in ("ambiguous", "unknown_effect"):
         with pytest.raises(InputError, match=rf"^gap\.json: the verdict is {verdict}, so coil_lag is not proven; .*--any"):

@@ -1,6 +1,7 @@
 """Write the simulated bench with the damper that a diagnosis found."""
 
 import argparse
+import math
 
 from mrd_base import run_tool
 from mrd_diagnosis.correction import Correction, correction, write_plant
@@ -31,12 +32,15 @@ def work() -> None:
     arguments = parser.parse_args()
     report = read_gap_report(arguments.report)
     refitted = report["corrected"] or {"parameters": {}, "effects": []}  # null where the recordings are faulty
+    # Without effects, and where the recordings are faulty, there is no share.
+    closed = report["gap"]["closed_fraction"]["value"] if report["gap"] else None
     corrected = correction(
         report["verdict"],
         report["model"],
         report["laws"],
         refitted["parameters"],
         refitted["effects"],
+        closed_fraction=math.nan if closed is None else closed,
         anyway=arguments.anyway,
         where=arguments.report,
         effects_folder=arguments.effects_folder,

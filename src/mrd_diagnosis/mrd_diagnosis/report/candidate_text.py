@@ -53,6 +53,12 @@ def nothing_removes(diagnosis: Diagnosis) -> bool:
 
 
 def _remark(diagnosis: Diagnosis, candidate: Candidate) -> str:
+    if diagnosis.verdict == "partly_explained":
+        if {cause.effect for cause in diagnosis.causes}.issuperset(candidate.effects):
+            return "named as a cause"
+        if any((other.effect,) == candidate.effects for other in diagnosis.alternatives):
+            return "an alternative to a cause"
+        return "not proven beside a freer form of the model" if candidate.closed_fraction.lower > LEAST_SHOWN else ""
     if candidate.indistinguishable:
         return f"fits nearly as well as {effect_names(candidate.indistinguishable)}"
     likely = {cause.effect for cause in diagnosis.causes} | {alternative.effect for alternative in diagnosis.alternatives}
@@ -70,7 +76,8 @@ def with_probabilities(diagnosis: Diagnosis) -> bool:
     """Whether to show probabilities of candidates.
 
     Without a gap there is no cause, and with an unknown effect none of the candidates is the cause, so that a probability
-    would mislead there.
+    would mislead there. With a partly explained gap, only the causes and their alternatives have one: they were compared
+    beside a freer form of the model, the candidates without it.
     """
     return diagnosis.verdict in ("explained", "ambiguous")
 

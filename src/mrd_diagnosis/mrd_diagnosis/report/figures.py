@@ -40,16 +40,25 @@ NO_DATA = "#d5dbe1"
 
 
 def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
-    """Draw the held-out error: as given, refitted, with the effects, with a flexible function, and of noise alone."""
-    floor, before = gap.noise_floor.value, gap.before.value
+    """Draw the held-out error: as given, refitted, with the effects, with a freer form of the damper or a flexible function,
+    and of noise alone.
+
+    With a partly explained gap, the freer form and the flexible function stand beside the causes.
+    """
+    floor = gap.noise_floor.value
+    partly = diagnosis.verdict == "partly_explained"
     fraction = gap.explainable_fraction if gap.explainable_fraction >= LEAST_SHARE else np.nan
-    flexible = np.sqrt(floor**2 + (1 - min(fraction, 1.0)) * max(before**2 - floor**2, 0.0))
+    whole, described = (max(of.value**2 - floor**2, 0.0) for of in (gap.before, gap.after if partly else gap.before))
+    flexible = np.sqrt(floor**2 + (1 - min(fraction, 1.0)) * described)
+    freer = np.sqrt(floor**2 + np.maximum(described - gap.form_fraction * whole, 0.0))
     corrected = corrected_label(diagnosis)
+    beside = f"{corrected}, and" if partly else "with"
     rows = [
         ("parameters as given", Interval(np.nan if gap.as_given is None else gap.as_given), MEASURED),
         ("parameters refitted", gap.before, MODELLED),
         (corrected, gap.after if corrected else Interval(np.nan), ACCENT),
-        ("with a flexible function", Interval(float(flexible)), NEUTRAL),
+        (f"{beside} a freer form", Interval(float(freer)), NEUTRAL),
+        (f"{beside} a flexible function", Interval(float(flexible)), NEUTRAL),
         ("noise alone", gap.noise_floor, NEUTRAL),
     ]
     shown = [row for row in rows if np.isfinite(row[1].value)][::-1]

@@ -28,7 +28,7 @@ from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-SCHEMA = "mrd-gap/2"
+SCHEMA = "mrd-gap/3"
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -94,6 +94,7 @@ def _gap(gap: Gap) -> dict[str, Any]:
         "closed_fraction": _interval(gap.closed_fraction),
         "explainable_fraction": finite_or_none(gap.explainable_fraction),
         "extrapolated": None if gap.extrapolated is None else _interval(gap.extrapolated),
+        "form_fraction": finite_or_none(gap.form_fraction),
     }
 
 

@@ -28,7 +28,16 @@ from mrd_diagnosis.report.candidate_text import (
     with_probabilities,
 )
 from mrd_diagnosis.report.gap_file import write_gap_file
-from mrd_diagnosis.sentences import corrected_label, next_command, next_step, notable_model
+from mrd_diagnosis.sentences import (
+    FORM,
+    corrected_label,
+    next_command,
+    next_step,
+    notable_model,
+    open_share,
+    share_of_form,
+    where_sentence,
+)
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.figures import to_html
 from mrd_identification.metrics import nrmse
@@ -44,6 +53,7 @@ _VERDICTS = {
     "no_gap": "No gap",
     "explained": "Explained",
     "ambiguous": "Ambiguous",
+    "partly_explained": "Partly explained",
     "unknown_effect": "Unknown effect",
 }
 _HELD_OUT_BY = {
@@ -85,6 +95,8 @@ GLOSSARY = {
     "noise": "The error that a perfect model would still have: noise of the force sensor, and errors of the measured motion "
     "and current.",
     "excess error": "The squared error beyond what noise explains.",
+    "freer form": "A flexible function of speed, recent travel and current, which is added to the force of the damper model "
+    "and changes its sign with the direction of motion. It takes the place of what the form of the model lacks.",
     "held out": "Not used to fit the parameters. An error on held-out data shows how well the model predicts. Whole runs "
     "are held out in turn, except those that the table of runs marks “by segments”.",
     "share of the gap removed": "1 − (after² − noise²) / (before² − noise²), where before and after are NRMSE without and "
@@ -92,7 +104,8 @@ GLOSSARY = {
     "it: its parameters then fit something else. At the top of the page whole runs are held out. “By segments” means that "
     "segments of runs are held out, as in the comparison of effects; the two differ a little.",
     "probability": "How likely an effect is the cause, compared with the other effects that were fitted in its place. It "
-    "compares the effects that were tried; an effect that is not in the catalogue is not among them.",
+    "compares the effects that were tried; an effect that is not in the catalogue is not among them. Where the gap is "
+    "partly explained, the effects are compared beside a freer form of the model, and around another model.",
     "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases.",
     "p-value": "The probability that noise alone improves the fit to the same data so much. An effect can improve the fit "
     "and still predict held-out data worse.",
@@ -175,6 +188,7 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
             )
             for cause in diagnosis.causes
         ],
+        "remains": _remains(diagnosis, gap) if diagnosis.verdict == "partly_explained" else [],
         "nearest": nearest,
         "alternative_models": [
             (model.name, format_share(model.closed_fraction), format_error(model.nrmse))
@@ -182,7 +196,9 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         ],
         "alternatives": [
             (
-                capitalised(effect_clause(other.effect, other.parameters)),
+                capitalised(
+                    effect_clause(other.effect, other.parameters) if other.parameters else effect_name(other.effect)
+                ),
                 other.effect,
                 effect_name(other.instead_of),
                 format_probability(other.probability),
@@ -217,7 +233,7 @@ def significant_regions(diagnosis: Diagnosis) -> list[Region]:
 def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
     """Return value, name and interval of each number at the top of the page: how sure, how much is removed, the errors."""
     label, numbers = corrected_label(diagnosis), []
-    if diagnosis.verdict in ("explained", "ambiguous"):
+    if diagnosis.verdict in ("explained", "ambiguous", "partly_explained"):
         least = min(diagnosis.causes, key=lambda cause: cause.probability)
         which = "least certain " if len(diagnosis.causes) > 1 else "most likely " if diagnosis.alternatives else ""
         numbers.append(
@@ -227,6 +243,8 @@ def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
         numbers.append(_headline_share(gap.closed_fraction, f"of the gap removed {label}"))
         if gap.extrapolated is not None:
             numbers.append(_headline_share(gap.extrapolated, "of the gap removed on runs that go beyond the others"))
+    if diagnosis.verdict == "partly_explained":
+        numbers.append((format_share(share_of_form(gap)), "of the gap lies in the form of the damper model", ""))
     if model := notable_model(diagnosis):
         numbers.append((format_share(model.closed_fraction.value), f"of the gap removed by {model.name}", ""))
     errors = [("error of the model alone, parameters refitted", gap.before)]
@@ -251,17 +269,8 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     removes = f"{label} {'remove' if label.endswith('s') else 'removes'}"
     if label and np.isfinite(gap.closed_fraction.value):
         notes.append(f"{capitalised(removes)} {format_share(gap.closed_fraction)} of the gap.")
-    if diagnosis.verdict != "no_gap":
-        removed = gap.explainable_fraction >= figures.LEAST_SHARE
-        share = format_share(gap.explainable_fraction) if removed else "nothing"
-        meaning = (
-            "at least this much is not random. A true effect has a better formula and can remove more."
-            if removed
-            else "the error does not repeat with motion and current."
-        )
-        notes.append(
-            f"As a check, a free-form fit of the error over motion and current removes {share} of the gap: {meaning}"
-        )
+    if diagnosis.verdict not in ("no_gap", "partly_explained"):
+        notes.append(_flexible_function_note(diagnosis, gap))
     if gap.extrapolated is not None:
         notes.append(
             f"On the runs that go beyond the others in stroke, speed or current, {removes} "
@@ -270,6 +279,54 @@ def _error_notes(diagnosis: Diagnosis, gap: Gap) -> list[str]:
     elif label:
         notes.append("No run exceeds the others in stroke, speed or current; beyond these the result is untested.")
     return notes
+
+
+def _flexible_function_note(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return the share of the gap, or of what remains of it, that is not random."""
+    removed = gap.explainable_fraction >= figures.LEAST_SHARE
+    share = format_share(gap.explainable_fraction) if removed else "nothing"
+    partly = diagnosis.verdict == "partly_explained"
+    error, of_what = ("remaining error", "it") if partly else ("error", "the gap")
+    meaning = (
+        "at least this much is not random. A true effect has a better formula and can remove more."
+        if removed
+        else "the error does not repeat with motion and current."
+    )
+    return (
+        f"As a check, a flexible function of motion, current and their past, fitted to the {error} alone, removes {share} "
+        f"of {of_what}: {meaning}"
+    )
+
+
+def _remains(diagnosis: Diagnosis, gap: Gap) -> list[str]:
+    """Return what is known about the error that remains beside the causes of a partly explained gap."""
+    remaining, form = open_share(gap), share_of_form(gap)
+    lines = [
+        f"{capitalised(corrected_label(diagnosis))}, {format_share(remaining)} of the gap stays open.",
+        where_sentence(diagnosis, "it"),
+    ]
+    if form > THRESHOLDS.notable_alternative_model:
+        lines.append(
+            f"{format_share(form)} of the gap lies in the form of the damper model: a freer function of {FORM} would remove "
+            "it."
+        )
+    else:
+        lines.append(
+            f"A freer form of the damper model, as a function of {FORM}, would remove almost nothing of what remains."
+        )
+    if remaining - form > THRESHOLDS.notable_alternative_model:
+        lines.append(f"For {format_share(remaining - form)} of the gap, neither a cause nor the form accounts.")
+    if diagnosis.alternative_models:
+        best = diagnosis.alternative_models[0]
+        if best.closed_fraction.value > 0:
+            lines.append(
+                f"Of the other damper models, {best.name} comes nearest to the recordings: without an effect, it removes "
+                f"{format_share(best.closed_fraction)} of the gap."
+            )
+        else:
+            lines.append("None of the other damper models comes nearer to the recordings than this one without an effect.")
+    lines.append(_flexible_function_note(diagnosis, gap))
+    return [line for line in lines if line]
 
 
 def _cause_facts(diagnosis: Diagnosis, cause: Cause, gap: Gap) -> str:
