@@ -1,6 +1,6 @@
 """Preflight: what is wrong with the recordings, checked before any physics is blamed for the gap.
 
-A delay of the force against the motion is not checked here. The recordings cannot tell whether it is a fault of the
+A small delay of the force against the motion is no finding. The recordings cannot tell whether it is a fault of the
 measurement or an effect of the damper, so the diagnosis tries it as an effect.
 """
 
@@ -10,6 +10,8 @@ from mrd_diagnosis.diagnosis import Finding
 from mrd_diagnosis.preflight.channels import CheckedRun
 from mrd_diagnosis.preflight.clock import check_clock, check_sample_rates
 from mrd_diagnosis.preflight.excitation import check_excitation
+from mrd_diagnosis.preflight.joins import check_joins
+from mrd_diagnosis.preflight.processing import check_processing
 from mrd_diagnosis.preflight.readings import (
     check_aliasing,
     check_clipping,
@@ -33,6 +35,8 @@ CHECKS_OF_SINGLE_RUNS: tuple[Callable[[CheckedRun], Iterator[Finding]], ...] = (
     check_quantisation,
     check_aliasing,
     check_accelerometer,
+    check_joins,
+    check_processing,
 )
 CHECKS_ACROSS_RUNS: tuple[Callable[[Sequence[CheckedRun]], Iterator[Finding]], ...] = (
     check_sample_rates,
