@@ -21,7 +21,13 @@ from mrd_diagnosis.preflight.readings import (
 )
 from mrd_diagnosis.preflight.repeats import check_duplicates, check_repeats
 from mrd_diagnosis.preflight.rigs import check_rigs
-from mrd_diagnosis.preflight.sensors import check_accelerometer, check_dead_channels, check_signs, check_units
+from mrd_diagnosis.preflight.sensors import (
+    check_accelerometer,
+    check_dead_channels,
+    check_signs,
+    check_units,
+    check_velocity,
+)
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
@@ -35,6 +41,7 @@ CHECKS_OF_SINGLE_RUNS: tuple[Callable[[CheckedRun], Iterator[Finding]], ...] = (
     check_quantisation,
     check_aliasing,
     check_accelerometer,
+    check_velocity,
     check_joins,
     check_processing,
 )

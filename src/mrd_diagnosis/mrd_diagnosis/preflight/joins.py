@@ -88,12 +88,13 @@ def _check_jumps(checked: CheckedRun) -> Iterator[Finding]:
     windows = np.lib.stride_tricks.sliding_window_view(steps, 9)
     usual = 0.5 * (np.median(windows[:, :4], axis=1) + np.median(windows[:, 5:], axis=1))
     jump = windows[:, 4] - usual
-    # A spike comes back within a few samples.
-    kept = np.sum(windows[:, 4:] - usual[:, None], axis=1)
+    # A spike comes back within a few samples. A held reading is made up for by a jump.
+    kept = [np.abs(np.sum(part - usual[:, None], axis=1)) > 0.5 * np.abs(jump) for part in (windows[:, 4:], windows[:, :5])]
+    kept.append((windows[:, 3] != 0) | (channel.resolution > 0))
     least = max(JUMP_NOISE * channel.noise, 5 * channel.resolution, JUMP_ACCELERATION * interval**2)
     least += 3 * checked.top_speed * interval
     contiguous = np.diff(checked.run.time)[4:-4] < GAP_INTERVALS * interval
-    found = np.flatnonzero((np.abs(jump) > least) & (np.abs(kept) > 0.5 * np.abs(jump)) & contiguous)
+    found = np.flatnonzero((np.abs(jump) > least) & np.all(kept, axis=0) & contiguous)
     if len(found):
         place = found[np.argmax(np.abs(jump[found]))]
         text = (

@@ -83,7 +83,8 @@ def _processing_of(checked: CheckedRun) -> Processing:
     moves = checked.stroke > MOVING_STROKE and len(checked.stroke_starts) > FEWEST_STROKES
     response = force_response(run) if moves else Response()
     hum = mains_hum(run.force, run.rate)
-    rates = {name: original_rate(checked.channels[name], run.rate) for name in ("position", "force")}
+    channels = [checked.channels[name] for name in ("position", "force")]
+    rates = {channel.name: original_rate(channel, run.rate) for channel in channels if not _is_held(channel)}
     interpolated = tuple(name for name, rate in rates.items() if rate)
     if interpolated:
         return Processing(
@@ -123,7 +124,11 @@ def _processing_of(checked: CheckedRun) -> Processing:
 
 def _is_unfit(checked: CheckedRun, channel: Channel) -> bool:
     """Whether the spectrum of a channel shows its steps or its motion up to the Nyquist frequency, and not noise."""
-    return checked.is_slowly_sampled or bool(np.mean(np.diff(channel.values) == 0) > HELD_SHARE)
+    return checked.is_slowly_sampled or _is_held(channel)
+
+
+def _is_held(channel: Channel) -> bool:
+    return bool(np.mean(np.diff(channel.values) == 0) > HELD_SHARE)
 
 
 def check_processing(checked: CheckedRun) -> Iterator[Finding]:
@@ -138,9 +143,9 @@ def check_processing(checked: CheckedRun) -> Iterator[Finding]:
         channels = " and ".join(processing.interpolated)
         how = f"{channels} run straight between" if channels else "no channel has noise above half of that"
         text = (
-            f"the recording was resampled from about {processing.original_rate:.3g} Hz to {checked.run.rate:.4g} Hz ({how}): "
-            "expected the samples of the converter. The noise estimate is too small, and faster effects cannot be seen. Give "
-            "the recording at its own rate."
+            f"the recording was resampled from about {processing.original_rate:.3g} Hz to {checked.run.rate:.4g} Hz ({how}):"
+            " expected the samples of the converter. The noise estimate is too small, and faster effects cannot be seen. "
+            "Give the recording at its own rate."
         )
         yield checked.finding("clock", "limitation", (*processing.interpolated, "")[0], text)
     if processing.hum:
@@ -167,7 +172,8 @@ def _check_shift(checked: CheckedRun, processing: Processing) -> Iterator[Findin
         )
     else:
         why = "expected one clock for all channels. The force would answer before its cause. Shift the channel back"
-    text = f"the {channel} is {milli(abs(processing.delay))} ms {late} against {against}: {why}, or give the recording as it was."
+    delay = milli(abs(processing.delay))
+    text = f"the {channel} is {delay} ms {late} against {against}: {why}, or give the recording as it was."
     yield checked.finding("lag", severity, channel, text)
 
 
@@ -182,8 +188,8 @@ def _filter_finding(checked: CheckedRun, channel: str, low_pass: LowPass) -> Fin
         else "Reversals are rounded, and a velocity computed from it is too small"
     )
     text = (
-        f"the {channel} has passed {name}, cut-off (-3 dB) at about {low_pass.cutoff:.3g} Hz: expected the readings of the "
-        f"sensor. {effect}, and the noise estimate is too small. Give the unfiltered recording."
+        f"the {channel} has passed {name}, cut-off (-3 dB) at about {low_pass.cutoff:.3g} Hz: expected the readings of "
+        f"the sensor. {effect}, and the noise estimate is too small. Give the unfiltered recording."
     )
     return checked.finding("filter", "limitation" if low_pass.cutoff < LOW_RATE / 2 else "remark", channel, text)
 
@@ -197,8 +203,8 @@ def _hum_finding(checked: CheckedRun, hum: Hum) -> Finding:
         + (
             "The diagnosis tries it as the effect mains_hum. "
             if tried
-            else f"The effect mains_hum reaches up to {largest:g} N at 50 or 60 Hz, so that this hum may pass for noise and hide "
-            "other effects. "
+            else f"The effect mains_hum reaches up to {largest:g} N at 50 or 60 Hz, so that this hum may pass for noise and "
+            "hide other effects. "
         )
         + "Check shield and earth of the load cell."
     )

@@ -9,6 +9,7 @@ from scipy import signal
 from mrd_diagnosis.diagnosis import Finding, Severity
 from mrd_diagnosis.preflight.channels import Channel, CheckedRun, counted, milli
 from mrd_diagnosis.preflight.clock import USELESS_LOSS
+from mrd_diagnosis.preflight.spectra import NOISY_TURNING
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -217,9 +218,13 @@ def _piled_up(checked: CheckedRun, channel: Channel, limit: float, band: float) 
     width = max(band, channel.resolution) * (1 + 1e-9)
     beside = np.histogram(inwards[~at_limit], bins=band + width * np.arange(BANDS_BESIDE + 1))[0]
     speed = np.abs(checked.run.velocity[at_limit])
-    # At a constant speed, a force without noise is constant as well.
+    # At a constant speed, a force without noise is constant as well; at the same place of each period, it is the same.
     varies = np.ptp(np.quantile(speed, [0.05, 0.95])) > VARYING_SPEED * checked.top_speed
-    lacks_noise = channel.highest_noise > 4 * band
+    third = np.diff(channel.values, 3)[np.convolve(at_limit, np.ones(4), "valid") == 0]
+    noisy = len(third) > 1 and np.mean(third[1:] * third[:-1] < 0) > NOISY_TURNING
+    lacks_noise = (
+        not checked.is_slowly_sampled and noisy and np.median(np.abs(third)) > max(4 * band, 6 * channel.resolution)
+    )
     return count if count > PILED_UP * beside.max() and (varies or lacks_noise) else 0
 
 

@@ -44,8 +44,6 @@ DELAYS_OF_FILTERS: Array = 1e-2 * np.arange(-12, 26, dtype=np.float64)
 """Further delays in s that are tried with filters."""
 CUTOFFS: Array = np.asarray(np.geomspace(0.5, 40.0, 16), np.float64)
 """Cut-off frequencies in Hz that are tried."""
-PHYSICAL: Array = 5e-3 * np.arange(-3, 13, dtype=np.float64)
-"""Delays in s that a damper and its sensors may have."""
 PHYSICAL_DELAYS = (-0.015, 0.06)
 """s. Skew of the channels and moving mass advance the force by some milliseconds; a converter that reads one channel after
 the other delays it by up to 50 ms, and force sensors by about 10 ms."""
@@ -56,10 +54,12 @@ SURE_DELAY = 2.0
 SURE_FILTER = 3.0
 """The same for a filter, which imitates better what a damper has beyond the terms above: on a single sine, effects of
 dampers reach 3, with a small error."""
-SURE_CURRENT = 2.5
+SURE_CURRENT = 5.0
 """The same for a shift of the current."""
 LEAST_ERROR_OF_CURRENT = 0.05
 """Squared error, over the power of the force, below which the current is not shifted."""
+SAME_SHIFT = 0.015
+"""Shifts in s that differ by less are the same."""
 LARGEST_COIL_LAG = 0.1
 """s by which the force may follow the current: coil, supply and fluid."""
 SHIFTS_OF_CURRENT: Array = 1e-2 * np.arange(-20, 21, dtype=np.float64)
@@ -139,10 +139,13 @@ def force_response(run: Run) -> Response:
     if unfiltered > SURE_FILTER * filtered and unfiltered > filtered + LEAST_IMPROVEMENT:
         return Response(low_pass=_refined(spectra, low_pass))
     best = int(errors.argmin())
-    if physical[best] or explained < SURE_DELAY * errors[best]:
-        return _shift_of_current(run, explained)
+    sure = not physical[best] and explained > SURE_DELAY * errors[best]
+    if not sure or errors[best] > LEAST_ERROR_OF_CURRENT:
+        shift = _shift_against_current(run, min(explained, float(errors[best])))
+        if shift != Response() or not sure:
+            return shift
     delay = float(DELAYS[best])
-    early = delay < 0 and float(errors[DELAYS >= 0].min()) > SURE_DELAY * errors[best]
+    early = bool(delay < 0 and errors[DELAYS >= 0].min() > SURE_DELAY * errors[best])
     return Response(delay, _shifted_channel(run, delay), early)
 
 
@@ -215,10 +218,12 @@ def _errors(spectra: _Spectra, low_pass: LowPass, delays: Array = DELAYS) -> Arr
     count = spectra.cross.shape[1]
     normal = (np.abs(response) ** 2 @ spectra.terms.reshape(len(response), -1)).reshape(count, count)
     cross = response.conj()[:, None] * spectra.cross
+    scale = np.sqrt(np.diag(normal))
+    scale = np.maximum(scale, 1e-9 * scale.max()) + 1e-300
     cosine, sine = spectra.waves(delays)
     shifted = cosine @ cross.real - sine @ cross.imag
-    lower = np.linalg.cholesky(normal + 1e-9 * np.eye(count))
-    errors = 1 - np.sum(np.linalg.solve(lower, shifted.T) ** 2, axis=0) / spectra.force
+    lower = np.linalg.cholesky(normal / np.outer(scale, scale) + 1e-9 * np.eye(count))
+    errors = 1 - np.sum(np.linalg.solve(lower, shifted.T / scale[:, None]) ** 2, axis=0) / spectra.force
     # A damper resists: half a period later, the sum would fit as well with its sign turned.
     return np.where(shifted[:, VELOCITY] > 0, errors, 1.0)
 
@@ -243,25 +248,34 @@ def _refined(spectra: _Spectra, low_pass: LowPass) -> LowPass:
     return min(found, key=lambda pair: pair[0])[1]
 
 
-def _shift_of_current(run: Run, explained: float) -> Response:
-    """Return a shift of the current against the motion and the force, if it explains much more than they do."""
+def _shift_against_current(run: Run, explained: float) -> Response:
+    """Return a shift of the current or the position against the other channels, if it explains much more."""
     if explained < LEAST_ERROR_OF_CURRENT or not current_varies(run):
         return Response()
-    interval = float(np.median(np.diff(run.time)))
-    errors = [float(_errors(_spectra(run, shift), LowPass("none", np.inf), PHYSICAL).min()) for shift in SHIFTS_OF_CURRENT]
-    best = int(np.argmin(errors))
-    # The force follows the current with the lags of coil and fluid, so that a current that is somewhat early is none.
-    allowed = (PHYSICAL_DELAYS[0] - interval, LARGEST_COIL_LAG)
-    if allowed[0] <= SHIFTS_OF_CURRENT[best] <= allowed[1] or explained < SURE_CURRENT * errors[best]:
+    errors = np.array([_errors(_spectra(run, shift), LowPass("none", np.inf)) for shift in SHIFTS_OF_CURRENT])
+    shift_index, delay_index = np.unravel_index(int(errors.argmin()), errors.shape)
+    early, delay = float(SHIFTS_OF_CURRENT[shift_index]), float(DELAYS[delay_index])
+    if explained < SURE_CURRENT * errors.min():
         return Response()
-    return Response(-float(SHIFTS_OF_CURRENT[best]), "current")
+    if abs(early + delay) < 2 * SAME_SHIFT and abs(early) > SAME_SHIFT:
+        # Force and current are shifted against the motion in the same way.
+        return Response(early, "position", delay < 0)
+    interval = float(np.median(np.diff(run.time)))
+    # The force follows the current with the lags of coil and fluid, so that a current that is somewhat early is none.
+    lags = PHYSICAL_DELAYS[0] - interval <= early <= LARGEST_COIL_LAG
+    if lags or not PHYSICAL_DELAYS[0] <= delay <= PHYSICAL_DELAYS[1]:
+        return Response()
+    return Response(-early, "current", early < 0)
 
 
 def _shifted_channel(run: Run, delay: float) -> str:
     """Return which channel is shifted; only a current that varies can tell."""
     if not current_varies(run):
         return ""
-    with_force, with_motion = (float(_errors(_spectra(run, shift), LowPass("none", np.inf)).min()) for shift in (delay, 0.0))
+    # If the position is shifted, then so is the current against it.
+    with_force, with_motion = (
+        float(_errors(_spectra(run, shift), LowPass("none", np.inf)).min()) for shift in (-delay, 0.0)
+    )
     if with_force * 1.5 < with_motion:
         return "position"
     return "force" if with_motion * 1.5 < with_force else ""

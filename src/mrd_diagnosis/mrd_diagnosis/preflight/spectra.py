@@ -29,8 +29,10 @@ COMPARED_NOTCHES = 30
 NOTCH_BAND = (0.2, 0.95)
 """Shares of the Nyquist frequency between which notches are compared. Below, switched currents and periodic motions have
 notches of their own; in this band, the noise of the sensor fills those."""
-NOTCH_DEPTH = 1.5
-"""Mean natural logarithm of the power beside a notch over that in it, from which a comb of notches is sure."""
+PLACES_BESIDE = (-0.375, -0.25, 0.25, 0.375)
+"""Places beside a notch, in distances of notches, whose power is compared with that in the notch."""
+NOTCH_DEPTH = 0.7
+"""Natural logarithm of the power beside a notch over that in it, which three quarters of the notches must reach."""
 SAME_NOTCHES = 0.6
 """Share of the deepest comb from which a longer window is preferred; half of a window has every second notch only."""
 NOISY_TURNING = 0.4
@@ -135,14 +137,22 @@ def averaged_samples(values: Array) -> int:
 
 
 def _depth_of_notches(level: Array, windows: NDArray[np.intp]) -> list[float]:
-    """Return the mean depth of the notches of each window in a logarithmic spectrum up to the Nyquist frequency."""
+    """Return the depth that three quarters of the notches of each window reach in a logarithmic spectrum."""
     last = len(level) - 1
     # Bins from one notch to the next.
     spacing = 2 * last / windows[:, None]
     first_number, last_number = (np.floor(share * last / spacing) for share in NOTCH_BAND)
-    number = np.round(first_number + 1 + np.linspace(0, 1, COMPARED_NOTCHES) * (last_number - first_number - 1))
-    notch, below, above = (level[np.round((number + shift) * spacing).astype(int)] for shift in (0.0, -0.25, 0.25))
-    return [float(depth) for depth in np.mean(np.minimum(below, above) - notch, axis=1)]
+    # The golden ratio spreads the numbers evenly, without favouring even ones or other multiples.
+    spread = np.arange(COMPARED_NOTCHES) * (np.sqrt(5) - 1) / 2 % 1
+    number = first_number + 1 + np.floor(spread * (last_number - first_number))
+    notch = level[np.round(number * spacing).astype(int)]
+    # Between the lines of a periodic motion, some of the places beside would be as low as a notch.
+    beside = [
+        level[np.round((number + place) * spacing).astype(int)] - 2 * np.log(np.abs(np.sin(np.pi * place)))
+        for place in PLACES_BESIDE
+    ]
+    # At twice the window, half of the places are none. So most notches must be deep, not only their mean.
+    return [float(depth) for depth in np.quantile(np.min(beside, axis=0) - notch, 0.25, axis=1)]
 
 
 def noise_end(values: Array, rate: float, largest_noise: float = LARGEST_NOISE) -> float:
