@@ -11,7 +11,14 @@ from mrd_diagnosis.preflight.channels import LOW_RATE, MOVING_STROKE, Channel, C
 from mrd_diagnosis.preflight.joins import original_rate
 from mrd_diagnosis.preflight.low_pass import LowPass, moving_average
 from mrd_diagnosis.preflight.response import PHYSICAL_DELAYS, Response, delay_behind, force_response
-from mrd_diagnosis.preflight.spectra import LARGEST_NOISE_OF_POSITION, Hum, averaged_samples, mains_hum, noise_end
+from mrd_diagnosis.preflight.spectra import (
+    LARGEST_NOISE_OF_POSITION,
+    Hum,
+    averaged_samples,
+    has_notches,
+    mains_hum,
+    noise_end,
+)
 from mrd_runs import Run
 from mrd_runs.signals.mains import MAINS
 from mrd_sim.effects import EFFECTS
@@ -96,7 +103,10 @@ def _processing_of(checked: CheckedRun) -> Processing:
             hum=hum,
         )
     force, position = checked.channels["force"], checked.channels["position"]
-    windows = [0.0 if _is_unfit(checked, channel) else averaged_samples(channel.values) for channel in (force, position)]
+    windows = [0 if _is_unfit(checked, channel) else averaged_samples(channel.values) for channel in (force, position)]
+    # A current that switches after equal times leaves the same comb of notches in the force.
+    if windows[0] and checked.current_varies and has_notches(run.current, windows[0]):
+        windows[0] = 0
     force_filter = response.low_pass
     if windows[0]:
         force_filter = moving_average(windows[0] / run.rate)

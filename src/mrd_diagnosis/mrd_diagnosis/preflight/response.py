@@ -1,10 +1,10 @@
 """Response of the force to the motion: which delay and which low-pass filter the force went through after the damper.
 
 The force of any MR damper is close to a sum of a few terms of the motion: friction that develops over a short travel after
-a reversal (Dahl 1968, here for several travels), a viscous and an elastic force, each also in proportion to the current.
-Travel explains how loops are rounded in space; a delay or a filter shifts and rounds them in time. With motions of several
-speeds, the two differ. So the sum is fitted behind each of many delays and filters, and the errors are compared. All fits
-share one set of spectra, which a filter only weights.
+a reversal (Dahl 1968, here for several travels) or above a creep speed (Stanway et al. 1985), a viscous force, springs and
+end stops; friction and viscosity also in proportion to the current. Travel explains how loops are rounded in space; a delay
+or a filter shifts and rounds them in time. With motions of several speeds, the two differ. So the sum is fitted behind each
+of many delays and filters, and the errors are compared. All fits share one set of spectra, which a filter only weights.
 """
 
 from collections.abc import Iterator
@@ -26,6 +26,10 @@ ComplexArray = NDArray[np.complex128]
 
 YIELD_TRAVELS = (3e-5, 1e-4, 3e-4, 1e-3)
 """Travels in m over which friction develops after a reversal: those of MR fluids, joints and mounts."""
+CREEP_SPEEDS = (0.002, 0.01)
+"""Speeds in m/s below which friction may be viscous. It then falls before the motion turns, as if it were early."""
+SPRING_POWERS = (1, 3, 5)
+"""Powers of the position with which springs and end stops act."""
 VELOCITY = len(YIELD_TRAVELS)
 """Index of the velocity among the terms."""
 CURRENT_LAGS = (0.003, 0.02)
@@ -190,7 +194,11 @@ def _terms(run: Run, current_delay: float) -> Array:
     interval = float(np.median(np.diff(run.time)))
     travel = np.append(0.0, 0.5 * (run.velocity[1:] + run.velocity[:-1])) * interval
     friction = [_developed_friction(travel, length) for length in YIELD_TRAVELS]
-    terms = [*friction, run.velocity, run.position]
+    slow_friction = [np.tanh(run.velocity / speed) for speed in CREEP_SPEEDS]
+    middle, half_stroke = 0.5 * (run.position.max() + run.position.min()), 0.5 * float(np.ptp(run.position))
+    from_middle = (run.position - middle) / half_stroke
+    springs = [from_middle**power for power in SPRING_POWERS]
+    terms = [*friction, run.velocity, *slow_friction, *springs]
     if current_varies(run):
         current = np.interp(run.time - current_delay, run.time, run.current)
         for lag in CURRENT_LAGS:

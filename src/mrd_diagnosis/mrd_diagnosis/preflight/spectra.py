@@ -31,7 +31,7 @@ NOTCH_BAND = (0.2, 0.95)
 notches of their own; in this band, the noise of the sensor fills those."""
 PLACES_BESIDE = (-0.375, -0.25, 0.25, 0.375)
 """Places beside a notch, in distances of notches, whose power is compared with that in the notch."""
-NOTCH_DEPTH = 0.7
+NOTCH_DEPTH = 1.0
 """Natural logarithm of the power beside a notch over that in it, which three quarters of the notches must reach."""
 SAME_NOTCHES = 0.6
 """Share of the deepest comb from which a longer window is preferred; half of a window has every second notch only."""
@@ -134,6 +134,13 @@ def averaged_samples(values: Array) -> int:
         if _depth_of_notches(np.log(density + 1e-300), np.array([window]))[0] > NOTCH_DEPTH:
             found = window
     return int(found)
+
+
+def has_notches(values: Array, window: int) -> bool:
+    """Whether a channel has no power at the multiples of the inverse of a window in samples, whatever the cause."""
+    segment = min(len(values), window * PERIODS_IN_SEGMENT)
+    _, density = signal.welch(np.diff(values, 3), 1.0, nperseg=segment)
+    return bool(_depth_of_notches(np.log(density + 1e-300), np.array([window]))[0] > 0.3 * NOTCH_DEPTH)
 
 
 def _depth_of_notches(level: Array, windows: NDArray[np.intp]) -> list[float]:
