@@ -1,6 +1,6 @@
 """Preflight: what is wrong with the recordings, checked before any physics is blamed for the gap.
 
-A delay of the force against the motion is not checked here. The recordings cannot tell whether it is a fault of the
+A small delay of the force against the motion is no finding. The recordings cannot tell whether it is a fault of the
 measurement or an effect of the damper, so the diagnosis tries it as an effect.
 """
 
@@ -10,6 +10,8 @@ from mrd_diagnosis.diagnosis import Finding
 from mrd_diagnosis.preflight.channels import CheckedRun
 from mrd_diagnosis.preflight.clock import check_clock, check_sample_rates
 from mrd_diagnosis.preflight.excitation import check_excitation
+from mrd_diagnosis.preflight.joins import check_joins
+from mrd_diagnosis.preflight.processing import check_processing
 from mrd_diagnosis.preflight.readings import (
     check_aliasing,
     check_clipping,
@@ -19,7 +21,13 @@ from mrd_diagnosis.preflight.readings import (
 )
 from mrd_diagnosis.preflight.repeats import check_duplicates, check_repeats
 from mrd_diagnosis.preflight.rigs import check_rigs
-from mrd_diagnosis.preflight.sensors import check_accelerometer, check_dead_channels, check_signs, check_units
+from mrd_diagnosis.preflight.sensors import (
+    check_accelerometer,
+    check_dead_channels,
+    check_signs,
+    check_units,
+    check_velocity,
+)
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
@@ -33,6 +41,9 @@ CHECKS_OF_SINGLE_RUNS: tuple[Callable[[CheckedRun], Iterator[Finding]], ...] = (
     check_quantisation,
     check_aliasing,
     check_accelerometer,
+    check_velocity,
+    check_joins,
+    check_processing,
 )
 CHECKS_ACROSS_RUNS: tuple[Callable[[Sequence[CheckedRun]], Iterator[Finding]], ...] = (
     check_sample_rates,

@@ -29,7 +29,7 @@ FEW_STROKES = 3
 """Up to this number of strokes, the force may follow the initial state or the current more than the motion."""
 PRE_YIELD_STROKE = 2e-3
 """Stroke in m below which a damper may stay in its pre-yield loop: yield travel (0.1 to 1 mm) and lost motion."""
-_NOISE_BLOCK = 50
+NOISE_BLOCK = 50
 """Samples over which the local noise is estimated: enough for a median, short against a plateau."""
 
 
@@ -68,23 +68,23 @@ class Channel:
         return float(_white_noise_deviation(np.diff(self.values, 3)))
 
     @cached_property
-    def _local_noise(self) -> Array:
+    def local_noise(self) -> Array:
         """White noise in each block of samples."""
         differences = np.diff(self.values, 3)
-        blocks = len(differences) // _NOISE_BLOCK
+        blocks = len(differences) // NOISE_BLOCK
         if not blocks:
             return _white_noise_deviation(differences[None], axis=1)
-        return _white_noise_deviation(differences[: blocks * _NOISE_BLOCK].reshape(-1, _NOISE_BLOCK), axis=1)
+        return _white_noise_deviation(differences[: blocks * NOISE_BLOCK].reshape(-1, NOISE_BLOCK), axis=1)
 
     @cached_property
     def lowest_noise(self) -> float:
         """White noise where there is least of it, for example on a plateau (10 % quantile over the blocks)."""
-        return float(np.quantile(self._local_noise, 0.1))
+        return float(np.quantile(self.local_noise, 0.1))
 
     @cached_property
     def highest_noise(self) -> float:
         """White noise where there is most of it, for example beside a clipped part (90 % quantile over the blocks)."""
-        return float(np.quantile(self._local_noise, 0.9))
+        return float(np.quantile(self.local_noise, 0.9))
 
     @cached_property
     def is_noisy(self) -> bool:

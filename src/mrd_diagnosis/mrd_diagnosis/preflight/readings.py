@@ -9,6 +9,7 @@ from scipy import signal
 from mrd_diagnosis.diagnosis import Finding, Severity
 from mrd_diagnosis.preflight.channels import Channel, CheckedRun, counted, milli
 from mrd_diagnosis.preflight.clock import USELESS_LOSS
+from mrd_diagnosis.preflight.spectra import NOISY_TURNING
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,6 +25,15 @@ LONGEST_REFRESH = 20
 """Samples; a channel that is refreshed more slowly than this is found as held readings."""
 USELESS_CLIPPING = 0.01
 """Share of clipped samples from which force or position are useless: saturation would be taken for physics."""
+FEWEST_PILED_UP = 8
+"""Samples at the limit of a force from which they may be clipped."""
+BANDS_BESIDE = 20
+"""Bands of readings beside the limit that are compared with it."""
+PILED_UP = 4
+"""Ratio of the samples at the limit to those in any band beside it. The last step before a smooth turn has 2.4 times as many
+as the step before."""
+VARYING_SPEED = 0.05
+"""Span of the speed at the limit, over the top speed, from which a constant force is no plateau of the damper."""
 REVERSED_FORCE = 0.15
 """Share of the usual force range, from inward to outward motion. If the force goes this far to both sides of its middle
 while the position rests at its extreme, the rod did turn, and the position was clipped."""
@@ -187,12 +197,35 @@ def _clipped_samples(checked: CheckedRun, channel: Channel, limit: float) -> int
     length = last - first + 1
     if channel.name == "position":
         return _clipped_turns(checked, first, last)
+    if channel.name == "force":
+        return _piled_up(checked, channel, limit, max(band, 1e-9 * abs(limit)))
     if not channel.is_noisy:
         return 0
     first_equal, last_equal = equal_segments(channel.values)
     elsewhere = (last_equal - first_equal + 1)[np.abs(channel.values[first_equal] - limit) > band]
     long = length >= max(SHORTEST_HOLD, 2 * int(max(elsewhere, default=1)))
     return int(length[long].sum()) if long.sum() >= 2 or length[long].sum() >= 5 * SHORTEST_HOLD else 0
+
+
+def _piled_up(checked: CheckedRun, channel: Channel, limit: float, band: float) -> int:
+    """Number of samples within a band at the limit, if the band holds many more than others and the speed varies in it."""
+    inwards = np.abs(channel.values - limit)
+    at_limit = inwards <= band
+    count = int(at_limit.sum())
+    if count < FEWEST_PILED_UP:
+        return 0
+    # Where a signal turns smoothly, readings dwell near its extreme as well, but not in one band only.
+    width = max(band, channel.resolution) * (1 + 1e-9)
+    beside = np.histogram(inwards[~at_limit], bins=band + width * np.arange(BANDS_BESIDE + 1))[0]
+    speed = np.abs(checked.run.velocity[at_limit])
+    # At a constant speed, a force without noise is constant as well; at the same place of each period, it is the same.
+    varies = np.ptp(np.quantile(speed, [0.05, 0.95])) > VARYING_SPEED * checked.top_speed
+    third = np.diff(channel.values, 3)[np.convolve(at_limit, np.ones(4), "valid") == 0]
+    noisy = len(third) > 1 and np.mean(third[1:] * third[:-1] < 0) > NOISY_TURNING
+    lacks_noise = (
+        not checked.is_slowly_sampled and noisy and np.median(np.abs(third)) > max(4 * band, 6 * channel.resolution)
+    )
+    return count if count > PILED_UP * beside.max() and (varies or lacks_noise) else 0
 
 
 def _clipped_turns(checked: CheckedRun, first: Indices, last: Indices) -> int:

@@ -31,6 +31,10 @@ are 0.05 m/s² in its second difference."""
 ACCELEROMETER_GAIN = (0.8, 1.25)
 """Gain of an accelerometer against the position, as in `mrd_runs.signals.motion`. Outside, it does not measure the rod's
 acceleration in m/s²."""
+WRONG_GAIN_OF_VELOCITY = 0.1
+"""Deviation of the gain of a recorded velocity against the position from 1, from which it is not its derivative."""
+LAG_OF_VELOCITY = 5e-3
+"""Lag in s of a recorded velocity that a smoother may have."""
 WRONG_SIGN_WORK = -0.2
 """Work done on the damper over the largest work of the same forces, below which a sign is wrong. The work on a damper is
 positive at every usual delay."""
@@ -186,6 +190,34 @@ def _gain_and_lag(expected: Array, measured: Array, reach: int, averaged: int) -
     # Averages that overlap hold one independent value in each averaged span.
     error = float(np.std(residual) * np.sqrt(averaged) / (abs(gain) * np.linalg.norm(design[:, 1])))
     return float(gain), lag, error
+
+
+def check_velocity(checked: CheckedRun) -> Iterator[Finding]:
+    """Find a recorded velocity that is not the derivative of the recorded position, because either was filtered or shifted.
+
+    Both are averaged over the same time, the velocity by its integral and the position by its difference, so that no
+    derivative has to be estimated.
+    """
+    run, interval = checked.run, checked.sampling_interval
+    if checked.is_slowly_sampled or checked.stroke < MOVING_STROKE or np.ptp(np.diff(run.time)) > 0.5 * interval:
+        return
+    width = max(1, round(AVERAGING_TIME * run.rate))
+    path = np.append(0.0, np.cumsum(0.5 * (run.velocity[1:] + run.velocity[:-1]))) * interval
+    expected, measured = (series[width:] - series[:-width] for series in (run.position, path))
+    expected, measured = expected - expected.mean(), measured - measured.mean()
+    reach = min(len(expected) // 4, round(LONGEST_LAG * run.rate))
+    if reach < 1 or np.std(expected) < 10 * checked.channels["position"].noise or np.std(measured) == 0:
+        return
+    gain, lag, _ = _gain_and_lag(expected, measured, reach=reach, averaged=width)
+    lag *= interval
+    if abs(gain - 1) > WRONG_GAIN_OF_VELOCITY or abs(lag) > LAG_OF_VELOCITY + interval:
+        shift = f"{milli(abs(lag))} ms {'late' if lag > 0 else 'early'}"
+        text = (
+            f"the recorded velocity is {gain:.3g} times that of the position and {shift}: expected the derivative of the "
+            "position. It was filtered or shifted, so that forces come out at wrong speeds. Leave the velocity out of the "
+            "file: it is then computed from the position."
+        )
+        yield checked.finding("lag", "limitation", "velocity", text)
 
 
 def check_signs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
