@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,17 @@ from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.closure import Closure, compute_closure
 from mrd_diagnosis.decision import decide
-from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Interval, Region
+from mrd_diagnosis.diagnosis import (
+    Candidate,
+    Cause,
+    CorrectedSimulator,
+    Diagnosis,
+    Finding,
+    Gap,
+    HeldOutBy,
+    Interval,
+    Region,
+)
 from mrd_diagnosis.effect_search import search_effects, tolerated_excess
 from mrd_diagnosis.explanation import (
     advise_next,
@@ -28,7 +37,7 @@ from mrd_diagnosis.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
-from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
+from mrd_diagnosis.partial_explanation import explain_in_part, lacking_effects, rests_on_form
 from mrd_diagnosis.preflight import preflight
 from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
@@ -169,7 +178,8 @@ def _diagnose_physics(
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
     comparison = compare_models(weighting, base, chosen, fits, rng)
     other_models: dict[str, Refit] = {}
-    if comparison.effects and has_one_peak_speed([recording.run for recording in recordings]):
+    one_speed = has_one_peak_speed([recording.run for recording in recordings])
+    if comparison.effects and one_speed:
         # At a single speed, an effect may imitate what another damper model does.
         progress("trying other damper models", 0.77)
         excess = comparison.best.chi_square - 1.0
@@ -183,21 +193,25 @@ def _diagnose_physics(
     closed_fractions: Mapping[str, Interval] = {}
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         progress("looking for causes beside a wrong form", 0.8)
-        partial = explain_in_part(comparison, [e for e in candidates if e not in excluded], rng)
+        # At a single speed, nothing tells an effect from the form.
+        tried = [] if one_speed else [effect for effect in candidates if effect not in excluded]
+        partial = explain_in_part(comparison, tried, rng)
         if verdict == "unknown_effect" or set(partial.comparison.effects) != set(comparison.effects):
             verdict = "partly_explained" if partial.comparison.effects else "unknown_effect"
             form_fraction = partial.form_fraction
         if verdict == "partly_explained":
-            comparison = partial.comparison
-            chances = {effect: held.probabilities for effect, held in partial.causes.items()}
-            p_values = [held.p_value for held in partial.causes.values()]
             closed_fractions = {effect: held.closed_fraction for effect, held in partial.causes.items()}
+            held = {effect: (held.probabilities, held.p_value) for effect, held in partial.causes.items()}
+            known = {effect: (chances[effect], p_value_of[effect]) for effect in lacking_effects(comparison)}
+            comparison = partial.comparison
+            chances = {effect: chance for effect, (chance, _) in (known | held).items()}
+            p_values = [p for _, p in (known | held).values()]
     if verdict == "no_gap":
         comparison, chances = comparison.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
-    # Beside something unknown, only what the model lacks by construction is a cause.
-    believed = list(takewhile(lambda effect: EFFECTS[effect].structural or verdict != "unknown_effect", comparison.effects))
-    causes = name_causes(comparison, believed, p_values, chances, rng, closed_fractions)
+    causes: tuple[Cause, ...] = ()
+    if verdict != "unknown_effect":
+        causes = name_causes(comparison, p_values, chances, rng, closed_fractions)
 
     progress("measuring how far the gap closes", 0.85)
     closure = compute_closure(comparison, held_out, rng)

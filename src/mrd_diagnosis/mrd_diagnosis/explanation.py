@@ -44,19 +44,17 @@ def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Ge
 
 def name_causes(
     comparison: ModelComparison,
-    effects: Sequence[str],
     p_values: Sequence[float],
     chances: Probabilities,
     rng: np.random.Generator,
     closed_fractions: Mapping[str, Interval],
 ) -> tuple[Cause, ...]:
-    """Return the first ``effects`` of the comparison as causes; first the one that is likely to close most.
+    """Return the effects of the comparison as causes; first the one that is likely to close most.
 
-    Each has its share of the gap from ``closed_fractions``, or else the one that it adds to those before it. Their sizes
-    are those without the effects that were chosen after them.
+    Each has its share of the gap from ``closed_fractions``, or else the one that it adds to those before it.
     """
     steps = [comparison.base, *comparison.chain]
-    parameters = effect_parameters(steps[len(effects)])
+    parameters = effect_parameters(comparison.best)
     causes = [
         Cause(
             effect,
@@ -65,7 +63,7 @@ def name_causes(
             closed_fractions.get(effect) or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
             {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
         )
-        for index, effect in enumerate(effects)
+        for index, effect in enumerate(comparison.effects)
     ]
     return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))
 

@@ -5,6 +5,7 @@ remainder for the form of the damper (`form_remainder`), the other half of the r
 that belongs to the form itself holds against the remainder where its formula closes most of what the remainder can close.
 """
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,6 +24,7 @@ from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
 from mrd_identification.problem import make_problem
+from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
@@ -69,7 +71,7 @@ class PartialExplanation:
     comparison : ModelComparison
         The user's model with these effects and without the remainder.
     causes : dict
-        The effects by id.
+        The effects by id, without those that the model lacks by construction.
     form_fraction : float
         Share of the gap that a freer form of the damper would close beside these effects.
     """
@@ -87,6 +89,8 @@ def explain_in_part(
 ) -> PartialExplanation:
     """Find the effects that can be named although they do not explain the whole gap.
 
+    What the model lacks by construction, such as a hysteretic state, belongs to its form: it stays as it was chosen.
+
     Parameters
     ----------
     comparison : ModelComparison
@@ -98,17 +102,20 @@ def explain_in_part(
         Called with the fraction of the work that is done.
     """
     weighting = comparison.weighting.thinned(MOST_SAMPLES)
-    alone = refit_on(weighting, comparison.base)
-    thinned = replace(comparison, weighting=weighting, base=alone)
+    thinned = replace(comparison, weighting=weighting, base=refit_on(weighting, comparison.base))
+    lacking = lacking_effects(comparison)
+    alone = refit_on(weighting, comparison.chain[len(lacking) - 1]) if lacking else thinned.base
     other = _other_form(weighting, alone, rng)
-    beside = _search_beside_remainder(thinned, other, effects, rng, progress)
+    tried = [effect for effect in effects if effect not in lacking]
+    beside = _search_beside_remainder(thinned, other, tried, rng, progress)
     progress(0.8)
-    causes, values = beside.causes, beside.values
+    causes = beside.causes
+    values = dict(zip(alone.problem.model.names, map(float, alone.theta), strict=True)) | beside.values
     explained = _with_effects(weighting, alone, list(causes), values)
     freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
     for effect, fitted in _form_chain(weighting, explained, freed, beside.form_effects):
         # Another base model that predicts better has the form without this effect.
-        instead = _with_effects(weighting, other, explained.effects, values)
+        instead = _with_effects(weighting, other, list(causes), values)
         probability = float(probabilities([fitted, instead], rng)[0])
         if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
             break
@@ -119,9 +126,14 @@ def explain_in_part(
         explained = fitted
     progress(0.9)
     freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
-    gap = alone.held_out_cost - weighting.noise_cost
+    gap = thinned.base.held_out_cost - weighting.noise_cost
     form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
-    return PartialExplanation(_comparison_with(comparison, list(causes), values), causes, form_fraction)
+    return PartialExplanation(_comparison_with(comparison, [*lacking, *causes], values), causes, form_fraction)
+
+
+def lacking_effects(comparison: ModelComparison) -> tuple[str, ...]:
+    """Return the chosen effects that the model lacks by construction; they are chosen first."""
+    return tuple(itertools.takewhile(lambda effect: EFFECTS[effect].structural, comparison.effects))
 
 
 def rests_on_form(comparison: ModelComparison) -> bool:
@@ -233,7 +245,8 @@ def _support(form: tuple[Weighting, Refit], best: Refit, effect: str, rng: np.ra
     """Return the probability of an effect against none around another form of the damper, the other effects present."""
     weighting, refitted = form
     values = dict(zip(best.problem.model.names, map(float, best.theta), strict=True))
-    present = [other.id for other in best.problem.model.effects]
+    # The other model has a hysteretic state of its own.
+    present = [other.id for other in best.problem.model.effects if not other.structural]
     fits = [
         _with_effects(weighting, refitted, wanted, values)
         for wanted in (present, [name for name in present if name != effect])

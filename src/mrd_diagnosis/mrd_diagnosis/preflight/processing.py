@@ -88,7 +88,7 @@ def processing_of(run: Run) -> Processing:
 def _processing_of(checked: CheckedRun) -> Processing:
     run = checked.run
     moves = checked.stroke > MOVING_STROKE and len(checked.stroke_starts) > FEWEST_STROKES
-    response = force_response(run) if moves else Response()
+    response = force_response(run) if moves and np.ptp(run.force) > 0.0 else Response()
     hum = mains_hum(run.force, run.rate)
     channels = [checked.channels[name] for name in ("position", "force")]
     rates = {channel.name: original_rate(channel, run.rate) for channel in channels if not _is_held(channel)}
