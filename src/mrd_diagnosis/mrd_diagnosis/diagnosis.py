@@ -342,8 +342,7 @@ class Diagnosis:
     oscillation : Region or None
         A narrow band of frequencies that has most of the excess error, where there is one.
     causes : tuple of Cause
-        The named effects. With a partly explained gap, they hold whatever the form of the damper model; with an unknown
-        effect, there are only those that the model lacks by construction.
+        The named effects. With a partly explained gap, they hold whatever the form of the damper model.
     alternatives : tuple of Alternative
     nearest : Candidate or None
         What comes nearest to the gap where it is not explained.

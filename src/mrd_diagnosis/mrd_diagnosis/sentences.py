@@ -113,35 +113,23 @@ def share_of_form(gap: Gap) -> float:
 
 def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that no effect explains the gap, with the best clues."""
-    causes, nearest = diagnosis.causes, diagnosis.nearest
-    tested, untestable = _effects_tried(diagnosis) - len(causes), len(diagnosis.untestable)
-    other, what = ("other ", "rest") if causes else ("", "gap")
-    sentences = []
-    if causes:
-        closed = format_share(sum(cause.closed_fraction.value for cause in causes))
-        sentences.append(f"{capitalised(_clauses(causes))}; this removes {closed} of the gap.")
+    nearest = diagnosis.nearest
+    tested, untestable = _effects_tried(diagnosis), len(diagnosis.untestable)
     if tested:
         cannot = f"; {untestable} more cannot be tested with them" if untestable else ""
-        sentences.append(f"None of the {other}effects that these runs can test ({tested}) explains the {what}{cannot}.")
+        sentences = [f"None of the effects that these runs can test ({tested}) explains the gap{cannot}."]
     else:
-        sentences.append(f"These runs cannot test any of the {other}effects ({untestable}) that may explain the {what}.")
+        sentences = [f"These runs cannot test any of the effects ({untestable}) that may explain the gap."]
     if where := where_sentence(diagnosis):
         sentences.append(where)
-    named = {cause.effect for cause in causes}
     if model := notable_model(diagnosis):
         share = format_share(model.closed_fraction.value)
         return " ".join([*sentences, f"The model {model.name} removes {share}: try it next."])
-    if (
-        nearest is not None
-        and not named.issuperset(nearest.effects)
-        and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model
-    ):
-        names = effect_names([effect for effect in nearest.effects if effect not in named])
-        verb = "comes" if len(nearest.effects) - len(named.intersection(nearest.effects)) == 1 else "come"
-        removes = "in total removes" if named else "would remove"
-        sentences.append(
-            f"{capitalised(names)} {verb} nearest: this {removes} {format_share(nearest.closed_fraction.value)} of the gap."
-        )
+    if nearest is not None and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model:
+        verb = "comes" if len(nearest.effects) == 1 else "come"
+        share = format_share(nearest.closed_fraction.value)
+        names = capitalised(effect_names(nearest.effects))
+        sentences.append(f"{names} {verb} nearest: this would remove {share} of the gap.")
     if gap.form_fraction > THRESHOLDS.notable_alternative_model:
         sentences.append(
             f"A freer form of the damper model would remove {format_share(gap.form_fraction)} of the gap: the force depends "
