@@ -126,8 +126,8 @@ def evaluate_plant(plant: DiagnosedPlant) -> Evaluation:
 
 
 def _is_resolved(plant: DiagnosedPlant, session: BenchSession, runs: Sequence[Run], command: BenchCommand) -> bool:
-    """Whether a diagnosis with one more run names the causes and nothing else."""
+    """Whether a diagnosis with one more run names the causes and nothing else, without an alternative."""
     further = as_run("next", session.record(plant.truth.effects, [command])[-1])
     submission = diagnose_plant(plant.public, [*runs, further])
     named = {effect for cause in submission.causes for effect in cause.effects}
-    return submission.verdict == "explained" and named == set(plant.truth.causes)
+    return submission.verdict in ("explained", "partly_explained") and named == set(plant.truth.causes)

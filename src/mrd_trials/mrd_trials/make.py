@@ -14,7 +14,7 @@ from mrd_trials.records import GroundTruth, append_record, read_records
 from mrd_trials.reference_fit import ReferenceFit, find_strength
 from mrd_trials.trial_design import DETECTABLE, MODEL, MODEL_FORM, PlantDesign, Recipe, design_trial, stratum
 from mrd_trials.trial_folder import DESCRIPTION, PublicPlant, PublicTrial, read_trial, write_recordings, write_trial
-from mrd_trials.truth import EFFECTS, Readings
+from mrd_trials.truth import DAMPER_FORMS, EFFECTS, Readings
 
 STRONGEST = 6.0
 """Largest strength, in multiples of the typical one: beyond it, an effect would not be believed."""
@@ -80,22 +80,27 @@ def make_plant(design: PlantDesign, recorded: str = "") -> tuple[GroundTruth, li
     session = BenchSession.from_design(design, recorded)
     effects, signal_to_floor = _draw_effects(design, session) if design.effects else ({}, 0.0)
     causes = tuple(name for name in effects if EFFECTS[name].in_catalogue)
-    sizes = {key: value for name in causes for key, value in EFFECTS[name].shared_sizes(effects[name]).items()}
+    formulas = {name: session.plant.formulas[name] for name in effects}
+    sizes = {
+        key: value for name in causes for key, value in EFFECTS[name].shared_sizes(effects[name], formulas[name]).items()
+    }
     truth = GroundTruth(
         plant=design.plant,
         kind=design.kind,
         model=MODEL,
         base=design.form,
         perturbed=design.form != MODEL_FORM,
+        implied=DAMPER_FORMS[design.form].implied,
         parameters=dict(session.plant.parameters),
         effects=effects,
+        formulas=formulas,
         causes=causes,
         sizes=sizes,
         signal_to_floor=signal_to_floor,
         stratum=stratum(signal_to_floor),
         excitation=design.tier.excitation,
         rate=session.instruments.rate,
-        seed=design.seed[1],
+        seed=design.seed[-1],
         salt=new_salt(),
     )
     return truth, list(zip(session.names, session.record(effects), strict=True))
@@ -106,7 +111,8 @@ def _draw_effects(design: PlantDesign, session: BenchSession) -> tuple[Effects, 
     reference = ReferenceFit.from_runs(MODEL, session.given_runs({}), np.random.default_rng(session.fit_seed))
 
     def draw(place: int, effect: str, strength: float) -> Effects:
-        return {effect: EFFECTS[effect].draw(np.random.default_rng([session.effect_seed, place]), strength)}
+        formula = EFFECTS[effect].formula(session.plant.formulas[effect])
+        return {effect: formula.draw(np.random.default_rng([session.effect_seed, place]), strength)}
 
     def signal_to_floor(effects: Effects) -> float:
         return reference.signal_to_floor(session.given_runs(effects))

@@ -35,10 +35,14 @@ class GroundTruth:
         Id of the plant's damper form.
     perturbed : bool
         Whether the fitted model cannot take that form.
+    implied : tuple of str
+        Effects of the catalogue that the form contains: naming them is neither right nor wrong.
     parameters : mapping
         Parameters of the form.
     effects : mapping
         Parameters of every effect of the plant by id, in the catalogue or not.
+    formulas : mapping
+        Id of the formula of each of these effects.
     causes : tuple of str
         Those effects that are in the catalogue: what a diagnosis should name.
     sizes : mapping
@@ -62,8 +66,10 @@ class GroundTruth:
     model: str
     base: str
     perturbed: bool
+    implied: tuple[str, ...]
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]]
+    formulas: Mapping[str, str]
     causes: tuple[str, ...]
     sizes: Mapping[str, float]
     signal_to_floor: float

@@ -15,6 +15,9 @@ from mrd_trials.truth import Readings
 
 DESCRIPTION = "trial.json"
 
+FORMAT = 2
+"""Version of a trial: its keys, and what a recipe stands for. In 1, every effect had a single formula."""
+
 COLUMNS = "time_s,position_m,current_A,force_N,acceleration_mps2"
 
 
@@ -66,6 +69,8 @@ def read_trial(folder: Path) -> PublicTrial:
     path = folder / DESCRIPTION
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
+        if values.get("format", 1) != FORMAT:
+            raise ValueError(f"format {values.get('format', 1)}, expected {FORMAT}")
         plants = tuple(PublicPlant(**{**entry, "runs": tuple(entry["runs"])}) for entry in values["plants"])
         return PublicTrial(Recipe(**values["recipe"]), plants)
     except FileNotFoundError:
@@ -76,7 +81,7 @@ def read_trial(folder: Path) -> PublicTrial:
 
 def write_trial(trial: PublicTrial, folder: Path) -> None:
     """Write the description of a trial; the file is complete at any time."""
-    values = {"recipe": asdict(trial.recipe), "plants": [asdict(plant) for plant in trial.plants]}
+    values = {"format": FORMAT, "recipe": asdict(trial.recipe), "plants": [asdict(plant) for plant in trial.plants]}
     partial = folder / f"{DESCRIPTION}.part"
     partial.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
     partial.replace(folder / DESCRIPTION)

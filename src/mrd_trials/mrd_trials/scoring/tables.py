@@ -127,7 +127,7 @@ def _figures(score: TrialScore) -> Table:
     )
     seconds = score.seconds
     note = (
-        f"Detectable: signal to floor above {DETECTABLE:g}. Named: the causes of a verdict `explained` or `ambiguous`; "
+        f"Detectable: signal to floor above {DETECTABLE:g}. Named: the causes of any verdict; "
         "ranked: these, then the candidates. Equivalent, of a detectable effect: an effect that, refitted in its place, "
         "lowers the squared error at least nine tenths as much. Candidate set, of detectable single effects: causes, "
         f"candidates above {LIKELY:.0%}, what is indistinguishable from these, untestable effects. "

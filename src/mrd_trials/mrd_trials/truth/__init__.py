@@ -4,7 +4,7 @@ Signs: the position of a rod that moves out is positive, and so is a force that 
 """
 
 from mrd_trials.truth.damper_forms import DAMPER_FORMS, DamperForm, draw_parameters
-from mrd_trials.truth.effects import EFFECTS, EffectParameter, TrueEffect
+from mrd_trials.truth.effects import EFFECTS, EffectParameter, Family, Formula, TrueEffect
 from mrd_trials.truth.instruments import Readings, TrueInstruments
 from mrd_trials.truth.recording import BenchCommand, RunDeviation, TruePlant, draw_scatter, record
 
@@ -14,6 +14,8 @@ __all__ = [
     "BenchCommand",
     "DamperForm",
     "EffectParameter",
+    "Family",
+    "Formula",
     "Readings",
     "RunDeviation",
     "TrueEffect",
