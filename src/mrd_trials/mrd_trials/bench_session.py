@@ -8,6 +8,7 @@ import numpy as np
 
 from mrd_runs import Run
 from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers
+from mrd_trials.reference_fit import ReferenceFit
 from mrd_trials.trial_design import PlantDesign
 from mrd_trials.truth import (
     EFFECTS,
@@ -79,6 +80,34 @@ class BenchSession:
         """Record all runs without noise and jitter; each has the same scatter as with them."""
         silent = replace(self, instruments=self.instruments.without_noise())
         return [as_run(name, run) for name, run in zip(self.names, silent.record(effects), strict=True)]
+
+    def all_runs(self, effects: Effects) -> list[Run]:
+        """Record all runs."""
+        return [as_run(name, run) for name, run in zip(self.names, self.record(effects), strict=True)]
+
+    def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
+        """Return the signal to floor of effects."""
+        return reference.signal_to_floor(self.given_runs(effects))
+
+    @property
+    def formulas(self) -> Mapping[str, str]:
+        """Formula of every effect that the plant may be given."""
+        return self.plant.formulas
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Parameters of the damper."""
+        return self.plant.parameters
+
+    @property
+    def reference(self) -> tuple[Run, ...]:
+        """Recordings from before the effects came: none."""
+        return ()
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate in Hz."""
+        return self.instruments.rate
 
     @property
     def scatter(self) -> list[RunDeviation]:

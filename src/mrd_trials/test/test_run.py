@@ -8,6 +8,7 @@ import pytest
 from distributed import LocalCluster
 
 from mrd_base import InputError
+from mrd_trials.bench_session import as_run
 from mrd_trials.cli.score import work
 from mrd_trials.evaluate import DiagnosedPlant, evaluate_plant
 from mrd_trials.excitation import Tier
@@ -32,7 +33,7 @@ def trial(tmp_path_factory):
     for number, effects in enumerate([{}, {"moving_mass": {"mass": 1.5, "frequency": 100.0, "damping": 0.3}}], 1):
         plant = TruePlant("bouc_wen", {}, effects)
         readings = record(plant, commands * 2, TrueInstruments(100.0), np.random.default_rng(number))
-        files = write_recordings(folder, f"p000{number}", list(zip(names, readings, strict=True)))
+        files = write_recordings(folder, f"p000{number}", [as_run(*named) for named in zip(names, readings, strict=True)])
         plants.append(PublicPlant(f"p000{number}", "bouc_wen", "sine", 100.0, files, f"commitment {number}"))
     write_trial(PublicTrial(Recipe(1, {"sine@100": 2}), tuple(plants)), folder)
     return folder

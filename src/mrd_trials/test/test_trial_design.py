@@ -66,7 +66,7 @@ def test_names_of_plants_say_nothing():
 @pytest.mark.parametrize(
     ("recipe", "message"),
     [
-        (Recipe(1, {"slow@500": 3}), "tier slow@500: expected replay, or one of rich"),
+        (Recipe(1, {"slow@500": 3}), "tier slow@500: expected one of replay, semireal, before_after, or of rich"),
         (Recipe(1, {"rich@fast": 3}), "tier rich@fast"),
         (Recipe(1, {"rich@1": 3}), "10 to 4000 Hz"),
         (Recipe(1, {"rich@500": 3}, {"null": 0.5}), "add up to 1"),
@@ -86,7 +86,16 @@ def test_a_replay_without_recordings_is_left_out_and_reported(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("signal_to_floor", "name"), [(0.0, ""), (0.5, "<1"), (1.0, "1-3"), (2.9, "1-3"), (3.0, "3-10"), (10.0, ">10")]
+    ("strength", "name", "of_recordings"),
+    [
+        (0.0, "", ""),
+        (0.5, "<1", "25-50 %"),
+        (1.0, "1-3", "50-75 %"),
+        (2.9, "1-3", "50-75 %"),
+        (3.0, "3-10", ">75 %"),
+        (10.0, ">10", ">75 %"),
+    ],
 )
-def test_strata(signal_to_floor, name):
-    assert stratum(signal_to_floor) == name
+def test_strata(strength, name, of_recordings):
+    assert stratum(strength, "rich") == name
+    assert stratum(strength, "semireal") == of_recordings

@@ -13,7 +13,7 @@ from mrd_trials.trial_folder import read_trial
 
 N = TypeVar("N", int, float)
 
-STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24}
+STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24, "semireal": 40}
 """Number of plants by tier in the standard trial."""
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mrd_trials.records import Evaluation, GroundTruth, Submission
-from mrd_trials.trial_design import DETECTABLE
+from mrd_trials.trial_design import is_detectable
 
 LIKELY = 0.05
 """Probability above which a candidate belongs to the candidate set: a set of 95 % leaves out what is less likely."""
@@ -37,7 +37,7 @@ class PlantResult:
     @property
     def detectable(self) -> bool:
         """Whether the effects are strong enough to be found."""
-        return self.truth.signal_to_floor > DETECTABLE
+        return is_detectable(self.truth)
 
     @property
     def true_causes(self) -> frozenset[str]:

@@ -64,9 +64,9 @@ HEAT, FLUID_HEAT, TRAVELLED, STRUCTURE = range(4)
 to 1)."""
 
 HYSTERESIS, CREEP, SEAL, SEAL_LEVEL, GUIDE, GAS_HEAT, DASHPOT, VOID, MOUNT, DRIVE, JOINT, PISTON, ROD, BRANCH = range(14)
-"""Places in the fast state: hysteretic state and creep of the form, bristles of the seal and the level that they tend to,
-bristles of the guide, force in N of the gas's heat; then in m: dashpot in series, void, spring in series, joints of drive and
-damper, piston, rod, and elongation of each relaxing branch."""
+"""Places in the fast state: hysteretic state and creep of the form, bristles of the seal and the level they tend to,
+bristles of the guide, force in N of the gas's heat; then in m: dashpot in series, void, spring in series, joints of drive
+and damper, piston, rod, and elongation of each relaxing branch."""
 
 
 def rested_state() -> Array:

@@ -163,7 +163,7 @@ def record(
         time: Array = step * np.arange(len(command.time), dtype=float)
         shown, rod, current, acting = _driven(p, command, scatter.phase, magnetic)
         force = damper_force(p, rod[0], rod[1], acting, step, scatter.gain, series, slow) + inertia_force(p, *rod, step)
-        force = _force_channel(p, force, shown, current, clock, time, step) + scatter.offset
+        force = force_channel(p, force, shown, current, clock, time, step) + scatter.offset
         position = transducer_reading(p, sticking_reading(p, shown))
         channels = position, current_reading(p, current), rod[2], force
         recorded.append(_read(p, instruments, streams, step, channels, scatter.phase))
@@ -225,7 +225,7 @@ def followed_command(command: Array, step: float) -> tuple[Array, Array, Array]:
     return motion[0] + command[0], motion[1], motion[2]
 
 
-def _force_channel(
+def force_channel(
     p: PlantValues, force: Array, position: Array, current: Array, clock: float, time: Array, step: float
 ) -> Array:
     """Return the output of the force channel, from the force on the cell: cell, wires and converter act in this order."""
