@@ -17,7 +17,6 @@ from mrd_trials.reference_fit import ReferenceFit, find_strength
 from mrd_trials.trial_design import (
     ALTERED_TIERS,
     DETECTABLE,
-    MODEL,
     MODEL_FORM,
     PlantDesign,
     Recipe,
@@ -96,7 +95,9 @@ def make_trial(
     for truth, runs, reference in run_in_processes(make_plant, arguments, workers):
         files = write_recordings(folder, truth.plant, runs)
         before = write_reference(folder, truth.plant, reference)
-        plants[truth.plant] = PublicPlant(truth.plant, MODEL, truth.excitation, truth.rate, files, commitment(truth), before)
+        plants[truth.plant] = PublicPlant(
+            truth.plant, truth.model, truth.excitation, truth.rate, files, commitment(truth), before
+        )
         append_record(truth, answers)
         in_order = tuple(plants[design.plant] for design in designs if design.plant in plants)
         write_trial(PublicTrial(recipe, in_order), folder)
@@ -128,7 +129,7 @@ def make_plant(
     truth = GroundTruth(
         plant=design.plant,
         kind=design.kind,
-        model=MODEL,
+        model=design.model,
         base=design.form,
         perturbed=design.form != MODEL_FORM,
         implied=form.implied if form else (),
@@ -160,7 +161,7 @@ def _draw_effects(design: PlantDesign, session: BenchSession | RecordedSession) 
     is_altered = design.tier.excitation in ALTERED_TIERS
     rng = np.random.default_rng(session.fit_seed)
     # A gain of its own for each recording would hide an error of the current, which is constant in it.
-    reference = ReferenceFit.from_runs(MODEL, session.given_runs({}), rng, gains=not is_altered)
+    reference = ReferenceFit.from_runs(design.model, session.given_runs({}), rng, gains=not is_altered)
 
     def draw(place: int, effect: str, strength: float) -> Effects:
         formula = EFFECTS[effect].formula(session.formulas[effect])

@@ -40,6 +40,9 @@ DETECTABLE = 3.0
 MODEL, MODEL_FORM = "bouc_wen", "bouc_wen"
 """Damper model that is fitted, and the damper form that it can take."""
 
+RECORDED_MODELS = (MODEL, "shear_thinning_bouc_wen")
+"""Damper models that are fitted to recordings, in turn: the better a model, the smaller are the errors that can be seen."""
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -85,6 +88,8 @@ class PlantDesign:
         Measured damper whose recorded motion is replayed.
     substitutes : tuple of str
         Effects, in this order, for those that cannot be made strong enough.
+    model : str
+        Id of the damper model to be fitted.
     background : int
         Number of the untouched recordings into which the effects are put; 0 for a simulated plant.
     family : {"development", "evaluation"}
@@ -100,6 +105,7 @@ class PlantDesign:
     targets: tuple[float, ...]
     damper: str = ""
     substitutes: tuple[str, ...] = ()
+    model: str = MODEL
     background: int = 0
     family: Family = "development"
 
@@ -207,8 +213,9 @@ def _design_altered_tier(
     for kind, number in _numbers(recipe.shares, count):
         for _ in range(number):
             place = next(background)
-            damper = recorded[(place - 1) % len(recorded)]
-            design = PlantDesign("", kind, tier, (), damper, (), (), damper, background=place, family=recipe.family)
+            turn, which = divmod(place - 1, len(recorded))
+            damper, model = recorded[which], RECORDED_MODELS[turn % len(RECORDED_MODELS)]
+            design = PlantDesign("", kind, tier, (), damper, (), (), damper, (), model, place, recipe.family)
             if kind != "null":
                 first = turns[kind]()
                 others = [str(name) for name in rng.permutation(names[kind]) if name != first]

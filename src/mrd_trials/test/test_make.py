@@ -85,7 +85,9 @@ def test_an_undetectable_effect_of_a_pair_is_substituted():
     tier = parse_tier("sine@100")
     effects, targets, substitutes = ("flow_asymmetry", "gas_spring"), (5.0, 5.0), ("side_load_friction",)
     design = PlantDesign("p0001", "pair", tier, (5, 1), "bouc_wen", effects, targets, substitutes=substitutes)
-    truth, _ = make_plant(design)
+    truth, runs, reference = make_plant(design)
+    assert len(runs) > FRESH_RUNS
+    assert not reference
     assert set(truth.causes) == {"flow_asymmetry", "side_load_friction"}
     assert truth.signal_to_floor > 3.0
 

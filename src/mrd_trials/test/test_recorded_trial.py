@@ -19,10 +19,11 @@ from mrd_trials.recorded_session import split_runs
 from mrd_trials.records import Evaluation, Explanation, GroundTruth, Submission
 from mrd_trials.run import run_trial
 from mrd_trials.scoring.rates import Rate
+from mrd_trials.scoring.report import write_score_report
 from mrd_trials.scoring.score import score_trial
 from mrd_trials.scoring.tables import markdown_tables
 from mrd_trials.submission import installed_diagnoser
-from mrd_trials.trial_design import Recipe, design_trial, is_detectable
+from mrd_trials.trial_design import RECORDED_MODELS, Recipe, design_trial, is_detectable
 from mrd_trials.trial_folder import read_fresh_runs, read_given_runs, read_reference_runs, read_trial
 from mrd_trials.truth import ALTERATIONS, BenchCommand, TrueInstruments, TruePlant, record
 
@@ -95,6 +96,7 @@ def test_altered_plants_have_the_recordings_of_an_untouched_one(trial):
     for truth in altered:
         background = answers[truth.background]
         assert background.kind == "null"
+        assert background.model == truth.model
         assert background.excitation == truth.excitation
         assert plants[truth.plant].runs != plants[truth.background].runs
         one, other = (
@@ -103,6 +105,7 @@ def test_altered_plants_have_the_recordings_of_an_untouched_one(trial):
         assert one == other
         assert truth.stratum in ("10-25 %", "25-50 %", "50-75 %")
         assert truth.signal_to_floor > 0.1
+    assert {truth.model for truth in altered} == set(RECORDED_MODELS)
     assert all(not truth.background for truth in answers.values() if truth.kind == "null")
 
 
@@ -154,7 +157,7 @@ def cause_of(effect, probability):
 
 def stand_in(runs, model, *, effects=(), seed=0, reference=()):
     """A diagnosis that names the same effects for whatever it is given, one more in a comparison."""
-    assert model == "bouc_wen"
+    assert model in RECORDED_MODELS
     assert all(len(run.time) > 100 for run in (*runs, *reference))
     causes = [cause_of("gas_spring", 0.9), *([cause_of("end_stop", 0.6)] if reference else [])]
     return SimpleNamespace(
@@ -189,7 +192,8 @@ def test_another_method_can_diagnose_and_is_scored(trial, tmp_path):
     assert semireal.calibration.count == 0
     assert compared.calibration.count == 8
     assert score.by_excitation["rich"].plants == 0
-    assert "Effects put into measured recordings" in markdown_tables(score)
+    for text in (markdown_tables(score), write_score_report(score, tmp_path).read_text()):
+        assert "Effects put into measured recordings" in text
     # Nothing was corrected, so nothing of what was added is closed.
     assert len(semireal.closed.values) == 1
     assert abs(semireal.closed.median) < 0.05

@@ -132,7 +132,8 @@ def alter(
         position = _shown_by_encoder(p, run.position + _elongations(p, force, step))
         force = force_channel(p, force, position, run.current, clock, run.time, step)
         force = force + hum(p, run.time, rng.random())
-        altered.append((transducer_reading(p, sticking_reading(p, position)), current_reading(p, run.current), force))
+        current = current_reading(p, clock + run.time, run.current)
+        altered.append((transducer_reading(p, sticking_reading(p, position)), current, force))
         clock += run.time[-1] + REST
         store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
     return altered

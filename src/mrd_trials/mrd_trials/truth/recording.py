@@ -165,7 +165,7 @@ def record(
         force = damper_force(p, rod[0], rod[1], acting, step, scatter.gain, series, slow) + inertia_force(p, *rod, step)
         force = force_channel(p, force, shown, current, clock, time, step) + scatter.offset
         position = transducer_reading(p, sticking_reading(p, shown))
-        channels = position, current_reading(p, current), rod[2], force
+        channels = position, current_reading(p, clock + time, current), rod[2], force
         recorded.append(_read(p, instruments, streams, step, channels, scatter.phase))
         clock += len(force) * step + REST
         store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
