@@ -8,8 +8,10 @@ import numpy as np
 
 from mrd_runs import Run
 from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers
+from mrd_trials.reference_fit import ReferenceFit
 from mrd_trials.trial_design import PlantDesign
 from mrd_trials.truth import (
+    EFFECTS,
     BenchCommand,
     Readings,
     RunDeviation,
@@ -34,7 +36,7 @@ class BenchSession:
         Name and command of each run in order; the last `FRESH_RUNS` are for the evaluation alone.
     instruments : TrueInstruments
     plant : TruePlant
-        The plant without effects.
+        The plant without effects; its formulas are those of all effects that it may be given.
     noise_seed : int
         Seed of everything that differs from run to run.
     effect_seed : int
@@ -54,12 +56,13 @@ class BenchSession:
     @classmethod
     def from_design(cls, design: PlantDesign, recorded: str = "") -> "BenchSession":
         """Return the session of a design, always the same; ``recorded`` is as in `mrd_trials.trial_design.Recipe`."""
-        command_rng, form_rng, seed_rng = np.random.default_rng(design.seed).spawn(3)
+        command_rng, form_rng, seed_rng, formula_rng = np.random.default_rng(design.seed).spawn(4)
         source: Sequence[Run] = read_recorded_dampers(Path(recorded))[design.damper] if design.damper else ()
         named = commands_of_runs(design.tier, command_rng, source)
         rate = design.tier.rate or source[0].rate
         noise, effect, fit = map(int, seed_rng.integers(2**62, size=3))
-        plant = TruePlant(design.form, draw_parameters(design.form, form_rng), {})
+        formulas = {name: effect.draw_formula(design.family, formula_rng) for name, effect in EFFECTS.items()}
+        plant = TruePlant(design.form, draw_parameters(design.form, form_rng), {}, formulas)
         instruments = TrueInstruments(rate=rate, averaged=rate > 100.0)
         names, commands = tuple(name for name, _ in named), tuple(command for _, command in named)
         return cls(names, commands, instruments, plant, noise, effect, fit)
@@ -77,6 +80,34 @@ class BenchSession:
         """Record all runs without noise and jitter; each has the same scatter as with them."""
         silent = replace(self, instruments=self.instruments.without_noise())
         return [as_run(name, run) for name, run in zip(self.names, silent.record(effects), strict=True)]
+
+    def all_runs(self, effects: Effects) -> list[Run]:
+        """Record all runs."""
+        return [as_run(name, run) for name, run in zip(self.names, self.record(effects), strict=True)]
+
+    def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
+        """Return the signal to floor of effects."""
+        return reference.signal_to_floor(self.given_runs(effects))
+
+    @property
+    def formulas(self) -> Mapping[str, str]:
+        """Formula of every effect that the plant may be given."""
+        return self.plant.formulas
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Parameters of the damper."""
+        return self.plant.parameters
+
+    @property
+    def reference(self) -> tuple[Run, ...]:
+        """Recordings from before the effects came: none."""
+        return ()
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate in Hz."""
+        return self.instruments.rate
 
     @property
     def scatter(self) -> list[RunDeviation]:

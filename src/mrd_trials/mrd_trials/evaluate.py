@@ -10,11 +10,13 @@ from mrd_runs import Run
 from mrd_trials.baseline_methods import run_baseline_methods
 from mrd_trials.bench_session import BenchSession, as_run
 from mrd_trials.closure import ClosureMeter
-from mrd_trials.excitation import random_command, recommended_command
+from mrd_trials.excitation import BEFORE_AFTER, random_command, recommended_command
 from mrd_trials.parallel import run_in_processes
+from mrd_trials.recorded_closure import share_closed
+from mrd_trials.recorded_session import RecordedSession
 from mrd_trials.records import Evaluation, GroundTruth, Submission, complete_records
 from mrd_trials.submission import diagnose_plant
-from mrd_trials.trial_design import DETECTABLE, PlantDesign, design_trial
+from mrd_trials.trial_design import ALTERED_TIERS, PlantDesign, design_trial, is_detectable
 from mrd_trials.trial_folder import PublicPlant, read_fresh_runs, read_given_runs, read_trial
 from mrd_trials.true_map import true_map
 from mrd_trials.truth import BenchCommand
@@ -39,6 +41,8 @@ class DiagnosedPlant:
     public : PublicPlant
     truth : GroundTruth
     submission : Submission
+    of_untouched : Submission or None
+        That on the same recordings without the effects; None for a simulated plant, or where there is none.
     """
 
     folder: Path
@@ -47,6 +51,7 @@ class DiagnosedPlant:
     public: PublicPlant
     truth: GroundTruth
     submission: Submission
+    of_untouched: Submission | None = None
 
 
 def evaluate_trial(
@@ -76,7 +81,13 @@ def evaluate_trial(
     designs = {design.plant: design for design in design_trial(trial.recipe)[0]}
     plants = {
         public.plant: DiagnosedPlant(
-            folder, designs[public.plant], trial.recipe.recorded, public, answers[public.plant], submissions[public.plant]
+            folder,
+            designs[public.plant],
+            trial.recipe.recorded,
+            public,
+            answers[public.plant],
+            submissions[public.plant],
+            submissions.get(answers[public.plant].background),
         )
         for public in trial.plants
         if public.plant in submissions
@@ -94,9 +105,11 @@ def evaluate_plant(plant: DiagnosedPlant) -> Evaluation:
     evaluation = Evaluation(truth.plant, equivalents={cause: (cause,) for cause in truth.causes})
     if submission.verdict == "failed":
         return evaluation
+    if truth.excitation in ALTERED_TIERS:
+        return _evaluate_altered(plant, evaluation)
     runs = read_given_runs(plant.folder, plant.public)
     session = BenchSession.from_design(plant.design, plant.recorded)
-    detectable = truth.kind == "single" and truth.signal_to_floor > DETECTABLE
+    detectable = truth.kind == "single" and is_detectable(truth)
     if (detectable or (truth.kind == "null" and truth.excitation == "rich")) and submission.verdict != "data_fault":
         baseline = run_baseline_methods(runs, truth.model)
         equivalents = {cause: baseline.equivalents(cause) for cause in truth.causes}
@@ -125,9 +138,22 @@ def evaluate_plant(plant: DiagnosedPlant) -> Evaluation:
     return evaluation
 
 
+def _evaluate_altered(plant: DiagnosedPlant, evaluation: Evaluation) -> Evaluation:
+    """Evaluate the submission on measured recordings into which effects were put; the oracle knows what was put in."""
+    truth = plant.truth
+    if not truth.effects:
+        return evaluation
+    evaluation = replace(evaluation, oracle_closure=truth.signal_to_floor / (1.0 + truth.signal_to_floor))
+    if truth.excitation == BEFORE_AFTER or plant.of_untouched is None:
+        return evaluation
+    session = RecordedSession.from_design(plant.design, plant.recorded)
+    closed = share_closed(session, truth.effects, truth.model, plant.submission, plant.of_untouched)
+    return replace(evaluation, fresh_closure=closed)
+
+
 def _is_resolved(plant: DiagnosedPlant, session: BenchSession, runs: Sequence[Run], command: BenchCommand) -> bool:
-    """Whether a diagnosis with one more run names the causes and nothing else."""
+    """Whether a diagnosis with one more run names the causes and nothing else, without an alternative."""
     further = as_run("next", session.record(plant.truth.effects, [command])[-1])
     submission = diagnose_plant(plant.public, [*runs, further])
     named = {effect for cause in submission.causes for effect in cause.effects}
-    return submission.verdict == "explained" and named == set(plant.truth.causes)
+    return submission.verdict in ("explained", "partly_explained") and named == set(plant.truth.causes)

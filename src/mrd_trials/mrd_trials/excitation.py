@@ -27,6 +27,12 @@ from mrd_trials.truth import BenchCommand
 STEP = 1 / 8000
 """Sampling period in s of what a plant is commanded to do."""
 
+SEMIREAL, BEFORE_AFTER = "semireal", "before_after"
+"""Tiers of measured recordings into which effects are put; those of the second are compared with untouched ones."""
+
+FROM_RECORDINGS = ("replay", SEMIREAL, BEFORE_AFTER)
+"""Tiers that need recordings of measured dampers, and have their rate."""
+
 RunSpecification = tuple[str, float, Waveform, Waveform]
 """Name, duration in s, waveform of the rod, waveform of the coil."""
 
@@ -44,9 +50,9 @@ class Tier:
     Attributes
     ----------
     excitation : str
-        ``rich``, ``paper``, ``sine`` or ``replay``.
+        ``rich``, ``paper``, ``sine``, ``replay``, ``semireal`` or ``before_after``.
     rate : float
-        Sample rate in Hz; 0 for a replay, which has the rate of its recording.
+        Sample rate in Hz; 0 for the tiers that have the rate of their recordings.
     """
 
     excitation: str
@@ -65,14 +71,17 @@ def parse_tier(text: str) -> Tier:
         When the excitation is unknown, or the rate is out of range.
     """
     name, _, rate = text.partition("@")
-    if name == "replay" and not rate:
+    if name in FROM_RECORDINGS and not rate:
         return Tier(name, 0.0)
     try:
         value = float(rate)
     except ValueError:
         value = np.nan
     if name not in SETS or not 10.0 <= value <= 4000.0:
-        raise InputError(f"tier {text}: expected replay, or one of {', '.join(SETS)} with @ and 10 to 4000 Hz, as rich@500")
+        raise InputError(
+            f"tier {text}: expected one of {', '.join(FROM_RECORDINGS)}, or of {', '.join(SETS)} with @ and 10 to 4000 Hz, "
+            "as rich@500"
+        )
     return Tier(name, value)
 
 

@@ -1,23 +1,45 @@
 """Make the plants of a trial: recordings for the diagnosis, recordings for the evaluation alone, sealed answers."""
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from mrd_base import InputError
+from mrd_runs import Run
 from mrd_trials.bench_session import BenchSession, Effects
 from mrd_trials.commitments import commitment, new_salt
 from mrd_trials.parallel import run_in_processes
+from mrd_trials.recorded_session import RecordedSession
 from mrd_trials.records import GroundTruth, append_record, read_records
 from mrd_trials.reference_fit import ReferenceFit, find_strength
-from mrd_trials.trial_design import DETECTABLE, MODEL, MODEL_FORM, PlantDesign, Recipe, design_trial, stratum
-from mrd_trials.trial_folder import DESCRIPTION, PublicPlant, PublicTrial, read_trial, write_recordings, write_trial
-from mrd_trials.truth import EFFECTS, Readings
+from mrd_trials.trial_design import (
+    ALTERED_TIERS,
+    DETECTABLE,
+    MODEL_FORM,
+    PlantDesign,
+    Recipe,
+    design_trial,
+    stratum,
+    untouched_plants,
+)
+from mrd_trials.trial_folder import (
+    DESCRIPTION,
+    PublicPlant,
+    PublicTrial,
+    read_trial,
+    write_recordings,
+    write_reference,
+    write_trial,
+)
+from mrd_trials.truth import DAMPER_FORMS, EFFECTS
 
 STRONGEST = 6.0
 """Largest strength, in multiples of the typical one: beyond it, an effect would not be believed."""
+
+LEAST_REACHED = 0.7
+"""Share of its target that an effect put into recordings must reach; else another one takes its place."""
 
 
 def make_trial(
@@ -64,10 +86,18 @@ def make_trial(
     if len(unknown) > 1:  # one may be of a plant that was being written when the work was interrupted
         raise InputError(f"--answers {answers}: holds answers of another trial ({unknown[0]}, ...); name another file")
     missing = [design for design in designs if design.plant not in made or design.plant in unknown]
+    untouched = untouched_plants(designs)
     answers.parent.mkdir(parents=True, exist_ok=True)
-    for truth, recordings in run_in_processes(make_plant, [(design, recipe.recorded) for design in missing], workers):
-        files = write_recordings(folder, truth.plant, recordings)
-        plants[truth.plant] = PublicPlant(truth.plant, MODEL, truth.excitation, truth.rate, files, commitment(truth))
+    arguments = [
+        (design, recipe.recorded, "" if design.kind == "null" else untouched.get((str(design.tier), design.background), ""))
+        for design in missing
+    ]
+    for truth, runs, reference in run_in_processes(make_plant, arguments, workers):
+        files = write_recordings(folder, truth.plant, runs)
+        before = write_reference(folder, truth.plant, reference)
+        plants[truth.plant] = PublicPlant(
+            truth.plant, truth.model, truth.excitation, truth.rate, files, commitment(truth), before
+        )
         append_record(truth, answers)
         in_order = tuple(plants[design.plant] for design in designs if design.plant in plants)
         write_trial(PublicTrial(recipe, in_order), folder)
@@ -75,52 +105,79 @@ def make_trial(
     return left_out
 
 
-def make_plant(design: PlantDesign, recorded: str = "") -> tuple[GroundTruth, list[tuple[str, Readings]]]:
-    """Make one plant, and return its ground truth and its recordings by name, the last `FRESH_RUNS` for the evaluation."""
-    session = BenchSession.from_design(design, recorded)
-    effects, signal_to_floor = _draw_effects(design, session) if design.effects else ({}, 0.0)
+def make_plant(
+    design: PlantDesign, recorded: str = "", background: str = ""
+) -> tuple[GroundTruth, list[Run], Sequence[Run]]:
+    """Make one plant.
+
+    Returns
+    -------
+    GroundTruth
+    list of Run
+        Its recordings, the last `FRESH_RUNS` for the evaluation.
+    sequence of Run
+        Recordings from before its effects came; empty without a comparison.
+    """
+    session = session_of(design, recorded)
+    effects, strength = _draw_effects(design, session) if design.effects else ({}, 0.0)
     causes = tuple(name for name in effects if EFFECTS[name].in_catalogue)
-    sizes = {key: value for name in causes for key, value in EFFECTS[name].shared_sizes(effects[name]).items()}
+    formulas = {name: session.formulas[name] for name in effects}
+    sizes = {
+        key: value for name in causes for key, value in EFFECTS[name].shared_sizes(effects[name], formulas[name]).items()
+    }
+    form = DAMPER_FORMS.get(design.form)
     truth = GroundTruth(
         plant=design.plant,
         kind=design.kind,
-        model=MODEL,
+        model=design.model,
         base=design.form,
         perturbed=design.form != MODEL_FORM,
-        parameters=dict(session.plant.parameters),
+        implied=form.implied if form else (),
+        parameters=dict(session.parameters),
         effects=effects,
+        formulas=formulas,
         causes=causes,
         sizes=sizes,
-        signal_to_floor=signal_to_floor,
-        stratum=stratum(signal_to_floor),
+        signal_to_floor=strength,
+        stratum=stratum(strength, design.tier.excitation),
         excitation=design.tier.excitation,
-        rate=session.instruments.rate,
-        seed=design.seed[1],
+        rate=session.rate,
+        seed=design.seed[-1],
         salt=new_salt(),
+        background=background,
     )
-    return truth, list(zip(session.names, session.record(effects), strict=True))
+    return truth, session.all_runs(effects), session.reference
 
 
-def _draw_effects(design: PlantDesign, session: BenchSession) -> tuple[Effects, float]:
-    """Draw the effects of a design, each as strong as its target asks; return them and their joint signal to floor."""
-    reference = ReferenceFit.from_runs(MODEL, session.given_runs({}), np.random.default_rng(session.fit_seed))
+def session_of(design: PlantDesign, recorded: str = "") -> BenchSession | RecordedSession:
+    """Return the session of a design: a simulated plant on the bench, or recordings of a measured damper."""
+    if design.tier.excitation in ALTERED_TIERS:
+        return RecordedSession.from_design(design, recorded)
+    return BenchSession.from_design(design, recorded)
+
+
+def _draw_effects(design: PlantDesign, session: BenchSession | RecordedSession) -> tuple[Effects, float]:
+    """Draw the effects of a design, each as strong as its target asks; return them and their joint strength."""
+    is_altered = design.tier.excitation in ALTERED_TIERS
+    rng = np.random.default_rng(session.fit_seed)
+    # A gain of its own for each recording would hide an error of the current, which is constant in it.
+    reference = ReferenceFit.from_runs(design.model, session.given_runs({}), rng, gains=not is_altered)
 
     def draw(place: int, effect: str, strength: float) -> Effects:
-        return {effect: EFFECTS[effect].draw(np.random.default_rng([session.effect_seed, place]), strength)}
-
-    def signal_to_floor(effects: Effects) -> float:
-        return reference.signal_to_floor(session.given_runs(effects))
+        formula = EFFECTS[effect].formula(session.formulas[effect])
+        return {effect: formula.draw(np.random.default_rng([session.effect_seed, place]), strength)}
 
     substitutes = iter(design.substitutes)
     effects: Effects = {}
     for place, (wanted, target) in enumerate(zip(design.effects, design.targets, strict=True)):
+        least = LEAST_REACHED * target if is_altered else DETECTABLE  # two effects of which one is hardly there are no pair
         for effect in itertools.chain([wanted], substitutes):
 
             def signal_at(strength: float, place: int = place, effect: str = effect) -> float:
-                return signal_to_floor(draw(place, effect, strength))
+                return session.strength_of(reference, draw(place, effect, strength))
 
             strength, signal = find_strength(target, signal_at, STRONGEST)
-            if signal > DETECTABLE:  # two effects of which one is hardly there are no pair
+            if signal > least:
                 break
         effects = {**effects, **draw(place, effect, strength)}
-    return effects, signal_to_floor(effects)
+    return effects, session.strength_of(reference, effects)

@@ -35,26 +35,34 @@ class GroundTruth:
         Id of the plant's damper form.
     perturbed : bool
         Whether the fitted model cannot take that form.
+    implied : tuple of str
+        Effects of the catalogue that the form contains: naming them is neither right nor wrong.
     parameters : mapping
         Parameters of the form.
     effects : mapping
         Parameters of every effect of the plant by id, in the catalogue or not.
+    formulas : mapping
+        Id of the formula of each of these effects.
     causes : tuple of str
         Those effects that are in the catalogue: what a diagnosis should name.
     sizes : mapping
         Parameters of the causes that mean the same in the catalogue, by EFFECT.PARAMETER.
     signal_to_floor : float
         Mean square of what the effects add and the fitted model cannot take up, over that of the noise; 0 without effects.
+        For effects put into recordings, the squared error that they add to the refitted model's, over that without them.
     stratum : str
-        Stratum of the signal to floor: ``<1``, ``1-3``, ``3-10``, ``>10``, or empty without effects.
+        Stratum of that: ``<1``, ``1-3``, ``3-10``, ``>10``, or empty without effects; in recordings, the share of the
+        squared error that the effects are.
     excitation : str
-        ``rich``, ``paper``, ``sine`` or ``replay``.
+        ``rich``, ``paper``, ``sine``, ``replay``, ``semireal`` or ``before_after``.
     rate : float
         Sample rate in Hz.
     seed : int
         Number of the plant, from which everything random about it is drawn.
     salt : str
         Hexadecimal digits that keep the commitment from being guessed.
+    background : str
+        Plant with the same recordings, untouched; empty for a simulated plant and for the untouched one itself.
     """
 
     plant: str
@@ -62,8 +70,10 @@ class GroundTruth:
     model: str
     base: str
     perturbed: bool
+    implied: tuple[str, ...]
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]]
+    formulas: Mapping[str, str]
     causes: tuple[str, ...]
     sizes: Mapping[str, float]
     signal_to_floor: float
@@ -72,6 +82,7 @@ class GroundTruth:
     rate: float
     seed: int
     salt: str
+    background: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,10 +180,12 @@ class Evaluation:
     plant : str
     oracle_closure : float
         Share of the gap that a diagnosis with only the true causes as candidates closes; nan where the catalogue lacks one.
+        Of effects put into recordings: the share of the squared error that refitting without them would close.
     true_map : tuple of GapBin
         Shares of the true gap on the axes and bins of the submission.
     fresh_closure : float
-        Share of the gap that the submitted parameters close on runs that the diagnosis was not given; nan without causes.
+        Share of the gap that the submitted parameters close on runs that the diagnosis was not given; nan without causes. Of
+        an effect put into recordings: the share of the squared error that it added, beyond what is closed without it.
     equivalents : mapping
         By cause: effects that, refitted in its place, lower the error nearly as much; the cause is among them.
     rankings : mapping

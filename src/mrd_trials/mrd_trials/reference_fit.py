@@ -36,8 +36,8 @@ class ReferenceFit:
         Samples of each run that count.
     nuisance : ndarray (samples, k)
         Orthonormal basis of what the model's parameters, and an offset and a gain of each run, can imitate.
-    floor : float
-        Root mean square in N of what the fit leaves.
+    remainder : ndarray (samples,)
+        What the fit leaves of the errors in N.
     """
 
     model: DamperModel
@@ -45,22 +45,22 @@ class ReferenceFit:
     errors: Array
     counted: tuple[slice, ...]
     nuisance: Array
-    floor: float
+    remainder: Array
 
     @classmethod
-    def from_runs(cls, model_id: str, runs: Sequence[Run], rng: np.random.Generator) -> "ReferenceFit":
-        """Fit a model to runs of a plant without effects."""
+    def from_runs(cls, model_id: str, runs: Sequence[Run], rng: np.random.Generator, gains: bool = True) -> "ReferenceFit":
+        """Fit a model to runs of a plant without effects; without ``gains``, only the offsets of the runs are free."""
         recordings = in_threads(prepare_recording, runs)
         problem, theta = fit_model(model_id, recordings, rng)
         forces = consecutive_forces(problem.model, theta, recordings)
         offsets_and_gains = np.zeros((len(problem.force), 2 * len(recordings)))
         for place, (block, force) in enumerate(zip(problem.blocks, forces, strict=True)):
             offsets_and_gains[block, 2 * place], offsets_and_gains[block, 2 * place + 1] = 1.0, force
-        nuisance = orthonormal_basis(np.hstack([problem.jacobian(problem.unit(theta)), offsets_and_gains]))
+        scatter = offsets_and_gains if gains else offsets_and_gains[:, ::2]
+        nuisance = orthonormal_basis(np.hstack([problem.jacobian(problem.unit(theta)), scatter]))
         errors = problem.errors(theta)
-        remainder = errors - nuisance @ (nuisance.T @ errors)
         counted = tuple(recording.counted for recording in recordings)
-        return cls(problem.model, theta, errors, counted, nuisance, float(np.sqrt(np.mean(remainder**2))))
+        return cls(problem.model, theta, errors, counted, nuisance, errors - nuisance @ (nuisance.T @ errors))
 
     def unexplained_change(self, runs: Sequence[Run]) -> Array:
         """Return what effects change in the errors (samples,) and the model cannot take up, in N.
@@ -74,8 +74,16 @@ class ReferenceFit:
         return np.asarray(change - self.nuisance @ (self.nuisance.T @ change))
 
     def signal_to_floor(self, runs: Sequence[Run]) -> float:
-        """Return the mean square of `unexplained_change` over that of the floor."""
-        return float(np.mean(self.unexplained_change(runs) ** 2) / self.floor**2)
+        """Return the mean square of `unexplained_change` over that of what the fit leaves without effects."""
+        return float(np.mean(self.unexplained_change(runs) ** 2) / np.mean(self.remainder**2))
+
+    def added_error(self, runs: Sequence[Run]) -> float:
+        """Return by how much the effects raise the mean square of what the fit leaves, over that without effects.
+
+        Unlike `signal_to_floor`, it counts that an effect may make up for a part of the error that was there before.
+        """
+        with_effects = self.remainder + self.unexplained_change(runs)
+        return float(np.mean(with_effects**2) / np.mean(self.remainder**2)) - 1.0
 
 
 def fit_model(model_id: str, recordings: Sequence[Recording], rng: np.random.Generator) -> tuple[Problem, Array]:

@@ -4,11 +4,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_diagnosis import diagnose
 from mrd_identification.cluster import run_on_cluster
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.records import Submission, complete_records, read_records
-from mrd_trials.submission import Diagnoser, diagnose_plant, installed_diagnoser, reserve_folder
-from mrd_trials.trial_folder import PublicPlant, read_given_runs, read_trial
+from mrd_trials.submission import Diagnoser, Method, check_comparison, diagnose_plant, installed_diagnoser, reserve_folder
+from mrd_trials.trial_folder import PublicPlant, read_given_runs, read_reference_runs, read_trial
 
 VERDICTS_FILE = "verdicts.jsonl"
 
@@ -21,6 +22,7 @@ def run_trial(
     output: Path,
     diagnoser: Diagnoser | None = None,
     *,
+    method: Method = diagnose,
     workers: int = 1,
     scheduler: str = "",
     progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -35,6 +37,8 @@ def run_trial(
         Folder that gets `mrd_trials.submission.DIAGNOSER_FILE` and, one line a plant, `VERDICTS_FILE`.
     diagnoser : Diagnoser, optional
         As `mrd_trials.submission.installed_diagnoser` returns it.
+    method : callable
+        What diagnoses, a function at the top level of a module; takes what `mrd_diagnosis.diagnose` takes.
     workers : int
         Number of processes.
     scheduler : str
@@ -45,20 +49,33 @@ def run_trial(
     Raises
     ------
     InputError
-        When there is no trial, or ``output`` holds verdicts of another diagnoser or on another trial.
+        When there is no trial, ``output`` holds verdicts of another diagnoser or on another trial, or the trial asks for
+        comparisons that the method cannot make.
     """
     diagnoser = diagnoser or installed_diagnoser()
     plants = {plant.plant: plant for plant in read_trial(folder).plants}
+    check_comparison(plants.values(), method)
     reserve_folder(diagnoser, output)
     read_verdicts(output / VERDICTS_FILE, plants.values())
 
     def work(names: Sequence[str]) -> Iterator[Submission]:
         if not scheduler:
-            yield from run_in_processes(_diagnose_files, [(folder, plants[name], diagnoser.seed) for name in names], workers)
+            arguments = [(folder, plants[name], diagnoser.seed, method) for name in names]
+            yield from run_in_processes(_diagnose_files, arguments, workers)
             return
         for first in range(0, len(names), PORTION):
             portion = [plants[name] for name in names[first : first + PORTION]]
-            pieces = [(plant, tuple(read_given_runs(folder, plant)), diagnoser.seed) for plant in portion]
+            pieces = [
+                (
+                    plant,
+                    tuple(read_given_runs(folder, plant)),
+                    diagnoser.seed,
+                    (),
+                    tuple(read_reference_runs(folder, plant)),
+                    method,
+                )
+                for plant in portion
+            ]
             yield from run_on_cluster(scheduler, diagnose_plant, pieces)
 
     return complete_records(Submission, output / VERDICTS_FILE, list(plants), work, progress)
@@ -81,5 +98,6 @@ def read_verdicts(path: Path, plants: Iterable[PublicPlant]) -> dict[str, Submis
     return submissions
 
 
-def _diagnose_files(folder: Path, plant: PublicPlant, seed: int) -> Submission:
-    return diagnose_plant(plant, read_given_runs(folder, plant), seed)
+def _diagnose_files(folder: Path, plant: PublicPlant, seed: int, method: Method) -> Submission:
+    reference = read_reference_runs(folder, plant)
+    return diagnose_plant(plant, read_given_runs(folder, plant), seed, reference=reference, method=method)

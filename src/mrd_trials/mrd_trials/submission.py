@@ -1,9 +1,10 @@
 """Submission of the installed diagnosis: its verdict on one plant."""
 
 import hashlib
+import inspect
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -19,6 +20,9 @@ DIAGNOSIS_PACKAGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_
 """Packages whose code decides what a diagnosis says."""
 
 DIAGNOSER_FILE = "diagnoser.json"
+
+Method = Callable[..., Diagnosis]
+"""A function that takes what `mrd_diagnosis.diagnose` takes, and returns what it returns."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +70,54 @@ def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def diagnose_plant(plant: PublicPlant, runs: Sequence[Run], seed: int = 0, effects: Sequence[str] = ()) -> Submission:
-    """Diagnose one plant with some effects of the catalogue as candidates, all by default; an error is a submission too."""
+def diagnose_plant(
+    plant: PublicPlant,
+    runs: Sequence[Run],
+    seed: int = 0,
+    effects: Sequence[str] = (),
+    reference: Sequence[Run] = (),
+    method: Method = diagnose,
+) -> Submission:
+    """Diagnose one plant; an error is a submission too.
+
+    Parameters
+    ----------
+    plant : PublicPlant
+    runs : sequence of Run
+    seed : int
+    effects : sequence of str
+        Effects of the catalogue that are candidates, all by default.
+    reference : sequence of Run
+        Recordings from before, where the question is what has changed since.
+    method : callable
+        What diagnoses; takes what `mrd_diagnosis.diagnose` takes.
+    """
     start = time.monotonic()
+    compared = {"reference": reference} if reference else {}
     try:
-        diagnosis = diagnose(runs, plant.model, effects=effects, seed=seed)
+        diagnosis = method(runs, plant.model, effects=effects, seed=seed, **compared)
     except Exception as error:  # every error counts as a failure of the diagnosis
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         elapsed = time.monotonic() - start
         return Submission(plant.plant, "failed", failure=text, elapsed=elapsed, commitment=plant.commitment)
     return submission_of(plant, diagnosis)
+
+
+def check_comparison(plants: Iterable[PublicPlant], method: Method) -> None:
+    """Check that a method can compare recordings with earlier ones where a trial asks for it.
+
+    Raises
+    ------
+    InputError
+        When it cannot.
+    """
+    if "reference" not in inspect.signature(method).parameters:
+        for plant in plants:
+            if plant.reference:
+                raise InputError(
+                    f"plant {plant.plant}: is to be compared with earlier runs, but this diagnosis takes no reference; "
+                    "make a trial without the tier before_after"
+                )
 
 
 def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:

@@ -1,7 +1,7 @@
 """Design of a trial: which plants it has, of which kinds, with which effects at which strengths."""
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import get_args
@@ -9,21 +9,39 @@ from typing import get_args
 import numpy as np
 
 from mrd_base import InputError
-from mrd_trials.excitation import Tier, parse_tier, read_recorded_dampers
-from mrd_trials.records import Kind
-from mrd_trials.truth import DAMPER_FORMS, EFFECTS
+from mrd_trials.excitation import BEFORE_AFTER, FROM_RECORDINGS, SEMIREAL, Tier, parse_tier, read_recorded_dampers
+from mrd_trials.records import GroundTruth, Kind
+from mrd_trials.truth import ALTERATIONS, DAMPER_FORMS, EFFECTS, Family
 
 SHARES: Mapping[str, float] = {"null": 0.25, "single": 0.40, "pair": 0.15, "absent": 0.20}
-"""Share of each kind among the plants of a tier; half of the null plants have a form that the fitted model cannot take."""
+"""Share of each kind among the plants of a tier; half of each kind have a form that the fitted model cannot take."""
 
 STRATA = {"1-3": (1.2, 2.8), "3-10": (3.3, 9.0), ">10": (11.0, 40.0)}
 """Range from which the target of the signal to floor is drawn, by stratum."""
+
+RECORDED_STRATA = {"10-25 %": (0.13, 0.3), "25-50 %": (0.37, 0.9), "50-75 %": (1.1, 2.7)}
+"""The same for effects put into recordings, by the share of the squared error that refitting without them would remove."""
+
+SIGNAL_LIMITS = ((1.0, "<1"), (3.0, "1-3"), (10.0, "3-10"), (np.inf, ">10"))
+SHARE_LIMITS = ((1 / 9, "<10 %"), (1 / 3, "10-25 %"), (1.0, "25-50 %"), (3.0, "50-75 %"), (np.inf, ">75 %"))
+"""Upper end and name of each stratum of the signal to floor, and of the added error."""
+
+RECORDED_DETECTABLE = 1 / 3
+"""Added error above which an effect put into recordings should be found: it is then a quarter of the squared error."""
+
+ALTERED_TIERS = (SEMIREAL, BEFORE_AFTER)
+"""Tiers of measured recordings into which effects are put."""
+
+FAMILIES: tuple[Family, ...] = get_args(Family)
 
 DETECTABLE = 3.0
 """Signal to floor above which an effect should be found: its energy is then three times that of the noise."""
 
 MODEL, MODEL_FORM = "bouc_wen", "bouc_wen"
 """Damper model that is fitted, and the damper form that it can take."""
+
+RECORDED_MODELS = (MODEL, "shear_thinning_bouc_wen")
+"""Damper models that are fitted to recordings, in turn: the better a model, the smaller are the errors that can be seen."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +56,17 @@ class Recipe:
     shares : mapping
         Share of each kind of plant.
     recorded : str
-        Folder with recordings of measured dampers, one folder for each damper; for the tier ``replay``.
+        Folder with recordings of measured dampers, one folder for each damper; for the tiers
+        ``replay``, ``semireal`` and ``before_after``.
+    family : {"development", "evaluation"}
+        Family of the formulas and damper forms. The same seed gives other plants in the other family.
     """
 
     seed: int
     plants: Mapping[str, int]
     shares: Mapping[str, float] = field(default_factory=lambda: dict(SHARES))
     recorded: str = ""
+    family: Family = "development"
 
 
 @dataclass(frozen=True)
@@ -65,18 +87,27 @@ class PlantDesign:
     damper : str
         Measured damper whose recorded motion is replayed.
     substitutes : tuple of str
-        Effects, in this order, for those of a pair that cannot be made detectable.
+        Effects, in this order, for those that cannot be made strong enough.
+    model : str
+        Id of the damper model to be fitted.
+    background : int
+        Number of the untouched recordings into which the effects are put; 0 for a simulated plant.
+    family : {"development", "evaluation"}
+        Family from which the formulas of the effects are drawn.
     """
 
     plant: str
     kind: Kind
     tier: Tier
-    seed: tuple[int, int]
+    seed: tuple[int, ...]
     form: str
     effects: tuple[str, ...]
     targets: tuple[float, ...]
     damper: str = ""
     substitutes: tuple[str, ...] = ()
+    model: str = MODEL
+    background: int = 0
+    family: Family = "development"
 
 
 def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
@@ -90,52 +121,65 @@ def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
     wrong = {kind: share for kind, share in recipe.shares.items() if kind not in SHARES or not 0 <= share <= 1}
     if wrong or abs(sum(recipe.shares.values()) - 1) > 1e-6:
         raise InputError(f"shares {dict(recipe.shares)}: expected shares of {', '.join(SHARES)} that add up to 1")
-    rng = np.random.default_rng([recipe.seed, 0])
+    if recipe.family not in FAMILIES:
+        raise InputError(f"family {recipe.family}: expected one of {', '.join(FAMILIES)}")
+    stream = FAMILIES.index(recipe.family)
+    rng = np.random.default_rng([recipe.seed, stream])
     recorded = sorted(read_recorded_dampers(Path(recipe.recorded))) if recipe.recorded else []
     designs: list[PlantDesign] = []
     left_out = []
     for text, count in recipe.plants.items():
         tier = parse_tier(text)
-        if tier.excitation == "replay" and not recorded:
-            left_out.append(f"{count} plants of the tier replay: no recordings in {recipe.recorded or 'any folder'}")
+        if tier.excitation in FROM_RECORDINGS and not recorded:
+            left_out.append(f"{count} plants of the tier {tier}: no recordings in {recipe.recorded or 'any folder'}")
             continue
-        designs += _design_tier(tier, count, recipe.shares, recorded, rng)
+        design_tier = _design_altered_tier if tier.excitation in ALTERED_TIERS else _design_tier
+        designs += design_tier(tier, count, recipe, recorded, rng)
     shuffled = [designs[place] for place in rng.permutation(len(designs))]
     return [
-        replace(design, plant=f"p{number:04d}", seed=(recipe.seed, number)) for number, design in enumerate(shuffled, 1)
+        replace(design, plant=f"p{number:04d}", seed=(recipe.seed, stream, number))
+        for number, design in enumerate(shuffled, 1)
     ], left_out
 
 
-def stratum(signal_to_floor: float) -> str:
-    """Return the name of the stratum of a signal to floor; empty for 0, without effects."""
-    if signal_to_floor == 0.0:
+def untouched_plants(designs: Iterable[PlantDesign]) -> dict[tuple[str, int], str]:
+    """Return the name of the plant whose recordings are untouched, by tier and background."""
+    return {
+        (str(design.tier), design.background): design.plant
+        for design in designs
+        if design.background and design.kind == "null"
+    }
+
+
+def stratum(strength: float, excitation: str) -> str:
+    """Return the name of the stratum of a signal to floor or an added error; empty for 0, without effects."""
+    if strength == 0.0:
         return ""
-    return next((name for limit, name in ((1.0, "<1"), (3.0, "1-3"), (10.0, "3-10")) if signal_to_floor < limit), ">10")
+    limits = SHARE_LIMITS if excitation in ALTERED_TIERS else SIGNAL_LIMITS
+    return next(name for limit, name in limits if strength < limit)
+
+
+def is_detectable(truth: GroundTruth) -> bool:
+    """Whether the effects of a plant are strong enough to be found."""
+    return truth.signal_to_floor > (RECORDED_DETECTABLE if truth.excitation in ALTERED_TIERS else DETECTABLE)
 
 
 def _design_tier(
-    tier: Tier, count: int, shares: Mapping[str, float], recorded: Sequence[str], rng: np.random.Generator
+    tier: Tier, count: int, recipe: Recipe, recorded: Sequence[str], rng: np.random.Generator
 ) -> Iterator[PlantDesign]:
     """Yield as many plants of each kind as its share says; effects and strata take turns so that all occur equally often."""
-    edges = np.rint(np.cumsum([0.0, *(shares.get(kind, 0.0) for kind in get_args(Kind))]) * count).astype(int)
     known = [name for name, effect in EFFECTS.items() if effect.in_catalogue]
     absent = [name for name, effect in EFFECTS.items() if not effect.in_catalogue]
-    other_forms = itertools.cycle(rng.permutation([name for name in DAMPER_FORMS if name != MODEL_FORM]))
+    next_form = _turns([name for name, form in DAMPER_FORMS.items() if form.family == recipe.family], rng)
     next_known, next_absent = _turns(known, rng), _turns(absent, rng)
-    strata = itertools.cycle(STRATA.values())
+    target = _targets(STRATA, rng)
     dampers = itertools.cycle(recorded or [""])
-
-    def target(least: float = 0.0) -> float:
-        low, high = next((low, high) for low, high in strata if high >= least)
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-    for kind, number in zip(get_args(Kind), np.diff(edges), strict=True):
+    for kind, number in _numbers(recipe.shares, count):
         for place in range(number):
             damper = str(next(dampers)) if tier.excitation == "replay" else ""
-            design = PlantDesign("", kind, tier, (0, 0), MODEL_FORM, (), (), damper)
-            if kind == "null" and place % 2:
-                design = replace(design, form=str(next(other_forms)))
-            elif kind == "single":
+            form = next_form() if place % 2 else MODEL_FORM
+            design = PlantDesign("", kind, tier, (), form, (), (), damper, family=recipe.family)
+            if kind == "single":
                 design = replace(design, effects=(next_known(),), targets=(target(),))
             elif kind == "absent":
                 design = replace(design, effects=(next_absent(),), targets=(target(),))
@@ -147,6 +191,55 @@ def _design_tier(
                 others = substitution.permutation([name for name in known if name not in effects])
                 design = replace(design, effects=effects, targets=targets, substitutes=tuple(map(str, others)))
             yield design
+
+
+def _design_altered_tier(
+    tier: Tier, count: int, recipe: Recipe, recorded: Sequence[str], rng: np.random.Generator
+) -> Iterator[PlantDesign]:
+    """Yield plants of measured recordings: the untouched ones are the null plants, and the others are based on them."""
+    backgrounds = dict(_numbers(recipe.shares, count))["null"]
+    if count and not backgrounds:
+        raise InputError(
+            f"tier {tier}: {count} plants without a null plant, expected one at least: it is what others change"
+        )
+    target = _targets(RECORDED_STRATA, rng)
+    names = {
+        "absent": [name for name in ALTERATIONS if not EFFECTS[name].in_catalogue],
+        "single": [name for name in ALTERATIONS if EFFECTS[name].in_catalogue],
+    }
+    names["pair"] = names["single"]
+    turns = {kind: _turns(of_kind, rng) for kind, of_kind in names.items()}
+    background = itertools.cycle(range(1, backgrounds + 1))
+    for kind, number in _numbers(recipe.shares, count):
+        for _ in range(number):
+            place = next(background)
+            turn, which = divmod(place - 1, len(recorded))
+            damper, model = recorded[which], RECORDED_MODELS[turn % len(RECORDED_MODELS)]
+            design = PlantDesign("", kind, tier, (), damper, (), (), damper, (), model, place, recipe.family)
+            if kind != "null":
+                first = turns[kind]()
+                others = [str(name) for name in rng.permutation(names[kind]) if name != first]
+                effects = (first, others.pop()) if kind == "pair" else (first,)
+                targets = tuple(target(RECORDED_DETECTABLE if kind == "pair" else 0.0) for _ in effects)
+                design = replace(design, effects=effects, targets=targets, substitutes=tuple(others))
+            yield design
+
+
+def _numbers(shares: Mapping[str, float], count: int) -> list[tuple[Kind, int]]:
+    """Return the number of plants of each kind."""
+    edges = np.rint(np.cumsum([0.0, *(shares.get(kind, 0.0) for kind in get_args(Kind))]) * count).astype(int)
+    return list(zip(get_args(Kind), map(int, np.diff(edges)), strict=True))
+
+
+def _targets(ranges: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> Callable[..., float]:
+    """Return a function that draws a target from each stratum in turn, from those above a least one if it is given."""
+    strata = itertools.cycle(ranges.values())
+
+    def target(least: float = 0.0) -> float:
+        low, high = next((low, high) for low, high in strata if high >= least)
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    return target
 
 
 def _turns(names: Sequence[str], rng: np.random.Generator) -> Callable[[], str]:

@@ -11,11 +11,13 @@ from mrd_base import InputError
 from mrd_runs import Run, read_runs
 from mrd_trials.excitation import FRESH_RUNS
 from mrd_trials.trial_design import Recipe
-from mrd_trials.truth import Readings
 
 DESCRIPTION = "trial.json"
 
-COLUMNS = "time_s,position_m,current_A,force_N,acceleration_mps2"
+FORMAT = 2
+"""Version of a trial: its keys, and what a recipe stands for. In 1, every effect had a single formula."""
+
+COLUMNS = "time_s,position_m,current_A,force_N"
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class PublicPlant:
         Files, relative to the trial's folder, in the order in which they were recorded.
     commitment : str
         Commitment to its answer.
+    reference : tuple of str
+        Files of recordings from before, with which the diagnosis compares the others; mostly empty.
     """
 
     plant: str
@@ -40,6 +44,7 @@ class PublicPlant:
     rate: float
     runs: tuple[str, ...]
     commitment: str
+    reference: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,12 @@ def read_trial(folder: Path) -> PublicTrial:
     path = folder / DESCRIPTION
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
-        plants = tuple(PublicPlant(**{**entry, "runs": tuple(entry["runs"])}) for entry in values["plants"])
+        if values.get("format", 1) != FORMAT:
+            raise ValueError(f"format {values.get('format', 1)}, expected {FORMAT}")
+        plants = tuple(
+            PublicPlant(**{**entry, "runs": tuple(entry["runs"]), "reference": tuple(entry["reference"])})
+            for entry in values["plants"]
+        )
         return PublicTrial(Recipe(**values["recipe"]), plants)
     except FileNotFoundError:
         raise InputError(f"{folder}: is not a trial, expected {DESCRIPTION} in it; make one with make") from None
@@ -76,30 +86,45 @@ def read_trial(folder: Path) -> PublicTrial:
 
 def write_trial(trial: PublicTrial, folder: Path) -> None:
     """Write the description of a trial; the file is complete at any time."""
-    values = {"recipe": asdict(trial.recipe), "plants": [asdict(plant) for plant in trial.plants]}
+    values = {"format": FORMAT, "recipe": asdict(trial.recipe), "plants": [asdict(plant) for plant in trial.plants]}
     partial = folder / f"{DESCRIPTION}.part"
     partial.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
     partial.replace(folder / DESCRIPTION)
 
 
-def write_recordings(folder: Path, plant: str, recordings: Sequence[tuple[str, Readings]]) -> tuple[str, ...]:
+def write_recordings(folder: Path, plant: str, runs: Sequence[Run]) -> tuple[str, ...]:
     """Write the recordings of a plant as CSV, and return the files of those that the diagnosis is given."""
-    files = []
-    for place, (name, readings) in enumerate(recordings):
-        is_fresh = place >= len(recordings) - FRESH_RUNS
-        file = Path("fresh" if is_fresh else "plants", plant, f"{place + 1:02d}_{name}.csv")
-        path = folder / file
-        path.parent.mkdir(parents=True, exist_ok=True)
-        columns = (readings.time, readings.position, readings.current, readings.force, readings.acceleration)
-        np.savetxt(path, np.stack(columns, axis=1), fmt="%.8g", delimiter=",", header=COLUMNS, comments="")
-        if not is_fresh:
-            files.append(str(file))
-    return tuple(files)
+    given = [_write_run(folder, "plants", plant, place, run) for place, run in enumerate(runs[:-FRESH_RUNS], 1)]
+    for place, run in enumerate(runs[-FRESH_RUNS:], len(given) + 1):
+        _write_run(folder, "fresh", plant, place, run)
+    return tuple(given)
+
+
+def write_reference(folder: Path, plant: str, runs: Sequence[Run]) -> tuple[str, ...]:
+    """Write recordings from before as CSV, and return the files."""
+    return tuple(_write_run(folder, "before", plant, place, run) for place, run in enumerate(runs, 1))
+
+
+def _write_run(folder: Path, part: str, plant: str, place: int, run: Run) -> str:
+    file = Path(part, plant, f"{place:02d}_{run.name}.csv")
+    path = folder / file
+    path.parent.mkdir(parents=True, exist_ok=True)
+    columns = [run.time, run.position, run.current, run.force]
+    header = COLUMNS
+    if run.acceleration is not None:
+        columns, header = [*columns, run.acceleration], f"{COLUMNS},acceleration_mps2"
+    np.savetxt(path, np.stack(columns, axis=1), fmt="%.8g", delimiter=",", header=header, comments="")
+    return str(file)
 
 
 def read_given_runs(folder: Path, plant: PublicPlant) -> list[Run]:
     """Read the recordings of a plant that the diagnosis is given."""
     return read_runs([str(folder / file) for file in plant.runs])
+
+
+def read_reference_runs(folder: Path, plant: PublicPlant) -> list[Run]:
+    """Read the recordings from before, with which the diagnosis compares those of a plant; often none."""
+    return read_runs([str(folder / file) for file in plant.reference]) if plant.reference else []
 
 
 def read_fresh_runs(folder: Path, plant: str) -> list[Run]:

@@ -8,7 +8,7 @@ from mrd_trials.parallel import run_in_processes
 from mrd_trials.records import GroundTruth, Submission, complete_records
 from mrd_trials.run import read_verdicts
 from mrd_trials.submission import diagnose_plant, installed_diagnoser, reserve_folder
-from mrd_trials.trial_design import DETECTABLE
+from mrd_trials.trial_design import is_detectable
 from mrd_trials.trial_folder import PublicPlant, read_given_runs, read_trial
 
 WITHHELD_FILE = "withheld.jsonl"
@@ -48,7 +48,7 @@ def withhold_effects(
     by_effect: dict[str, list[PublicPlant]] = {}
     for plant in read_trial(folder).plants:
         truth = answers[plant.plant]
-        if truth.kind == "single" and truth.signal_to_floor > DETECTABLE and plant.excitation == "rich":
+        if truth.kind == "single" and is_detectable(truth) and plant.excitation == "rich":
             by_effect.setdefault(truth.causes[0], []).append(plant)
     chosen = {plant.plant: plant for plants in by_effect.values() for plant in plants[:most]}
     reserve_folder(installed_diagnoser(), output)

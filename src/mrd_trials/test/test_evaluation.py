@@ -21,7 +21,7 @@ from mrd_trials.records import GapBin
 from mrd_trials.true_map import shares_of_bins, travel_since_reversal, true_map
 from mrd_trials.truth import BenchCommand, TrueInstruments, TruePlant
 
-EFFECTS = {"moving_mass": {"mass": 3.0}}
+EFFECTS = {"moving_mass": {"mass": 3.0, "frequency": 100.0, "damping": 0.3}}
 
 
 @dataclass(frozen=True)

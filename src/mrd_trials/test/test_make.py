@@ -30,6 +30,9 @@ def test_a_trial_is_made_continued_and_sealed(tmp_path):
     trial = read_trial(folder)
     answers = open_answers(path, trial.commitments)
     assert sorted(answer.kind for answer in answers.values()) == ["null", "single"]
+    for answer in answers.values():
+        assert answer.formulas.keys() == answer.effects.keys()
+        assert all(EFFECTS[effect].formula(name).family == "development" for effect, name in answer.formulas.items())
     text = (folder / "trial.json").read_text()
     assert not any(name in text for name in EFFECTS)
     for plant in trial.plants:
@@ -82,7 +85,9 @@ def test_an_undetectable_effect_of_a_pair_is_substituted():
     tier = parse_tier("sine@100")
     effects, targets, substitutes = ("flow_asymmetry", "gas_spring"), (5.0, 5.0), ("side_load_friction",)
     design = PlantDesign("p0001", "pair", tier, (5, 1), "bouc_wen", effects, targets, substitutes=substitutes)
-    truth, _ = make_plant(design)
+    truth, runs, reference = make_plant(design)
+    assert len(runs) > FRESH_RUNS
+    assert not reference
     assert set(truth.causes) == {"flow_asymmetry", "side_load_friction"}
     assert truth.signal_to_floor > 3.0
 
@@ -91,5 +96,8 @@ def test_a_folder_that_is_not_a_trial_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"is not a trial, expected trial\.json"):
         read_trial(tmp_path)
     (tmp_path / "trial.json").write_text("{}")
+    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 2\)"):
+        read_trial(tmp_path)
+    (tmp_path / "trial.json").write_text('{"format": 2}')
     with pytest.raises(InputError, match="does not describe a trial"):
         read_trial(tmp_path)

@@ -8,6 +8,7 @@ import pytest
 from distributed import LocalCluster
 
 from mrd_base import InputError
+from mrd_trials.bench_session import as_run
 from mrd_trials.cli.score import work
 from mrd_trials.evaluate import DiagnosedPlant, evaluate_plant
 from mrd_trials.excitation import Tier
@@ -29,10 +30,10 @@ def trial(tmp_path_factory):
     commands = [BenchCommand(time, 0.01 * np.sin(2 * np.pi * time), np.full_like(time, level)) for level in (0.0, 0.2)]
     names = ["first", "second", "fresh_1", "fresh_2"]
     plants = []
-    for number, effects in enumerate([{}, {"moving_mass": {"mass": 1.5}}], 1):
+    for number, effects in enumerate([{}, {"moving_mass": {"mass": 1.5, "frequency": 100.0, "damping": 0.3}}], 1):
         plant = TruePlant("bouc_wen", {}, effects)
         readings = record(plant, commands * 2, TrueInstruments(100.0), np.random.default_rng(number))
-        files = write_recordings(folder, f"p000{number}", list(zip(names, readings, strict=True)))
+        files = write_recordings(folder, f"p000{number}", [as_run(*named) for named in zip(names, readings, strict=True)])
         plants.append(PublicPlant(f"p000{number}", "bouc_wen", "sine", 100.0, files, f"commitment {number}"))
     write_trial(PublicTrial(Recipe(1, {"sine@100": 2}), tuple(plants)), folder)
     return folder
@@ -103,7 +104,9 @@ def test_an_error_is_a_failed_submission(trial):
 
 
 def test_a_failed_diagnosis_is_not_repeated_by_the_evaluation():
-    truth = GroundTruth("p0001", "null", "bouc_wen", "bouc_wen", False, {}, {}, (), {}, 0.0, "", "rich", 500.0, 1, "00")
+    truth = GroundTruth(
+        "p0001", "null", "bouc_wen", "bouc_wen", False, (), {}, {}, {}, (), {}, 0.0, "", "rich", 500.0, 1, "00"
+    )
     plant = DiagnosedPlant(
         Path("nowhere"),
         PlantDesign("p0001", "null", Tier("rich", 500.0), (1, 1), "bouc_wen", (), ()),

@@ -31,8 +31,10 @@ def truth_of(plant, kind, *causes, **changed):
         "bouc_wen",
         "bouc_wen",
         False,
+        (),
         {},
         {cause: {} for cause in causes},
+        {},
         causes,
         {},
         0.0 if kind == "null" else 20.0,
@@ -99,12 +101,26 @@ def test_naming_and_ranking_differ():
     assert rich.mistakes.needless_unknown == Rate(3, 5)
 
 
-def test_a_cause_beside_something_unknown_can_be_wrong_but_does_not_make_the_answer_right():
+@pytest.mark.parametrize("verdict", ["explained", "partly_explained", "ambiguous", "unknown_effect"])
+def test_a_name_counts_whatever_the_verdict(verdict):
     plants = [truth_of("a", "single", "backlash"), truth_of("n", "null")]
-    rich = score(plants, [submit(name, "unknown_effect", ("backlash", 1.0)) for name in "an"]).by_excitation["rich"]
-    assert rich.detectable.named == Rate(0, 1)
+    rich = score(plants, [submit(name, verdict, ("backlash", 1.0)) for name in "an"]).by_excitation["rich"]
+    assert rich.detectable.named == Rate(1, 1)
     assert rich.mistakes.null == Rate(1, 1)
+    assert rich.mistakes.needless_unknown == Rate(0, 1)
     assert rich.calibration.count == 2
+
+
+def test_what_the_form_of_the_damper_contains_is_neither_right_nor_wrong():
+    thinning = {"implied": ("shear_thinning",), "perturbed": True}
+    plants = [truth_of("n", "null", **thinning), truth_of("a", "single", "backlash", **thinning)]
+    names = ("shear_thinning", 1.0), ("backlash", 0.9)
+    rich = score(plants, [submit("n", "explained", names[0]), submit("a", "explained", *names)]).by_excitation["rich"]
+    assert rich.mistakes.null == Rate(0, 1)
+    assert rich.detectable.named == Rate(0, 1)  # the cause has to come first
+    assert rich.calibration.count == 1
+    wrong = score(plants[:1], [submit("n", "explained", ("backlash", 0.9))]).by_excitation["rich"]
+    assert wrong.mistakes.null == Rate(1, 1)
 
 
 def test_equivalents_are_evaluated_or_else_submitted():

@@ -6,8 +6,9 @@ from dataclasses import replace
 import pytest
 
 from mrd_base import InputError
+from mrd_trials.bench_session import BenchSession
 from mrd_trials.trial_design import Recipe, design_trial, stratum
-from mrd_trials.truth import EFFECTS
+from mrd_trials.truth import DAMPER_FORMS, EFFECTS
 
 
 def test_every_kind_has_its_share_and_every_effect_its_turn():
@@ -26,8 +27,9 @@ def test_every_kind_has_its_share_and_every_effect_its_turn():
     assert singles.keys() == known
     assert max(singles.values()) - min(singles.values()) <= 1
     assert {design.effects[0] for design in rich if design.kind == "absent"} == EFFECTS.keys() - known
-    nulls = [design for design in rich if design.kind == "null"]
-    assert sum(design.form != "bouc_wen" for design in nulls) == len(nulls) // 2
+    for kind in ("null", "single", "pair", "absent"):
+        forms = [design.form for design in rich if design.kind == kind]
+        assert sum(form != "bouc_wen" for form in forms) == len(forms) // 2, kind
     assert all(len(set(design.effects)) == 2 for design in rich if design.kind == "pair")
 
 
@@ -35,6 +37,23 @@ def test_the_same_recipe_gives_the_same_plants_and_another_seed_others():
     recipe = Recipe(1, {"rich@500": 40})
     assert design_trial(recipe) == design_trial(recipe)
     assert design_trial(recipe) != design_trial(replace(recipe, seed=2))
+
+
+def test_the_families_share_no_form_no_formula_and_no_plant():
+    recipe = Recipe(1, {"rich@100": 60, "sine@100": 4})
+    forms, formulas, seeds = {}, {}, {}
+    for family in ("development", "evaluation"):
+        designs, _ = design_trial(replace(recipe, family=family))
+        forms[family] = {design.form for design in designs} - {"bouc_wen"}
+        assert len(forms[family]) >= 3
+        assert {DAMPER_FORMS[form].family for form in forms[family]} == {family}
+        drawn = [BenchSession.from_design(design).plant.formulas for design in designs if design.tier.excitation == "sine"]
+        formulas[family] = {entry for plant in drawn for entry in plant.items()}
+        assert all(EFFECTS[effect].formula(name).family == family for effect, name in formulas[family])
+        assert all(plant.keys() == EFFECTS.keys() for plant in drawn)
+        seeds[family] = {design.seed for design in designs}
+    for found in (forms, formulas, seeds):
+        assert found["development"].isdisjoint(found["evaluation"])
 
 
 def test_names_of_plants_say_nothing():
@@ -47,11 +66,12 @@ def test_names_of_plants_say_nothing():
 @pytest.mark.parametrize(
     ("recipe", "message"),
     [
-        (Recipe(1, {"slow@500": 3}), "tier slow@500: expected replay, or one of rich"),
+        (Recipe(1, {"slow@500": 3}), "tier slow@500: expected one of replay, semireal, before_after, or of rich"),
         (Recipe(1, {"rich@fast": 3}), "tier rich@fast"),
         (Recipe(1, {"rich@1": 3}), "10 to 4000 Hz"),
         (Recipe(1, {"rich@500": 3}, {"null": 0.5}), "add up to 1"),
         (Recipe(1, {"rich@500": 3}, {"ghost": 1.0}), "expected shares of"),
+        (Recipe(1, {"rich@500": 3}, family="validation"), "family validation: expected one of development, evaluation"),
     ],
 )
 def test_a_recipe_that_cannot_be_made_is_refused(recipe, message):
@@ -66,7 +86,16 @@ def test_a_replay_without_recordings_is_left_out_and_reported(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("signal_to_floor", "name"), [(0.0, ""), (0.5, "<1"), (1.0, "1-3"), (2.9, "1-3"), (3.0, "3-10"), (10.0, ">10")]
+    ("strength", "name", "of_recordings"),
+    [
+        (0.0, "", ""),
+        (0.5, "<1", "25-50 %"),
+        (1.0, "1-3", "50-75 %"),
+        (2.9, "1-3", "50-75 %"),
+        (3.0, "3-10", ">75 %"),
+        (10.0, ">10", ">75 %"),
+    ],
 )
-def test_strata(signal_to_floor, name):
-    assert stratum(signal_to_floor) == name
+def test_strata(strength, name, of_recordings):
+    assert stratum(strength, "rich") == name
+    assert stratum(strength, "semireal") == of_recordings

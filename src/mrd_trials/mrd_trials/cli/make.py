@@ -8,12 +8,12 @@ from typing import TypeVar
 from mrd_base import InputError, run_tool
 from mrd_trials.cli.options import add_answers, add_workers, checked_workers, default_answers, progress_bar
 from mrd_trials.make import make_trial
-from mrd_trials.trial_design import SHARES, Recipe
+from mrd_trials.trial_design import FAMILIES, SHARES, Recipe
 from mrd_trials.trial_folder import read_trial
 
 N = TypeVar("N", int, float)
 
-STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24}
+STANDARD = {"rich@500": 200, "rich@25": 12, "sine@500": 24, "paper@25": 12, "replay": 24, "semireal": 40}
 """Number of plants by tier in the standard trial."""
 
 
@@ -44,6 +44,12 @@ def work() -> None:
     parser.add_argument(
         "--recorded", default="", metavar="FOLDER", help="recordings of measured dampers, one folder for each damper"
     )
+    parser.add_argument(
+        "--family",
+        choices=FAMILIES,
+        default=FAMILIES[0],
+        help="formulas and damper forms: those of development, or those that nothing may be tuned on (default %(default)s)",
+    )
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
@@ -51,7 +57,7 @@ def work() -> None:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
     plants = _pairs(arguments.plants, "--plants", _count) or STANDARD
     shares = _pairs(arguments.shares, "--shares", float) or SHARES
-    recipe = Recipe(arguments.seed, dict(plants), dict(shares), arguments.recorded)
+    recipe = Recipe(arguments.seed, dict(plants), dict(shares), arguments.recorded, arguments.family)
     answers = arguments.answers or default_answers(arguments.trial)
     with progress_bar("making") as show:
         left_out = make_trial(recipe, arguments.trial, answers, checked_workers(arguments), show)

@@ -19,15 +19,17 @@ def claims_of_causes(results: PlantResults) -> list[Claim]:
 def claims_of_first_candidates(results: PlantResults) -> list[Claim]:
     """Return the first candidate of every plant without a named cause."""
     return [
-        (result, result.submission.candidates[0])
-        for result in results
-        if not result.claimed and result.submission.candidates
+        (result, result.submission.candidates[0]) for result in results if not result.named and result.submission.candidates
     ]
 
 
 def calibration_of(claims: Sequence[Claim]) -> Calibration:
-    """Compute the calibration of claims; those without a probability are left out."""
-    usable = [(result, claim) for result, claim in claims if np.isfinite(claim.probability)]
+    """Compute the calibration of claims; those without a probability, or of what the form contains, are left out."""
+    usable = [
+        (result, claim)
+        for result, claim in claims
+        if np.isfinite(claim.probability) and not set(claim.effects) & (result.not_wrong - result.true_causes)
+    ]
     probability = np.clip([claim.probability for _, claim in usable], 0.0, 1.0).astype(float)
     right = np.array([result.true_causes.issuperset(claim.effects) for result, claim in usable], dtype=bool)
     return calibration(probability, right)

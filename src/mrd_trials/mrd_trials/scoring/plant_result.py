@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mrd_trials.records import Evaluation, GroundTruth, Submission
-from mrd_trials.trial_design import DETECTABLE
+from mrd_trials.trial_design import is_detectable
 
 LIKELY = 0.05
 """Probability above which a candidate belongs to the candidate set: a set of 95 % leaves out what is less likely."""
-
-_NAMING_VERDICTS = ("explained", "ambiguous")
 
 
 @dataclass(frozen=True)
@@ -26,14 +24,9 @@ class PlantResult:
         return self.submission.verdict == "failed"
 
     @property
-    def claimed(self) -> tuple[str, ...]:
-        """All effects that are given as causes, whatever the verdict: what can be wrong."""
-        return tuple(effect for cause in self.submission.causes for effect in cause.effects)
-
-    @property
     def named(self) -> tuple[str, ...]:
-        """Effects that the verdict consists of, the one that is likely to close most first: what can be right."""
-        return self.claimed if self.submission.verdict in _NAMING_VERDICTS else ()
+        """All effects that are given as causes, whatever the verdict, the one that is likely to close most first."""
+        return tuple(effect for cause in self.submission.causes for effect in cause.effects)
 
     @property
     def ranking(self) -> tuple[str, ...]:
@@ -44,7 +37,7 @@ class PlantResult:
     @property
     def detectable(self) -> bool:
         """Whether the effects are strong enough to be found."""
-        return self.truth.signal_to_floor > DETECTABLE
+        return is_detectable(self.truth)
 
     @property
     def true_causes(self) -> frozenset[str]:
@@ -54,12 +47,17 @@ class PlantResult:
     @property
     def false_alarm(self) -> bool:
         """Whether something wrong is named, or the diagnosis failed."""
-        return self.failed or not self.true_causes.issuperset(self.claimed)
+        return self.failed or not self.not_wrong.issuperset(self.named)
+
+    @property
+    def not_wrong(self) -> frozenset[str]:
+        """The true causes, and the effects that the damper's form contains."""
+        return self.true_causes.union(self.truth.implied)
 
     @property
     def abstains(self) -> bool:
-        """Whether an unknown effect is claimed, or the diagnosis failed."""
-        return self.submission.verdict in ("unknown_effect", "failed")
+        """Whether an unknown effect is claimed and nothing is named, or the diagnosis failed."""
+        return self.failed or (self.submission.verdict == "unknown_effect" and not self.named)
 
     def equivalents_of(self, cause: str) -> frozenset[str]:
         """Effects that are as good an answer as ``cause`` on these runs: as evaluated, or else as submitted."""
@@ -80,7 +78,7 @@ class PlantResult:
         likely = [
             candidate
             for candidate in self.submission.candidates
-            if candidate.probability > LIKELY or not set(self.claimed).isdisjoint(candidate.indistinguishable)
+            if candidate.probability > LIKELY or not set(self.named).isdisjoint(candidate.indistinguishable)
         ]
         explanations = (*self.submission.causes, *likely)
         effects = [effect for entry in explanations for effect in (*entry.effects, *entry.indistinguishable)]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from mrd_base import InputError
 from mrd_trials.records import Evaluation, GroundTruth, Submission
+from mrd_trials.scoring.altered import AlteredScore
 from mrd_trials.scoring.certainty import calibration_of, claims_of_causes, claims_of_first_candidates, coverage_by_effect
 from mrd_trials.scoring.gap import ExperimentComparison, MapAgreement, fresh_differences, relative_closures
 from mrd_trials.scoring.goals import Goal
@@ -19,6 +20,7 @@ from mrd_trials.scoring.naming import (
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 from mrd_trials.scoring.verdict_counts import Counts, MistakeRates, count_confusion, count_verdicts, excitations
+from mrd_trials.trial_design import ALTERED_TIERS
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,9 @@ class TrialScore:
         Kind of plant by verdict, of every excitation.
     methods : tuple of MethodRates
         The diagnosis first, then the baseline methods; of the rich excitation.
+    altered : mapping
+        Figures of measured recordings into which effects were put, by tier; they count in nothing above but ``plants`` and
+        ``verdicts``.
     seconds : Distribution
         Duration of the diagnosis of each plant.
     failures : mapping
@@ -120,6 +125,7 @@ class TrialScore:
     confusion: Counts
     verdicts: Counts
     methods: tuple[MethodRates, ...]
+    altered: Mapping[str, AlteredScore]
     seconds: Distribution
     failures: Mapping[str, str]
 
@@ -148,16 +154,21 @@ def score_trial(
         )
         for plant, truth in answers.items()
     ]
-    rich = select(results, excitation="rich")
-    by_excitation = {name: ExcitationScore.from_results(select(results, excitation=name)) for name in excitations(results)}
+    simulated = [result for result in results if result.truth.excitation not in ALTERED_TIERS]
+    rich = select(simulated, excitation="rich")
+    by_excitation = {
+        name: ExcitationScore.from_results(select(simulated, excitation=name)) for name in excitations(simulated)
+    }
+    altered = {tier: of_tier for tier in ALTERED_TIERS if (of_tier := select(results, excitation=tier))}
     return TrialScore(
         plants=len(results),
-        goals=_goals(results, by_excitation),
+        goals=_goals(simulated, by_excitation),
         by_excitation=by_excitation,
         by_stratum=naming_by_stratum(rich),
         confusion=count_confusion(rich),
         verdicts=count_verdicts(results),
         methods=compare_methods(rich),
+        altered={tier: AlteredScore.from_results(of_tier) for tier, of_tier in altered.items()},
         seconds=Distribution.of_finite(result.submission.elapsed for result in results),
         failures={result.truth.plant: result.submission.failure for result in results if result.failed},
     )

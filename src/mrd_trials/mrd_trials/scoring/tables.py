@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mrd_trials.scoring.altered import AlteredScore
 from mrd_trials.scoring.gap import ExperimentComparison
 from mrd_trials.scoring.goals import Figure, Goal
 from mrd_trials.scoring.naming import NamingRates
@@ -12,7 +13,7 @@ from mrd_trials.scoring.plant_result import LIKELY
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 from mrd_trials.scoring.score import ExcitationScore, TrialScore
 from mrd_trials.scoring.verdict_counts import Counts
-from mrd_trials.trial_design import DETECTABLE
+from mrd_trials.trial_design import DETECTABLE, RECORDED_DETECTABLE
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ def markdown_tables(score: TrialScore) -> str:
 
 def tabulate(score: TrialScore) -> list[Table]:
     """Return all tables that have rows."""
-    tables = [_goals(score), _figures(score), _methods(score), _naming(score), _coverage(score), _reliability(score)]
+    tables = [_goals(score), _figures(score), _altered(score), _methods(score), _naming(score)]
+    tables += [_coverage(score), _reliability(score)]
     tables += [Table("Verdicts", ("plants", *score.verdicts.columns), _cells(score.verdicts)), _confusion(score)]
     tables.append(Table("Failures", ("plant", "error"), tuple(score.failures.items())))
     return [table for table in tables if table.rows]
@@ -127,7 +129,7 @@ def _figures(score: TrialScore) -> Table:
     )
     seconds = score.seconds
     note = (
-        f"Detectable: signal to floor above {DETECTABLE:g}. Named: the causes of a verdict `explained` or `ambiguous`; "
+        f"Detectable: signal to floor above {DETECTABLE:g}. Named: the causes of any verdict; "
         "ranked: these, then the candidates. Equivalent, of a detectable effect: an effect that, refitted in its place, "
         "lowers the squared error at least nine tenths as much. Candidate set, of detectable single effects: causes, "
         f"candidates above {LIKELY:.0%}, what is indistinguishable from these, untestable effects. "
@@ -136,6 +138,43 @@ def _figures(score: TrialScore) -> Table:
     if seconds.values:
         note += f" Seconds per plant: median {seconds.median:.3g}, longest {max(seconds.values):.3g}."
     return Table("Figures by excitation", ("", *score.by_excitation), rows, note)
+
+
+ALTERED_FIGURES: Sequence[tuple[str, Callable[[AlteredScore], Figure | str]]] = (
+    ("plants", lambda score: float(score.plants)),
+    ("detectable single effects: cause named", lambda score: score.detectable),
+    ("… cause, or what the diagnosis cannot tell from what it names", lambda score: score.equivalent),
+    ("single effects: cause named", lambda score: score.single),
+    ("… not counted, named without the effect too", lambda score: float(score.not_counted)),
+    ("pairs: both causes named", lambda score: score.pair),
+    ("any effect: wrong names", lambda score: with_bound(score.wrong)),
+    ("absent effects: wrong names", lambda score: with_bound(score.wrong_absent)),
+    ("untouched: something named", lambda score: with_bound(score.untouched)),
+    ("names: expected calibration error", lambda score: score.calibration),
+    ("share of the added error closed, the oracle's is 1", lambda score: score.closed),
+)
+"""Rows of the table of measured recordings."""
+
+
+def _altered(score: TrialScore) -> Table:
+    """Return the figures of measured recordings into which effects were put; no rows without any."""
+    scores = score.altered
+    rows = [(name, *(text(figure(of_tier)) for of_tier in scores.values())) for name, figure in ALTERED_FIGURES]
+    for word, group in (("strength", "by_strength"), ("effect", "by_effect")):
+        names = sorted({name for of_tier in scores.values() for name in getattr(of_tier, group)})
+        rows += [
+            (
+                f"{word} {name}: cause named",
+                *(text(getattr(of_tier, group).get(name, Rate(0, 0))) for of_tier in scores.values()),
+            )
+            for name in names
+        ]
+    detectable = RECORDED_DETECTABLE / (1 + RECORDED_DETECTABLE)
+    note = (
+        "Names beyond those that the untouched recordings get too. Strength: share of the squared error that refitting "
+        f"without the effect would close; detectable: above {detectable:.0%}; by effect: the detectable ones."
+    )
+    return Table("Effects put into measured recordings", ("", *scores), tuple(rows) if scores else (), note)
 
 
 def _methods(score: TrialScore) -> Table:

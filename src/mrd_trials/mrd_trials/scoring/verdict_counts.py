@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Rate
 
-VERDICTS = ("no_gap", "explained", "ambiguous", "unknown_effect", "data_fault", "failed")
-EXCITATIONS = ("rich", "paper", "sine", "replay")
+VERDICTS = ("no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "data_fault", "failed")
+EXCITATIONS = ("rich", "paper", "sine", "replay", "semireal", "before_after")
 
 KINDS = ("null", "null, another form", "single, weak", "single", "pair", "absent")
 
@@ -101,15 +101,15 @@ def excitations(results: PlantResults) -> list[str]:
 
 
 def _first_named(result: PlantResult) -> str:
-    return next(iter(result.claimed), result.submission.verdict)
+    return next(iter(result.named), result.submission.verdict)
 
 
 def _named_for(result: PlantResult, cause: str) -> str:
     """Return what stands for one cause of a pair: the cause itself, else a wrong name, else the verdict."""
-    if cause in result.claimed:
+    if cause in result.named:
         return cause
     without_name = _NOT_NAMED if result.named else result.submission.verdict
-    return next((effect for effect in result.claimed if effect not in result.true_causes), without_name)
+    return next((effect for effect in result.named if effect not in result.not_wrong), without_name)
 
 
 def _kind(result: PlantResult) -> str:

@@ -8,8 +8,6 @@ exactly one root.
 Every process compiles these functions again: a cache on disk would not notice that the file of an effect has changed.
 """
 
-import math
-from collections import namedtuple
 from collections.abc import Mapping
 
 import numpy as np
@@ -18,25 +16,25 @@ from numpy.typing import NDArray
 
 from mrd_trials.truth import damper_forms
 from mrd_trials.truth.effects import EFFECTS
-from mrd_trials.truth.effects.absent import bubble_compression, rebuilt_structure, taper_factor
-from mrd_trials.truth.effects.fluid import (
-    asymmetric_force,
-    branch_elongation,
-    branch_force,
-    fluid_strength,
-    gas_force,
-    thinning_factor,
-    void_after_step,
-)
-from mrd_trials.truth.effects.structure import (
-    GUIDE_TRAVEL,
-    SEAL_TRAVEL,
-    bristle_deflection,
-    guide_friction,
-    joint_offset,
-    stop_force,
-    stribeck_factor,
-)
+from mrd_trials.truth.effects.air_bubble import bubble_compression
+from mrd_trials.truth.effects.backlash import backlash_offset
+from mrd_trials.truth.effects.cavitation import void_after_step
+from mrd_trials.truth.effects.end_stop import stop_force
+from mrd_trials.truth.effects.field_stiffness import elastic_force
+from mrd_trials.truth.effects.flow_asymmetry import asymmetric_force
+from mrd_trials.truth.effects.gas_spring import gas_force, heated_force
+from mrd_trials.truth.effects.guide_waviness import waviness_force
+from mrd_trials.truth.effects.joint_play import joint_offset
+from mrd_trials.truth.effects.orifice_loss import turbulent_force
+from mrd_trials.truth.effects.rate_dependent_hysteresis import BRANCHES, branch_elongation, branch_force
+from mrd_trials.truth.effects.seal_friction import seal_deflection, stribeck_factor
+from mrd_trials.truth.effects.series_compliance import AT_REST, series_elongation
+from mrd_trials.truth.effects.settling import settling_factor
+from mrd_trials.truth.effects.shear_thinning import thinning_factor
+from mrd_trials.truth.effects.side_load_friction import guide_deflection, guide_friction
+from mrd_trials.truth.effects.tapered_gap import taper_factor
+from mrd_trials.truth.effects.thermal_fade import store_heat, thermal_factor
+from mrd_trials.truth.effects.thixotropy import rebuilt_structure, structure_factor
 from mrd_trials.truth.effects.true_effect import PlantValues
 
 Array = NDArray[np.float64]
@@ -44,35 +42,52 @@ Array = NDArray[np.float64]
 NAMES = (
     "form",
     *damper_forms.PARAMETERS,
-    *(f"{effect.id}_{parameter.name}" for effect in EFFECTS.values() for parameter in effect.parameters),
+    *(f"{effect}_formula" for effect in EFFECTS),
+    *dict.fromkeys(
+        f"{effect.id}_{parameter.name}"
+        for effect in EFFECTS.values()
+        for formula in effect.formulas
+        for parameter in formula.parameters
+    ),
 )
-CompiledValues = namedtuple("CompiledValues", NAMES)  # type: ignore[misc]
-"""`PlantValues` that a compiled function can read."""
+VALUES = np.dtype([(name, float) for name in NAMES])
+"""`PlantValues` as a record, which compiled functions get by reference: a tuple of as many numbers compiles slowly."""
 
 SUBSTEP = 1 / 32000
 """Longest sub-step in s with a series element."""
 
-BACKLASH_RESISTANCE = 150.0
-"""Viscous resistance in N s/m of the grease in the drive's backlash."""
-
 TOLERANCE = 3e-11
 """Tolerance in m of the equation for series elements: well below a millinewton against the stiffest fluid."""
 
-HEAT, TRAVELLED, STRUCTURE = range(3)
-"""Places in the slow state: heat above ambient in J, travel in m since the fluid settled, its structure (0 to 1)."""
+HEAT, FLUID_HEAT, TRAVELLED, STRUCTURE = range(4)
+"""Places in the slow state: heat above ambient in J of body and fluid, travel in m since the fluid settled, its structure (0
+to 1)."""
 
-HYSTERESIS, BRANCH, SEAL, SEAL_LEVEL, GUIDE, DASHPOT, VOID, DRIVE, JOINT, PISTON, ROD = range(11)
-"""Places in the fast state: hysteretic state, elongation of the relaxing branch, bristles of the seal and the level that
-they tend to, bristles of the guide; then in m: dashpot in series, void, joints of drive and damper, piston, rod."""
+HYSTERESIS, CREEP, SEAL, SEAL_LEVEL, GUIDE, GAS_HEAT, DASHPOT, VOID, MOUNT, DRIVE, JOINT, PISTON, ROD, BRANCH = range(14)
+"""Places in the fast state: hysteretic state and creep of the form, bristles of the seal and the level they tend to,
+bristles of the guide, force in N of the gas's heat; then in m: dashpot in series, void, spring in series, joints of drive
+and damper, piston, rod, and elongation of each relaxing branch."""
 
 
-def plant_values(form: str, parameters: Mapping[str, float], effects: Mapping[str, Mapping[str, float]]) -> PlantValues:
+def rested_state() -> Array:
+    """Return the slow state of a cold damper that has stood still for long."""
+    return np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def plant_values(
+    form: str,
+    parameters: Mapping[str, float],
+    effects: Mapping[str, Mapping[str, float]],
+    formulas: Mapping[str, str] | None = None,
+) -> PlantValues:
     """Return the parameters of a plant in one object; those of its damper form are nominal where they are not given.
+
+    ``formulas`` says which formula an effect has, the first one by default; it may name further effects.
 
     Raises
     ------
     ValueError
-        When a form, effect or parameter is unknown, or an effect lacks a parameter.
+        When a form, effect, formula or parameter is unknown, or an effect lacks a parameter.
     """
     damper = damper_forms.find_form(form)
     given = {**damper.nominal, **parameters}
@@ -81,24 +96,25 @@ def plant_values(form: str, parameters: Mapping[str, float], effects: Mapping[st
     for name, effect_values in effects.items():
         if name not in EFFECTS:
             raise ValueError(f"effect {name}: unknown, expected one of {', '.join(EFFECTS)}")
-        expected = {parameter.name for parameter in EFFECTS[name].parameters}
+        formula = EFFECTS[name].formula((formulas or {}).get(name, ""))
+        expected = {parameter.name for parameter in formula.parameters}
         if effect_values.keys() != expected:
             raise ValueError(
-                f"effect {name}: has parameters {', '.join(effect_values) or 'none'}, expected {', '.join(sorted(expected))}"
+                f"effect {name}: has parameters {', '.join(effect_values) or 'none'}, "
+                f"expected {', '.join(sorted(expected))} of the formula {formula.id}"
             )
         given |= {f"{name}_{key}": value for key, value in effect_values.items()}
+        given[f"{name}_formula"] = float(EFFECTS[name].formulas.index(formula))
     given["form"] = float(damper.code)
-    values: PlantValues = CompiledValues(  # type: ignore[assignment]
-        *(float(given.get(name, 0.0)) for name in NAMES)
-    )
+    values: PlantValues = np.rec.array([tuple(given.get(name, 0.0) for name in NAMES)], dtype=VALUES)[0]
     return values
 
 
 def has_series_element(form: str, effects: Mapping[str, Mapping[str, float]]) -> bool:
     """Whether something gives way between the drive and the fluid."""
+    sizes = {name: {p.name for formula in EFFECTS[name].formulas for p in formula.parameters if p.grows} for name in effects}
     return damper_forms.find_form(form).code == damper_forms.SPENCER or any(
-        EFFECTS[name].in_series and any(values[parameter.name] for parameter in EFFECTS[name].parameters if parameter.grows)
-        for name, values in effects.items()
+        EFFECTS[name].in_series and any(values.get(size) for size in sizes[name]) for name, values in effects.items()
     )
 
 
@@ -121,7 +137,7 @@ def damper_force(
         Factor of the damper's force in this run.
     series : bool
         Whether there is a series element (`has_series_element`).
-    slow : ndarray (3,)
+    slow : ndarray (4,)
         Slow state; updated in place.
 
     Returns
@@ -129,7 +145,7 @@ def damper_force(
     ndarray (samples,)
         Force in N.
     """
-    fast = np.zeros(11)
+    fast = np.zeros(BRANCH + BRANCHES)
     fast[SEAL_LEVEL] = stribeck_factor(p, 0.0)
     force = np.empty_like(position)
     fast[PISTON] = fast[ROD] = position[0]
@@ -137,14 +153,15 @@ def damper_force(
     if series:  # the force that holds the rod at rest presses the joints to one side
         side = 1.0 if force[0] > 0.0 else -1.0
         fast[DRIVE], fast[JOINT] = 0.5 * side * p.backlash_play, 0.5 * side * p.joint_play_play
-        fast[PISTON] -= fast[DRIVE] + fast[JOINT] + p.series_compliance_compliance * force[0]
+        fast[MOUNT] = series_elongation(p, 0.0, force[0], AT_REST)
+        fast[PISTON] -= fast[DRIVE] + fast[JOINT] + fast[MOUNT]
         fast[ROD] = fast[PISTON]
     pieces = max(int(np.ceil(step / SUBSTEP - 1e-6)), 1) if series else 1
     h = step / pieces
     w, slope = velocity[0], h
     for i in range(1, len(position)):
         before = fast[ROD]
-        strength = gain * fluid_strength(p, slow[HEAT], slow[TRAVELLED])
+        strength = gain * thermal_factor(p, slow[HEAT], slow[FLUID_HEAT]) * settling_factor(p, slow[TRAVELLED])
         if series:
             for k in range(1, pieces + 1):
                 x, now = (
@@ -158,10 +175,8 @@ def damper_force(
             force[i] = _advance(p, fast, dx, velocity[i], h, current[i], gain, strength, slow[STRUCTURE])
         travel = fast[ROD] - before
         slow[TRAVELLED] += abs(travel)
-        if p.thermal_fade_fade > 0.0:
-            slow[HEAT] = max(slow[HEAT] * (1.0 - step / p.thermal_fade_cooling_time) + force[i] * travel, 0.0)
-        if p.thixotropy_weakening > 0.0:
-            slow[STRUCTURE] = rebuilt_structure(p, slow[STRUCTURE], travel, step)
+        store_heat(p, slow[: FLUID_HEAT + 1], force[i] * travel, step)
+        slow[STRUCTURE] = rebuilt_structure(p, slow[STRUCTURE], travel, step)
     return force
 
 
@@ -181,39 +196,25 @@ def _forces(
     p: PlantValues, s: Array, dx: float, v: float, h: float, current: float, gain: float, strength: float, structure: float
 ) -> tuple[float, float, float, float]:
     """Return the damper's force and the places of rod, dashpot and void after the piston has moved by ``dx`` at ``v``."""
-    z = damper_forms.hysteretic_state(p, s[HYSTERESIS], dx, current)
-    yielding = damper_forms.yield_force(p, current)
-    if p.tapered_gap_taper != 0.0:
-        yielding *= taper_factor(p, s[PISTON] + dx)
-    if p.thixotropy_weakening > 0.0:
-        yielding *= 1.0 - p.thixotropy_weakening * (1.0 - structure)
-    fluid = (
-        yielding * damper_forms.hysteretic_force(p, z, (z - s[HYSTERESIS]) / h, v, current)
-        + damper_forms.viscosity(p, current) * thinning_factor(p, v) * v
-    )
-    fluid += branch_force(p, branch_elongation(p, s[BRANCH], dx, h), current) + p.orifice_loss_loss * abs(v) * v
-    fluid = strength * asymmetric_force(p, fluid)
+    z = damper_forms.hysteretic_state(p, s[HYSTERESIS], s[CREEP], dx, h, current)
+    yielding = damper_forms.yield_force(p, current) * taper_factor(p, s[PISTON] + dx) * structure_factor(p, structure)
+    fluid = yielding * damper_forms.hysteretic_force(p, z, (z - s[HYSTERESIS]) / h, v, current)
+    fluid += damper_forms.viscous_force(p, v, current) * thinning_factor(p, v) + turbulent_force(p, v)
+    for k in range(BRANCHES):
+        fluid += branch_force(p, k, branch_elongation(p, k, s[BRANCH + k], dx, h), current)
+    fluid = strength * asymmetric_force(p, fluid, v)
     dashpot, void = s[DASHPOT], void_after_step(p, s[VOID], fluid, h)
     series = damper_forms.series_viscosity(p, current)
     if series > 0.0:
         dashpot += h * fluid / (gain * series)
     rod = s[PISTON] + dx + dashpot + void + bubble_compression(p, fluid)
     travel = rod - s[ROD]
-    force = (
-        p.offset
-        + p.stiffness * rod
-        + gas_force(p, rod)
-        + stop_force(p, rod, travel / h)
-        + p.field_stiffness_stiffness * current * rod
-    )
+    force = p.offset + p.stiffness * rod + gas_force(p, rod) + heated_force(p, s[GAS_HEAT], s[ROD], rod, h)
+    force += stop_force(p, rod, travel / h) + elastic_force(p, rod, current) + waviness_force(p, rod)
     if p.seal_friction_coulomb > 0.0:
-        force += p.seal_friction_coulomb * bristle_deflection(s[SEAL], travel, SEAL_TRAVEL, s[SEAL_LEVEL])
+        force += p.seal_friction_coulomb * seal_deflection(p, s[SEAL], travel, v, s[SEAL_LEVEL])
     if p.side_load_friction_slope > 0.0:
-        force += guide_friction(p, rod) * bristle_deflection(s[GUIDE], travel, GUIDE_TRAVEL, 1.0)
-    if p.guide_waviness_amplitude > 0.0:
-        force += p.guide_waviness_amplitude * math.sin(
-            2.0 * math.pi * rod / p.guide_waviness_length + p.guide_waviness_phase
-        )
+        force += guide_friction(p, rod) * guide_deflection(s[GUIDE], travel)
     return fluid + gain * force, rod, dashpot, void
 
 
@@ -225,15 +226,19 @@ def _advance(
     force, rod, dashpot, void = _forces(p, s, dx, v, h, current, gain, strength, structure)
     travel = rod - s[ROD]
     if p.seal_friction_coulomb > 0.0:
-        s[SEAL] = bristle_deflection(s[SEAL], travel, SEAL_TRAVEL, s[SEAL_LEVEL])
+        s[SEAL] = seal_deflection(p, s[SEAL], travel, v, s[SEAL_LEVEL])
         # Valid from the next step on: within a step, friction must not fall with speed.
         s[SEAL_LEVEL] = stribeck_factor(p, travel / h)
     if p.side_load_friction_slope > 0.0:
-        s[GUIDE] = bristle_deflection(s[GUIDE], travel, GUIDE_TRAVEL, 1.0)
-    s[HYSTERESIS] = damper_forms.hysteretic_state(p, s[HYSTERESIS], dx, current)
-    s[BRANCH] = branch_elongation(p, s[BRANCH], dx, h)
-    s[DRIVE] = joint_offset(s[DRIVE], p.backlash_play, force, BACKLASH_RESISTANCE, p.backlash_drag, h)
-    s[JOINT] = joint_offset(s[JOINT], p.joint_play_play, force, p.joint_play_resistance, 0.0, h)
+        s[GUIDE] = guide_deflection(s[GUIDE], travel)
+    state = damper_forms.hysteretic_state(p, s[HYSTERESIS], s[CREEP], dx, h, current)
+    s[CREEP] = damper_forms.creep_after(p, s[CREEP], s[HYSTERESIS], state, h)
+    s[HYSTERESIS] = state
+    for k in range(BRANCHES):
+        s[BRANCH + k] = branch_elongation(p, k, s[BRANCH + k], dx, h)
+    s[GAS_HEAT] = heated_force(p, s[GAS_HEAT], s[ROD], rod, h)
+    s[MOUNT] = series_elongation(p, s[MOUNT], force, h)
+    s[DRIVE], s[JOINT] = backlash_offset(p, s[DRIVE], force, h), joint_offset(p, s[JOINT], force, h)
     s[PISTON] += dx
     s[DASHPOT], s[VOID], s[ROD] = dashpot, void, rod
     return float(force)
@@ -245,9 +250,8 @@ def _overshoot(
 ) -> float:
     """Return by how many metres piston and series elements overshoot the drive at a piston speed ``w``."""
     force, rod, _, _ = _forces(p, s, w * h, w, h, current, gain, strength, structure)
-    overshoot = rod + p.series_compliance_compliance * force - x
-    overshoot += joint_offset(s[DRIVE], p.backlash_play, force, BACKLASH_RESISTANCE, p.backlash_drag, h)
-    return float(overshoot + joint_offset(s[JOINT], p.joint_play_play, force, p.joint_play_resistance, 0.0, h))
+    overshoot = rod + series_elongation(p, s[MOUNT], force, h) + backlash_offset(p, s[DRIVE], force, h) - x
+    return float(overshoot + joint_offset(p, s[JOINT], force, h))
 
 
 @njit(nogil=True)

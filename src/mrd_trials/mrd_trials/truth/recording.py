@@ -8,13 +8,29 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import cont2discrete, lfilter
 
-from mrd_trials.truth.effects.absent import overloaded_reading, ringing_force, sticking_reading
-from mrd_trials.truth.effects.coil import acting_current
-from mrd_trials.truth.effects.drive import rippled_motion
-from mrd_trials.truth.effects.sensing import MAINS, lagged, transducer_reading
+from mrd_trials.truth.effects.cell_overload import overloaded_reading
+from mrd_trials.truth.effects.channel_crosstalk import leaking_force
+from mrd_trials.truth.effects.channel_delay import delayed_force
+from mrd_trials.truth.effects.coil_lag import lagged_current
+from mrd_trials.truth.effects.current_saturation import saturated_current
+from mrd_trials.truth.effects.current_sensor_error import current_reading
+from mrd_trials.truth.effects.force_sensor_lag import lagged_force
+from mrd_trials.truth.effects.frame_resonance import ringing_force
+from mrd_trials.truth.effects.gain_drift import drifting_gain
+from mrd_trials.truth.effects.linear_filters import lagged
+from mrd_trials.truth.effects.load_cell_drift import drift_force
+from mrd_trials.truth.effects.lvdt_nonlinearity import transducer_reading
+from mrd_trials.truth.effects.magnetic_hysteresis import remanent_current
+from mrd_trials.truth.effects.mains_hum import hum
+from mrd_trials.truth.effects.moving_mass import inertia_force
+from mrd_trials.truth.effects.sensor_stiction import sticking_reading
+from mrd_trials.truth.effects.servo_ripple import rippled_motion
+from mrd_trials.truth.effects.supply_ripple import rippling_current
+from mrd_trials.truth.effects.thermal_fade import store_heat
+from mrd_trials.truth.effects.thixotropy import rebuilt_structure
 from mrd_trials.truth.effects.true_effect import PlantValues
 from mrd_trials.truth.instruments import Readings, TrueInstruments, sample_signal
-from mrd_trials.truth.integration import HEAT, STRUCTURE, damper_force, has_series_element, plant_values
+from mrd_trials.truth.integration import FLUID_HEAT, STRUCTURE, damper_force, has_series_element, plant_values, rested_state
 
 Array = NDArray[np.float64]
 
@@ -83,11 +99,14 @@ class TruePlant:
         Parameters of the form; nominal where left out.
     effects : mapping
         Parameters of each effect, by id.
+    formulas : mapping
+        Id of the formula of an effect, the first one where left out; may name further effects.
     """
 
     form: str
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    formulas: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -133,27 +152,24 @@ def record(
     Raises
     ------
     ValueError
-        When a form, effect or parameter is unknown.
+        When a form, effect, formula or parameter is unknown.
     """
-    p = plant_values(plant.form, plant.parameters, plant.effects)
+    p = plant_values(plant.form, plant.parameters, plant.effects, plant.formulas)
     series = has_series_element(plant.form, plant.effects)
-    slow, memory, clock = np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0
+    slow, magnetic, clock = rested_state(), MagneticMemory(), 0.0
     recorded = []
     for command, (scatter, streams) in zip(commands, _draw_runs(instruments, rng, len(commands)), strict=True):
         step = command.step
-        shown, rod, current, acting = _driven(p, command, scatter.phase, memory)
-        force = damper_force(p, rod[0], rod[1], acting, step, scatter.gain, series, slow)
-        force = _force_channel(p, force + p.moving_mass_mass * rod[2], shown, current, clock, step) + scatter.offset
-        position = shown if p.sensor_stiction_slack == 0.0 else sticking_reading(shown, p.sensor_stiction_slack)
-        position = transducer_reading(p.lvdt_nonlinearity_cubic, p.lvdt_nonlinearity_gain, position)
-        current_reading = (1.0 + p.current_sensor_error_gain) * current + p.current_sensor_error_offset
-        hum = p.mains_hum_amplitude, scatter.phase
-        recorded.append(_read(instruments, streams, step, position, current_reading, rod[2], force, hum))
+        time: Array = step * np.arange(len(command.time), dtype=float)
+        shown, rod, current, acting = _driven(p, command, scatter.phase, magnetic)
+        force = damper_force(p, rod[0], rod[1], acting, step, scatter.gain, series, slow) + inertia_force(p, *rod, step)
+        force = force_channel(p, force, shown, current, clock, time, step) + scatter.offset
+        position = transducer_reading(p, sticking_reading(p, shown))
+        channels = position, current_reading(p, clock + time, current), rod[2], force
+        recorded.append(_read(p, instruments, streams, step, channels, scatter.phase))
         clock += len(force) * step + REST
-        if p.thermal_fade_fade > 0.0:
-            slow[HEAT] *= np.exp(-REST / p.thermal_fade_cooling_time)
-        if p.thixotropy_weakening > 0.0:
-            slow[STRUCTURE] = 1.0 - (1.0 - slow[STRUCTURE]) * np.exp(-REST / p.thixotropy_recovery)
+        store_heat(p, slow[: FLUID_HEAT + 1], 0.0, REST)
+        slow[STRUCTURE] = rebuilt_structure(p, slow[STRUCTURE], 0.0, REST)
     return recorded
 
 
@@ -171,8 +187,16 @@ def _draw_runs(
     return drawn
 
 
+@dataclass
+class MagneticMemory:
+    """What coil and iron remember from run to run; nan before the first one."""
+
+    coil: Array = field(default_factory=lambda: np.full(3, np.nan))
+    iron: Array = field(default_factory=lambda: np.full(2, np.nan))
+
+
 def _driven(
-    p: PlantValues, command: BenchCommand, phase: float, memory: Array
+    p: PlantValues, command: BenchCommand, phase: float, magnetic: MagneticMemory
 ) -> tuple[Array, tuple[Array, Array, Array], Array, Array]:
     """Return the encoder's position, the rod's position, velocity and acceleration, the current and the acting current."""
     step = command.step
@@ -185,12 +209,9 @@ def _driven(
         current = lagged(SUPPLY_LAG, command.current, step)
     rod = (shown, velocity, acceleration)
     if p.servo_ripple_amplitude > 0.0:
-        rod = rippled_motion(p.servo_ripple_amplitude, p.servo_ripple_phase, *rod)
-    acting = current
-    if p.supply_ripple_share > 0.0:
-        turns = p.supply_ripple_frequency * step * np.arange(len(current)) + phase
-        acting = current * (1.0 + p.supply_ripple_share * np.sin(2 * np.pi * turns))
-    return shown, rod, current, acting_current(p, acting, step, memory)
+        rod = rippled_motion(p, *rod)
+    acting = lagged_current(p, rippling_current(p, current, step, phase), step, magnetic.coil)
+    return shown, rod, current, saturated_current(p, remanent_current(p, acting, magnetic.iron))
 
 
 def followed_command(command: Array, step: float) -> tuple[Array, Array, Array]:
@@ -204,44 +225,33 @@ def followed_command(command: Array, step: float) -> tuple[Array, Array, Array]:
     return motion[0] + command[0], motion[1], motion[2]
 
 
-def _force_channel(p: PlantValues, force: Array, position: Array, current: Array, clock: float, step: float) -> Array:
+def force_channel(
+    p: PlantValues, force: Array, position: Array, current: Array, clock: float, time: Array, step: float
+) -> Array:
     """Return the output of the force channel, from the force on the cell: cell, wires and converter act in this order."""
-    time = np.arange(len(force)) * step
-    force = ringing_force(p.frame_resonance_share, p.frame_resonance_frequency, p.frame_resonance_damping, force, step)
-    if p.cell_overload_overload > 0.0:
-        force = overloaded_reading(p.cell_overload_overload, force)
-    force = lagged(p.force_sensor_lag_lag, force + p.load_cell_drift_drift * (clock + time), step)
-    force = force + p.channel_crosstalk_from_position * position + p.channel_crosstalk_from_current * current
-    return np.interp(time - p.channel_delay_delay, time, force) if p.channel_delay_delay > 0.0 else force
+    force = overloaded_reading(p, ringing_force(p, force, step)) * drifting_gain(p, clock + time)
+    force = lagged_force(p, force + drift_force(p, clock + time), step)
+    return delayed_force(p, time, force + leaking_force(p, position, current, step))
 
 
 def _read(
+    p: PlantValues,
     instruments: TrueInstruments,
     streams: Sequence[np.random.Generator],
     step: float,
-    position: Array,
-    current: Array,
-    acceleration: Array,
-    force: Array,
-    hum: tuple[float, float],
+    channels: tuple[Array, Array, Array, Array],
+    phase: float,
 ) -> Readings:
-    """Sample all channels at the same jittered times, and add the noise of each channel and the hum of the force channel.
+    """Sample position, current, acceleration and force at the same jittered times, and add the noise of each and the hum.
 
-    The ``hum`` (amplitude in N, phase in turns) is picked up by the converter, so readings hold its full size at every rate.
+    The hum is picked up by the converter, so readings hold its full size at every rate.
     """
-    samples = int(((len(force) - 1) * step) * instruments.rate * (1 + 1e-9)) + 1
+    samples = int(((len(channels[0]) - 1) * step) * instruments.rate * (1 + 1e-9)) + 1
     time = np.arange(samples) / instruments.rate
     jitter = instruments.jitter * streams[0].standard_normal(samples)
-
-    def read(signal: Array, deviation: float, stream: np.random.Generator) -> Array:
-        return sample_signal(instruments, time, jitter, step, signal) + deviation * stream.standard_normal(samples)
-
-    amplitude, phase = hum
-    mains = amplitude * np.sin(2 * np.pi * (MAINS * (time + jitter) + phase))
-    return Readings(
-        time,
-        read(position, instruments.position, streams[1]),
-        read(current, instruments.current, streams[2]),
-        read(acceleration, instruments.acceleration, streams[3]),
-        read(force, instruments.force, streams[4]) + mains,
+    noises = instruments.position, instruments.current, instruments.acceleration, instruments.force
+    position, current, acceleration, force = (
+        sample_signal(instruments, time, jitter, step, signal) + noise * stream.standard_normal(samples)
+        for signal, noise, stream in zip(channels, noises, streams[1:], strict=True)
     )
+    return Readings(time, position, current, acceleration, force + hum(p, time + jitter, phase))

@@ -1,21 +1,27 @@
-"""Declaration of an effect of the ground truth: its parameters, and the distributions they are drawn from."""
+"""What an effect of the ground truth declares: its formulas, their parameters, and how these are drawn."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
+Family = Literal["development", "evaluation"]
+"""Which trials a formula is for: those on which the diagnosis is developed, or those that evaluate it."""
+
 
 class PlantValues(Protocol):
-    """Parameters of a plant, named EFFECT_PARAMETER or as in its damper form; those of effects that it lacks are 0."""
+    """Parameters of a plant, named EFFECT_PARAMETER or as in its damper form; those of effects that it lacks are 0.
+
+    EFFECT_formula is the place of the effect's formula among its formulas.
+    """
 
     def __getattr__(self, name: str) -> float: ...
 
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """One parameter of an effect, in SI units.
+    """One parameter of a formula, in SI units.
 
     Attributes
     ----------
@@ -63,28 +69,25 @@ def shape(name: str, low: float, high: float, logarithmic: bool = False) -> Effe
 
 
 @dataclass(frozen=True)
-class TrueEffect:
-    """An effect that a plant may have.
+class Formula:
+    """One mathematical form of an effect; none is the one that the catalogue fits.
 
     Attributes
     ----------
     id : str
-        The same id as in the catalogue, where the catalogue has the effect.
-    title : str
+    source : str
+        What it says, with author and year.
+    family : {"development", "evaluation"}
     parameters : tuple of EffectParameter
     shared : tuple of str
-        Names of the parameters that mean exactly the same in the catalogue.
-    in_catalogue : bool
-    in_series : bool
-        Whether the effect stands between drive and damper, so that the force decides what moves.
+        Names of the parameters that mean the same in the catalogue, so that a fitted value can be compared with them.
     """
 
     id: str
-    title: str
+    source: str
+    family: Family
     parameters: tuple[EffectParameter, ...]
     shared: tuple[str, ...] = ()
-    in_catalogue: bool = True
-    in_series: bool = False
 
     def draw(self, rng: np.random.Generator, strength: float) -> dict[str, float]:
         """Draw the parameters at a strength: 0 is without the effect, 1 is typical; sizes never fall with the strength.
@@ -105,6 +108,58 @@ class TrueEffect:
             raise ValueError(f"strength {strength}: expected a finite number of at least 0")
         return {parameter.name: parameter.draw(rng, strength) for parameter in self.parameters}
 
-    def shared_sizes(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        """Return the parameters that the catalogue has as well, by EFFECT.PARAMETER."""
-        return {f"{self.id}.{name}": parameters[name] for name in self.shared}
+
+def development(id: str, source: str, *parameters: EffectParameter, shared: tuple[str, ...] = ()) -> Formula:
+    """Declare a formula for trials on which the diagnosis is developed."""
+    return Formula(id, source, "development", parameters, shared)
+
+
+def evaluation(id: str, source: str, *parameters: EffectParameter, shared: tuple[str, ...] = ()) -> Formula:
+    """Declare a formula for trials that evaluate the diagnosis; nobody may tune anything on it."""
+    return Formula(id, source, "evaluation", parameters, shared)
+
+
+@dataclass(frozen=True)
+class TrueEffect:
+    """An effect that a plant may have.
+
+    Attributes
+    ----------
+    id : str
+        The same id as in the catalogue, where the catalogue has the effect.
+    title : str
+    formulas : tuple of Formula
+        Their places are the codes that the compiled functions branch on.
+    in_catalogue : bool
+    in_series : bool
+        Whether the effect stands between drive and damper, so that the force decides what moves.
+    """
+
+    id: str
+    title: str
+    formulas: tuple[Formula, ...]
+    in_catalogue: bool = True
+    in_series: bool = False
+
+    def formula(self, id: str = "") -> Formula:
+        """Return the formula of an id, the first one by default.
+
+        Raises
+        ------
+        ValueError
+            When the effect has no such formula.
+        """
+        for formula in self.formulas:
+            if id in ("", formula.id):
+                return formula
+        known = ", ".join(formula.id for formula in self.formulas)
+        raise ValueError(f"effect {self.id}: has no formula {id}, expected one of {known}")
+
+    def draw_formula(self, family: Family, rng: np.random.Generator) -> str:
+        """Return the id of one formula of a family, each as probable as the others; ``rng`` advances by one number."""
+        ids = [formula.id for formula in self.formulas if formula.family == family]
+        return ids[int(rng.random() * len(ids))]
+
+    def shared_sizes(self, parameters: Mapping[str, float], formula: str = "") -> dict[str, float]:
+        """Return the parameters of a formula that the catalogue has as well, by EFFECT.PARAMETER."""
+        return {f"{self.id}.{name}": parameters[name] for name in self.formula(formula).shared}
