@@ -1,4 +1,4 @@
-"""What an effect of the ground truth declares: its formulas, their parameters, and how these are drawn."""
+"""Declaration of an effect of the ground truth: its formulas, their parameters, and how these are drawn."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
