@@ -27,6 +27,10 @@ USELESS_CLIPPING = 0.01
 """Share of clipped samples from which force or position are useless: saturation would be taken for physics."""
 FEWEST_PILED_UP = 8
 """Samples at the limit of a force from which they may be clipped."""
+CLIPPED_IN_A_ROW = 3
+"""Samples at the limit in a row that no sharp extreme has."""
+CLIPPED_SHARE_IN_A_ROW = 0.3
+"""Share of the samples at the limit that must be in such a row."""
 BANDS_BESIDE = 20
 """Bands of readings beside the limit that are compared with it."""
 PILED_UP = 4
@@ -218,7 +222,12 @@ def _piled_up(checked: CheckedRun, channel: Channel, limit: float, band: float) 
     width = max(band, channel.resolution) * (1 + 1e-9)
     beside = np.histogram(inwards[~at_limit], bins=band + width * np.arange(BANDS_BESIDE + 1))[0]
     speed = np.abs(checked.run.velocity[at_limit])
-    # At a constant speed, a force without noise is constant as well; at the same place of each period, it is the same.
+    # A periodic force without noise has the same extreme, but of a sample or two, in each period.
+    first, last = true_segments(at_limit)
+    length = last - first + 1
+    if length[length >= CLIPPED_IN_A_ROW].sum() < CLIPPED_SHARE_IN_A_ROW * count:
+        return 0
+    # At a constant speed, a force without noise is constant as well.
     varies = np.ptp(np.quantile(speed, [0.05, 0.95])) > VARYING_SPEED * checked.top_speed
     third = np.diff(channel.values, 3)[np.convolve(at_limit, np.ones(4), "valid") == 0]
     noisy = len(third) > 1 and np.mean(third[1:] * third[:-1] < 0) > NOISY_TURNING
