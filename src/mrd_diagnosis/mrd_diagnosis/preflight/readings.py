@@ -219,14 +219,16 @@ def _piled_up(checked: CheckedRun, channel: Channel, limit: float, band: float) 
     if count < FEWEST_PILED_UP:
         return 0
     # Where a signal turns smoothly, readings dwell near its extreme as well, but not in one band only.
-    width = max(band, channel.resolution) * (1 + 1e-9)
+    gaps = np.diff(np.unique(channel.values))
+    step = float(np.min(gaps[gaps > 1e-9 * abs(limit)], initial=np.ptp(channel.values)))
+    width = max(band, step) * (1 + 1e-6)
     beside = np.histogram(inwards[~at_limit], bins=band + width * np.arange(BANDS_BESIDE + 1))[0]
     speed = np.abs(checked.run.velocity[at_limit])
     # At a constant speed, a force without noise is constant as well.
     varies = np.ptp(np.quantile(speed, [0.05, 0.95])) > VARYING_SPEED * checked.top_speed
     third = np.diff(channel.values, 3)[np.convolve(at_limit, np.ones(4), "valid") == 0]
     noisy = len(third) > 1 and np.mean(third[1:] * third[:-1] < 0) > NOISY_TURNING
-    lacks_noise = noisy and np.median(np.abs(third)) > max(4 * band, 6 * channel.resolution)
+    lacks_noise = noisy and np.median(np.abs(third)) > max(4 * band, 6 * step)
     # A periodic force has the same extreme, but of a sample or two, in each period.
     first, last = true_segments(at_limit)
     length = last - first + 1
