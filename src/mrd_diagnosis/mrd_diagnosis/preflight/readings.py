@@ -27,11 +27,15 @@ USELESS_CLIPPING = 0.01
 """Share of clipped samples from which force or position are useless: saturation would be taken for physics."""
 FEWEST_PILED_UP = 8
 """Samples at the limit of a force from which they may be clipped."""
+CLIPPED_IN_A_ROW = 3
+"""Samples at the limit in a row that no sharp extreme has."""
+CLIPPED_SHARE_IN_A_ROW = 0.3
+"""Share of the samples at the limit that must be in such a row."""
 BANDS_BESIDE = 20
 """Bands of readings beside the limit that are compared with it."""
-PILED_UP = 4
+PILED_UP = 8
 """Ratio of the samples at the limit to those in any band beside it. The last step before a smooth turn has 2.4 times as many
-as the step before."""
+as the step before, that before a flat one (of fourth order) 5.3 times."""
 VARYING_SPEED = 0.05
 """Span of the speed at the limit, over the top speed, from which a constant force is no plateau of the damper."""
 REVERSED_FORCE = 0.15
@@ -215,16 +219,21 @@ def _piled_up(checked: CheckedRun, channel: Channel, limit: float, band: float) 
     if count < FEWEST_PILED_UP:
         return 0
     # Where a signal turns smoothly, readings dwell near its extreme as well, but not in one band only.
-    width = max(band, channel.resolution) * (1 + 1e-9)
+    gaps = np.diff(np.unique(channel.values))
+    step = float(np.min(gaps[gaps > 1e-9 * abs(limit)], initial=np.ptp(channel.values)))
+    width = max(band, step) * (1 + 1e-6)
     beside = np.histogram(inwards[~at_limit], bins=band + width * np.arange(BANDS_BESIDE + 1))[0]
     speed = np.abs(checked.run.velocity[at_limit])
-    # At a constant speed, a force without noise is constant as well; at the same place of each period, it is the same.
+    # At a constant speed, a force without noise is constant as well.
     varies = np.ptp(np.quantile(speed, [0.05, 0.95])) > VARYING_SPEED * checked.top_speed
     third = np.diff(channel.values, 3)[np.convolve(at_limit, np.ones(4), "valid") == 0]
     noisy = len(third) > 1 and np.mean(third[1:] * third[:-1] < 0) > NOISY_TURNING
-    lacks_noise = (
-        not checked.is_slowly_sampled and noisy and np.median(np.abs(third)) > max(4 * band, 6 * channel.resolution)
-    )
+    lacks_noise = noisy and np.median(np.abs(third)) > max(4 * band, 6 * step)
+    # A periodic force has the same extreme, but of a sample or two, in each period.
+    first, last = true_segments(at_limit)
+    length = last - first + 1
+    in_a_row = length[length >= CLIPPED_IN_A_ROW].sum() > CLIPPED_SHARE_IN_A_ROW * count
+    lacks_noise = lacks_noise and in_a_row and not checked.is_slowly_sampled
     return count if count > PILED_UP * beside.max() and (varies or lacks_noise) else 0
 
 

@@ -53,6 +53,8 @@ PHYSICAL_DELAYS = (-0.015, 0.06)
 the other delays it by up to 50 ms, and force sensors by about 10 ms."""
 SLOWEST_SENSOR = 4.0
 """Hz, cut-off of the slowest force sensor that an effect of the catalogue describes (`force_sensor_lag`, 30 ms)."""
+LOWEST_RATE_FOR_FILTERS = 95.0
+"""Hz, sampling rate from which filters are looked for."""
 SURE_DELAY = 2.0
 """Ratio of squared errors from which a delay is sure; the effects of dampers reach 1.1."""
 SURE_FILTER = 3.0
@@ -138,7 +140,9 @@ def force_response(run: Run) -> Response:
     physical = (earliest - 1e-9 <= DELAYS) & (PHYSICAL_DELAYS[1] + 1e-9 >= DELAYS)
     lags = [_errors(spectra, LowPass("first_order", cutoff)) for cutoff in CUTOFFS[CUTOFFS >= SLOWEST_SENSOR]]
     explained = min(float(each[physical].min()) for each in (errors, *lags))
-    filtered, low_pass = min(((error, each) for error, each in _filters(spectra)), key=lambda pair: pair[0])
+    # Slowly sampled, a periodic motion has too few harmonics to tell a filter from other terms.
+    fast = 1 / interval >= LOWEST_RATE_FOR_FILTERS
+    filtered, low_pass = min(_filters(spectra), key=lambda pair: pair[0]) if fast else (np.inf, LowPass("none", np.inf))
     unfiltered = min(explained, float(errors.min()))
     if unfiltered > SURE_FILTER * filtered and unfiltered > filtered + LEAST_IMPROVEMENT:
         return Response(low_pass=_refined(spectra, low_pass))
