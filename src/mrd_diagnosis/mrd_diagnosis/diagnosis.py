@@ -35,7 +35,7 @@ class Finding:
     ----------
     kind : str
         ``clock``, ``gap``, ``lag``, ``clipping``, ``quantisation``, ``aliasing``, ``dead_channel``, ``repeat``, ``rig``,
-        ``coverage``.
+        ``coverage``, ``filter``, ``hum``.
     severity : {"fault", "limitation", "remark"}
         A fault makes any diagnosis of physics worthless; a limitation narrows what can be concluded.
     text : str

@@ -347,6 +347,14 @@ def test_a_hum_is_found_whichever_the_mains_are(frequency):
     assert f"at {frequency:.0f} Hz" in diagnosis.sentence
 
 
+def test_a_strong_hum_in_slow_sampling_is_no_noise():
+    runs = recorded({"mains_hum": {"amplitude": 34.0}}, rate=200)
+    diagnosis = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
+    assert "mains_hum" in [cause.effect for cause in diagnosis.causes]
+    assert diagnosis.corrected.parameters["mains_hum.amplitude"] == pytest.approx(34.0, rel=0.1)
+    assert any(finding.kind == "hum" for finding in diagnosis.findings)
+
+
 def test_a_detectable_cap_is_one_that_the_force_reaches():
     diagnosis = diagnose(recorded(seed=1), "bouc_wen", effects=("cavitation", *FEW))
     cavitation = next(candidate for candidate in diagnosis.candidates if candidate.effects == ("cavitation",))

@@ -15,7 +15,7 @@ from mrd_sim.path import Path
 _TURN = 2.0 * math.pi
 
 PARAMETERS = (
-    Parameter("amplitude", "N", 0.0, 0.0, 10.0, "amplitude a"),
+    Parameter("amplitude", "N", 0.0, 0.0, 200.0, "amplitude a"),
     Parameter("frequency", "Hz", MAINS[0], 45.0, 125.0, "frequency f", free=False),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
