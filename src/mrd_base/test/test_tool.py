@@ -45,7 +45,7 @@ def test_ctrl_c_ends_a_tool_with_130():
     )
     assert tool.stdout.readline() == "ready\n"
     tool.send_signal(signal.SIGINT)
-    _, stderr = tool.communicate(timeout=10)
+    _, stderr = tool.communicate(timeout=30)
     assert (tool.returncode, stderr) == (130, "interrupted\n")
 
 

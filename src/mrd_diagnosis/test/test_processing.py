@@ -308,7 +308,7 @@ def test_a_hum(frequency, share, rate, phase):
 
 def test_a_hum_beyond_the_effect_is_a_limitation_that_says_so():
     run = measured("multisine", 200.0)
-    for amplitude, severity in ((5.0, "remark"), (60.0, "limitation")):
+    for amplitude, severity in ((5.0, "remark"), (300.0, "limitation")):
         calm = replace(run, force=run.force + amplitude * np.sin(2 * np.pi * 50 * run.time))
         findings = [finding for finding in preflight([calm]) if finding.kind == "hum"]
         assert [finding.severity for finding in findings] == ([severity] if findings else [])
