@@ -313,7 +313,7 @@ def test_a_hum_beyond_the_effect_is_a_limitation_that_says_so():
         findings = [finding for finding in preflight([calm]) if finding.kind == "hum"]
         assert [finding.severity for finding in findings] == ([severity] if findings else [])
     assert "50 Hz" in findings[0].text
-    assert "10 N" in findings[0].text
+    assert "200 N" in findings[0].text
 
 
 @examples
