@@ -176,14 +176,24 @@ def next_step(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "partly_explained":
         if model := notable_model(diagnosis):
             share = format_share(model.closed_fraction.value)
-            return f"{add} Then try the model {model.name}: it removes {share} of the gap without an effect."
+            return (
+                f"Diagnose the runs with the model {model.name} first, by the first command: it removes {share} of the gap "
+                "without an effect, and the causes are fitted anew beside it. Apply the result of that. The second command "
+                "adds what was found here to the present model until then."
+            )
         return f"{add} {remedies} Then diagnose all runs again." if (remedies := _remedies(diagnosis)) else add
     if diagnosis.verdict == "ambiguous":
         advice = diagnosis.next_experiment
         text = advice.text if advice is not None else ""
         if advice is not None and advice.experiment:
             return f"{text} Diagnose all runs again, together with the new one."
-        return f"{text} The next command applies the most likely explanation, which is not proven.".strip()
+        others = ", ".join(dict.fromkeys(alternative.effect for alternative in diagnosis.alternatives))
+        other = (
+            f" If that shows another one, diagnose the runs again with --effects {others} and apply that." if others else ""
+        )
+        return (
+            f"{text}{other} Until then, the next command applies the most likely explanation, which is not proven.".strip()
+        )
     if diagnosis.verdict != "unknown_effect":
         return ""
     if model := notable_model(diagnosis):
@@ -193,6 +203,12 @@ def next_step(diagnosis: Diagnosis) -> str:
         best = diagnosis.alternative_models[0]
         share = format_share(max(best.closed_fraction.value, 0.0))
         text = f"Other damper models were tried and do not explain the gap either: the best one removes {share} of it. "
+    if diagnosis.oscillation is not None:
+        text += (
+            f"Look for the source of {diagnosis.oscillation.label}: record the force with the rod at rest, with the coil "
+            "current on and with the drive off, and tap frame and load cell. Record the same motion at half its speed as "
+            "well: a frequency that follows the speed comes from the drive, a fixed one from structure or electronics. "
+        )
     if remedies := _remedies(diagnosis):
         return f"{text}{remedies} Then diagnose all runs again."
     return f"{text}See where the error lies, and describe the missing effect in a file of your own (docs/effects.md)."
@@ -215,7 +231,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         )
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""
-    commands = [apply] if diagnosis.verdict == "partly_explained" else []
+    commands = []
     if model := notable_model(diagnosis):
         model_id, _, change = model.name.partition(" with ")
         if change.endswith(" fitted too"):
@@ -224,6 +240,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         elif model_id in MODELS:
             law = " --law quadratic" if change else ""
             commands.append(f"{diagnose}{held_out} --model {model_id}{law} --output DIR")
+    if diagnosis.verdict == "partly_explained":
+        commands.append(apply)
     return "\n".join(commands)
 
 

@@ -178,7 +178,7 @@ def test_a_run_must_separate_by_more_than_the_error_of_a_formula():
     advice = advise(refits, weighting, without=without)
     assert advice.experiment == ""
     assert "differ by less than the error of either formula" in advice.text
-    assert "Give the rod one sharp blow" in advice.text
+    assert "give the rod one sharp blow" in advice.text
 
 
 def test_unlikely_explanations_need_no_experiment():

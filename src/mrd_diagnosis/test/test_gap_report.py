@@ -573,12 +573,11 @@ def test_the_next_command_follows_from_the_verdict():
     assert next_command(partly) == next_command(diagnosed("explained"))
     other = replace(partly, alternative_models=(AlternativeModel("modified_dahl", 0.01, about(0.9)),))
     assert next_command(other).splitlines() == [
-        next_command(partly),
         "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR",
+        next_command(partly),
     ]
-    assert next_step(other) == (
-        "Add the cause to your simulator, with the next command. Then try the model modified_dahl: it removes 90 % of the "
-        "gap without an effect."
+    assert next_step(other).startswith(
+        "Diagnose the runs with the model modified_dahl first, by the first command: it removes 90 %"
     )
     record, diagnose_again = next_command(diagnosed("ambiguous")).splitlines()
     assert record == "ros2 run mrd_bench_driver bench DIR/next_experiment.yaml"
@@ -625,6 +624,7 @@ def test_the_next_step_follows_from_the_findings():
         "coverage", "limitation", "all strokes peak at one speed: nothing else is known. Record other speeds."
     )
     models = "Other damper models were tried and do not explain the gap either: the best one removes 30 % of it."
+    unknown = replace(unknown, oscillation=None)
     assert next_step(replace(unknown, findings=(coverage,))) == (
         f"{models} Record other speeds. Then diagnose all runs again."
     )
@@ -633,7 +633,13 @@ def test_the_next_step_follows_from_the_findings():
     ambiguous = diagnosed("ambiguous")
     assert next_step(ambiguous) == f"{ambiguous.next_experiment.text} Diagnose all runs again, together with the new one."
     sensor = replace(ambiguous, next_experiment=Advice("Add a sensor."))
-    assert next_step(sensor) == "Add a sensor. The next command applies the most likely explanation, which is not proven."
+    others = ", ".join(alternative.effect for alternative in ambiguous.alternatives)
+    assert next_step(sensor) == (
+        f"Add a sensor. If that shows another one, diagnose the runs again with --effects {others} and apply that. "
+        "Until then, the next command applies the most likely explanation, which is not proven."
+    )
+    line = replace(unknown.where[0], label="an oscillation near 31 Hz")
+    assert "Look for the source of an oscillation near 31 Hz" in next_step(replace(unknown, oscillation=line))
     assert next_step(diagnosed("no_gap")) == next_step(diagnosed("data_fault")) == ""
 
 

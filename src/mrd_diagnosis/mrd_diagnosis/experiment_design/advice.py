@@ -36,9 +36,10 @@ SENSORS: Mapping[tuple[str, ...], str] = {
     ),
     ("backlash", "joint_play", "series_compliance"): "Add a second displacement sensor across the damper itself.",
     ("channel_delay", "force_sensor_lag"): (
-        "Give the rod one sharp blow, and record position and force at 10 kHz or more, for example with an oscilloscope. A "
-        "delay of the channel shifts the rise of the force and keeps its shape; a lag of the sensor lets it begin at once, "
-        "but makes it slow."
+        "Disconnect the drive, give the rod one sharp blow, and record position and force at 10 kHz or more, for example "
+        "with an oscilloscope on the wires that enter the converter, behind all amplifiers and filters. A delay of the "
+        "channel shifts the rise of the force and keeps its shape; a lag of the sensor lets it begin at once, but makes it "
+        "slow."
     ),
     ("lvdt_nonlinearity", "servo_ripple"): "Compare the position sensor with the motor's encoder or with gauge blocks.",
     ("current_sensor_error",): "Record the sensors without current, and measure the current with a shunt beside its sensor.",
