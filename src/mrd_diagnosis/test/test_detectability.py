@@ -98,7 +98,10 @@ def test_a_recorded_effect_lowers_the_error_as_predicted(base_fit_of_plans, effe
     assert 2.5 < gain < 6.5
 
 
-@pytest.mark.parametrize("effect", ["seal_friction", "moving_mass", "coil_lag"])
+@pytest.mark.parametrize(
+    "effect",
+    ["moving_mass", pytest.param("seal_friction", marks=pytest.mark.slow), pytest.param("coil_lag", marks=pytest.mark.slow)],
+)
 def test_from_the_smallest_size_on_a_diagnosis_names_an_effect(base_fit_of_plans, effect):
     (detectability,) = detectable_sizes(*base_fit_of_plans, [effect])
     for factor, named in (1.2, [effect]), (0.3, []):
