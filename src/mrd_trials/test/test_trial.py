@@ -16,8 +16,8 @@ from mrd_trials.trial_design import Recipe
 from mrd_trials.trial_folder import read_trial
 
 RECIPE = Recipe(31, {"rich@100": 6})
-"""Two null plants, two with one effect, one with two effects, one with an effect that the catalogue lacks; two of the dampers
-have another form than the fitted model. None has mains hum, so the rate may be low."""
+"""Two null plants, two with one effect, one with two effects, one with an effect that the catalogue lacks; two dampers have
+another form than the fitted model. None has mains hum, so the rate may be low."""
 
 LEAST_NAMED = 4
 """Of four causes, one of them on a damper of another form and one weak; all are named today."""
