@@ -50,6 +50,10 @@ class BaseFit:
         inverse = scaled_inverse(jacobian.T @ jacobian, 1e-10)
         return cls(refitted, problem.residuals(refitted.theta), jacobian, inverse)
 
+    def unabsorbed(self, change: Array) -> Array:
+        """Return what the model's own parameters cannot imitate of a change of the white residual (samples,)."""
+        return np.asarray(change - self.jacobian @ (self.inverse @ (self.jacobian.T @ change)))
+
     @property
     def effects(self) -> tuple[str, ...]:
         """Ids of the effects in the model."""

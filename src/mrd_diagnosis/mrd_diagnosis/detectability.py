@@ -139,7 +139,7 @@ def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, need
         for name, value in scaled_effect(effect, np.exp(log_share) * largest).items():
             theta[model.names.index(f"{effect.id}.{name}")] = value
         change = problem.residuals(theta) - base_fit.residual
-        unabsorbed = change - base_fit.jacobian @ (base_fit.inverse @ (base_fit.jacobian.T @ change))
+        unabsorbed = base_fit.unabsorbed(change)
         return unabsorbed, float(np.linalg.norm(unabsorbed) / np.linalg.norm(change)) if change.any() else 1.0
 
     def margin(log_share: float) -> float:

@@ -259,7 +259,7 @@ def _diagnose_physics(
         sentence="",
         held_out_by=_held_out_by(runs, set_aside),
         gap=gap,
-        corrected=CorrectedSimulator(best.effects, dict(zip(best.problem.model.names, map(float, best.theta), strict=True))),
+        corrected=CorrectedSimulator(best.effects, best.values),
         where=where,
         oscillation=oscillation,
         causes=causes,

@@ -134,8 +134,8 @@ def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> l
         energies = []
         for space, linearised in spaces:
             change = space.problem(model, neutral).residuals(theta) - linearised.residual
-            change -= linearised.jacobian @ (linearised.inverse @ (linearised.jacobian.T @ change))
-            energies.append(float(change @ change))
+            rest = linearised.unabsorbed(change)
+            energies.append(float(rest @ rest))
         return energies
 
     energies = in_threads(unabsorbed, effects)

@@ -110,7 +110,7 @@ def explain_in_part(
     beside = _search_beside_remainder(thinned, other, tried, rng, progress)
     progress(0.8)
     causes = beside.causes
-    values = dict(zip(alone.problem.model.names, map(float, alone.theta), strict=True)) | beside.values
+    values = alone.values | beside.values
     explained = _with_effects(weighting, alone, list(causes), values)
     freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
     for effect, fitted in _form_chain(weighting, explained, freed, beside.form_effects):
@@ -122,7 +122,7 @@ def explain_in_part(
         gain = float(explained.held_out_cost - fitted.held_out_cost)
         closed = closed_fraction_between(explained, fitted, thinned, rng)
         causes[effect] = HeldCause({effect: probability}, p_value(gain, beside.null_gains), closed)
-        values |= dict(zip(fitted.problem.model.names, map(float, fitted.theta), strict=True))
+        values |= fitted.values
         explained = fitted
     progress(0.9)
     freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
@@ -208,8 +208,7 @@ def _search_beside_remainder(
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
-    values = dict(zip(compared.best.problem.model.names, map(float, compared.best.theta), strict=True))
-    return _BesideRemainder(weighting.remainder, causes, values, of_form, null_gains)
+    return _BesideRemainder(weighting.remainder, causes, compared.best.values, of_form, null_gains)
 
 
 def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]) -> list[tuple[str, Refit]]:
@@ -244,7 +243,7 @@ def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: S
 def _support(form: tuple[Weighting, Refit], best: Refit, effect: str, rng: np.random.Generator) -> float:
     """Return the probability of an effect against none around another form of the damper, the other effects present."""
     weighting, refitted = form
-    values = dict(zip(best.problem.model.names, map(float, best.theta), strict=True))
+    values = best.values
     # The other model has a hysteretic state of its own.
     present = [other.id for other in best.problem.model.effects if not other.structural]
     fits = [

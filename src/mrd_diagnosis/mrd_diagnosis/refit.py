@@ -79,6 +79,11 @@ class Refit:
         return float(self.held_out_chi_squares.sum() / len(self.problem.force))
 
     @property
+    def values(self) -> dict[str, float]:
+        """The fitted parameters by name."""
+        return dict(zip(self.problem.model.names, map(float, self.theta), strict=True))
+
+    @property
     def information(self) -> Array:
         """Normal matrix (free + columns, free + columns) of all folds and of the prior of the remainder."""
         prior = np.concatenate([np.zeros(len(self.problem.free)), np.ones(len(self.coefficients))])
