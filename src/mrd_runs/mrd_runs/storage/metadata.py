@@ -1,0 +1,52 @@
+"""The file ``metadata.yaml`` of a bag."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mrd_base import InputError
+
+NAME = "metadata.yaml"
+_LARGEST = 2**22  # bytes; the file has about a kilobyte for each topic
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What ``metadata.yaml`` says of a bag: its storage files, its number of messages, whether each one is compressed."""
+
+    files: tuple[str, ...]
+    message_count: int
+    compresses_messages: bool
+
+
+def read_metadata(folder: Path) -> Metadata | None:
+    """Read the metadata of a bag folder; return None where there is none.
+
+    Raises
+    ------
+    InputError
+        When the file is not that of a bag.
+    """
+    path = folder / NAME
+    if not path.exists():
+        return None
+    try:
+        with path.open("rb") as stream:
+            text = stream.read(_LARGEST + 1)
+        if len(text) > _LARGEST:
+            raise InputError(f"{path}: is longer than {_LARGEST} bytes; expected the metadata of a bag")
+        # The base loader makes texts only, and expands no merge keys, which may nest exponentially.
+        content: Any = yaml.load(text, yaml.BaseLoader)["rosbag2_bagfile_information"]
+        # Some writers give paths relative to the parent of the bag; the files stand in the bag all the same.
+        files = tuple(Path(name).name for name in content["relative_file_paths"])
+        mode = str(content.get("compression_mode", "")).lower()
+        return Metadata(files, int(content["message_count"]), mode == "message")
+    except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"{path}: is not the metadata of a bag ({reason}); `ros2 run mrd_runs recover` makes it anew"
+        ) from None
