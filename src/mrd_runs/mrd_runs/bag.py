@@ -27,6 +27,7 @@ from rosbags.typesys.store import Typestore
 from mrd_base import InputError
 from mrd_runs.definitions import empty_typestore, typestore
 from mrd_runs.storage import (
+    RECOVERED_FROM,
     SUFFIXES,
     Channel,
     End,
@@ -179,6 +180,10 @@ class BagWriter:
         cdr = self.types.serialize_cdr(message, self._connections[topic].msgtype)
         self.write(topic, stamp, bytes(cdr))
 
+    def mark_as_recovered(self, name: str) -> None:
+        """Say in the metadata that the bag was recovered from another one, of which something was lost."""
+        self._writer.set_custom_data(RECOVERED_FROM, name)
+
     def flush(self) -> None:
         """Pass all messages to the operating system; call this regularly, because messages may stop arriving.
 
@@ -273,7 +278,7 @@ class Bag:
     file : Path
         Storage file; the first one of several.
     recovered : bool
-        Whether the bag had not been closed.
+        Whether the bag had not been closed, or was recovered from one that had lost something.
     """
 
     topics: Mapping[str, RecordedTopic]
@@ -307,12 +312,12 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Bag:
     path = Path(path)
     files, metadata = find_storage(path)
     content = _Content(topics, metadata is not None and metadata.compresses_messages)
-    closed = True
+    closed = metadata is None or not metadata.recovered
     for file in files:
         closed &= _read_file(file, content, metadata)
     for entry in content.topics.values():
         _sort(entry)
-    return Bag(content.topics, _types(content.definitions, path), files[0], not closed)
+    return Bag(content.topics, read_types(content.definitions, path), files[0], not closed)
 
 
 def find_storage(path: Path) -> tuple[list[Path], Metadata | None]:
@@ -423,23 +428,33 @@ def _sort(topic: RecordedTopic) -> None:
         topic.messages[:] = [topic.messages[i] for i in order]
 
 
-def _types(definitions: Mapping[str, Schema], path: Path) -> Typestore:
-    """Return the types as the bag defines them, or as the bench does where an old bag has no definition of one."""
+def read_types(definitions: Mapping[str, Schema], path: Path) -> Typestore:
+    """Return the types as a bag defines them, or as the bench does where an old bag has no definition of one.
+
+    Raises
+    ------
+    InputError
+        When a definition is none.
+    """
     store = empty_typestore()
     for name, schema in definitions.items():
         if name in store.fielddefs:
             continue
         if schema.encoding not in _PARSERS:
             return typestore()
-        # The parser of rosbags raises many kinds of errors for a text that is no definition.
         try:
-            if len(schema.text) > _LONGEST_DEFINITION:
-                raise ValueError(f"of {len(schema.text)} characters")
-            parsed = _PARSERS[schema.encoding](schema.text, name)
+            parsed = parse_definition(schema)
             store.register({key: value for key, value in parsed.items() if key not in store.fielddefs})
-        except Exception as error:
+        except Exception as error:  # rosbags raises many kinds
             raise InputError(f"{path}: the definition of {one_line(name)} cannot be read ({one_line(error)})") from None
     return store
+
+
+def parse_definition(schema: Schema) -> Typesdict:
+    """Parse the definition of a message type; raise one of many kinds of errors for a text that is none."""
+    if len(schema.text) > _LONGEST_DEFINITION:
+        raise ValueError(f"it has {len(schema.text)} characters, expected at most {_LONGEST_DEFINITION}")
+    return _PARSERS[schema.encoding](schema.text, schema.name)
 
 
 def one_line(text: object) -> str:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from mrd_runs.storage.entries import Channel, End, Entries, Gap, Message, Schema
 from mrd_runs.storage.mcap_file import decompress_message, read_mcap
-from mrd_runs.storage.metadata import Metadata, read_metadata
+from mrd_runs.storage.metadata import RECOVERED_FROM, Metadata, read_metadata
 from mrd_runs.storage.sqlite_file import read_sqlite
 
 SUFFIXES = (".mcap", ".db3")
@@ -16,6 +16,7 @@ def read_storage(file: Path) -> Entries:
 
 
 __all__ = [
+    "RECOVERED_FROM",
     "SUFFIXES",
     "Channel",
     "End",

@@ -9,16 +9,31 @@ import yaml
 from mrd_base import InputError
 
 NAME = "metadata.yaml"
+# Key of the bag from which a bag was recovered that is not complete.
+RECOVERED_FROM = "recovered_from"
 _LARGEST = 2**22  # bytes; the file has about a kilobyte for each topic
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """What ``metadata.yaml`` says of a bag: its storage files, its number of messages, whether each one is compressed."""
+    """What ``metadata.yaml`` says of a bag.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Names of the storage files.
+    message_count : int
+        Number of messages in all files.
+    compresses_messages : bool
+        Whether each message is compressed by itself.
+    recovered : bool
+        Whether the bag was recovered from one that had lost something.
+    """
 
     files: tuple[str, ...]
     message_count: int
     compresses_messages: bool
+    recovered: bool
 
 
 def read_metadata(folder: Path) -> Metadata | None:
@@ -42,7 +57,8 @@ def read_metadata(folder: Path) -> Metadata | None:
         # Some writers give paths relative to the parent of the bag; the files stand in the bag all the same.
         files = tuple(Path(name).name for name in content["relative_file_paths"])
         mode = str(content.get("compression_mode", "")).lower()
-        return Metadata(files, int(content["message_count"]), mode == "message")
+        recovered = RECOVERED_FROM in (content.get("custom_data") or {})
+        return Metadata(files, int(content["message_count"]), mode == "message", recovered)
     except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
