@@ -39,6 +39,7 @@ from mrd_runs.storage import (
     read_metadata,
     read_storage,
 )
+from mrd_runs.text import one_line
 
 # Longest time in s that a message waits before it goes to the operating system, by the wall clock and by the stamps.
 FLUSH_PERIOD = 0.25
@@ -455,10 +456,3 @@ def parse_definition(schema: Schema) -> Typesdict:
     if len(schema.text) > _LONGEST_DEFINITION:
         raise ValueError(f"it has {len(schema.text)} characters, expected at most {_LONGEST_DEFINITION}")
     return _PARSERS[schema.encoding](schema.text, schema.name)
-
-
-def one_line(text: object) -> str:
-    """Return the text of an error or of a stranger's file as part of a line: printable, and not long."""
-    line = " ".join(str(text).split()) or type(text).__name__
-    line = "".join(character if character.isprintable() else "?" for character in line)
-    return line if len(line) <= 200 else f"{line[:200]} ..."

@@ -15,7 +15,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, get_typestore
 
 from mrd_base import InputError
-from mrd_runs.bag import BagWriter, one_line, parse_definition, qos, read_bag
+from mrd_runs.bag import BagWriter, parse_definition, qos, read_bag
 from mrd_runs.blocks import decode_blocks
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
 from mrd_runs.storage import (
@@ -30,9 +30,11 @@ from mrd_runs.storage import (
     read_metadata,
     read_storage,
 )
+from mrd_runs.text import one_line
 
 # How a message begins that was compressed by itself. No message in CDR begins so.
 _COMPRESSED = b"\x28\xb5\x2f\xfd"
+_GAPS_LISTED = 5
 # Stamps that fit the readers, which count in signed 64-bit integers.
 _END_OF_STAMPS = 2**63
 
@@ -87,7 +89,8 @@ def recover_bag(path: Path, output: Path) -> Recovery:
             counts = {topic: count for topic, count in writer.counts.items() if count}
             recovered = sum(counts.values())
             if not recovered:
-                raise InputError(f"{path}: holds no message that can be recovered ({'; '.join(losses) or 'it has none'})")
+                reasons = one_line("; ".join(losses) or "it has none")
+                raise InputError(f"{path}: holds no message that can be recovered ({reasons})")
             if metadata is not None and metadata.message_count > recovered:
                 losses.append(f"{metadata.message_count - recovered} of {metadata.message_count} messages, by metadata.yaml")
             losses += _missing_samples(path, output, writer)
@@ -153,15 +156,21 @@ class _FileRecovery:
     def _find_topics(self) -> bool:
         """Collect the definitions, and report the gaps; return whether the file was closed."""
         closed = False
+        gaps: list[Gap] = []
         for entry in read_storage(self._file):
             if isinstance(entry, Schema):
                 self._schemas.setdefault(entry.number, entry)
             elif isinstance(entry, Channel):
                 self._channels.setdefault(entry.number, entry)
             elif isinstance(entry, Gap):
-                self._lose(f"{entry.reason}: {entry.length} bytes at byte {entry.offset}" if entry.length else entry.reason)
+                gaps.append(entry)
             elif isinstance(entry, End):
                 closed = True
+        for gap in gaps[:_GAPS_LISTED]:
+            self._lose(f"{gap.reason}: {gap.length} bytes at byte {gap.offset}" if gap.length else gap.reason)
+        if len(gaps) > _GAPS_LISTED:
+            rest = sum(gap.length for gap in gaps[_GAPS_LISTED:])
+            self._lose(f"is damaged in {len(gaps) - _GAPS_LISTED} more places: {rest} bytes")
         return closed
 
     def _add_topics(self) -> None:

@@ -17,6 +17,7 @@ from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
 from mrd_base import InputError
 from mrd_runs.storage.entries import LARGEST_RECORD, Channel, End, Entries, Entry, Gap, Message, Schema
+from mrd_runs.text import one_line
 
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _FOOTER = 0x03, 0x04, 0x05, 0x06, 0x02
@@ -199,7 +200,7 @@ def _decompress(compression: bytes, data: bytes, size: int, is_cut: bool) -> Ite
             raise _DamagedError(f"holds a chunk in the unknown compression {name!r}, expected zstd, lz4 or none")
     except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         if not is_cut:
-            raise _DamagedError(f"holds a chunk that cannot be decompressed ({' '.join(str(error).split())})") from None
+            raise _DamagedError(f"holds a chunk that cannot be decompressed ({one_line(error)})") from None
 
 
 def _chunk_begins(stream: BinaryIO, position: int, size: int) -> bool:

@@ -7,6 +7,7 @@ from typing import Any
 import yaml
 
 from mrd_base import InputError
+from mrd_runs.text import one_line
 
 NAME = "metadata.yaml"
 # Key of the bag from which a bag was recovered that is not complete.
@@ -62,7 +63,6 @@ def read_metadata(folder: Path) -> Metadata | None:
     except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(
-            f"{path}: is not the metadata of a bag ({reason}); `ros2 run mrd_runs recover` makes it anew"
+            f"{path}: is not the metadata of a bag ({one_line(error)}); `ros2 run mrd_runs recover` makes it anew"
         ) from None

@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from mrd_base import InputError
 from mrd_runs.storage.entries import LARGEST_RECORD, Channel, End, Entries, Gap, Message, Schema
+from mrd_runs.text import one_line
 
 # What SQLite writes beside a file until a transaction is complete.
 _JOURNALS = ("-journal", "-wal")
@@ -48,7 +49,7 @@ def read_sqlite(path: Path) -> Entries:
                 yield Channel(number, schemas[str(message_type)], str(name), str(encoding), metadata)
             yield from _read_messages(database)
     except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a bag ({' '.join(str(error).split())}); expected a recording") from None
+        raise InputError(f"{path}: cannot be read as a bag ({one_line(error)}); expected a recording") from None
 
 
 def _read_messages(database: sqlite3.Connection) -> Entries:
@@ -68,7 +69,7 @@ def _read_messages(database: sqlite3.Connection) -> Entries:
                 yield _message(row)
         except sqlite3.Error:
             pass
-        yield Gap(0, 0, f"has pages that cannot be read ({' '.join(str(error).split())})")
+        yield Gap(0, 0, f"has pages that cannot be read ({one_line(error)})")
 
 
 def _message(row: list[object]) -> Message:
