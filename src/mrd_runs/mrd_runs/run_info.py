@@ -58,7 +58,11 @@ def _known_kinds(content: Any) -> dict[str, Any]:
     """Return the facts of the kinds that a recorder writes; a stranger's bag may hold anything."""
     if not isinstance(content, dict):
         return {}
-    facts: dict[str, Any] = {name: value for name, value in content.items() if isinstance(value, str | int | float)}
+    facts: dict[str, Any] = {
+        name: value
+        for name, value in content.items()
+        if isinstance(value, str | int | float) and name not in ("versions", "notes", "calibration")
+    }
     versions, notes, calibration = (content.get(name) for name in ("versions", "notes", "calibration"))
     if isinstance(versions, dict):
         facts["versions"] = {name: value for name, value in versions.items() if isinstance(value, str)}

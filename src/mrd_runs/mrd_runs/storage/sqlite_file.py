@@ -14,6 +14,7 @@ from mrd_runs.text import one_line
 
 # What SQLite writes beside a file until a transaction is complete.
 _JOURNALS = ("-journal", "-wal")
+_NEEDED = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"id", "topic_id", "timestamp", "data"}}
 
 
 def read_sqlite(path: Path) -> Entries:
@@ -29,7 +30,7 @@ def read_sqlite(path: Path) -> Entries:
     try:
         with _open(path) as database:
             columns = _columns(database)
-            if not {"topics", "messages"} <= columns.keys():
+            if not all(needed <= columns.get(table, set()) for table, needed in _NEEDED.items()):
                 raise InputError(f"{path}: cannot be read as a bag (it has no tables of topics and messages)")
             schemas: dict[str, int] = {}
             if "message_definitions" in columns:
@@ -98,7 +99,7 @@ def _open(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _columns(database: sqlite3.Connection) -> dict[str, set[str]]:
-    """Return the columns of each ordinary table; a view or a virtual table may have rows without end."""
+    """Return the stored columns of each ordinary table; views and computed columns may be endless, made from nothing."""
     tables = database.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE 'CREATE VIRTUAL%'")
     names = [name for name, _ in tables if name in ("topics", "messages", "message_definitions")]
     return {name: {column for _, column, *_ in database.execute(f"PRAGMA table_info({name})")} for name in names}
