@@ -12,7 +12,7 @@ import yaml
 from mrd_runs.bag import Bag
 from mrd_runs.text import one_line
 
-_PACKAGES = ("mrd_runs", "numpy", "rosbags", "mcap")
+_PACKAGES = ("mrd_runs", "numpy", "rosbags")
 # Characters of an experiment in which its name is looked for; the parser takes some seconds for them.
 _LONGEST_EXPERIMENT = 2**18
 
