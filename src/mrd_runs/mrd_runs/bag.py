@@ -191,7 +191,7 @@ class BagWriter:
         rosbags has no such method; it keeps up to a mebibyte in memory.
         """
         with self._writing():
-            if self._storage.chunk.bio.tell():
+            if self._storage.chunk.msgs:
                 self._storage.close_chunk()
             self._storage.bio.flush()
             self._flushed_size = self._storage.bio.tell()
@@ -202,6 +202,7 @@ class BagWriter:
         """Complete the bag and put it onto the disk. A second call does nothing."""
         if self._writer.storage is None:
             return
+        self.flush()  # what is in the file then stays in it, even if the disk has no room for its end
         with self._writing():
             self._synchroniser.end()
             self._writer.close()

@@ -126,15 +126,16 @@ def test_failing_synchronisation_is_told(tmp_path: Path, columns, make_block, mo
     writer.close()
 
 
-def test_full_disk_when_the_bag_is_closed(tmp_path: Path, columns, fill_bag, monkeypatch) -> None:
+@pytest.mark.parametrize(("room", "samples"), [(100, 840), (6000, 1000)])
+def test_full_disk_when_the_bag_is_closed(tmp_path: Path, columns, fill_bag, monkeypatch, room: int, samples: int) -> None:
+    """There is room for nothing, or for the last messages but not for the end of the file."""
     writer = fill_bag(tmp_path / "run", columns)
-    writer.flush()
-    fail_after(monkeypatch, writer, 100)
+    fail_after(monkeypatch, writer, room)
     with pytest.raises(InputError, match=r"run: cannot be written \(No space left on device; "):
         writer.close()
     writer.close()
     run = read_run(tmp_path / "run")
-    assert len(run) == 1000
+    assert len(run) == samples
     assert run.info["recovered"]
 
 

@@ -39,7 +39,7 @@ class FakeDaq:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.processes: list[subprocess.Popen[str]] = []
-        self._samples = self.node.create_publisher(BenchSamples, "samples", RECORDED)
+        self.samples = self.node.create_publisher(BenchSamples, "samples", RECORDED)
         self.calibration = self.node.create_publisher(Calibration, "calibration", LATCHED)
         self.setpoint = self.node.create_publisher(Setpoint, "setpoint", RECORDED)
         self.published: list[tuple[float, int]] = []  # when, and number of the last sample
@@ -67,7 +67,7 @@ class FakeDaq:
         message.force = array.array("d", numbers.astype(float))
         message.coil_current = array.array("d", np.where(moving, 0.15, 0.0))
         message.acceleration = array.array("d", -np.sin(numbers / 100))
-        self._samples.publish(message)
+        self.samples.publish(message)
         self.published.append((time.monotonic(), first + 20))
 
     def stream(self, skip: tuple[int, ...] = ()) -> None:
@@ -110,7 +110,7 @@ class FakeDaq:
 
     def start_recording(self, bag: Path) -> Any:
         # A service may be discovered before the topic is.
-        self.until(lambda: self._samples.get_subscription_count() > 0)
+        self.until(lambda: self.samples.get_subscription_count() > 0)
         return self.call("start_recording", StartRecording, bag=str(bag), experiment="name: demo\n", seed=7)
 
     def stop_recording(self) -> Any:
@@ -241,6 +241,20 @@ def test_rod_that_never_rests(bench: FakeDaq, tmp_path: Path) -> None:
     bench.until(lambda: len(bench.published) > 100)
     bench.stop_stream()
     assert bench.stop_recording().message.endswith("; the samples ended before rest was seen")
+
+
+def test_blocks_that_cannot_be_decoded(bench: FakeDaq, tmp_path: Path) -> None:
+    """They are recorded and reported; the recorder goes on."""
+    recorder = bench.run("recorder", rest_timeout_s=1.0)
+    bench.start_recording(tmp_path / "run")
+    for _ in range(60):
+        bench.samples.publish(BenchSamples(sample_period=1e-3, position=array.array("d", [0.0]), force=array.array("d")))
+        time.sleep(0.01)
+    stopped = bench.stop_recording()
+    assert not stopped.success
+    assert "the messages of /samples cannot be read (a block has series of unequal lengths" in stopped.message
+    assert bench.start_recording(tmp_path / "next").success
+    assert recorder.poll() is None
 
 
 def test_full_disk_is_told_at_once(bench: FakeDaq, tmp_path: Path) -> None:

@@ -1,5 +1,8 @@
 """Recorder: writes one bag for each start_recording; stop_recording or the end of the node closes it."""
 
+import contextlib
+import os
+import signal
 import threading
 import time
 from dataclasses import dataclass
@@ -100,8 +103,13 @@ class Recorder(BenchNode[RecorderSettings]):
         return topic
 
     def _serve_requests(self) -> None:
-        while not self._ending.is_set():
-            self._request_executor.spin_once(timeout_sec=0.1)
+        try:
+            while not self._ending.is_set():
+                self._request_executor.spin_once(timeout_sec=0.1)
+        finally:
+            # After an error, the recorder ends with a closed bag instead of being there without answering.
+            if not self._ending.is_set():
+                os.kill(os.getpid(), signal.SIGTERM)
 
     def _now(self) -> int:
         return int(self.bench.now() * 1e9)
@@ -228,7 +236,8 @@ class Recorder(BenchNode[RecorderSettings]):
 
     def _follow_rest(self, rest: RestMonitor, topic: str, cdr: bytes) -> None:
         if topic == self._samples:
-            rest.add_samples(decode_blocks([cdr], self._typestore))
+            with contextlib.suppress(Exception):  # a block that cannot be decoded shows no rest; it is recorded all the same
+                rest.add_samples(decode_blocks([cdr], self._typestore))
         elif topic == self._servo_state:
             state = deserialize_message(cdr, ServoState)
             if state.connected:
