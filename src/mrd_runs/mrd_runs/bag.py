@@ -401,7 +401,7 @@ def _read_file(file: Path, content: _Content, metadata: Metadata | None) -> bool
             elif isinstance(entry, Channel):
                 topics[entry.number] = content.add_topic(entry, schemas[entry.schema])
             elif isinstance(entry, Gap) and entry.offset + entry.length < size:
-                raise _unreadable(file, f"it {entry.reason} at byte {entry.offset}")
+                raise _unreadable(file, f"it {entry.reason}" + (f" at byte {entry.offset}" if entry.length else ""))
             elif isinstance(entry, End):
                 closed = True
         except KeyError:

@@ -278,6 +278,7 @@ def test_full_disk_is_told_at_once(bench: FakeDaq, tmp_path: Path) -> None:
     assert stopped.message == failed.message
     assert stopped.samples > 300
     assert (tmp_path / "run/run.mcap").stat().st_size <= 60_000
+    bench.until(lambda: (states[-1].level, states[-1].message) == (DiagnosticStatus.OK, "idle"))
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     assert bench.start_recording(tmp_path / "next").success
     bench.until(lambda: states[-1].message == "recording")

@@ -254,7 +254,7 @@ class Recorder(BenchNode[RecorderSettings]):
             writer.close()
         except InputError as error:
             failure = failure or str(error)
-        self._publish_state("idle", failure)
+        self._publish_state("idle")
         return failure
 
     # The base of a node

@@ -180,7 +180,6 @@ def decompress_message(data: bytes) -> bytes:
 
 def _decompress(compression: bytes, data: bytes, size: int, is_cut: bool) -> Iterator[bytes]:
     """Yield the content of a chunk in pieces, of at most one piece more than ``size`` bytes."""
-    name = compression.decode("utf-8", "replace")
     if compression == b"":
         yield data
         return
@@ -197,7 +196,8 @@ def _decompress(compression: bytes, data: bytes, size: int, is_cut: bool) -> Ite
             if not is_cut and not decompressor.eof:
                 raise _DamagedError("holds a chunk that cannot be decompressed (its compressed content ends early)")
         else:
-            raise _DamagedError(f"holds a chunk in the unknown compression {name!r}, expected zstd, lz4 or none")
+            name = one_line(compression.decode(errors="replace"))
+            raise _DamagedError(f"holds a chunk in the unknown compression {name}, expected zstd, lz4 or none")
     except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         if not is_cut:
             raise _DamagedError(f"holds a chunk that cannot be decompressed ({one_line(error)})") from None
@@ -277,4 +277,4 @@ def _split_text(content: bytes) -> tuple[str, bytes]:
     try:
         return rest[:length].decode(), rest[length:]
     except UnicodeDecodeError:
-        raise _DamagedError("holds a text that is none") from None
+        raise _DamagedError("holds a text that is not UTF-8") from None
