@@ -2,6 +2,7 @@
 
 import errno
 import os
+import subprocess
 import time
 from pathlib import Path
 
@@ -145,3 +146,15 @@ def test_folder_that_cannot_be_written_is_named(folder: str, tmp_path: Path, col
     for work in (lambda path: BagWriter(path), lambda path: import_run(run, path)):
         with pytest.raises(InputError, match=rf"^{folder}/x/run: cannot be made \(.*; \d+ MB free in /"):
             work(Path(folder, "x/run"))
+
+
+def test_log_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    environment = {**os.environ, "ROS_LOG_DIR": str(tmp_path / "file/log")}
+    done = subprocess.run(
+        ["ros2", "run", "mrd_runs", "recorder"], env=environment, capture_output=True, text=True, timeout=30
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert f"{tmp_path}/file/log" in done.stderr
+    assert done.stderr.count("\n") == 1
