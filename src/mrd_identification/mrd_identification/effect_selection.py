@@ -1,7 +1,7 @@
 """Forward selection of effects: one after the other is added to a model while it predicts unseen runs better."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,23 +14,21 @@ from mrd_identification.problem import Problem
 from mrd_sim.effects import EFFECTS, Effect
 
 Array = NDArray[np.float64]
+Samples = NDArray[np.intp]
 Pose = Callable[[Sequence[str]], Problem]
 """Returns the problem of the model with these effects."""
 
 AUTO = "auto"
-"""Stands in a list of effects for those that are to be selected."""
+"""Stands in a list of effects for those that are selected."""
 
 MOST_EFFECTS = 6
 """Effects that are added, at most."""
 
-LEAST_SHARE = 0.02
-"""Share of the squared error of left-out runs that an effect must remove to be added."""
+LEAST_IMPROVEMENT = 0.02
+"""Share of the squared error on left-out parts that an effect must remove to be added."""
 
 STANDARD_ERRORS = 1.0
 """Standard errors, over the left-out parts, by which the removed squared error must exceed zero."""
-
-MOST_SAMPLES = 6000
-"""Samples of all runs together whose residuals count in the selection. Models are integrated over all samples even so."""
 
 MOST_PARTS = 20
 """Parts that are left out in turn; with more runs, a part is several runs."""
@@ -38,7 +36,7 @@ MOST_PARTS = 20
 FEWEST_PARTS = 5
 """Parts that are left out in turn; with fewer runs, a part is a stretch of one run."""
 
-MOST_FITTED = 8
+MOST_FITTED = 6
 """Effects that are fitted in each step; the others promise less."""
 
 EVALUATIONS = 20
@@ -49,6 +47,9 @@ CONVERGED = 1e-4
 
 LEAST_FACTOR, LARGEST_FACTOR = 0.03, 3.0
 """Multiples of an effect's start value to which its change of the force is scaled."""
+
+LEAST_CURVATURE = 1e-8
+"""Relative to the normal matrix; keeps a step small in a direction that the recordings do not determine."""
 
 STEPS_WITHOUT_PART = 2
 """Steps to the optimum without a part, which is near the one with it."""
@@ -94,46 +95,62 @@ class Selection:
         Number of parts that were left out in turn.
     of_runs : bool
         Whether the parts are whole runs.
-    theta : ndarray (parameters,)
-        Parameters of the model with these effects, fitted to some of the samples.
+    values : mapping
+        Parameters by name of the model with these effects, fitted to the samples that were counted.
+    fixed : mapping
+        Those that are not searched although they differ from their default.
+    elapsed : float
+        Computing time in s, with that of the searches without these effects.
     """
 
     added: tuple[AddedEffect, ...]
     next_best: AddedEffect | None
     parts: int
     of_runs: bool
-    theta: Array
+    values: Mapping[str, float]
+    fixed: Mapping[str, float]
+    elapsed: float = 0.0
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the effects that were added."""
+        return tuple(step.effect for step in self.added)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What was added and why the selection ended, a sentence each."""
+        parts = f"{self.parts} {'runs' if self.of_runs else 'stretches'} left out in turn"
+        steps = [
+            f"{step.effect} was added: on {parts} it lowers the NRMSE from {step.nrmse_before:.4f} to {step.nrmse_after:.4f}, "
+            f"and removes {_share(step)} of the squared error"
+            + (f"; {', '.join(step.equally_good)} would do as well" if step.equally_good else "")
+            for step in self.added
+        ]
+        if self.next_best:
+            return [
+                *steps,
+                f"No {'further ' if steps else ''}effect was added: the best, {self.next_best.effect}, removes "
+                f"{_share(self.next_best)} of the squared error on {parts}",
+            ]
+        return [*steps, f"The selection ended at {len(steps)} effects, its limit or all that change the force"]
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where the fit of a model with one more effect starts.
-
-    Attributes
-    ----------
-    effect : str
-    problem : Problem
-        Its ``base`` is the start.
-    expected : float
-        Sum of squared residuals in N² to be expected of the fit.
-    """
-
-    effect: str
-    problem: Problem
-    expected: float
+def _share(step: AddedEffect) -> str:
+    return f"{100 * step.improvement:.1f} % (standard error {100 * step.standard_error:.1f} %)"
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model with effects, fitted to all parts, and its squared errors on each part by fits without it.
+    """A model with effects, fitted, and how it predicts each part by a fit without it.
 
     Attributes
     ----------
     effects : tuple of str
+        In the order in which they were added.
     problem : Problem
     theta : ndarray (parameters,)
     left_out : ndarray (parts,)
-        Weighted sum of squared errors in N².
+        Weighted sum of squared errors in N² of each part.
     """
 
     effects: tuple[str, ...]
@@ -142,55 +159,75 @@ class Candidate:
     left_out: Array
 
 
+def selects(effects: Sequence[str]) -> bool:
+    """Whether a list of effects asks for a selection.
+
+    Raises
+    ------
+    InputError
+        When it asks twice.
+    """
+    if list(effects).count(AUTO) > 1:
+        raise InputError(f"effect {AUTO} is named twice, expected once")
+    return AUTO in effects
+
+
 def select_effects(
     pose: Pose, theta: Array, given: Sequence[str] = (), progress: Callable[[float], None] = lambda _share: None
 ) -> Selection:
     """Add effects of the catalogue to a model, the best first, while the error on left-out parts of the runs falls.
 
-    Forward selection by cross-validation with the one-standard-error rule (Hastie, Tibshirani & Friedman 2009, ch. 3.3 and
-    7.10). Each effect is fitted with the model by least squares from the present optimum. The best one is added if it removes
-    at least `LEAST_SHARE` of the squared error on left-out parts, and more than `STANDARD_ERRORS` standard errors.
+    Forward selection by cross-validation (Hastie, Tibshirani & Friedman, 2009, ch. 3.3 and 7.10). In each step the most
+    promising effects are fitted with the model by least squares, from the present optimum. The best of them is added if it
+    removes more than `LEAST_IMPROVEMENT` of the squared error on left-out parts, and more than `STANDARD_ERRORS` standard errors
+    of what it removes. Effects whose state outlasts a run are not tried: their prediction of a run depends on which runs were
+    recorded before it, and so could tell runs apart by their order alone.
 
     Parameters
     ----------
     pose : callable
-        Returns the problem with some effects. Its samples may be thinned.
+        Returns the problem with some effects. Every n-th sample of the runs may be enough.
     theta : ndarray (parameters,)
         Optimum of the model with the effects ``given``.
     given : sequence of str
         Ids of effects that the model has in any case.
     progress : callable
-        Called with the share of the work that is done at most.
+        Called with the share that is done, if as many effects are added as may be.
     """
     problem = pose(given)
     parts, of_runs = parts_of(problem)
     present = _fit(problem, theta, parts, tuple(given))
     added: list[AddedEffect] = []
     next_best: AddedEffect | None = None
-    while len(added) < MOST_EFFECTS:
-        starts = _promising(pose, present)
+    while len(added) < MOST_EFFECTS and next_best is None:
+        starts = _starts(pose, present)
         if not starts:
             break
         finished = itertools.count(1)
 
-        def fit(start: Start, present: Candidate = present) -> Candidate:
-            candidate = _fit(start.problem, start.problem.base, parts, (*present.effects, start.effect))
+        def fit(start: tuple[str, Problem], present: Candidate = present) -> Candidate:
+            effect, problem = start
+            candidate = _fit(problem, problem.base, parts, (*present.effects, effect))
             progress((len(added) + next(finished) / len(starts)) / MOST_EFFECTS)
             return candidate
 
-        candidates = sorted(in_threads(fit, starts), key=lambda candidate: candidate.left_out.sum())
-        best = candidates[0]
-        step = _step(present, best, candidates[1:])
-        if not (step.improvement > LEAST_SHARE and step.improvement > STANDARD_ERRORS * step.standard_error):
+        best, *others = sorted(in_threads(fit, starts), key=lambda candidate: candidate.left_out.sum())
+        step = _step(present, best, others)
+        if is_improvement(present, best):
+            added.append(step)
+            present = best
+        else:
             next_best = step
-            break
-        added.append(step)
-        present = best
     progress(1.0)
-    return Selection(tuple(added), next_best, len(parts), of_runs, present.theta)
+    model = present.problem.model
+    values = dict(zip(model.names, map(float, present.theta), strict=True))
+    fixed = {
+        p.name: values[p.name] for p in model.parameters if "." in p.name and not p.free and values[p.name] != p.default
+    }
+    return Selection(tuple(added), next_best, len(parts), of_runs, values, fixed)
 
 
-def parts_of(problem: Problem) -> tuple[list[NDArray[np.intp]], bool]:
+def parts_of(problem: Problem) -> tuple[list[Samples], bool]:
     """Return the samples of each part that is left out in turn, and whether the parts are whole runs."""
     blocks = [np.arange(block.start, block.stop) for block in problem.blocks]
     if len(blocks) >= FEWEST_PARTS:
@@ -208,8 +245,7 @@ def _step(present: Candidate, best: Candidate, others: Sequence[Candidate]) -> A
     equally_good = tuple(
         other.effects[-1]
         for other in others
-        if is_improvement_over(present, other)
-        and other.left_out.sum() - after <= _standard_error(other.left_out - best.left_out)
+        if is_improvement(present, other) and other.left_out.sum() - after <= _standard_error(other.left_out - best.left_out)
     )
     return AddedEffect(
         best.effects[-1],
@@ -221,10 +257,10 @@ def _step(present: Candidate, best: Candidate, others: Sequence[Candidate]) -> A
     )
 
 
-def is_improvement_over(present: Candidate, candidate: Candidate) -> bool:
-    """Whether a candidate would be added by itself."""
+def is_improvement(present: Candidate, candidate: Candidate) -> bool:
+    """Whether a candidate predicts left-out parts so much better than the present model that it may be added."""
     gain = present.left_out - candidate.left_out
-    return bool(gain.sum() > max(LEAST_SHARE * present.left_out.sum(), STANDARD_ERRORS * _standard_error(gain)))
+    return bool(gain.sum() > max(LEAST_IMPROVEMENT * present.left_out.sum(), STANDARD_ERRORS * _standard_error(gain)))
 
 
 def _standard_error(values: Array) -> float:
@@ -232,51 +268,48 @@ def _standard_error(values: Array) -> float:
     return float(np.sqrt(len(values)) * np.std(values, ddof=1))
 
 
-def _promising(pose: Pose, present: Candidate) -> list[Start]:
-    """Return the start of a fit with each of the most promising effects that the model does not have yet.
+def _starts(pose: Pose, present: Candidate) -> list[tuple[str, Problem]]:
+    """Return the most promising effects, each with the problem whose ``base`` is where its fit starts; the best first.
 
-    Each start value of an effect changes the force. The change, scaled to fit, and small changes of the model's own parameters
-    together remove some of the squared error: the larger this share, the more promising the effect.
+    Each start value of an effect changes the force. The change, scaled, and small changes of the model's own parameters
+    together remove some of the squared error: the more they remove, the more promising the effect.
     """
-    unit = present.problem.unit(present.theta)
-    residuals = present.problem.residuals(present.theta)
+    free = list(present.problem.free)
+    unit, residuals = present.problem.unit(present.theta), present.problem.residuals(present.theta)
     jacobian = present.problem.jacobian(unit)
-    known = dict(zip(present.problem.model.names, present.theta, strict=True))
 
-    def start(effect: Effect) -> Start | None:
+    def vector(problem: Problem, own: Array, trial: Mapping[str, float]) -> Array:
+        """Return the parameters of the extended model."""
+        known = dict(zip(present.problem.model.names, own, strict=True)) | trial
+        return np.array([known.get(p.name, p.default) for p in problem.model.parameters])
+
+    def start(effect: Effect) -> tuple[float, str, Problem] | None:
         problem = pose((*present.effects, effect.id))
-        best: Start | None = None
+        least, base = np.inf, problem.base
         for trial in start_values(effect, problem.force):
-            theta = np.array([known.get(p.name, trial.get(p.name, p.default)) for p in problem.model.parameters])
-            change = problem.residuals(theta) - residuals
+            change = problem.residuals(vector(problem, present.theta, trial)) - residuals
             if not (np.isfinite(change).all() and change.any()):
                 continue
             columns = np.concatenate([jacobian, change[:, None]], axis=1)
             lower, upper = np.append(-unit, LEAST_FACTOR), np.append(1.0 - unit, LARGEST_FACTOR)
-            step = _bounded_solution(columns.T @ columns, columns.T @ residuals, lower, upper)
+            step = _least_squares_step(columns.T @ columns, columns.T @ residuals, lower, upper)
             expected = float(np.sum((residuals + columns @ step) ** 2))
-            if best is None or expected < best.expected:
-                point = dict(known)
-                point |= dict(
-                    zip(
-                        (p.name for p in present.problem.parameters),
-                        present.problem.theta(np.clip(unit + step[:-1], 0.0, 1.0))[list(present.problem.free)],
-                        strict=True,
-                    )
-                )
-                theta = np.array([point.get(p.name, trial.get(p.name, p.default)) for p in problem.model.parameters])
-                best = Start(effect.id, replace(problem, base=theta), expected)
-        return best
+            if expected < least:
+                own = present.theta.copy()
+                own[free] = present.problem.theta(np.clip(unit + step[:-1], 0.0, 1.0))[free]
+                least, base = expected, vector(problem, own, trial)
+        return (least, effect.id, replace(problem, base=base)) if np.isfinite(least) else None
 
     effects = [effect for name, effect in EFFECTS.items() if name not in present.effects and not effect.outlasts_run]
-    starts = [start for start in in_threads(start, effects) if start is not None]
-    return sorted(starts, key=lambda start: start.expected)[:MOST_FITTED]
+    starts = [found for found in in_threads(start, effects) if found is not None]
+    return [(effect, problem) for _, effect, problem in sorted(starts, key=lambda found: found[0])[:MOST_FITTED]]
 
 
-def _bounded_solution(gram: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Return `bounded_step`, also where the recordings do not determine some direction."""
+def _least_squares_step(gram: Array, gradient: Array, lower: Array, upper: Array) -> Array:
+    """Return `bounded_step`, also where the recordings do not determine a direction."""
+    size = np.diag(gram)
     return bounded_step(
-        gram + np.diag(np.maximum(1e-8 * np.diag(gram), 1e-12 * np.diag(gram).max())), gradient, lower, upper
+        gram + LEAST_CURVATURE * np.diag(np.maximum(size, LEAST_CURVATURE * size.max())), gradient, lower, upper
     )
 
 
@@ -292,14 +325,14 @@ def start_values(effect: Effect, force: Array) -> list[dict[str, float]]:
     return [{f"{effect.id}.{name}": value for name, value in trial.items()} for trial in trials]
 
 
-def _fit(problem: Problem, theta: Array, parts: Sequence[NDArray[np.intp]], effects: tuple[str, ...]) -> Candidate:
+def _fit(problem: Problem, theta: Array, parts: Sequence[Samples], effects: tuple[str, ...]) -> Candidate:
     unit, _ = levenberg_marquardt(
         problem, problem.unit(theta), np.arange(len(problem.free)), EVALUATIONS, tolerance=CONVERGED, renewal=3
     )
     return Candidate(effects, problem, problem.theta(unit), left_out_errors(problem, unit, parts))
 
 
-def left_out_errors(problem: Problem, unit: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
+def left_out_errors(problem: Problem, unit: Array, parts: Sequence[Samples]) -> Array:
     """Return the sum of squared residuals (parts,) in N² of each part, predicted by a fit without it.
 
     The optimum without a part is near the one with it, ``unit`` (free,). So a few Gauss-Newton steps with the derivatives at
@@ -308,19 +341,19 @@ def left_out_errors(problem: Problem, unit: Array, parts: Sequence[NDArray[np.in
     jacobian, residuals = problem.jacobian(unit), problem.residuals(problem.theta(unit))
     root = problem.robust_weights(residuals)
 
-    def without(part: NDArray[np.intp]) -> float:
-        kept = np.ones(len(residuals))
-        kept[part] = 0.0
-        weighted = jacobian * (kept * root)[:, None]
+    def without(part: Samples) -> float:
+        weight = root.copy()
+        weight[part] = 0.0
+        weighted = jacobian * weight[:, None]
         gram = weighted.T @ weighted
         point, present = unit, residuals
         for _ in range(STEPS_WITHOUT_PART):
-            step = _bounded_solution(gram, weighted.T @ (present * root), -point, 1.0 - point)
+            step = _least_squares_step(gram, weighted.T @ (present * weight), -point, 1.0 - point)
             trial = np.clip(point + step, 0.0, 1.0)
             errors = problem.residuals(problem.theta(trial))
-            if not np.sum((errors * root * kept) ** 2) < np.sum((present * root * kept) ** 2):
+            if not np.sum((errors * weight) ** 2) < np.sum((present * weight) ** 2):
                 break
             point, present = trial, errors
-        return float(np.sum((present * root)[part] ** 2))
+        return float(np.sum((present * problem.robust_weights(present))[part] ** 2))
 
     return np.array(in_threads(without, parts))
