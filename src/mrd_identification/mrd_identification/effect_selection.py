@@ -117,12 +117,17 @@ class Selection:
         return tuple(step.effect for step in self.added)
 
     @property
+    def steps(self) -> list[AddedEffect]:
+        """The steps, and last the one that was not taken."""
+        return [*self.added, *([self.next_best] if self.next_best else [])]
+
+    @property
     def sentences(self) -> list[str]:
         """What was added and why the selection ended, a sentence each."""
         parts = f"{self.parts} {'runs' if self.of_runs else 'stretches'} left out in turn"
         steps = [
-            f"{step.effect} was added: on {parts} it lowers the NRMSE from {step.nrmse_before:.4f} to {step.nrmse_after:.4f}, "
-            f"and removes {_share(step)} of the squared error"
+            f"{step.effect} was added: on {parts} it removes {_share(step)} of the squared error and lowers the NRMSE from "
+            f"{step.nrmse_before:.4f} to {step.nrmse_after:.4f}"
             + (f"; {', '.join(step.equally_good)} would do as well" if step.equally_good else "")
             for step in self.added
         ]
@@ -179,9 +184,9 @@ def select_effects(
 
     Forward selection by cross-validation (Hastie, Tibshirani & Friedman, 2009, ch. 3.3 and 7.10). In each step the most
     promising effects are fitted with the model by least squares, from the present optimum. The best of them is added if it
-    removes more than `LEAST_IMPROVEMENT` of the squared error on left-out parts, and more than `STANDARD_ERRORS` standard errors
-    of what it removes. Effects whose state outlasts a run are not tried: their prediction of a run depends on which runs were
-    recorded before it, and so could tell runs apart by their order alone.
+    removes more than `LEAST_IMPROVEMENT` of the squared error on left-out parts, and more than `STANDARD_ERRORS` standard
+    errors of what it removes. Effects whose state outlasts a run are not tried: such a state can tell runs apart by their
+    order alone, which predicts nothing about a run that comes later.
 
     Parameters
     ----------
@@ -203,15 +208,7 @@ def select_effects(
         starts = _starts(pose, present)
         if not starts:
             break
-        finished = itertools.count(1)
-
-        def fit(start: tuple[str, Problem], present: Candidate = present) -> Candidate:
-            effect, problem = start
-            candidate = _fit(problem, problem.base, parts, (*present.effects, effect))
-            progress((len(added) + next(finished) / len(starts)) / MOST_EFFECTS)
-            return candidate
-
-        best, *others = sorted(in_threads(fit, starts), key=lambda candidate: candidate.left_out.sum())
+        best, *others = _fit_each(present, starts, parts, len(added), progress)
         step = _step(present, best, others)
         if is_improvement(present, best):
             added.append(step)
@@ -221,10 +218,28 @@ def select_effects(
     progress(1.0)
     model = present.problem.model
     values = dict(zip(model.names, map(float, present.theta), strict=True))
-    fixed = {
-        p.name: values[p.name] for p in model.parameters if "." in p.name and not p.free and values[p.name] != p.default
-    }
+    names = {f"{effect}.{p.name}": p for effect in present.effects for p in EFFECTS[effect].parameters}
+    fixed = {name: values[name] for name, p in names.items() if not p.free and values[name] != p.default}
     return Selection(tuple(added), next_best, len(parts), of_runs, values, fixed)
+
+
+def _fit_each(
+    present: Candidate,
+    starts: Sequence[tuple[str, Problem]],
+    parts: Sequence[Samples],
+    finished_steps: int,
+    progress: Callable[[float], None],
+) -> list[Candidate]:
+    """Fit the present model with each of some effects from its start; the one that predicts left-out parts best is first."""
+    finished = itertools.count(1)
+
+    def fit(start: tuple[str, Problem]) -> Candidate:
+        effect, problem = start
+        candidate = _fit(problem, problem.base, parts, (*present.effects, effect))
+        progress((finished_steps + next(finished) / len(starts)) / MOST_EFFECTS)
+        return candidate
+
+    return sorted(in_threads(fit, starts), key=lambda candidate: float(candidate.left_out.sum()))
 
 
 def parts_of(problem: Problem) -> tuple[list[Samples], bool]:
@@ -280,7 +295,7 @@ def _starts(pose: Pose, present: Candidate) -> list[tuple[str, Problem]]:
 
     def vector(problem: Problem, own: Array, trial: Mapping[str, float]) -> Array:
         """Return the parameters of the extended model."""
-        known = dict(zip(present.problem.model.names, own, strict=True)) | trial
+        known = {**dict(zip(present.problem.model.names, own, strict=True)), **trial}
         return np.array([known.get(p.name, p.default) for p in problem.model.parameters])
 
     def start(effect: Effect) -> tuple[float, str, Problem] | None:
@@ -308,9 +323,8 @@ def _starts(pose: Pose, present: Candidate) -> list[tuple[str, Problem]]:
 def _least_squares_step(gram: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     """Return `bounded_step`, also where the recordings do not determine a direction."""
     size = np.diag(gram)
-    return bounded_step(
-        gram + LEAST_CURVATURE * np.diag(np.maximum(size, LEAST_CURVATURE * size.max())), gradient, lower, upper
-    )
+    damping = LEAST_CURVATURE * np.maximum(size, LEAST_CURVATURE * size.max())
+    return bounded_step(gram + np.diag(damping), gradient, lower, upper)
 
 
 def start_values(effect: Effect, force: Array) -> list[dict[str, float]]:
@@ -320,8 +334,8 @@ def start_values(effect: Effect, force: Array) -> list[dict[str, float]]:
     sizes = effect.starts(force) if effect.starts else [typical[size.name]]
     if size.lower < 0.0:
         sizes = [*sizes, *(-value for value in sizes)]
-    trials = [typical | {size.name: float(np.clip(value, size.lower, size.upper))} for value in sizes]
-    trials += [trials[0] | variant for variant in effect.variants]
+    trials = [{**typical, size.name: float(np.clip(value, size.lower, size.upper))} for value in sizes]
+    trials += [{**trials[0], **variant} for variant in effect.variants]
     return [{f"{effect.id}.{name}": value for name, value in trial.items()} for trial in trials]
 
 

@@ -1,7 +1,7 @@
 """Identify a damper model from recordings: NSGA-II, least squares, and an assessment of the result."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -124,39 +124,37 @@ def identify_all(
         nonlocal finished
         ends = finished + np.cumsum([0, *generations])
         finished = int(ends[-1])
-        if scheduler is not None:
+        if scheduler is not None and pieces:
             return run_on_cluster(scheduler, function, pieces, lambda done: progress(int(ends[done]), np.nan))
         return [function(*piece, _shifted(progress, int(end))) for piece, end in zip(pieces, ends[:-1], strict=True)]
 
-    def search(searched: Sequence[IdentificationTask], known: Sequence[Selection | None]) -> Iterator[list[Solution]]:
-        """Yield the solutions of every task."""
-        pieces = [
-            (task.runs, task.model, task.method, seed, selection and selection.values)
-            for task, selection in zip(searched, known, strict=True)
-            for seed in task.method.search_seeds
-        ]
-        solutions = iter(work(search_and_fit_from, pieces, [piece[2].generations for piece in pieces]))
-        return ([next(solutions) for _ in task.method.search_seeds] for task in searched)
-
     methods = [replace(task.method, effects=task.method.given_effects) for task in tasks]
-    solutions = list(search([replace(t, method=m) for t, m in zip(tasks, methods, strict=True)], [None] * len(tasks)))
-    selecting = [index for index, task in enumerate(tasks) if AUTO in task.method.effects]
-    selections: list[Selection | None] = [None] * len(tasks)
-    if selecting:
-        pieces = [(tasks[index].runs, tasks[index].model, methods[index], solutions[index]) for index in selecting]
-        results = work(select, pieces, [SELECTION_SEARCHES * piece[2].generations for piece in pieces])
-        for index, result in zip(selecting, results, strict=True):
-            selections[index] = result
-            effects, fixed = (*methods[index].effects, *result.effects), {**methods[index].fixed, **result.fixed}
-            methods[index] = replace(methods[index], effects=effects, fixed=fixed)
-        again = [index for index, result in zip(selecting, results, strict=True) if result.added]
-        extended = [replace(tasks[index], method=methods[index]) for index in again]
-        for index, of_task in zip(again, search(extended, [selections[index] for index in again]), strict=True):
-            solutions[index] = of_task
+    solutions: dict[int, list[Solution]] = {}
+    selections: dict[int, Selection] = {}
+
+    def search(indices: Sequence[int]) -> None:
+        """Search for the solutions of some tasks, with what their selections know."""
+        pieces = [
+            (tasks[i].runs, tasks[i].model, methods[i], seed, selections[i].values if i in selections else None)
+            for i in indices
+            for seed in methods[i].search_seeds
+        ]
+        found = iter(work(search_and_fit_from, pieces, [piece[2].generations for piece in pieces]))
+        for i in indices:
+            solutions[i] = [next(found) for _ in methods[i].search_seeds]
+
+    search(range(len(tasks)))
+    selecting = [i for i, task in enumerate(tasks) if AUTO in task.method.effects]
+    unselected = [(tasks[i].runs, tasks[i].model, methods[i], solutions[i]) for i in selecting]
+    found = work(select, unselected, [SELECTION_SEARCHES * methods[i].generations for i in selecting])
+    for i, selection in zip(selecting, found, strict=True):
+        selections[i] = selection
+        effects, fixed = (*methods[i].effects, *selection.effects), {**methods[i].fixed, **selection.fixed}
+        methods[i] = replace(methods[i], effects=effects, fixed=fixed)
+    search([i for i in selecting if selections[i].added])
     # Runs are arguments of their own, so that a cluster gets runs that several tasks share only once.
     assessments = [
-        (task.runs, task.held_out, task.model, method, found, selection)
-        for task, method, found, selection in zip(tasks, methods, solutions, selections, strict=True)
+        (task.runs, task.held_out, task.model, methods[i], solutions[i], selections.get(i)) for i, task in enumerate(tasks)
     ]
     if scheduler is not None:
         return run_on_cluster(scheduler, assess, assessments)

@@ -79,7 +79,7 @@ class Method:
         return tuple(effect for effect in self.effects if effect != AUTO)
 
     def check(self) -> None:
-        """Raise `InputError` for a loss that does not exist, numbers that are too small, and a selection that cannot be made."""
+        """Raise `InputError` for options that do not exist or exclude each other, and for numbers that are too small."""
         if selects(self.effects) and not self.least_squares:
             raise InputError(f"effect {AUTO}: effects are selected by least squares; name the effects, or use least squares")
         if self.loss not in get_args(Loss):

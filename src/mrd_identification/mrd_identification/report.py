@@ -47,9 +47,7 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
             ("samples", f"{metrics.samples}"),
         ],
         fit=fit,
-        steps=[*fit.selection.added, *([fit.selection.next_best] if fit.selection.next_best else [])]
-        if fit.selection
-        else [],
+        steps=fit.selection.steps if fit.selection else [],
         least_improvement=LEAST_IMPROVEMENT,
         rows=[("fitted", r) for r in fit.fitted] + [("held out", r) for r in fit.held_out],
     )
