@@ -1,7 +1,7 @@
 """What limits the prediction of held-out runs: `python docs/tables/comparison_limits.py FIT.json RUN... --figure FILE.png`.
 
-Prints the table of docs/comparison.md for these runs, and draws their force and its error. The fit must have constant, affine
-or quadratic current laws, and every run a constant current.
+Prints the table of docs/comparison.md for these runs, and draws their force and its error. The fit must have constant,
+affine or quadratic current laws, and every run a constant current.
 """
 
 import argparse
@@ -22,6 +22,9 @@ import matplotlib.pyplot as plt
 HEADER = ("run", "std of force, N", "predicted", "own offset and gain", "own parameters", "scatter of cycles")
 USUAL = 0.03
 """Relative deviation of the duration and of the stroke of a usual cycle, at most."""
+
+FEWEST_CYCLES = 3
+"""Usual cycles of which a scatter is computed."""
 
 PHASES = np.linspace(0.0, 1.0, 200, endpoint=False)
 
@@ -48,23 +51,19 @@ def own_parameters(damper, recording):
 def cycle_scatter(recording):
     """Return how much the force at the same phase differs from cycle to cycle, over the standard deviation of the force.
 
-    Cycles begin at the lower reversals; those whose duration or stroke is not the usual one are left out.
+    Cycles begin at the lower reversals; those whose duration or stroke is not the usual one are left out. nan with too few.
     """
     time, velocity, position = recording.run.time, recording.motion.velocity, recording.motion.position
     rising = np.flatnonzero((velocity[:-1] < 0) & (velocity[1:] >= 0))
-    rising = rising[position[rising] < np.median(position)]
     starts = time[rising] - velocity[rising] * np.diff(time)[rising] / np.diff(velocity)[rising]
     stroke = np.array([np.ptp(position[a:b]) for a, b in itertools.pairwise(rising)])
-    usual = np.ones(len(stroke), bool)
+    usual = stroke > 0.5 * stroke.max()  # while the rod rests or trembles there are reversals, too
     for size in (np.diff(starts), stroke):
-        usual &= np.abs(size / np.median(size) - 1.0) < USUAL
-    forces = np.array(
-        [
-            np.interp(start + PHASES * (end - start), time, recording.run.force)
-            for start, end, keep in zip(starts[:-1], starts[1:], usual, strict=True)
-            if keep
-        ]
-    )
+        usual &= np.abs(size / np.median(size[stroke > 0.5 * stroke.max()]) - 1.0) < USUAL
+    cycles = [cycle for cycle, keep in zip(itertools.pairwise(starts), usual, strict=True) if keep]
+    forces = np.array([np.interp(start + PHASES * (end - start), time, recording.run.force) for start, end in cycles])
+    if len(forces) < FEWEST_CYCLES:
+        return float("nan")
     return float(np.sqrt(np.mean(np.var(forces, axis=0, ddof=1))) / np.std(recording.force))
 
 
