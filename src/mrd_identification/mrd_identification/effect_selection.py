@@ -183,10 +183,10 @@ def select_effects(
     """Add effects of the catalogue to a model, the best first, while the error on left-out parts of the runs falls.
 
     Forward selection by cross-validation (Hastie, Tibshirani & Friedman, 2009, ch. 3.3 and 7.10). In each step the most
-    promising effects are fitted with the model by least squares, from the present optimum. The best of them is added if it
+    promising effects are fitted with the model by least squares, from the present optimum. An effect may be added if it
     removes more than `LEAST_IMPROVEMENT` of the squared error on left-out parts, and more than `STANDARD_ERRORS` standard
-    errors of what it removes. Effects whose state outlasts a run are not tried: such a state can tell runs apart by their
-    order alone, which predicts nothing about a run that comes later.
+    errors of what it removes; the best of these is added. Effects whose state outlasts a run are not tried: such a state can
+    tell runs apart by their order alone, which predicts nothing about a run that comes later.
 
     Parameters
     ----------
@@ -208,8 +208,9 @@ def select_effects(
         starts = _starts(pose, present)
         if not starts:
             break
-        best, *others = _fit_each(present, starts, parts, len(added), progress)
-        step = _step(present, best, others)
+        candidates = _fit_each(present, starts, parts, len(added), progress)
+        best = next((candidate for candidate in candidates if is_improvement(present, candidate)), candidates[0])
+        step = _step(present, best, candidates)
         if is_improvement(present, best):
             added.append(step)
             present = best
@@ -252,15 +253,17 @@ def parts_of(problem: Problem) -> tuple[list[Samples], bool]:
     return [stretch for block in blocks for stretch in np.array_split(block, stretches)], False
 
 
-def _step(present: Candidate, best: Candidate, others: Sequence[Candidate]) -> AddedEffect:
+def _step(present: Candidate, best: Candidate, candidates: Sequence[Candidate]) -> AddedEffect:
     """Describe the addition of the best candidate."""
     before, after = present.left_out.sum(), best.left_out.sum()
     force = present.problem.counted(present.problem.force - present.problem.force.mean())
     size = float(force @ force)
     equally_good = tuple(
         other.effects[-1]
-        for other in others
-        if is_improvement(present, other) and other.left_out.sum() - after <= _standard_error(other.left_out - best.left_out)
+        for other in candidates
+        if other is not best
+        and is_improvement(present, other)
+        and other.left_out.sum() - after <= _standard_error(other.left_out - best.left_out)
     )
     return AddedEffect(
         best.effects[-1],
