@@ -20,6 +20,7 @@ EFFECTS: dict[str, Effect] = {
         "coil_lag",
         "gas_spring",
         "series_compliance",
+        "bypass_flow",
         "cavitation",
         "flow_asymmetry",
         "shear_thinning",
