@@ -39,7 +39,8 @@ def untestable_effects(
     rate = min(recording.run.rate for recording in recordings)
     levels, varies = current_levels([recording.run for recording in recordings])
     for effect in candidates:
-        if EFFECTS[effect].structural and model.states:
+        included = EFFECTS[effect].coefficient in {coefficient.name for coefficient in model.coefficients}
+        if included or (EFFECTS[effect].structural and model.states):
             reasons[effect] = "the model contains it already"
         if effect == "coil_lag" and parameters is not None and parameters[model.names.index(effect)] > 0.0:
             reasons[effect] = "the simulator contains it already"

@@ -20,7 +20,7 @@ from mrd_sim.root import next_iterate
 
 Array = NDArray[np.float64]
 
-MOST_IN_SERIES = 4
+MOST_IN_SERIES = 5
 """Elements in series: as many as the catalogue has."""
 MOST_PARAMETERS = 4
 """Parameters of such an element."""
@@ -128,6 +128,7 @@ def force_in_series(
     second: Any,
     third: Any,
     fourth: Any,
+    fifth: Any,
     parameters: Array,
     elongations: Array,
     q: Array,
@@ -147,7 +148,7 @@ def force_in_series(
     ----------
     kernel : compiled function
         That of the damper model.
-    first, second, third, fourth : compiled functions
+    first, second, third, fourth, fifth : compiled functions
         Elongation of each element, see `mrd_sim.effects.effect.Effect`. Those beyond the number of elements are not called.
     parameters : ndarray (elements, parameters) of complex
     elongations : ndarray (elements + 1,)
@@ -159,7 +160,7 @@ def force_in_series(
         Filled with the F of the last call, next to the root, and with derivatives over F there: that of the damper's answer
         and those of its state.
     """
-    functions = first, second, third, fourth
+    functions = first, second, third, fourth, fifth
     count, states = len(elongations) - 1, len(state)
     row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
@@ -233,6 +234,7 @@ def derivatives_in_series(
     second: Any,
     third: Any,
     fourth: Any,
+    fifth: Any,
     parameters: Array,
     elongations: Array,
     q: Array,
@@ -248,7 +250,7 @@ def derivatives_in_series(
 
     The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``.
     """
-    functions = first, second, third, fourth
+    functions = first, second, third, fourth, fifth
     count, states = len(elongations) - 1, len(state)
     row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
     at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)

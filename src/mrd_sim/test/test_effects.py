@@ -32,6 +32,7 @@ PUBLIC = {
     "fluid": (
         "gas_spring",
         "series_compliance",
+        "bypass_flow",
         "cavitation",
         "flow_asymmetry",
         "shear_thinning",
@@ -305,7 +306,7 @@ def test_as_many_may_be_in_series_as_the_catalogue_has_and_no_more():
     series = [effect for effect in EFFECTS.values() if effect.elongation is not None]
     model, theta = switched_on("bouc_wen", *(effect.id for effect in series))
     assert np.isfinite(model.force(theta, make_path(*rich(rate=500.0, seconds=1.0)))).all()
-    with pytest.raises(InputError, match=r"joint_play, own: all in series with the damper, expected at most 4"):
+    with pytest.raises(InputError, match=r"joint_play, own: all in series with the damper, expected at most 5"):
         find_model("bouc_wen").with_effects([*series, replace(series[0], id="own")])
 
 

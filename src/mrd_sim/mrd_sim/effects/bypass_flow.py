@@ -35,4 +35,5 @@ EFFECT = Effect(
     confused_with=("shear_thinning", "rate_dependent_hysteresis", "series_compliance", "cavitation"),
     separated_by="strokes so slow that the damper does not yield, at several currents",
     elongation=_elongation,
+    coefficient="series_viscous",
 )

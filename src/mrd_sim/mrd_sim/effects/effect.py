@@ -64,6 +64,8 @@ class Effect:
         ``{amplitude:size}`` without sign, ``{inverse_cap:inverse}`` one over the value.
     structural : bool
         Whether damper models with a hysteretic state include the effect: it stands for what the others lack by construction.
+    coefficient : str
+        Name of the coefficient of the damper models that include the effect; empty where none does.
     """
 
     id: str
@@ -86,6 +88,7 @@ class Effect:
     follows_force: bool = False
     phrase: str = ""
     structural: bool = False
+    coefficient: str = ""
 
     def __repr__(self) -> str:
         return f"<Effect {self.id}>"

@@ -28,7 +28,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"compliance": 4e-7},
     signature="rounded reversals, each of which loses a travel of 2 F / k_s",
-    confused_with=("joint_play", "backlash", "pre_yield_hysteresis", "channel_delay", "force_sensor_lag"),
+    confused_with=("joint_play", "backlash", "pre_yield_hysteresis", "channel_delay", "force_sensor_lag", "bypass_flow"),
     separated_by="small strokes at high current; the same peak speed at different frequencies",
     elongation=_elongation,
 )

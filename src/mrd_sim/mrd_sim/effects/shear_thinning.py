@@ -39,7 +39,8 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"viscous": 1000.0, "exponent": 0.7, "growth": 2.0},
     signature="a force over speed that is concave after yield, in both directions: higher in the middle, lower at top speed",
-    confused_with=("seal_friction", "pre_yield_hysteresis", "thermal_fade"),
+    confused_with=("seal_friction", "pre_yield_hysteresis", "thermal_fade", "bypass_flow"),
     separated_by="constant speeds from 1 mm/s to top speed, several per decade",
     kernel=_apply,
+    coefficient="flow_index",
 )
