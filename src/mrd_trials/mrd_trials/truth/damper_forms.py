@@ -111,6 +111,7 @@ DAMPER_FORMS: dict[str, DamperForm] = {
             "development",
             {"travel": 5e-5, "sigma": 0.8, "series_0": 15e3, "series_1": 60e3},
             DISSIPATIVE,
+            ("bypass_flow",),
         ),
         DamperForm("dahl", "pre-yield slope the same at every current (Dahl 1968)", DAHL, "development", {"slope": 3.5e6}),
         DamperForm(

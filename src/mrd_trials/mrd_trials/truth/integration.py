@@ -18,6 +18,7 @@ from mrd_trials.truth import damper_forms
 from mrd_trials.truth.effects import EFFECTS
 from mrd_trials.truth.effects.air_bubble import bubble_compression
 from mrd_trials.truth.effects.backlash import backlash_offset
+from mrd_trials.truth.effects.bypass_flow import leak_speed
 from mrd_trials.truth.effects.cavitation import void_after_step
 from mrd_trials.truth.effects.end_stop import stop_force
 from mrd_trials.truth.effects.field_stiffness import elastic_force
@@ -207,6 +208,7 @@ def _forces(
     series = damper_forms.series_viscosity(p, current)
     if series > 0.0:
         dashpot += h * fluid / (gain * series)
+    dashpot += h * leak_speed(p, fluid)
     rod = s[PISTON] + dx + dashpot + void + bubble_compression(p, fluid)
     travel = rod - s[ROD]
     force = p.offset + p.stiffness * rod + gas_force(p, rod) + heated_force(p, s[GAS_HEAT], s[ROD], rod, h)

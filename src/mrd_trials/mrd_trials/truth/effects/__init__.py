@@ -25,6 +25,7 @@ EFFECTS: dict[str, TrueEffect] = {
         "thermal_fade",
         "settling",
         "series_compliance",
+        "bypass_flow",
         "joint_play",
         "seal_friction",
         "side_load_friction",
