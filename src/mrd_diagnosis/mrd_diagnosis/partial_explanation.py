@@ -90,8 +90,8 @@ def explain_in_part(
     explained = _with_effects(weighting, alone, list(causes), values)
     freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
-    of_form = dict.fromkeys([*beside.form_effects, *(e for e in comparison.effects if e not in (*lacking, *causes))])
-    for effect, fitted in _form_chain(weighting, explained, freed, list(of_form)):
+    of_form = [e for e in tried if e in beside.form_effects or (e in comparison.effects and e not in causes)]
+    for effect, fitted in _form_chain(weighting, explained, freed, of_form):
         # Another base model that predicts better has the form without this effect.
         instead = _with_effects(weighting, other, list(causes), values)
         probability = float(probabilities([fitted, instead], rng)[0])

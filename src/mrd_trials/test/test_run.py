@@ -119,5 +119,5 @@ def test_a_failed_diagnosis_is_not_repeated_by_the_evaluation():
 
 
 def test_a_cluster_gives_the_same_verdicts(trial, verdicts, tmp_path):
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0", host="127.0.0.1") as cluster:
         assert timeless(run_trial(trial, tmp_path, DIAGNOSER, scheduler=cluster.scheduler_address)) == verdicts

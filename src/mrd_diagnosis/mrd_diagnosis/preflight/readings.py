@@ -133,8 +133,9 @@ def _longer_than_coincidence(channel: Channel, first: Indices, last: Indices) ->
     if not channel.is_noisy or channel.lowest_noise <= 2 * step:
         return np.zeros(len(first), dtype=bool)
     values = channel.values
-    # Two normal readings round to the same step with at most this probability.
-    equal = max(step / (2 * np.sqrt(np.pi) * channel.lowest_noise), 1e-3)
+    # Two normal readings round to the same step with at most this probability; filtered ones may be alike more often.
+    pairs = float(np.count_nonzero(last - first == 1)) / len(values)
+    equal = max(step / (2 * np.sqrt(np.pi) * channel.lowest_noise), pairs, 1e-3)
     long = last - first + 1 > max(SHORTEST_HOLD, 1 + np.log(COINCIDENCE_PROBABILITY / len(values)) / np.log(equal))
     # On a plateau, readings change by one or two steps; at the ends of the range, equal readings are clipping.
     before = np.abs(values[first] - values[np.maximum(first - 1, 0)])
