@@ -5,7 +5,6 @@ act only in the recordings from after the change. What a remainder of their own 
 the change, and everything else counts as noise. The same steps as without a reference then apply.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -17,7 +16,7 @@ from mrd_diagnosis.decision import decide_change
 from mrd_diagnosis.effect_search import EffectFit, search_effects
 from mrd_diagnosis.explanation import Explanation, probabilities_of_alternatives
 from mrd_diagnosis.flexible_remainder import flexible_functions
-from mrd_diagnosis.form_remainder import SCALES, form_columns, orthogonal, with_remainder
+from mrd_diagnosis.form_remainder import SCALES, columns_by_run, form_columns, orthogonal, with_remainder
 from mrd_diagnosis.model_comparison import compare_on
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
 from mrd_diagnosis.refit import Refit, refit, refit_on
@@ -123,7 +122,8 @@ def _functions(weighting: Weighting, base: Refit, rng: np.random.Generator) -> t
     recordings = weighting.recordings
     form = form_columns(recordings)
     residuals = [-error_of_run(base.problem, base.theta, run)[1] for run in range(len(recordings))]
-    flexible, few = (flexible_functions(recordings, residuals, rng, count) for count in (FOURIER_FEATURES, 0))
+    flexible = flexible_functions(recordings, residuals, rng, FOURIER_FEATURES)
+    few = flexible[:, :-FOURIER_FEATURES]
     changed = np.concatenate([np.full(len(recording.force), not recording.without_effects) for recording in recordings])
     own = orthogonal(np.concatenate([form, few], axis=1)) * changed[:, None]
     return orthogonal(np.concatenate([form, flexible], axis=1)), own
@@ -132,10 +132,9 @@ def _functions(weighting: Weighting, base: Refit, rng: np.random.Generator) -> t
 def _with_own_remainder(weighting: Weighting, base: Refit, functions: Array) -> Refit:
     """Refit the base beside further functions (samples, columns), if they predict held-out folds better at any scale."""
     rms = float(np.sqrt(np.mean(base.problem.force**2)))
-    edges = np.cumsum([0, *(len(recording.force) for recording in weighting.recordings)])
     refits = [base]
     for scale in SCALES:
-        own = [scale * rms * functions[a:b] for a, b in itertools.pairwise(edges)]
+        own = columns_by_run(weighting.recordings, scale * rms * functions)
         remainder = tuple(np.concatenate(parts, axis=1) for parts in zip(weighting.remainder, own, strict=True))
         refits.append(refit_on(replace(weighting, remainder=remainder), base))
     return min(refits, key=lambda refitted: refitted.held_out_cost)
@@ -151,7 +150,6 @@ def _with_floor(weighting: Weighting, freed: Refit) -> Weighting:
 
 def _null_errors(weighting: Weighting, freed: Refit) -> list[Array]:
     """Return the white errors (1, n) of each run that a refit leaves: as large and correlated as without a change."""
-    problem = weighting.problem(freed.problem.model, freed.theta)
-    freed = replace(freed, problem=replace(problem, remainder=freed.problem.remainder))
+    problem = replace(weighting, remainder=freed.problem.remainder).problem(freed.problem.model, freed.theta)
     runs = range(len(weighting.recordings))
-    return [error_of_run(freed.problem, freed.theta, run, freed.coefficients)[0][None] for run in runs]
+    return [error_of_run(problem, freed.theta, run, freed.coefficients)[0][None] for run in runs]

@@ -89,7 +89,7 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
     else:
         beyond = [
             replace(residual, before=before.by_other_runs[run], after=after.by_other_runs[run])
-            for run, residual in zip(changed, residuals, strict=False)
+            for run, residual in zip(changed, residuals, strict=True)
             if residual.extrapolates
         ]
     extrapolated = None

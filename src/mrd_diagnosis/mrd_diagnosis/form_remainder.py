@@ -120,8 +120,13 @@ def _extended(weighting: Weighting, columns: tuple[Array, Array], scale: float) 
     """Return the weighting with a remainder in which the functions have this scale."""
     functions, own = columns
     joined = np.concatenate([scale * functions, own], axis=1)
-    edges = np.cumsum([0, *(len(recording.force) for recording in weighting.recordings)])
-    return replace(weighting, remainder=tuple(joined[a:b] for a, b in itertools.pairwise(edges)))
+    return replace(weighting, remainder=columns_by_run(weighting.recordings, joined))
+
+
+def columns_by_run(recordings: Sequence[Recording], columns: Array) -> tuple[Array, ...]:
+    """Divide columns (samples, columns) into those of each run."""
+    edges = np.cumsum([0, *(len(recording.force) for recording in recordings)])
+    return tuple(columns[a:b] for a, b in itertools.pairwise(edges))
 
 
 def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> list[str]:

@@ -88,7 +88,8 @@ def explain_in_part(
     causes = beside.causes
     values = alone.values | beside.values
     explained = _with_effects(weighting, alone, list(causes), values)
-    freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
+    free_form = replace(weighting, remainder=beside.remainder)
+    freed = refit_on(free_form, explained)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
     of_form = [e for e in tried if e in beside.form_effects or (e in comparison.effects and e not in causes)]
     for effect, fitted in _form_chain(weighting, explained, freed, of_form):
@@ -101,12 +102,11 @@ def explain_in_part(
         closed = closed_fraction_between(explained, fitted, comparison, rng)
         causes[effect] = HeldCause({effect: probability}, p_value(gain, beside.null_gains), closed)
         values |= fitted.values
-        explained = fitted
+        explained, freed = fitted, refit_on(free_form, fitted)
     progress(0.9)
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
         return explanation
-    freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
     gap = comparison.base.held_out_cost - weighting.noise_cost
     form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
     if not named:
