@@ -49,7 +49,7 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def bench_processes(
-    bench: Path, plant: Path | None, port: Path, *, time_scale: float | None = None, seed: int = 0
+    bench: Path, plant: Path | None, port: Path, *, pace: float | None = None, seed: int = 0
 ) -> list[ProcessSpec]:
     """Return the processes of a bench.
 
@@ -61,16 +61,20 @@ def bench_processes(
         Parameter file of the simulated plant; None for the real bench.
     port : Path
         Path at which the simulated plant creates the serial port of the motor.
-    time_scale : float, optional
-        Bench seconds per wall second; overrides the parameter file.
+    pace : float, optional
+        Largest number of bench seconds in a wall second of a simulated bench, by default as many as the machine computes.
     seed : int
         Seed of the plant's noise.
     """
-    common: dict[str, Any] = {} if time_scale is None else {"time_scale": float(time_scale)}
+    # On a simulated bench, all nodes wait for each other.
+    common: dict[str, Any] = {} if plant is None else {"clock": f"{port}.clock"}
     servo, daq = dict(common), dict(common)
     specs = []
     if plant is not None:
-        specs.append(ProcessSpec("mrd_sim", "plant", {**common, "port_link": str(port), "seed": seed}, (bench, plant)))
+        simulation = {"port_link": str(port), "seed": seed, "participants": "servo,daq,recorder,generator,supervisor"}
+        if pace is not None:
+            simulation["pace"] = float(pace)
+        specs.append(ProcessSpec("mrd_sim", "plant", {**common, **simulation}, (bench, plant)))
         servo["port"], daq["backend"] = str(port), "simulated"
     elif read_node_parameters(bench, "daq").get("backend", "simulated") == "simulated":
         raise InputError(f"{bench}: daq has backend simulated; add --simulated, or set backend: ni_usb_6216")

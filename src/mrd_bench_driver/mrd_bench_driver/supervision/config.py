@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from mrd_base import quantity
-from mrd_base.config import bench_time_scale
 from mrd_bench_driver.supervision.interlocks import Tolerances
 from mrd_trajectory.limits import Limits
 
@@ -12,7 +11,6 @@ from mrd_trajectory.limits import Limits
 class SupervisorConfig:
     """Section ``supervisor`` of bench.yaml."""
 
-    time_scale: float = bench_time_scale()
     limits: Limits = Limits()
     interlocks: Tolerances = Tolerances()
     tare: bool = quantity(True, doc="whether every experiment begins with a tare of the channels marked for it")

@@ -45,7 +45,7 @@ _RESET_TIMEOUT = 10.0
 # Wall time in s between two reports of the progress of an experiment.
 _PROGRESS_INTERVAL = 0.2
 # Time by which an experiment may exceed its duration: bench time in s, and share of the duration.
-_OVERTIME = (2.0, 0.02)
+_OVERTIME = (3.0, 0.02)
 
 Interruption = Callable[[], None]
 
@@ -142,7 +142,7 @@ class BenchOperations:
 
         # Nodes that have just been started need a while to find motor and converter.
         with contextlib.suppress(RefusedError):
-            self._wait_until(lambda: not silent(), self._clock.time_scale * self._config.answer_timeout, "")
+            self._wait_until(lambda: not silent(), self._config.answer_timeout, "")
         trip = self._first_trip(HOMING_INTERLOCKS)
         if trip is not None:
             raise RefusedError(f"not armed, {trip.interlock}: {trip.message}")
@@ -166,8 +166,7 @@ class BenchOperations:
         """Wait for the end of the experiment and report its progress in s; refuse if it ends otherwise or is late."""
         clock, monitor = self._clock, self._monitor
         begin = clock.now()
-        # A message of the generator may take a wall second, which is ``time_scale`` bench seconds.
-        latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration) + clock.time_scale
+        latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration)
         reported = -math.inf
         while monitor.experiment_state != "done":
             self._interruption()
@@ -180,7 +179,7 @@ class BenchOperations:
                 self._peers.check("stop_recording")
                 reported = time.monotonic()
                 progress(min(elapsed, duration))
-            time.sleep(min(clock.wall(0.02), 0.02))
+            clock.sleep(0.02)
 
     def await_last_samples(self) -> None:
         """Wait until the samples of the present instant have arrived."""
@@ -218,7 +217,7 @@ class BenchOperations:
             response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption, may_fail=True)
             reason = response.message
             if not response.success:
-                time.sleep(min(self._clock.wall(0.1), 0.1))
+                self._clock.sleep(0.1)
             return bool(response.success)
 
         self._wait_until(tared, _TARE_TIMEOUT, lambda: f"daq: {reason}")
@@ -311,13 +310,13 @@ class BenchOperations:
         return self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
 
     def _wait_until(self, condition: Callable[[], bool], timeout: float, failure: str | Callable[[], str]) -> None:
-        """Wait for a condition, at most ``timeout`` bench seconds, but at least a wall second: processes need it."""
-        deadline = time.monotonic() + max(self._clock.wall(timeout), 1.0)
+        """Wait for a condition, at most ``timeout`` bench seconds."""
+        deadline = self._clock.now() + timeout
         while not condition():
             self._interruption()
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 raise RefusedError(failure if isinstance(failure, str) else failure())
-            time.sleep(min(self._clock.wall(0.01), 0.01))
+            self._clock.sleep(0.01)
 
     def _servo(self) -> ServoStatus:
         if self._monitor.servo is None:

@@ -113,7 +113,8 @@ class Supervisor:
         """Stop whatever runs; return the message of success."""
         self._stop_requested.set()
         try:
-            failures = self._operations().halt_all()
+            with self._clock.busy():
+                failures = self._operations().halt_all()
         finally:
             # A running procedure leaves its mode itself, once it has stopped everything.
             if not self.procedure:
@@ -214,7 +215,8 @@ class Supervisor:
             self.procedure = procedure
             self._stop_requested.clear()
         try:
-            yield
+            with self._clock.busy():
+                yield
         finally:
             self.procedure = ""
 

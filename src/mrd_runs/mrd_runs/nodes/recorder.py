@@ -7,7 +7,6 @@ from typing import Any
 from std_msgs.msg import Bool
 
 from mrd_base import InputError, quantity
-from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node
 from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
@@ -21,7 +20,6 @@ from mrd_runs.run_info import describe_calibration, format_run_info
 class RecorderSettings:
     """Parameters of the recorder."""
 
-    time_scale: float = bench_time_scale()
     stale: float = quantity(1.0, "s", "a recording without samples for longer is reported in the diagnostics", lower=0.0)
 
 
@@ -107,7 +105,6 @@ class Recorder(BenchNode[RecorderSettings]):
             experiment=request.experiment,
             seed=int(request.seed),
             calibration=None if calibration is None else describe_calibration(calibration),
-            time_scale=self.config.time_scale,
             node=self.get_fully_qualified_name(),
         )
         writer = BagWriter(Path(request.bag).absolute())
