@@ -79,12 +79,11 @@ class BenchTimer:
 
     def __init__(self, clock: "BarrierClock", period: float, callback: Callable[[], None]) -> None:
         self._clock, self._period, self.callback = clock, period, callback
-        self.due = math.inf
-        self.reset()
+        self.due = clock.next_multiple(period)
 
     def reset(self) -> None:
         """Wait for the next multiple of the period."""
-        self.due = (math.floor(self._clock.now() / self._period + 1e-3) + 1) * self._period
+        self.due = self._clock.next_multiple(self._period)
 
     def cancel(self) -> None:
         """Call back no more until `reset`."""
@@ -133,6 +132,7 @@ class BarrierClock(BenchClock):
     def __init__(self, path: str | Path, name: str) -> None:
         self._name = name
         self._socket, self._time = _connect(Path(path))
+        self._origin = math.floor(self._time[0])
         self._lock = threading.RLock()
         self._thread_state = threading.local()
         self._active = 1  # until it has joined
@@ -206,6 +206,15 @@ class BarrierClock(BenchClock):
         """Block until ``bench_time``; return at once when it has passed."""
         with self.busy():
             _BarrierWaiter(self).wait(bench_time)
+
+    def next_multiple(self, period: float) -> float:
+        """Return the next bench time that is a whole multiple of a period after a full second."""
+        now = self.now()
+        return self._origin + (math.floor((now - self._origin) / period + 1e-3) + 1) * period
+
+    def sleep_step(self, period: float) -> None:
+        """Block until the next multiple of a period, an instant at which others work, too."""
+        self.sleep_until(self.next_multiple(period))
 
     def waiter(self) -> Waiter:
         """Return a means to wait, for a thread that is `busy` otherwise."""

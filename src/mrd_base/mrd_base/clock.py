@@ -83,6 +83,10 @@ class BenchClock:
         """Block for ``duration`` bench seconds."""
         self.sleep_until(self.now() + duration)
 
+    def sleep_step(self, period: float) -> None:
+        """Block for a period between two looks at a condition."""
+        time.sleep(period)
+
     def waiter(self) -> Waiter:
         """Return a means to wait that another thread can end."""
         return Waiter(self)

@@ -1,5 +1,6 @@
 """Backend of the simulated plant. The node carries the voltages between the plant and this backend."""
 
+import math
 import queue
 from collections.abc import Callable, Sequence
 
@@ -18,6 +19,7 @@ class Simulated:
         self.send: Callable[[float], None] = lambda _volts: None
         self._wiring, self._clock = wiring, clock
         self._inputs = [channel.input for _, channel in wiring.channels.items()]
+        self._volts = math.nan  # on the coil output
         self._processing = False  # whether the block that was read last may still be processed
         self._blocks: queue.SimpleQueue[VoltBlock | AcquisitionError] = queue.SimpleQueue()
 
@@ -53,7 +55,8 @@ class Simulated:
         while not self._blocks.empty():
             self._blocks.get()
             self._clock.release()
-        self.send(0.0)
+        self._volts = math.nan
+        self.write(0.0)
 
     def read(self) -> VoltBlock | None:
         """Return the next block, or None if none came for a moment. The block before has been processed by now."""
@@ -70,9 +73,11 @@ class Simulated:
         return block
 
     def write(self, volts: float) -> None:
-        """Send a coil voltage to the plant."""
-        self.send(volts)
+        """Send a coil voltage to the plant, which keeps it."""
+        if volts != self._volts:
+            self._volts = volts
+            self.send(volts)
 
     def close(self) -> None:
         """Set the coil output to 0 V."""
-        self.send(0.0)
+        self.write(0.0)

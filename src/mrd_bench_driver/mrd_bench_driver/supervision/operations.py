@@ -179,7 +179,7 @@ class BenchOperations:
                 self._peers.check("stop_recording")
                 reported = time.monotonic()
                 progress(min(elapsed, duration))
-            clock.sleep(0.02)
+            clock.sleep_step(0.02)
 
     def await_last_samples(self) -> None:
         """Wait until the samples of the present instant have arrived."""
@@ -217,7 +217,7 @@ class BenchOperations:
             response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption, may_fail=True)
             reason = response.message
             if not response.success:
-                self._clock.sleep(0.1)
+                self._clock.sleep_step(0.1)
             return bool(response.success)
 
         self._wait_until(tared, _TARE_TIMEOUT, lambda: f"daq: {reason}")
@@ -316,7 +316,7 @@ class BenchOperations:
             self._interruption()
             if self._clock.now() > deadline:
                 raise RefusedError(failure if isinstance(failure, str) else failure())
-            self._clock.sleep(0.01)
+            self._clock.sleep_step(0.01)
 
     def _servo(self) -> ServoStatus:
         if self._monitor.servo is None:

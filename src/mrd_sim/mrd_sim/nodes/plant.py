@@ -16,7 +16,7 @@ from mrd_interfaces.msg import AnalogInput, AnalogOutput
 from mrd_sim.motor import MotorSerialPort
 from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
 
-_BLOCK = 0.01  # bench seconds
+_BLOCK = 0.02  # bench seconds
 
 
 class PlantNode(BenchNode[PlantConfig]):
