@@ -451,8 +451,8 @@ class SimulatedPlant(Protocol):
     def advance_line(self, now: float) -> bool:
         """Exchange bytes over the serial line; return whether some were sent to the host."""
 
-    def advance(self, now: float) -> None:
-        """Simulate up to a bench time and publish."""
+    def advance(self, now: float) -> bool:
+        """Simulate up to a bench time; return whether something was published."""
 
 
 @dataclass
@@ -692,20 +692,26 @@ class Barrier:
         return True
 
     def _advance(self, plant: SimulatedPlant) -> float:
-        """Go on to the next instant; return how long to wait for packets, in wall s."""
-        instant = min([plant.next_event(), *(participant.due for participant in self._joined)])
-        early = (instant - self._origin[0]) / self._pace - (time.monotonic() - self._origin[1])
-        if early > 0:
-            return min(early, 0.1)
-        if early < -_CATCH_UP:
-            self._origin = (instant, time.monotonic())
-        self._time[0] = max(instant, self._time[0])
-        sent = plant.advance_line(self._time[0])
-        for participant in self._joined:
-            if participant.due <= instant + _INSTANT or (sent and participant.line):
-                self._grant(participant, sent)
-        plant.advance(self._time[0])
-        return 0.1 if self._unsettled else 0.0
+        """Go on until a participant has something to do; return how long to wait for packets, in wall s."""
+        participants = self._joined
+        due = min(participant.due for participant in participants)
+        while True:
+            instant = max(self._time[0], min(due, plant.next_event()))
+            early = (instant - self._origin[0]) / self._pace - (time.monotonic() - self._origin[1])
+            if early > 0:
+                return min(early, 0.1)
+            if early < -_CATCH_UP:
+                self._origin = (instant, time.monotonic())
+            self._time[0] = instant
+            sent = plant.advance_line(instant)
+            for participant in participants:
+                if participant.due <= instant + _INSTANT or (sent and participant.line):
+                    self._grant(participant, sent)
+            published = plant.advance(instant)
+            if self._unsettled:
+                return 0.1
+            if sent or published:
+                return 0.0
 
 
 def _is_stopped(process: int) -> bool:

@@ -85,14 +85,15 @@ class PlantNode(BenchNode[PlantConfig]):
         """Let the motor answer; return whether it did."""
         return self.port.exchange(now)
 
-    def advance(self, now: float) -> None:
-        """Simulate and publish the next block once it is due."""
+    def advance(self, now: float) -> bool:
+        """Simulate and publish the next block once it is due; return whether it was."""
         if now < self.plant.time + _BLOCK - 1e-5:
-            return
+            return False
         with self.port.lock:
             block = self.plant.advance(now)
         if block is not None:
             self._publish(block)
+        return True
 
     def _publish(self, block: Block) -> None:
         if self.plant.fault != "freeze_daq":
