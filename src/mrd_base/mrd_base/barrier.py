@@ -448,8 +448,8 @@ class SimulatedPlant(Protocol):
     def read_line(self, count: int, now: float) -> None:
         """Wait until ``count`` bytes in all have come over the serial line; they were sent at the present bench time."""
 
-    def advance_line(self, now: float) -> bool:
-        """Exchange bytes over the serial line; return whether some were sent to the host."""
+    def advance_line(self, now: float, awaited: bool) -> bool:
+        """Exchange bytes over the serial line; return whether some were sent to the host, and are there if it waits for them."""
 
     def advance(self, now: float) -> bool:
         """Simulate up to a bench time; return whether something was published."""
@@ -499,7 +499,9 @@ class Barrier:
         Receives one line on each participant that was lost.
     """
 
-    def __init__(self, path: Path, expected: Sequence[str], start: float, pace: float, report: Callable[[str], None]) -> None:
+    def __init__(
+        self, path: Path, expected: Sequence[str], start: float, pace: float, report: Callable[[str], None]
+    ) -> None:
         self._path, self._report, self._pace = path, report, pace
         self._missing = set(expected)
         self._participants: dict[socket.socket, _Participant] = {}
@@ -694,7 +696,8 @@ class Barrier:
     def _advance(self, plant: SimulatedPlant) -> float:
         """Go on until a participant has something to do; return how long to wait for packets, in wall s."""
         participants = self._joined
-        due = min(participant.due for participant in participants)
+        awaited = any(participant.line for participant in participants)
+        due = min((participant.due for participant in participants), default=math.inf)
         while True:
             instant = max(self._time[0], min(due, plant.next_event()))
             early = (instant - self._origin[0]) / self._pace - (time.monotonic() - self._origin[1])
@@ -703,7 +706,7 @@ class Barrier:
             if early < -_CATCH_UP:
                 self._origin = (instant, time.monotonic())
             self._time[0] = instant
-            sent = plant.advance_line(instant)
+            sent = plant.advance_line(instant, awaited)
             for participant in participants:
                 if participant.due <= instant + _INSTANT or (sent and participant.line):
                     self._grant(participant, sent)

@@ -19,8 +19,16 @@ from mrd_base import InputError, read_node_parameters
 # Nodes that command a motion end first. Then end those that release rod and coil, while motor and recorder still run.
 _STOP_ORDER = (("supervisor", "generator"), ("servo", "daq"), ("recorder", "plant"))
 
+# Those for whom the time of a simulated bench begins: the nodes, and the client that lets them run experiments.
+PARTICIPANTS = "servo,daq,recorder,generator,supervisor,bench"
+
 # Lines of the log of a process that its error message shows.
 _LOG_LINES = 15
+
+
+def clock_of(port: Path) -> Path:
+    """Return the socket of the bench time of the simulated plant with a serial port."""
+    return port.with_name(port.name + ".clock")
 
 
 class ProcessDiedError(Exception):
@@ -67,11 +75,11 @@ def bench_processes(
         Seed of the plant's noise.
     """
     # On a simulated bench, all nodes wait for each other.
-    common: dict[str, Any] = {} if plant is None else {"clock": f"{port}.clock"}
+    common: dict[str, Any] = {} if plant is None else {"clock": str(clock_of(port))}
     servo, daq = dict(common), dict(common)
     specs = []
     if plant is not None:
-        simulation = {"port_link": str(port), "seed": seed, "participants": "servo,daq,recorder,generator,supervisor"}
+        simulation = {"port_link": str(port), "seed": seed, "participants": PARTICIPANTS}
         if pace is not None:
             simulation["pace"] = float(pace)
         specs.append(ProcessSpec("mrd_sim", "plant", {**common, **simulation}, (bench, plant)))

@@ -210,7 +210,9 @@ class BenchNode(Node, Generic[C]):
         self._announcing.append(publisher)
         return publisher
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any) -> Subscription:
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any
+    ) -> Subscription:
         """Create a subscription, as `Node` does."""
         subscription = super().create_subscription(msg_type, topic, callback, qos_profile, **options)
         if isinstance(self.bench, BarrierClock):
@@ -230,7 +232,9 @@ class BenchNode(Node, Generic[C]):
     def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
         """Create a service, as `Node` does."""
         simulated = isinstance(self.bench, BarrierClock)
-        return super().create_service(srv_type, srv_name, self._one_at_a_time(callback) if simulated else callback, **options)
+        return super().create_service(
+            srv_type, srv_name, self._one_at_a_time(callback) if simulated else callback, **options
+        )
 
     def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
         """Create a timer, as `Node` does."""

@@ -12,7 +12,7 @@ from typing import Any
 
 from mrd_base import InputError, run_tool
 from mrd_bench_driver.nodes.bench_client import BenchClient
-from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes
+from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
@@ -113,9 +113,8 @@ def main() -> None:
 
 def _work(arguments: argparse.Namespace) -> None:
     session = _prepare(arguments)
-    specs = bench_processes(
-        arguments.bench, session.plant, session.logs / "motor", pace=arguments.pace, seed=arguments.seed
-    )
+    port = session.logs / "motor"
+    specs = bench_processes(arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed)
     signals = SignalCounter()
     try:
         with BenchProcesses(specs, session.logs) as processes:
@@ -124,13 +123,15 @@ def _work(arguments: argparse.Namespace) -> None:
                 signals.check()
                 processes.check()
 
-            with BenchClient(processes.namespace, watch) as client:
+            clock = clock_of(port) if arguments.simulated else None
+            with BenchClient(processes.namespace, watch, clock) as client:
                 client.wait_until_up(set(processes.specs))
                 if not session.experiments:
                     print(
                         f"the bench is up in namespace {processes.namespace}; logs: {session.logs}; end it by Ctrl-C",
                         flush=True,
                     )
+                    client.let_time_pass()
                     client.spin(lambda: False, float("inf"))
                 result = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:

@@ -14,7 +14,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from mrd_base import InputError
+from mrd_base import BenchClock, InputError
+from mrd_base.barrier import BarrierClock
 from mrd_interfaces.action import RunExperiment, RunSet
 
 # Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s.
@@ -41,15 +42,27 @@ class BenchClient:
         Namespace of the bench's nodes.
     watch : callable
         Called often during waits; an exception that it raises ends the wait.
+    clock : Path, optional
+        Socket of the bench time of a simulated bench. Its time does not begin before the first experiment, or
+        `let_time_pass`: the same experiments with the same seed are therefore the same runs, bit by bit.
+
+    Attributes
+    ----------
+    time : BenchClock
+        Clock of bench time, once the nodes are up.
     """
 
-    def __init__(self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None, clock: Path | None = None
+    ) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(f"bench_client_{os.getpid()}", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._watch = watch
+        self._watch, self._clock = watch, clock
+        self._held = False
+        self.time = BenchClock()
         self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
         self._run_set = ActionClient(self.node, RunSet, "run_set")
         self._nodes_up: set[str] = set()
@@ -62,6 +75,8 @@ class BenchClient:
         return self
 
     def __exit__(self, *_error: object) -> None:
+        if isinstance(self.time, BarrierClock):
+            self.time.leave()
         self._run_experiment.destroy()
         self._run_set.destroy()
         self._executor.shutdown()
@@ -94,6 +109,17 @@ class BenchClient:
             raise InputError(
                 f"the bench did not come up within {timeout:g} s: {', '.join(missing())} missing; look at the logs"
             )
+        if self._clock is not None:
+            clock = BarrierClock(self._clock, "bench")
+            clock.hold()
+            clock.join()
+            self.time, self._held = clock, True
+
+    def let_time_pass(self) -> None:
+        """Let the time of a simulated bench begin."""
+        if self._held:
+            self._held = False
+            self.time.release()
 
     def run_experiment(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
         """Run an experiment, given by the text of its file, and return the result of the action.
@@ -110,7 +136,11 @@ class BenchClient:
         return self._run(self._run_set, goal, feedback)
 
     def _run(self, action: ActionClient, goal: Any, feedback: Feedback) -> Any:
-        accepted = action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        def on_feedback(message: Any) -> None:
+            self.let_time_pass()  # the supervisor has begun
+            feedback(message.feedback)
+
+        accepted = action.send_goal_async(goal, feedback_callback=on_feedback)
         if not self.spin(accepted.done, ACCEPT_TIMEOUT):
             raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle: ClientGoalHandle = accepted.result()

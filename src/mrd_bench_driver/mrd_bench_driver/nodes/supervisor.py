@@ -60,7 +60,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND)
         self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop_service)
-        self.create_bench_timer(self.config.check, self._supervisor.check_interlocks)
+        self.create_bench_timer(self.config.check, self._supervisor.tick)
 
         self._active_goals: list[ServerGoalHandle] = []
         self._request_node = Node("supervisor_requests", start_parameter_services=False, enable_rosout=False)

@@ -59,6 +59,9 @@ class ServoCommunication:
 
     def _run(self) -> None:
         with self._clock.busy():
+            self._waiter.wait(
+                self._clock.now() + 1e-3
+            )  # until the time of a simulated bench has begun, and its port is there
             self._connect_until_closed()
 
     def _connect_until_closed(self) -> None:

@@ -25,6 +25,7 @@ from mrd_bench_driver.supervision.interlocks import (
     first_trip,
 )
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
+from mrd_bench_driver.supervision.punctuality import measure_punctuality
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
 
@@ -130,6 +131,7 @@ class BenchOperations:
         self._mode.require_idle()
         self.require_servo_and_daq()
         self._require_healthy()
+        self.require_punctual_machine()
 
     def require_servo_and_daq(self) -> None:
         """Wait until servo and DAQ are present."""
@@ -146,6 +148,12 @@ class BenchOperations:
         trip = self._first_trip(HOMING_INTERLOCKS)
         if trip is not None:
             raise RefusedError(f"not armed, {trip.interlock}: {trip.message}")
+
+    def require_punctual_machine(self) -> None:
+        """Measure for a moment how punctual the machine is; refuse if it is too slow to stop the rod in time."""
+        problem = measure_punctuality(self._clock, self._config.late).problem()
+        if problem:
+            raise RefusedError(f"not armed, {problem}")
 
     # The experiment
 

@@ -49,6 +49,7 @@ class _Experiment:
         plan = bench.load(self._request.experiment)
         self._duration = plan.duration
         bench.set_sample_rate(plan.rate)
+        bench.require_punctual_machine()
         bench.enter(Mode.HOMING)
         self._undo.append(bench.halt)
         bench.centre()

@@ -155,14 +155,17 @@ class MotorSerialPort:
             elif not arrived:
                 time.sleep(2e-5)
 
-    def exchange(self, now: float) -> bool:
-        """Let the motor read and answer until a bench time; return whether bytes were sent to the host."""
+    def exchange(self, now: float, awaited: bool = False) -> bool:
+        """Let the motor read and answer until a bench time; return whether bytes were sent to the host.
+
+        Where a host does nothing but wait for them, they are at its end by then.
+        """
         with self.lock:
             if self.plugged:
                 self._read(now)
             self.motor.advance(now)
             sent = bytes(byte for _, byte in self.motor.take_output(now, self._host_baud() if self.plugged else None))
-            return self.plugged and bool(sent) and self._write(sent)
+            return self.plugged and bool(sent) and self._write(sent, awaited)
 
     def _host_baud(self) -> int:
         """Rate that the host has set: a pseudo-terminal transports at any rate, but remembers the setting."""
@@ -177,15 +180,14 @@ class MotorSerialPort:
         self.motor.feed(data, now, self._host_baud())
         return True
 
-    def _write(self, data: bytes) -> bool:
-        """Send bytes to the host and wait until its end has them."""
+    def _write(self, data: bytes, awaited: bool) -> bool:
         present = self._bytes_at_host()
         try:
             os.write(self._master, data)
         except BlockingIOError:
             return False  # nobody reads, so the buffer is full and the bytes are lost, as on a wire
         deadline = time.monotonic() + _DELIVERY_TIMEOUT
-        while present <= self._bytes_at_host() < present + len(data) and time.monotonic() < deadline:
+        while awaited and self._bytes_at_host() < present + len(data) and time.monotonic() < deadline:
             time.sleep(2e-5)
         return True
 

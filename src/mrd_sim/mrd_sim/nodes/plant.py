@@ -17,6 +17,7 @@ from mrd_sim.motor import MotorSerialPort
 from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
 
 _BLOCK = 0.02  # bench seconds
+_SWITCHED_ON = 1.0  # bench seconds before the start
 
 
 class PlantNode(BenchNode[PlantConfig]):
@@ -28,7 +29,9 @@ class PlantNode(BenchNode[PlantConfig]):
         super().__init__("plant", PlantConfig)
         # The very first run compiles for seconds; that must not happen while anything moves.
         Plant(self.config).advance(_BLOCK)
-        self.plant = Plant(self.config, self.bench.now())
+        # Everything was switched on a moment before the bench time begins: the motor has booted, the filters have settled.
+        self.plant = Plant(self.config, self.bench.now() - _SWITCHED_ON)
+        self.plant.advance(self.bench.now())
         self.port = MotorSerialPort(self.plant.motor, self.config.port_link)
         self._time_topic = self.create_publisher(Clock, "/clock", 1)
         self._analog_input = self.create_publisher(AnalogInput, "analog_input", RECORDED)
@@ -81,9 +84,9 @@ class PlantNode(BenchNode[PlantConfig]):
         """Receive what was sent to the motor."""
         self.port.read(count, now)
 
-    def advance_line(self, now: float) -> bool:
+    def advance_line(self, now: float, awaited: bool) -> bool:
         """Let the motor answer; return whether it did."""
-        return self.port.exchange(now)
+        return self.port.exchange(now, awaited)
 
     def advance(self, now: float) -> bool:
         """Simulate and publish the next block once it is due; return whether it was."""
@@ -122,10 +125,7 @@ class PlantNode(BenchNode[PlantConfig]):
             problem = "the simulation has stopped; its error is on stderr"
         elif self.plant.fault:
             problem = f"fault on purpose: {self.plant.fault}"
-        return problem, {
-            "port": self.port.link,
-            "temperature, degC": round(self.plant.motor.axis.temperature, 1),
-        }
+        return problem, {"port": self.port.link, "temperature, degC": round(self.plant.motor.axis.temperature, 1)}
 
     def close(self) -> None:
         """Stop the simulation and remove the serial port."""
