@@ -308,7 +308,7 @@ def test_the_rod_stops_within_200_ms(accident: Callable[[WholeBench], None], ben
     bench.processes.running["daq"].send_signal(signal.SIGCONT)
     print(f"{accident.__name__}: the rod stood after {1e3 * stopped:.0f} ms")
     assert stopped < 0.2, f"{accident.__name__}: the rod went on for {1e3 * stopped:.0f} ms"
-    left = {kill_generator: "generator has left", kill_servo: "servo has left", freeze_daq: "daq was stopped by a signal"}
+    left = {kill_generator: "generator has died", kill_servo: "servo has died", freeze_daq: "daq was stopped by a signal"}
     assert left.get(accident, "") in bench.processes.log("plant").read_text()
     # The action says why it ended, and the bag holds what was recorded until then.
     assert bench.client.spin(ended.done, 60, watch=False)

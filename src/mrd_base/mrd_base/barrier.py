@@ -39,15 +39,15 @@ _LOST_AFTER = 10.0
 _MATCHING_TIMEOUT = 5.0
 # Wall time in s between two looks for messages of others than participants.
 _OUTSIDERS_INTERVAL = 0.05
-# Bench times in s that differ by less are one instant: a double holds the time since 1970 to a quarter of a microsecond only.
+# Bench times in s that differ by less are one instant: a double holds the time since 1970 to 0.2 us only.
 _INSTANT = 1e-5
 # Wall time in s by which a paced bench may be late and catch up.
 _CATCH_UP = 0.1
 
-# Packets begin with their kind. Of a participant: hello, busy, report. Of the owner: match, grant.
-_HELLO, _BUSY, _REPORT, _MATCH, _MATCHED, _GRANT = b"H", b"B", b"R", b"M", b"m", b"G"
-# Number of the latest grant; the time at which the participant next has something to do, or of the grant; whether it waits for
-# bytes on the serial line, or some came.
+# Packets begin with their kind. A participant sends hello, busy, report, matched and leave; the owner sends match and grant.
+_HELLO, _BUSY, _REPORT, _MATCH, _MATCHED, _GRANT, _LEAVE = b"H", b"B", b"R", b"M", b"m", b"G", b"L"
+# Number of the latest grant; the time at which the participant next has something to do, or that of the grant; whether it
+# waits for bytes on the serial line, or some came.
 _HEAD = struct.Struct("=cId?")
 # Index of a channel and number of its latest message.
 _ENTRY = struct.Struct("=Hq")
@@ -75,7 +75,7 @@ class Inbox(Protocol):
 
 
 class BenchTimer:
-    """Calls back at whole multiples of a period in bench time, so that timers of several nodes are due at the same instants."""
+    """Calls back at whole multiples of a period in bench time; timers of several nodes are due at the same instants."""
 
     def __init__(self, clock: "BarrierClock", period: float, callback: Callable[[], None]) -> None:
         self._clock, self._period, self.callback = clock, period, callback
@@ -117,9 +117,9 @@ class _BarrierWaiter(Waiter):
 class BarrierClock(BenchClock):
     """Clock of a process that takes part in a simulated bench.
 
-    The process is at work as long as one of its threads is `busy`, and while it processes what came with a grant of the owner:
-    first messages, then timers, then threads whose waits end. Afterwards it reports when it next has something to do. If the
-    owner of the time is lost, time goes on as on the wall, so that the node's own watchdogs act.
+    The process is at work as long as one of its threads is `busy`, and while it processes what came with a grant of the
+    owner: first messages, then timers, then threads whose waits end. Afterwards it reports when it next has something to do.
+    If the owner of the time is lost, time goes on as on the wall, so that the node's own watchdogs act.
 
     Parameters
     ----------
@@ -131,6 +131,7 @@ class BarrierClock(BenchClock):
 
     def __init__(self, path: str | Path, name: str) -> None:
         self._name = name
+        self._time: memoryview[float]
         self._socket, self._time = _connect(Path(path))
         self._origin = math.floor(self._time[0])
         self._lock = threading.RLock()
@@ -150,6 +151,7 @@ class BarrierClock(BenchClock):
         self._thread = threading.Thread(target=self._serve, name="bench time", daemon=True)
         self._count_of_subscribers: Mapping[str, Callable[[], int]] = {}
         self._count_of_publishers: Mapping[str, Callable[[], int]] = {}
+        self.begun = threading.Event()  # whether all expected participants have joined and are connected
         self.error: Exception | None = None  # of a callback
         self.lost = 0
         self.on_lost: Callable[[str], None] = lambda _reason: None
@@ -189,6 +191,7 @@ class BarrierClock(BenchClock):
     def leave(self) -> None:
         """Take part no more; this may be called twice."""
         self._deaf = self._left = True
+        self._send(_LEAVE)
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
@@ -200,7 +203,7 @@ class BarrierClock(BenchClock):
         """Return the bench time in s."""
         if self._alone is not None:
             return self._alone + time.monotonic()
-        return self._time[0]
+        return float(self._time[0])
 
     def sleep_until(self, bench_time: float) -> None:
         """Block until ``bench_time``; return at once when it has passed."""
@@ -405,6 +408,7 @@ class BarrierClock(BenchClock):
             time.sleep(0.01)
         self._look_for_outsiders()
         self._seen = [0] * len(self._seen)  # another sender counts from the beginning
+        self.begun.set()
         self._send(_MATCHED)
 
     def _go_on_alone(self) -> None:
@@ -420,7 +424,7 @@ class BarrierClock(BenchClock):
             time.sleep(5e-3)
 
 
-def _connect(path: Path) -> tuple[socket.socket, Any]:
+def _connect(path: Path) -> tuple[socket.socket, "memoryview[float]"]:
     """Connect with the owner of the time; return the socket and the mapped time."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     deadline = time.monotonic() + _START_TIMEOUT
@@ -449,7 +453,10 @@ class SimulatedPlant(Protocol):
         """Wait until ``count`` bytes in all have come over the serial line; they were sent at the present bench time."""
 
     def advance_line(self, now: float, awaited: bool) -> bool:
-        """Exchange bytes over the serial line; return whether some were sent to the host, and are there if it waits for them."""
+        """Exchange bytes over the serial line; return whether some were sent to the host.
+
+        If the host has ``awaited`` them, they have arrived there.
+        """
 
     def advance(self, now: float) -> bool:
         """Simulate up to a bench time; return whether something was published."""
@@ -517,7 +524,7 @@ class Barrier:
         except OSError:
             raise InputError(f"clock {path}: another simulated bench uses it; stop that one or choose another") from None
         self._time_file.truncate(8)
-        self._time: Any = memoryview(mmap.mmap(self._time_file.fileno(), 8)).cast("d")
+        self._time: memoryview[float] = memoryview(mmap.mmap(self._time_file.fileno(), 8)).cast("d")
         self._time[0] = start
         path.unlink(missing_ok=True)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -599,7 +606,7 @@ class Barrier:
         elif kind == _HELLO:
             self._on_hello(participant, json.loads(packet[1:]))
         else:
-            self._remove(participant, "has left")
+            self._remove(participant, "" if kind == _LEAVE else "has died")
             return
         self._note(participant)
 
@@ -641,7 +648,7 @@ class Barrier:
         self._unsettled.discard(participant.connection)
         for receivers in self._receivers.values():
             receivers[:] = [entry for entry in receivers if entry[0] is not participant]
-        if participant.name:
+        if participant.name and reason:
             self._report(f"{participant.name} {reason}; the bench goes on without it")
 
     def _leave_stalled_behind(self) -> None:

@@ -1,7 +1,7 @@
 """Bench time: the time by which every node stamps its messages, waits and times out.
 
-On a real bench, it is the time of the machine (`BenchClock`). On a simulated bench, it stands still until every node has done
-its work (`mrd_base.barrier.BarrierClock`). Code that only uses the methods of `BenchClock` runs on both.
+On a real bench, it is the time of the machine (`BenchClock`). On a simulated bench, it stands still until every node has
+done its work (`mrd_base.barrier.BarrierClock`). Code that only uses the methods of `BenchClock` runs on both.
 """
 
 import contextlib
@@ -61,9 +61,9 @@ class Waiter:
 class BenchClock:
     """Clock of a real bench.
 
-    Bench time is Unix time as it was when the clock was created, and follows the time since the machine was started, which all
-    processes share. An adjustment of the machine's clock therefore stops no watchdog; nodes created before and after it differ
-    by that adjustment.
+    Bench time is Unix time as it was when the clock was created, and follows the time since the machine was started, which
+    all processes share. An adjustment of the machine's clock therefore stops no watchdog; nodes created before and after it
+    differ by that adjustment.
     """
 
     def __init__(self) -> None:

@@ -223,7 +223,7 @@ while True:
 """
 
 
-@pytest.mark.parametrize(("end", "reason"), [(signal.SIGKILL, "has left"), (signal.SIGSTOP, "was stopped by a signal")])
+@pytest.mark.parametrize(("end", "reason"), [(signal.SIGKILL, "has died"), (signal.SIGSTOP, "was stopped by a signal")])
 def test_a_dead_participant_is_named_and_time_goes_on_without_it(make_bench, end, reason):
     bench = make_bench("one", "other")
     one = bench.clock("one")

@@ -1,4 +1,4 @@
-"""A machine that is too slow is named before a run and after it; bench times are scripted, so that the test cannot be late."""
+"""A machine that is too slow is named. The bench times are scripted, so that no test can be late."""
 
 from mrd_base import BenchClock
 from mrd_bench_driver.supervision.punctuality import Punctuality, measure_punctuality
@@ -23,8 +23,8 @@ def test_a_punctual_machine_has_no_problem() -> None:
 
 def test_a_machine_that_oversleeps_is_named_with_numbers_and_a_remedy() -> None:
     assert measure_punctuality(ScriptedClock(0.0, 0.09, 0.001, 0.05), 0.04).problem() == (
-        "this machine is too slow: 2 of 50 cycles came more than 40 ms late, the worst 90 ms; end other programs, or give the "
-        "bench a machine of its own"
+        "this machine is too slow: 2 of 50 cycles came more than 40 ms late, the worst 90 ms; end other programs, or give "
+        "the bench a machine of its own"
     )
 
 

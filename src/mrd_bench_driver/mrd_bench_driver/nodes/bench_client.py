@@ -95,12 +95,13 @@ class BenchClient:
         return True
 
     def wait_until_up(self, names: set[str], timeout: float = START_TIMEOUT) -> None:
-        """Wait until all nodes have published diagnostics, which they do once they work, and the supervisor is ready."""
+        """Wait until all nodes work and the supervisor is ready; on a real bench, their diagnostics show it."""
         namespace = self.node.get_namespace().strip("/")
+        begun = self._join_simulated_bench(timeout) if self._clock else lambda: False
         actions = self._run_experiment, self._run_set
 
         def missing() -> list[str]:
-            nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up)
+            nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up and not begun())
             if nodes or all(action.server_is_ready() for action in actions):
                 return nodes
             return ["the actions of the supervisor"]
@@ -109,11 +110,17 @@ class BenchClient:
             raise InputError(
                 f"the bench did not come up within {timeout:g} s: {', '.join(missing())} missing; look at the logs"
             )
-        if self._clock is not None:
-            clock = BarrierClock(self._clock, "bench")
-            clock.hold()
-            clock.join()
-            self.time, self._held = clock, True
+
+    def _join_simulated_bench(self, timeout: float) -> Callable[[], bool]:
+        """Take part in the time of a simulated bench; return whether all others do, too."""
+        assert self._clock is not None
+        if not self.spin(self._clock.exists, timeout):
+            raise InputError(f"the simulated plant did not come up within {timeout:g} s; look at its log")
+        clock = BarrierClock(self._clock, "bench")
+        clock.hold()
+        clock.join()
+        self.time, self._held = clock, True
+        return clock.begun.is_set
 
     def let_time_pass(self) -> None:
         """Let the time of a simulated bench begin."""

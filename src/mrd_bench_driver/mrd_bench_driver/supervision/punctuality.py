@@ -42,8 +42,8 @@ class Punctuality:
         if not self.late:
             return ""
         return (
-            f"this machine is too slow: {self.late} of {self.cycles} cycles came more than {1e3 * self._limit:g} ms late, the "
-            f"worst {1e3 * self.worst:.0f} ms; end other programs, or give the bench a machine of its own"
+            f"this machine is too slow: {self.late} of {self.cycles} cycles came more than {1e3 * self._limit:g} ms late, "
+            f"the worst {1e3 * self.worst:.0f} ms; end other programs, or give the bench a machine of its own"
         )
 
 
