@@ -320,6 +320,17 @@ def test_the_rod_stops_within_200_ms(accident: Callable[[WholeBench], None], ben
 
 
 @pytest.mark.timeout(120)
+def test_a_killed_node_may_come_back(bench: WholeBench, tmp_path: Path) -> None:
+    assert bench.client.run_experiment(SHORT, tmp_path / "before", 0).success
+    bench.processes.kill("servo")
+    bench.processes.start("servo")
+    bench.servo.clear()
+    assert bench.client.spin(lambda: bool(bench.servo) and bench.servo[-1].connected, 30)
+    result = bench.client.run_experiment(SHORT, tmp_path / "after", 0)
+    assert result.success, result.message
+
+
+@pytest.mark.timeout(120)
 def test_a_bad_line_never_moves_the_rod(bench: WholeBench, tmp_path: Path) -> None:
     """The rod is homed, and the replies are garbled, split, late, missing or truncated."""
     result = bench.client.run_experiment(SHORT, tmp_path / "bag", 0)

@@ -57,7 +57,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
         self.create_subscription(BenchSamples, "samples", self._on_samples, RECORDED)
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, RECORDED)
-        self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND)
+        self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND, raw=True)
         self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop_service)
         self.create_bench_timer(self.config.check, self._supervisor.tick)
@@ -113,7 +113,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.monitor.servo = ServoStatus(seconds(state.header.stamp), **fields)
         self._supervisor.check_interlocks()
 
-    def _on_setpoint(self, _setpoint: Setpoint) -> None:
+    def _on_setpoint(self, _cdr: bytes) -> None:
         self._supervisor.monitor.add_setpoint(self.bench.now())
 
     def _on_experiment_state(self, state: String) -> None:

@@ -153,7 +153,7 @@ class MotorSerialPort:
             if not self.plugged or time.monotonic() > deadline:
                 self._received = count
             elif not arrived:
-                time.sleep(2e-5)
+                os.sched_yield()
 
     def exchange(self, now: float, awaited: bool = False) -> bool:
         """Let the motor read and answer until a bench time; return whether bytes were sent to the host.
@@ -188,7 +188,7 @@ class MotorSerialPort:
             return False  # nobody reads, so the buffer is full and the bytes are lost, as on a wire
         deadline = time.monotonic() + _DELIVERY_TIMEOUT
         while awaited and self._bytes_at_host() < present + len(data) and time.monotonic() < deadline:
-            time.sleep(2e-5)
+            os.sched_yield()  # a sleep would take many times as long as the kernel
         return True
 
     def _bytes_at_host(self) -> int:
