@@ -251,6 +251,7 @@ class BenchNode(Node, Generic[C]):
                     subscription.topic_name: (inbox, subscription.get_publisher_count)
                     for subscription, inbox in self._inboxes.items()
                 },
+                share_core=True,
             )
 
     def stamp(self, bench_time: float | None = None) -> Time:
