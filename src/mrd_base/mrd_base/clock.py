@@ -1,7 +1,7 @@
 """Bench time: the time by which every node stamps its messages, waits and times out.
 
 On a real bench, it is the time of the machine (`BenchClock`). On a simulated bench, it stands still until every node has
-done its work (`mrd_base.barrier.BarrierClock`). Code that only uses the methods of `BenchClock` runs on both.
+done its work (`mrd_base.barrier_clock.BarrierClock`). Code that only uses the methods of `BenchClock` runs on both.
 """
 
 import contextlib

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import BenchClock, InputError
-from mrd_base.barrier import Barrier, BarrierClock
+from mrd_base.barrier import Barrier
+from mrd_base.barrier_clock import BarrierClock
 from mrd_bench_driver.acquisition import (
     BACKENDS,
     AcquisitionError,

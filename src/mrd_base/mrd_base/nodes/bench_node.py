@@ -28,7 +28,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
-from mrd_base.barrier import BarrierClock
+from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
 from mrd_base.config import from_mapping, to_mapping, unknown_key, yaml_key
 from mrd_base.errors import InputError
@@ -181,7 +181,11 @@ class BenchNode(Node, Generic[C]):
 
     def make_clock(self, clock: str) -> BenchClock:
         """Return the clock of bench time for the parameter ``clock``."""
-        return BarrierClock(clock, self.get_name()) if clock else BenchClock()
+        if not clock:
+            return BenchClock()
+        barrier_clock = BarrierClock(clock, self.get_name())
+        barrier_clock.on_loss = lambda what: self.get_logger().error(what)
+        return barrier_clock
 
     def create_bench_timer(self, period: float, callback: Callable[[], None]) -> BenchTimer:
         """Create a timer with a period in bench seconds, which no adjustment of the machine's clock delays."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from mrd_base import BenchClock, InputError
-from mrd_base.barrier import BarrierClock
+from mrd_base.barrier_clock import BarrierClock
 from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
 from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, ConverterSettings, VoltBlock
 from mrd_bench_driver.acquisition.ni_usb_6216 import NiUsb6216

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from mrd_base import BenchClock, InputError
-from mrd_base.barrier import BarrierClock
+from mrd_base.barrier_clock import BarrierClock
 from mrd_interfaces.action import RunExperiment, RunSet
 
 # Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s.

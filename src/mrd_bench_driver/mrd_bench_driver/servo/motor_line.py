@@ -11,7 +11,7 @@ from typing import Any
 
 import serial
 
-from mrd_base.barrier import LINE
+from mrd_base.barrier_clock import LINE
 from mrd_base.clock import BenchClock, Waiter
 from mrd_bench_driver.servo.smartmotor import ReplyError
 

@@ -10,7 +10,8 @@ from typing import ClassVar
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from mrd_base.barrier import Barrier, BarrierClock
+from mrd_base.barrier import Barrier
+from mrd_base.barrier_clock import BarrierClock
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
 from mrd_interfaces.msg import AnalogInput, AnalogOutput
 from mrd_sim.motor import MotorSerialPort
@@ -50,7 +51,9 @@ class PlantNode(BenchNode[PlantConfig]):
         path = Path(clock or f"{config.port_link}.clock").expanduser().absolute()
         participants = [*filter(None, config.participants.split(",")), "plant"]
         self._barrier = Barrier(path, participants, float(int(time.time())), config.pace or math.inf, self._report)
-        return BarrierClock(path, "plant")
+        barrier_clock = BarrierClock(path, "plant")
+        barrier_clock.on_loss = self._report
+        return barrier_clock
 
     def _report(self, message: str) -> None:
         self.get_logger().error(message)
