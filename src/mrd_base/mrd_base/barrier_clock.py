@@ -21,7 +21,7 @@ from mrd_base.errors import InputError
 LINE = "motor line"
 
 # Wall time in s for the owner of the time to come up.
-_START_TIMEOUT = 60.0
+_START_TIMEOUT = 180.0
 # Wall time in s after which an announced message counts as lost.
 _LOST_AFTER = 10.0
 # Wall time in s for ROS to match publishers and subscriptions of a new participant.
@@ -39,7 +39,7 @@ class Packet:
     MATCH, GRANT = b"M", b"G"
 
 
-# The head of a report or grant: its kind; number of the latest grant; time at which the participant next has something to do,
+# The head of a report or grant: its kind; number of the latest grant; time at which the participant next has work to do,
 # or time of the grant; whether the participant waits for bytes on the serial line, or some came.
 HEAD = struct.Struct("=cId?")
 # Index of a channel and number of its latest message.

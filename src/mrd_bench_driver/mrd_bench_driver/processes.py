@@ -76,7 +76,7 @@ def bench_processes(
     """
     # On a simulated bench, all nodes wait for each other.
     common: dict[str, Any] = {} if plant is None else {"clock": str(clock_of(port))}
-    servo, daq = dict(common), dict(common)
+    servo, daq, supervisor = dict(common), dict(common), dict(common)
     specs = []
     if plant is not None:
         simulation = {"port_link": str(port), "seed": seed, "participants": PARTICIPANTS}
@@ -84,6 +84,8 @@ def bench_processes(
             simulation["pace"] = float(pace)
         specs.append(ProcessSpec("mrd_sim", "plant", {**common, **simulation}, (bench, plant)))
         servo["port"], daq["backend"] = str(port), "simulated"
+        # Nothing moves while the supervisor waits for a process. ROS tells a dead one from a slow one within 20 s.
+        supervisor |= {"answer_timeout_s": 30.0, "discovery_timeout_s": 60.0}
     elif read_node_parameters(bench, "daq").get("backend", "simulated") == "simulated":
         raise InputError(f"{bench}: daq has backend simulated; add --simulated, or set backend: ni_usb_6216")
     return [
@@ -92,7 +94,7 @@ def bench_processes(
         ProcessSpec("mrd_bench_driver", "daq", daq, (bench,)),
         ProcessSpec("mrd_runs", "recorder", common, (bench,)),
         ProcessSpec("mrd_trajectory", "generator", common, (bench,)),
-        ProcessSpec("mrd_bench_driver", "supervisor", common, (bench,)),
+        ProcessSpec("mrd_bench_driver", "supervisor", supervisor, (bench,)),
     ]
 
 

@@ -112,7 +112,7 @@ def test_bytes_that_are_announced_are_waited_for_and_given_to_the_motor_at_once(
         assert now == pytest.approx(1.0 + 199 * (10 * 10 / 9600 + 0.0035))
         begin = time.monotonic()
         port.read(2000, now)
-        assert time.monotonic() - begin < 2.0, "bytes that are lost are not waited for longer"
+        assert time.monotonic() - begin < 10.0, "bytes that are lost are not waited for for ever"
     port.close()
 
 

@@ -18,10 +18,11 @@ from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
 from mrd_interfaces.action import RunExperiment, RunSet
 
-# Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s.
-START_TIMEOUT = 60.0
+# Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s, or longer on a busy
+# machine. Nobody waits so long for a process that has died: the watch of the client sees it.
+START_TIMEOUT = 180.0
 # Wall time in s for the supervisor to accept a goal.
-ACCEPT_TIMEOUT = 10.0
+ACCEPT_TIMEOUT = 30.0
 # Wall time in s for a cancelled experiment to end; it includes the time in which the recorder may close its bag.
 CANCEL_TIMEOUT = 90.0
 

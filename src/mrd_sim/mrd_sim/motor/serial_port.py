@@ -14,8 +14,8 @@ from mrd_base import InputError
 from mrd_sim.motor.smart_motor import BAUD_RATES, SmartMotor
 
 _RATES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
-_DELIVERY_TIMEOUT = 0.5
-"""Wall seconds in which the kernel carries bytes through a pseudo-terminal."""
+_DELIVERY_TIMEOUT = 5.0
+"""Wall seconds in which the kernel carries bytes through a pseudo-terminal, be the machine ever so busy."""
 
 
 class DeviceLink:
