@@ -23,8 +23,9 @@ from typing import Any, Protocol
 from mrd_base.barrier_clock import ENTRY, HEAD, INSTANT, LINE, PACKET_SIZE, Packet, socket_address, time_file
 from mrd_base.errors import InputError
 
-# Wall time in s after which a participant that does not finish its work is left behind.
-_STALL = 30.0
+# Wall time in s after which a participant that does not finish its work is left behind. The supervisor may wait for the
+# recorder to close a bag, or for the generator to plan a set.
+_STALL = 120.0
 # The same for a process that was stopped by a signal.
 _STOPPED_STALL = 1.0
 # Wall time in s by which a paced bench may be late and catch up.
@@ -233,7 +234,7 @@ class Barrier:
             if index == 0:
                 self._line_count += sent
             elif sent:
-                for receiver, inbox in self._receivers.get(participant.sends[index], ()):
+                for receiver, inbox in self._receivers.get(participant.sends.get(index, ""), ()):
                     receiver.pending[inbox] = count
                     self._addressed[receiver.descriptor] = receiver
 

@@ -25,7 +25,7 @@ _START_TIMEOUT = 180.0
 # Wall time in s after which an announced message counts as lost.
 _LOST_AFTER = 10.0
 # Wall time in s for ROS to match publishers and subscriptions of a new participant.
-_MATCHING_TIMEOUT = 5.0
+_MATCHING_TIMEOUT = 30.0
 # Wall time in s between two looks for messages of others than participants.
 _OUTSIDERS_INTERVAL = 0.05
 # Bench times in s that differ by less are one instant: a double holds the time since 1970 to 0.2 us only.
@@ -403,7 +403,10 @@ class BarrierClock(BenchClock):
             subscribed = (self._count_of_subscribers[name]() >= count for name, count in others["receivers"].items())
             return all(subscribed) and all(self._count_of_publishers[name]() > 0 for name in others["senders"])
 
-        while not matched() and time.monotonic() < deadline:
+        while not matched():
+            if time.monotonic() > deadline:
+                self.on_loss(f"ROS did not connect all participants within {_MATCHING_TIMEOUT:g} s; messages may be lost")
+                break
             time.sleep(0.01)
         if self._share_core:
             for thread in os.listdir("/proc/self/task"):
