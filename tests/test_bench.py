@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -182,14 +183,40 @@ def test_a_busy_machine_makes_the_bench_slower_and_never_wrong(tmp_path: Path) -
         folder = tmp_path / str(load)
         folder.mkdir()
         with busy_loops(load):
-            output, errors = record_set(folder, (8.0,)).communicate(timeout=120)
+            output, errors = record_set(folder, (5.0, 2.0)).communicate(timeout=120)
         assert not errors, errors
         assert output.endswith(" 0 lost\n")
-        runs.append(read_run(folder / "set/1_run"))
-    quiet, busy = runs
-    # Not a bit differs, the noise of the sensors included.
-    for quantity in ("position", "force", "current", "acceleration"):
-        assert np.array_equal(getattr(quiet, quantity), getattr(busy, quantity)), quantity
+        runs.append([read_run(folder / f"set/{name}") for name in ("1_run", "2_run")])
+    # Not a bit differs, the noise of the sensors included; nor does when a recording begins and ends.
+    for quiet, busy in zip(*runs, strict=True):
+        for quantity in ("time", "position", "force", "current", "acceleration"):
+            assert np.array_equal(getattr(quiet, quantity), getattr(busy, quantity)), quantity
+
+
+@pytest.mark.timeout(120)
+def test_a_recording_ends_with_half_a_second_of_rest(bench: WholeBench, tmp_path: Path) -> None:
+    result = bench.client.run_experiment(SHORT, tmp_path / "bag", 0)
+    assert result.success, result.message
+    run = read_run(tmp_path / "bag")
+    at_rest = run.time > run.time[-1] - 0.5
+    assert np.abs(run.current[at_rest]).max() < 0.05
+    # The mean of 20 ms moves by less than 0.1 mm; the noise of single samples is larger.
+    means = run.position[at_rest][-240:].reshape(-1, 10).mean(axis=1)
+    assert np.ptp(means) < 1e-4
+
+
+@pytest.mark.timeout(120)
+def test_a_run_whose_recording_fails_ends_at_once(bench: WholeBench, tmp_path: Path) -> None:
+    """A limit of the size of its files is to the recorder what a full disk is."""
+    recorder = bench.processes.running["recorder"].pid
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+    begin = bench.clock.now()
+    result = bench.client.run_experiment(LONG, tmp_path / "bag", 0)
+    assert bench.clock.now() - begin < 25  # the experiment alone would take 30 s
+    assert not result.success
+    assert result.message.startswith(f"{tmp_path}/bag: cannot be written (File too large; ")
+    assert result.message.count("cannot be written") == 1
+    assert result.samples > 100
 
 
 @pytest.mark.timeout(120)

@@ -31,7 +31,7 @@ BELOW = {
 EXECUTABLES = {
     "mrd_base": set(),
     "mrd_trajectory": {"generator", "preview"},
-    "mrd_runs": {"recorder", "replay", "import_csv", "info"},
+    "mrd_runs": {"recorder", "replay", "import_csv", "export_csv", "info", "recover"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
@@ -49,7 +49,7 @@ ROSDEP = {
     "tqdm": "python3-tqdm",
     "psutil": "python3-psutil",
 }
-WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "mcap", "plotly", "rich"}
+WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich"}
 OPTIONAL = {"nidaqmx"}
 
 

@@ -12,7 +12,7 @@ from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import Refit, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, nrmse_interval
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.weighting import WeightedProblem, error_of_run
+from mrd_diagnosis.weighting import error_of_run
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording
@@ -68,14 +68,16 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
     recordings = comparison.weighting.recordings
     excesses = [_exceeds(recording, [*recordings[:run], *recordings[run + 1 :]]) for run, recording in enumerate(recordings)]
     sole_sources = _sole_sources(comparison)
-    by_folds = [bool(excess) or run in sole_sources or len(recordings) == 1 for run, excess in enumerate(excesses)]
+    # A common remainder predicts parts of a run from its other parts, not a whole run from others.
+    always = len(recordings) == 1 or any(recording.without_effects for recording in recordings)
+    by_folds = [always or bool(excess) or run in sole_sources for run, excess in enumerate(excesses)]
     before, after = (_leave_out(refit, comparison, by_folds) for refit in (comparison.base, comparison.best))
     best = comparison.best
+    changed = [run for run, recording in enumerate(recordings) if not recording.without_effects]
+    noise = comparison.weighting.noise
     residuals = [
-        _run_residual(
-            best.problem, best.theta, run, noise, before.known[run], after.known[run], excesses[run], by_folds[run]
-        )
-        for run, noise in enumerate(comparison.weighting.noise)
+        _run_residual(best, run, noise[run], before.known[run], after.known[run], excesses[run], by_folds[run])
+        for run in changed
     ]
     set_aside = _set_aside(comparison, held_out, rng)
     residuals += set_aside
@@ -86,9 +88,9 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
         beyond = [residual for residual in set_aside if residual.extrapolates]
     else:
         beyond = [
-            replace(residuals[run], before=before.by_other_runs[run], after=after.by_other_runs[run])
-            for run, excess in enumerate(excesses)
-            if excess
+            replace(residual, before=before.by_other_runs[run], after=after.by_other_runs[run])
+            for run, residual in zip(changed, residuals, strict=False)
+            if residual.extrapolates
         ]
     extrapolated = None
     if beyond and comparison.effects:
@@ -170,9 +172,9 @@ class _HeldOutErrors:
 
 def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[bool]) -> _HeldOutErrors:
     problem, runs = refit.problem, range(len(by_folds))
-    thetas = _without_each_run(refit, comparison) if len(by_folds) > 1 else [refit.theta]
-    by_other_runs = [-error_of_run(problem, thetas[run], run)[1] for run in runs]
-    thetas_of_folds, _ = without_each(
+    fits = _without_each_run(refit, comparison) if len(by_folds) > 1 else [(refit.theta, refit.coefficients)]
+    by_other_runs = [-error_of_run(problem, theta, run, rest)[1] for run, (theta, rest) in zip(runs, fits, strict=True)]
+    thetas, coefficients = without_each(
         problem, problem.unit(refit.theta), refit.coefficients, refit.normal_matrices, refit.gradients
     )
     known = list(by_other_runs)
@@ -180,15 +182,15 @@ def _leave_out(refit: Refit, comparison: ModelComparison, by_folds: Sequence[boo
         if not by_folds[run]:
             continue
         known[run] = np.empty_like(by_other_runs[run])
-        for (run_of_fold, fold), theta in zip(comparison.weighting.folds, thetas_of_folds, strict=True):
+        for (run_of_fold, fold), theta, rest in zip(comparison.weighting.folds, thetas, coefficients, strict=True):
             if run_of_fold == run:
                 samples = slice(fold.start - problem.blocks[run].start, fold.stop - problem.blocks[run].start)
-                known[run][samples] = -error_of_run(problem, theta, run)[1][samples]
+                known[run][samples] = -error_of_run(problem, theta, run, rest)[1][samples]
     return _HeldOutErrors(by_other_runs, known)
 
 
-def _without_each_run(refit: Refit, comparison: ModelComparison) -> Array:
-    """Fit the parameters (runs, parameters) without each run, starting one step from the joint optimum."""
+def _without_each_run(refit: Refit, comparison: ModelComparison) -> list[tuple[Array, Array]]:
+    """Fit parameters and coefficients of the remainder without each run, starting one step from the joint optimum."""
     problem = refit.problem
     run_of_fold = np.array([run for run, _ in comparison.weighting.folds])
     runs = range(len(comparison.weighting.recordings))
@@ -196,28 +198,23 @@ def _without_each_run(refit: Refit, comparison: ModelComparison) -> Array:
     gradients = np.stack([refit.gradients[run_of_fold == run].sum(axis=0) for run in runs])
     starts, _ = without_each(problem, problem.unit(refit.theta), refit.coefficients, matrices, gradients)
 
-    def fit_without(run: int) -> Array:
+    def fit_without(run: int) -> tuple[Array, Array]:
         weightless = problem.whitenings[run].without_weight()
         others = replace(problem, whitenings=(*problem.whitenings[:run], weightless, *problem.whitenings[run + 1 :]))
         free = np.arange(len(problem.free))
         unit, _ = levenberg_marquardt(others, problem.unit(starts[run]), free, 10, 1e-4, renewal=4)
-        return problem.theta(unit)
+        theta = problem.theta(unit)
+        return theta, others.coefficients(theta)
 
-    return np.stack(in_threads(fit_without, list(runs)))
+    return in_threads(fit_without, list(runs))
 
 
 def _run_residual(
-    problem: WeightedProblem,
-    theta: Array,
-    run: int,
-    noise: RunNoise,
-    before: Array,
-    after: Array,
-    extrapolates: str,
-    by_folds: bool,
+    best: Refit, run: int, noise: RunNoise, before: Array, after: Array, extrapolates: str, by_folds: bool
 ) -> RunResidual:
-    recording = problem.recordings[run]
-    gain, offset = problem.whitenings[run].run_errors @ (recording.force - problem.modelled(theta, run))
+    problem, recording = best.problem, best.problem.recordings[run]
+    modelled = problem.modelled(best.theta, run) + problem.remainder_of_run(best.coefficients, run)
+    gain, offset = problem.whitenings[run].run_errors @ (recording.force - modelled)
     return RunResidual(
         recording, noise, before, after, float(offset), float(gain), extrapolates=extrapolates, by_folds=by_folds
     )
@@ -230,12 +227,12 @@ def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: 
     base, best, weighting = comparison.base, comparison.best, comparison.weighting
     noise = estimate_noise(held_out, best.problem.model, best.theta, rng)
     extended = replace(weighting, recordings=[*weighting.recordings, *held_out], noise=[*weighting.noise, *noise])
-    fits = [(extended.problem(refit.problem.model, refit.theta), refit.theta) for refit in (base, best)]
+    fits = [replace(fit, problem=extended.problem(fit.problem.model, fit.theta)) for fit in (base, best)]
     residuals = []
     for run, (recording, noise_of_run) in enumerate(zip(held_out, noise, strict=True), len(weighting.recordings)):
-        before, after = (-error_of_run(problem, theta, run)[1] for problem, theta in fits)
+        before, after = (-error_of_run(fit.problem, fit.theta, run)[1] for fit in fits)
         excess = _exceeds(recording, weighting.recordings)
-        residual = _run_residual(*fits[1], run, noise_of_run, before, after, excess, False)
+        residual = _run_residual(fits[1], run, noise_of_run, before, after, excess, False)
         residuals.append(replace(residual, held_out=True))
     return residuals
 

@@ -1,6 +1,6 @@
 """Decision: the verdict that follows from a model comparison."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -19,7 +19,7 @@ def decide(
     comparison: ModelComparison,
     chi_square_of_search: float,
     probabilities: Probabilities,
-    p_values: Sequence[float],
+    p_values: Mapping[str, float],
     rng: np.random.Generator,
 ) -> Verdict:
     """Decide what can be said.
@@ -30,7 +30,7 @@ def decide(
     chi_square_of_search : float
         Reduced chi-square of the model without effects, with the noise that was known before the search.
     probabilities : mapping
-    p_values : sequence of float
+    p_values : mapping
         For each effect of the comparison, the probability of its improvement in noise alone.
     rng : numpy Generator
     """
@@ -38,7 +38,7 @@ def decide(
     closed = closed_fraction_between(base, best, comparison, rng) if comparison.effects else Interval(0.0, 0.0, 0.0)
     # Where the gap is so small that the noise estimate may be wrong instead, only an effect that surely closes most of it
     # counts.
-    sure = closed.lower >= THRESHOLDS.least_closed and p_values[0] <= THRESHOLDS.p_value
+    sure = closed.lower >= THRESHOLDS.least_closed and p_values[comparison.effects[0]] <= THRESHOLDS.p_value
     if chi_square_of_search <= THRESHOLDS.no_gap_chi_square or (base.chi_square <= THRESHOLDS.noise_chi_square and not sure):
         return "no_gap"
     if not _explains(comparison, closed.value, rng):
@@ -46,6 +46,21 @@ def decide(
     other_model = comparison.alternative_model
     if other_model and any(chances.get(other_model, 0.0) > chances[effect] for effect, chances in probabilities.items()):
         return "unknown_effect"
+    return _explained_or_ambiguous(comparison, probabilities)
+
+
+def decide_change(comparison: ModelComparison, probabilities: Probabilities, rng: np.random.Generator) -> Verdict:
+    """Decide what can be said of a change; see `mrd_diagnosis.change`. What no change explains counts as noise there."""
+    base, best = comparison.base, comparison.best
+    if not comparison.effects:
+        return "no_gap" if base.chi_square <= THRESHOLDS.noise_chi_square else "unknown_effect"
+    closed = closed_fraction_between(base, best, comparison, rng)
+    if not _explains(comparison, closed.value, rng):
+        return "partly_explained"
+    return _explained_or_ambiguous(comparison, probabilities)
+
+
+def _explained_or_ambiguous(comparison: ModelComparison, probabilities: Probabilities) -> Verdict:
     certain = all(probabilities[effect][effect] >= THRESHOLDS.named_probability for effect in comparison.effects)
     return "explained" if certain else "ambiguous"
 

@@ -10,21 +10,22 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
+from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure import Closure, compute_closure
 from mrd_diagnosis.decision import decide
 from mrd_diagnosis.diagnosis import (
+    AlternativeModel,
     Candidate,
-    Cause,
     CorrectedSimulator,
     Diagnosis,
     Finding,
     Gap,
     HeldOutBy,
-    Interval,
     Region,
 )
-from mrd_diagnosis.effect_search import search_effects, tolerated_excess
+from mrd_diagnosis.effect_search import EffectFit, search_effects, tolerated_excess
 from mrd_diagnosis.explanation import (
+    Explanation,
     advise_next,
     list_alternative_models,
     list_alternatives,
@@ -35,9 +36,9 @@ from mrd_diagnosis.explanation import (
 from mrd_diagnosis.flexible_remainder import explainable_fraction
 from mrd_diagnosis.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.localisation import find_oscillation, localise
-from mrd_diagnosis.model_comparison import ModelComparison, compare_models
+from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
-from mrd_diagnosis.partial_explanation import explain_in_part, lacking_effects, rests_on_form
+from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
 from mrd_diagnosis.preflight import preflight
 from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
@@ -46,7 +47,7 @@ from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
-from mrd_identification.recording import Recording, prepare_recording
+from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
@@ -54,6 +55,15 @@ from mrd_trajectory.settings import GeneratorSettings
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
+
+NOTE_ON_CHANGE = (
+    "The gap is the change since the reference runs. What the model lacks in these runs and in those alike is taken up by a "
+    "flexible function of motion, current and force; the rest of the error counts as noise."
+)
+
+MOST_SAMPLES = 10_000
+"""Samples of all runs together on which effects are searched. What was found is then fitted to all samples and judged by
+these."""
 
 
 def no_progress(_stage: str, _fraction: float) -> None:
@@ -65,6 +75,7 @@ def diagnose(
     model: str,
     *,
     held_out: Sequence[Run] = (),
+    reference: Sequence[Run] = (),
     parameters: StoredFit | None = None,
     laws: str | Mapping[str, str] | None = None,
     effects: Sequence[str] = (),
@@ -82,6 +93,9 @@ def diagnose(
         Id of the simulator's damper model.
     held_out : sequence of Run
         Runs that judge how far the gap closes. Without them, each run is left out in turn.
+    reference : sequence of Run
+        Runs of the same rig from before something changed. With them, the gap is the difference between them and ``runs``
+        that their own difference in motion and current does not explain. They exclude ``held_out``.
     parameters : StoredFit, optional
         Parameters of the simulator as it is (`mrd_identification.read_fit`). Without them, the model is fitted first.
     laws : str or mapping, optional
@@ -98,16 +112,20 @@ def diagnose(
     Raises
     ------
     InputError
-        For an unknown model, law or effect, parameters out of their bounds, or no runs.
+        For an unknown model, law or effect, parameters out of their bounds, no runs, or both reference and held-out runs.
     """
     began = time.monotonic()
     if not runs:
         raise InputError("no runs to diagnose")
+    if reference and held_out:
+        raise InputError("found both reference and held-out runs, expected one kind: a change is judged on all runs in turn")
     candidates = [effect.id for effect in find_effects(list(effects) or list(EFFECTS))]
     base = find_model(model, laws if laws is not None else (parameters.laws if parameters else None))
     theta = _theta_as_given(base, parameters)
     progress("checking the recordings", 0.0)
     findings = preflight([*runs, *held_out], base)
+    if reference:
+        findings = (*preflight(reference, base), *findings)
     if any(finding.severity == "fault" for finding in findings):
         progress("done", 1.0)
         return Diagnosis(
@@ -120,10 +138,11 @@ def diagnose(
             "data_fault",
             fault_sentence(findings),
             _held_out_by(runs, held_out),
+            tuple(reference),
         )
-    recordings = in_threads(prepare_recording, [*runs, *held_out])
-    fitted, set_aside = recordings[: len(runs)], recordings[len(runs) :]
-    return _diagnose_physics(base, theta, candidates, fitted, set_aside, findings, bench, seed, began, progress)
+    before = [replace(recording, without_effects=True) for recording in in_threads(prepare_recording, reference)]
+    fitted, set_aside = (in_threads(prepare_recording, group) for group in (runs, held_out))
+    return _diagnose_physics(base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress)
 
 
 def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | None:
@@ -162,59 +181,28 @@ def _diagnose_physics(
     """Diagnose recordings that have no fault."""
     rng = np.random.default_rng(seed)
     progress("fitting the model", 0.05)
-    weighting, base, null_errors, notes = fit_base(model, theta_as_given, recordings, rng)
+    weighting, base, null_errors, notes = fit_base(model, theta_as_given, thinned(recordings, MOST_SAMPLES), rng)
     untestable = untestable_effects(model, theta_as_given, candidates, recordings)
-    progress("trying effects", 0.15)
     excluded = {entry.effect for entry in untestable}
-    chosen, fits = search_effects(
-        weighting,
-        base,
-        [effect for effect in candidates if effect not in excluded],
-        null_errors,
-        lambda fraction: progress("trying effects", 0.15 + 0.6 * fraction),
-    )
-    progress("comparing models", 0.75)
-    singles = [fit for fit in fits if len(fit.effects) == 1]
-    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
-    comparison = compare_models(weighting, base, chosen, fits, rng)
+    tried = [effect for effect in candidates if effect not in excluded]
+    progress("trying effects", 0.15)
     other_models: dict[str, Refit] = {}
-    one_speed = has_one_peak_speed([recording.run for recording in recordings])
-    if comparison.effects and one_speed:
-        # At a single speed, an effect may imitate what another damper model does.
-        progress("trying other damper models", 0.77)
-        excess = comparison.best.chi_square - 1.0
-        other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
-        comparison = comparison.with_alternative_models(other_models)
-    chances = probabilities_of_alternatives(comparison, rng)
-    p_value_of = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
-    p_values = [p_value_of[effect] for effect in comparison.effects]
-    verdict = decide(comparison, base.chi_square, chances, p_values, rng)
-    form_fraction = float("nan")
-    closed_fractions: Mapping[str, Interval] = {}
-    if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
-        progress("looking for causes beside a wrong form", 0.8)
-        # At a single speed, nothing tells an effect from the form.
-        tried = [] if one_speed else [effect for effect in candidates if effect not in excluded]
-        partial = explain_in_part(comparison, tried, rng)
-        if verdict == "unknown_effect" or set(partial.comparison.effects) != set(comparison.effects):
-            verdict = "partly_explained" if partial.comparison.effects else "unknown_effect"
-            form_fraction = partial.form_fraction
-        if verdict == "partly_explained":
-            closed_fractions = {effect: held.closed_fraction for effect, held in partial.causes.items()}
-            held = {effect: (held.probabilities, held.p_value) for effect, held in partial.causes.items()}
-            known = {effect: (chances[effect], p_value_of[effect]) for effect in lacking_effects(comparison)}
-            comparison = partial.comparison
-            chances = {effect: chance for effect, (chance, _) in (known | held).items()}
-            p_values = [p for _, p in (known | held).values()]
+    if recordings[0].without_effects:
+        explanation, singles, null_gains = explain_change(
+            weighting, base, tried, rng, lambda fraction: progress("trying effects", 0.15 + 0.7 * fraction)
+        )
+        complete = explanation.comparison
+    else:
+        explanation, complete, singles, null_gains, other_models = _explain_gap(
+            weighting, base, null_errors, tried, rng, progress
+        )
+    verdict, comparison, chances = explanation.verdict, explanation.comparison, explanation.probabilities
     if verdict == "no_gap":
-        comparison, chances = comparison.without_effects(), {}
+        comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
-    causes: tuple[Cause, ...] = ()
-    if verdict != "unknown_effect":
-        causes = name_causes(comparison, p_values, chances, rng, closed_fractions)
 
     progress("measuring how far the gap closes", 0.85)
-    closure = compute_closure(comparison, held_out, rng)
+    closure = compute_closure(complete, held_out, rng)
     where: tuple[Region, ...] = ()
     oscillation = None
     explainable = float("nan")
@@ -222,31 +210,32 @@ def _diagnose_physics(
         progress("locating the gap", 0.9)
         residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
         where, oscillation, explainable = _locate(closure, residuals, rng)
-    nearest = models = None
+    nearest = None
+    models: tuple[AlternativeModel, ...] = ()
+    reference = tuple(recording.run for recording in recordings if recording.without_effects)
     if verdict in ("unknown_effect", "partly_explained"):
-        progress("trying other damper models", 0.93)
         nearest = _nearest(comparison, listed)
-        if not other_models:
-            tolerated = tolerated_excess(comparison.base)
-            other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
-        models = list_alternative_models(comparison, other_models, rng)
+        if not reference:
+            progress("trying other damper models", 0.93)
+            if not other_models:
+                tolerated = tolerated_excess(comparison.base)
+                other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
+            models = list_alternative_models(comparison, other_models, rng)
     conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
         progress("designing the next experiment", 0.95)
-    advice = advise_next(comparison, chances, bench) if conclusive else None
-    alternatives = list_alternatives(comparison, chances) if conclusive or verdict == "partly_explained" else ()
     gap = Gap(
         closure.noise_floor,
         closure.before,
         closure.after,
         closure.closed_fraction,
-        _error_as_given(model, theta_as_given, weighting),
+        _error_as_given(model, theta_as_given, complete.weighting),
         explainable,
         closure.extrapolated,
-        form_fraction,
+        explanation.form_fraction,
     )
-    best = comparison.best
-    runs, set_aside = (tuple(recording.run for recording in group) for group in (recordings, held_out))
+    runs = tuple(recording.run for recording in recordings if not recording.without_effects)
+    set_aside = tuple(recording.run for recording in held_out)
     progress("done", 1.0)
     diagnosis = Diagnosis(
         model=model,
@@ -258,21 +247,61 @@ def _diagnose_physics(
         verdict=verdict,
         sentence="",
         held_out_by=_held_out_by(runs, set_aside),
+        reference=reference,
         gap=gap,
-        corrected=CorrectedSimulator(best.effects, best.values),
+        corrected=CorrectedSimulator(complete.best.effects, complete.best.values),
         where=where,
         oscillation=oscillation,
-        causes=causes,
-        alternatives=alternatives,
+        causes=name_causes(replace(explanation, comparison=complete), rng),
+        alternatives=list_alternatives(comparison, chances) if conclusive or verdict == "partly_explained" else (),
         nearest=nearest,
         candidates=listed,
         untestable=(*without_evidence, *untestable),
-        alternative_models=models or (),
-        next_experiment=advice,
+        alternative_models=models,
+        next_experiment=advise_next(comparison, chances, bench) if conclusive else None,
         residuals=closure.residuals,
-        notes=(*notes, *limitation_notes(recordings, weighting.noise)),
+        notes=(*notes, *([NOTE_ON_CHANGE] if reference else ()), *limitation_notes(recordings, complete.weighting.noise)),
     )
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))
+
+
+def _explain_gap(
+    weighting: Weighting,
+    base: Refit,
+    null_errors: Sequence[Array],
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[Explanation, ModelComparison, list[EffectFit], Array, dict[str, Refit]]:
+    """Explain the gap of a model; return the explanation, its comparison on all samples, each effect by itself, the gains in
+    noise alone, and other damper models where they were tried.
+    """
+    chosen, fits = search_effects(
+        weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.15 + 0.6 * fraction)
+    )
+    progress("comparing models", 0.75)
+    singles = [fit for fit in fits if len(fit.effects) == 1]
+    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
+    comparison = compare_models(weighting, base, chosen, fits, rng)
+    other_models: dict[str, Refit] = {}
+    one_speed = has_one_peak_speed([recording.run for recording in weighting.recordings])
+    if comparison.effects and one_speed:
+        # At a single speed, an effect may imitate what another damper model does.
+        progress("trying other damper models", 0.77)
+        excess = comparison.best.chi_square - 1.0
+        other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
+        comparison = comparison.with_alternative_models(other_models)
+    chances = probabilities_of_alternatives(comparison, rng)
+    p_values = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
+    complete = compare_on_all_samples(comparison, rng)
+    verdict = decide(complete, base.chi_square, chances, p_values, rng)
+    explanation = Explanation(verdict, comparison, chances, p_values)
+    if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
+        progress("looking for causes beside a wrong form", 0.8)
+        # At a single speed, nothing tells an effect from the form.
+        explanation = explain_in_part(explanation, [] if one_speed else effects, rng)
+        complete = compare_on_all_samples(explanation.comparison, rng)
+    return explanation, complete, singles, null_gains, other_models
 
 
 def _locate(

@@ -335,6 +335,8 @@ class Diagnosis:
         The verdict in words, from `mrd_diagnosis.sentences.verdict_sentence`.
     held_out_by : {"runs", "leave-one-run-out", "blocks"}
         How the errors on unseen data were obtained.
+    reference : tuple of Run
+        Runs from before a change, where the gap is that change.
     gap, corrected
         None where the recordings are faulty.
     where : tuple of Region
@@ -367,6 +369,7 @@ class Diagnosis:
     verdict: Verdict
     sentence: str
     held_out_by: HeldOutBy
+    reference: tuple[Run, ...] = field(default=(), repr=False)
     gap: Gap | None = None
     corrected: CorrectedSimulator | None = None
     where: tuple[Region, ...] = ()

@@ -204,12 +204,26 @@ def refit_with_effects(
         problem = weighting.problem(model, start)
         if by_itself and effect in by_itself:
             problem, start = _better_start(weighting, problem, start, neutral, effect, by_itself[effect])
-        refitted = refit(problem, start, weighting.folds, null_errors, ROUGHLY_CONVERGED if present else CONVERGED)
+        converged = ROUGHLY_CONVERGED if present else CONVERGED
+        refitted = refit(problem, start, weighting.folds, null_errors, converged, _sensitivity(problem, start, base))
         progress(next(completed) / len(ranked))
         gain = float(base.refit.fold_costs.sum() - refitted.fold_costs.sum())
         return EffectFit((*present, effect), refitted, gain, base.refit.held_out_cost - refitted.held_out_cost)
 
     return in_threads(fit, ranked)
+
+
+def _sensitivity(problem: WeightedProblem, start: Array, base: BaseFit) -> Array:
+    """Return derivatives (samples, free) with which a fit begins: exact for new parameters, otherwise those of the base."""
+    names, known = problem.model.names, base.refit.problem
+    of_base = {known.model.names[index]: place for place, index in enumerate(known.free)}
+    new = [place for place, index in enumerate(problem.free) if names[index] not in of_base]
+    sensitivity = np.empty((len(problem.force), len(problem.free)))
+    sensitivity[:, new] = problem.jacobian(problem.unit(start), new)
+    for place, index in enumerate(problem.free):
+        if names[index] in of_base:
+            sensitivity[:, place] = base.jacobian[:, of_base[names[index]]]
+    return sensitivity
 
 
 def _better_start(

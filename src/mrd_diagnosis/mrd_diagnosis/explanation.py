@@ -1,6 +1,7 @@
 """Explanation: causes, candidates and alternatives, with their probabilities, from a model comparison."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,16 @@ from mrd_diagnosis.base_fit import BaseFit
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.decision import Probabilities
 from mrd_diagnosis.detectability import clause_of_size, detectable_sizes
-from mrd_diagnosis.diagnosis import Advice, Alternative, AlternativeModel, Candidate, Cause, Interval, UntestableEffect
+from mrd_diagnosis.diagnosis import (
+    Advice,
+    Alternative,
+    AlternativeModel,
+    Candidate,
+    Cause,
+    Interval,
+    UntestableEffect,
+    Verdict,
+)
 from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_diagnosis.effect_search import EffectFit, detection_threshold, tolerated_excess
 from mrd_diagnosis.experiment_design.advice import advise
@@ -28,6 +38,33 @@ MOST_EXPLANATIONS_TO_SEPARATE = 4
 """Explanations that the next experiment is designed to separate."""
 
 
+@dataclass(frozen=True)
+class Explanation:
+    """What explains the gap.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    comparison : ModelComparison
+        Of the effects that explain the gap or come nearest.
+    probabilities : mapping
+        For each of these effects, the probability of every alternative to it, itself included, by name.
+    p_values : mapping
+        For each of them, the probability of its improvement in noise alone.
+    closed_fractions : mapping
+        Shares of the gap that effects close beside a freer form of the damper.
+    form_fraction : float
+        Share of the gap that a freer form of the damper would close beside the effects; nan where that was not asked.
+    """
+
+    verdict: Verdict
+    comparison: ModelComparison
+    probabilities: Probabilities
+    p_values: Mapping[str, float]
+    closed_fractions: Mapping[str, Interval] = field(default_factory=dict)
+    form_fraction: float = float("nan")
+
+
 def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Generator) -> Probabilities:
     """Return the probability of every alternative to each cause.
 
@@ -42,25 +79,23 @@ def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Ge
     }
 
 
-def name_causes(
-    comparison: ModelComparison,
-    p_values: Sequence[float],
-    chances: Probabilities,
-    rng: np.random.Generator,
-    closed_fractions: Mapping[str, Interval],
-) -> tuple[Cause, ...]:
-    """Return the effects of the comparison as causes; first the one that is likely to close most.
+def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cause, ...]:
+    """Return the effects of an explanation as causes; first the one that is likely to close most.
 
     Each has its share of the gap from ``closed_fractions``, or else the one that it adds to those before it.
     """
+    if explanation.verdict in ("no_gap", "unknown_effect"):
+        return ()
+    comparison, chances = explanation.comparison, explanation.probabilities
     steps = [comparison.base, *comparison.chain]
     parameters = effect_parameters(comparison.best)
     causes = [
         Cause(
             effect,
             float(chances[effect][effect]),
-            p_values[index],
-            closed_fractions.get(effect) or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
+            explanation.p_values[effect],
+            explanation.closed_fractions.get(effect)
+            or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
             {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
         )
         for index, effect in enumerate(comparison.effects)

@@ -82,7 +82,7 @@ def explainable_fraction(
     excess = float(np.sum(residual[used] ** 2)) - noise
     if noise == 0.0 and excess == 0.0:
         return 0.0
-    basis = _basis(features, rng)
+    basis = _basis(features, rng, FOURIER_FEATURES)
     # The excess varies as well: with the weight 1 / sigma, samples with much noise would hardly count.
     weight = 1.0 / np.sqrt(sigma**2 + max(excess, 0.0) / len(used) + 1e-300)
     errors = _held_out_errors(basis, residual, weight, folds)
@@ -91,6 +91,15 @@ def explainable_fraction(
     before = np.array([np.sum(residual[fold] ** 2) for fold in folds])
     closed = float(np.maximum(before - chosen, 0.0).sum())
     return float(np.clip(closed / max(excess, THRESHOLDS.noise_variance_error * noise), 0.0, 1.0))
+
+
+def flexible_functions(
+    recordings: Sequence[Recording], residuals: Sequence[Array], rng: np.random.Generator, count: int
+) -> Array:
+    """Return the functions (counted samples, columns) of that model with ``count`` Fourier features; other arguments as of
+    `explainable_fraction`.
+    """
+    return _basis(np.concatenate(_features(recordings, residuals)), rng, count)
 
 
 def _folds(recordings: Sequence[Recording], counts: Sequence[int], stride: int) -> list[slice]:
@@ -145,14 +154,14 @@ def fading_memory(kept: Array, series: Array) -> Array:
     return memory
 
 
-def _basis(features: Array, rng: np.random.Generator) -> Array:
-    """Return the features and random Fourier features of them (samples, columns), of unit variance."""
+def _basis(features: Array, rng: np.random.Generator, count: int) -> Array:
+    """Return the features and ``count`` random Fourier features of them (samples, columns), of unit variance."""
     saturated = SATURATION * np.tanh(_standardised(features) / SATURATION)
     # Each Fourier feature depends on a few features of its own, with a wavelength of a few standard deviations.
-    order = rng.random((saturated.shape[1], FOURIER_FEATURES)).argsort(axis=0)
-    interacting = rng.integers(1, MOST_INTERACTING + 1, FOURIER_FEATURES)
+    order = rng.random((saturated.shape[1], count)).argsort(axis=0)
+    interacting = rng.integers(1, MOST_INTERACTING + 1, count)
     frequencies = np.where(order < interacting, rng.standard_normal(order.shape) / np.sqrt(interacting), 0.0)
-    waves = np.cos(saturated @ frequencies + rng.uniform(0, 2 * np.pi, FOURIER_FEATURES))
+    waves = np.cos(saturated @ frequencies + rng.uniform(0, 2 * np.pi, count))
     return np.concatenate([_standardised(saturated), _standardised(waves)], axis=1)
 
 

@@ -49,9 +49,15 @@ def form_columns(recordings: Sequence[Recording]) -> Array:
     top = max(float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings)
     largest = max(float(np.quantile(np.abs(recording.path.current), 0.995)) for recording in recordings)
     parts = [_functions(recording, top, largest) for recording in recordings]
-    columns = np.concatenate(parts)
-    columns /= np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
-    # Functions that the runs cannot tell apart count once.
+    return orthogonal(np.concatenate(parts))
+
+
+def orthogonal(columns: Array) -> Array:
+    """Return columns orthogonal to each other from functions (samples, columns) that count alike whatever their size.
+
+    Functions that the runs cannot tell apart count once.
+    """
+    columns = columns / (np.sqrt(np.mean(columns**2, axis=0)) + 1e-300)
     values, vectors = np.linalg.eigh(columns.T @ columns / len(columns))
     kept = values > 1e-6 * values[-1]
     return np.asarray(columns @ vectors[:, kept])
@@ -78,11 +84,19 @@ def _functions(recording: Recording, top_speed: float, largest_current: float) -
 
 
 def with_form_remainder(weighting: Weighting, base: Refit) -> tuple[Weighting, Refit]:
-    """Return the weighting with the remainder that predicts held-out folds best beside a model, and the model's refit.
-
-    The better the form, the smaller the discrepancy in the weighting, and the more the remainder can tell in turn.
+    """Return the weighting with the form remainder that predicts held-out folds best beside a model, and the model's
+    refit.
     """
-    columns, refitted = _columns(weighting, base), base
+    return with_remainder(weighting, base, form_columns(weighting.recordings))
+
+
+def with_remainder(weighting: Weighting, base: Refit, functions: Array) -> tuple[Weighting, Refit]:
+    """Return the weighting with a remainder of functions (samples, columns) of rms one, and the refit of a model beside it.
+
+    The functions have the scale with which held-out folds are predicted best. The better they do, the smaller is the
+    discrepancy in the weighting, and the more they can tell in turn.
+    """
+    columns, refitted = _columns(weighting, base, functions), base
     for _ in range(ROUNDS):
         fits = []
         for scale in SCALES:
@@ -93,19 +107,19 @@ def with_form_remainder(weighting: Weighting, base: Refit) -> tuple[Weighting, R
     return weighting, refit_on(weighting, refitted)
 
 
-def _columns(weighting: Weighting, base: Refit) -> tuple[Array, Array]:
-    """Return the functions of the form, and what the damper's own parameters change to first order, in N."""
+def _columns(weighting: Weighting, base: Refit, functions: Array) -> tuple[Array, Array]:
+    """Return functions, and what the damper's own parameters change to first order, in N."""
     rms = float(np.sqrt(np.mean(base.problem.force**2)))
     plain, _ = make_problem(base.problem.model, weighting.recordings, fixed=weighting.fixed)
     own = plain.jacobian(plain.unit(base.theta))
     size = np.sqrt(np.mean(own**2, axis=0))
-    return rms * form_columns(weighting.recordings), rms * own[:, size > 0.0] / size[size > 0.0]
+    return rms * functions, rms * own[:, size > 0.0] / size[size > 0.0]
 
 
 def _extended(weighting: Weighting, columns: tuple[Array, Array], scale: float) -> Weighting:
-    """Return the weighting with a remainder in which the functions of the form have this scale."""
-    form, own = columns
-    joined = np.concatenate([scale * form, own], axis=1)
+    """Return the weighting with a remainder in which the functions have this scale."""
+    functions, own = columns
+    joined = np.concatenate([scale * functions, own], axis=1)
     edges = np.cumsum([0, *(len(recording.force) for recording in weighting.recordings)])
     return replace(weighting, remainder=tuple(joined[a:b] for a, b in itertools.pairwise(edges)))
 
@@ -122,7 +136,7 @@ def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> l
         Ids of the candidates.
     """
     alone = replace(weighting, remainder=())
-    freest = _extended(alone, _columns(weighting, base), SCALES[-1])
+    freest = _extended(alone, _columns(weighting, base, form_columns(weighting.recordings)), SCALES[-1])
     spaces = [(space, BaseFit.linearise(space, base)) for space in (alone, freest)]
 
     def unabsorbed(effect: str) -> list[float]:

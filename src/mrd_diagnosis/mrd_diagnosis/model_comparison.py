@@ -98,6 +98,18 @@ def compare_models(
     return compare_on(weighting, base, chosen, fits)
 
 
+def compare_on_all_samples(comparison: ModelComparison, rng: np.random.Generator) -> ModelComparison:
+    """Refit the base and the chosen effects on all samples of the recordings; alternatives stay as they were fitted."""
+    weighting, best = comparison.weighting, comparison.best
+    if all(recording.step == 1 for recording in weighting.recordings):
+        return comparison
+    recordings = [recording.whole for recording in weighting.recordings]
+    noise = estimate_noise(recordings, best.problem.model, best.theta, rng)
+    weighting = replace(weighting, recordings=recordings, noise=noise).updated(best.problem.model, best.theta)
+    base, *chain = (refit_on(weighting, refitted) for refitted in (comparison.base, *comparison.chain))
+    return replace(comparison, weighting=weighting, base=base, chain=tuple(chain))
+
+
 def compare_on(weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], fits: Sequence[EffectFit]) -> ModelComparison:
     """Refit everything that may still be the explanation with a weighting; arguments as of `compare_models`."""
     chain, without = _drop_superfluous(weighting, in_threads(lambda fit: refit_on(weighting, fit.refit), chosen))

@@ -40,7 +40,7 @@ def estimate_noise(
     Parameters
     ----------
     recordings : sequence of Recording
-        Their paths may hold the measured current or the steady one.
+        Their paths may hold the measured current or the steady one. Of thinned ones, all samples are used.
     model : DamperModel
     theta : ndarray (parameters,)
         Parameters near enough to the truth that errors of the motion become errors of the force of about the right size.
@@ -48,6 +48,8 @@ def estimate_noise(
     draws : int
         Draws of the errors of motion and current of each run.
     """
+    steps = [recording.step for recording in recordings]
+    recordings = [recording.whole for recording in recordings]
     items = list(zip(recordings, rng.spawn(len(recordings)), strict=True))
     propagated = in_threads(lambda item: propagated_variance(item[0], model, theta, item[1], draws), items)
     modelled = consecutive_forces(model, theta, recordings)
@@ -62,7 +64,7 @@ def estimate_noise(
         variance = max(variance, smallest**2, np.finfo(float).tiny)
         of_inputs = _limited_by_residual(_without_dips(propagated[index]), residual, variance)
         sigma = np.sqrt(variance + of_inputs)
-        noise.append(RunNoise(sigma, float(np.sqrt(variance)), float(np.sqrt(of_inputs.mean())), source))
+        noise.append(RunNoise(sigma[:: steps[index]], float(np.sqrt(variance)), float(np.sqrt(of_inputs.mean())), source))
     return noise
 
 

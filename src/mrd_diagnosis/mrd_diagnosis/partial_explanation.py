@@ -16,6 +16,7 @@ from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.effect_search import refit_with_effects, search_effects
+from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
@@ -29,9 +30,6 @@ from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
-
-MOST_SAMPLES = 20_000
-"""Samples of all runs together on which effects are judged beside the remainder, evenly spaced."""
 
 OTHER_FORMS = ("hyperbolic_tangent", "bouc_wen")
 """Damper models around which a cause has to hold as well: the first that is not the user's own."""
@@ -62,52 +60,30 @@ class HeldCause:
     closed_fraction: Interval
 
 
-@dataclass(frozen=True)
-class PartialExplanation:
-    """Effects that hold whatever the form of the damper, and what a freer form would remove.
-
-    Attributes
-    ----------
-    comparison : ModelComparison
-        The user's model with these effects and without the remainder.
-    causes : dict
-        The effects by id, without those that the model lacks by construction.
-    form_fraction : float
-        Share of the gap that a freer form of the damper would close beside these effects.
-    """
-
-    comparison: ModelComparison
-    causes: dict[str, HeldCause]
-    form_fraction: float
-
-
 def explain_in_part(
-    comparison: ModelComparison,
-    effects: Sequence[str],
-    rng: np.random.Generator,
-    progress: Progress = lambda _fraction: None,
-) -> PartialExplanation:
-    """Find the effects that can be named although they do not explain the whole gap.
+    explanation: Explanation, effects: Sequence[str], rng: np.random.Generator, progress: Progress = lambda _fraction: None
+) -> Explanation:
+    """Find the effects that can be named although the form of the model may be wrong.
 
     What the model lacks by construction, such as a hysteretic state, belongs to its form: it stays as it was chosen.
 
     Parameters
     ----------
-    comparison : ModelComparison
-        Of the user's model and the effects that were chosen beside it.
+    explanation : Explanation
+        With the model alone. It is returned where it holds beside a freer form as well.
     effects : sequence of str
         Ids of the candidates.
     rng : numpy Generator
     progress : callable
         Called with the fraction of the work that is done.
     """
-    weighting = comparison.weighting.thinned(MOST_SAMPLES)
-    thinned = replace(comparison, weighting=weighting, base=refit_on(weighting, comparison.base))
+    comparison = explanation.comparison
+    weighting = comparison.weighting
     lacking = lacking_effects(comparison)
-    alone = refit_on(weighting, comparison.chain[len(lacking) - 1]) if lacking else thinned.base
+    alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
     other = _other_form(weighting, alone, rng)
     tried = [effect for effect in effects if effect not in lacking]
-    beside = _search_beside_remainder(thinned, other, tried, rng, progress)
+    beside = _search_beside_remainder(comparison, other, tried, rng, progress)
     progress(0.8)
     causes = beside.causes
     values = alone.values | beside.values
@@ -120,15 +96,29 @@ def explain_in_part(
         if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
-        closed = closed_fraction_between(explained, fitted, thinned, rng)
+        closed = closed_fraction_between(explained, fitted, comparison, rng)
         causes[effect] = HeldCause({effect: probability}, p_value(gain, beside.null_gains), closed)
         values |= fitted.values
         explained = fitted
     progress(0.9)
+    named = [*lacking, *causes]
+    if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
+        return explanation
     freed = refit_on(replace(weighting, remainder=beside.remainder), explained)
-    gap = thinned.base.held_out_cost - weighting.noise_cost
+    gap = comparison.base.held_out_cost - weighting.noise_cost
     form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
-    return PartialExplanation(_comparison_with(comparison, [*lacking, *causes], values), causes, form_fraction)
+    if not named:
+        return replace(explanation, verdict="unknown_effect", form_fraction=form_fraction)
+    return Explanation(
+        "partly_explained",
+        _comparison_with(comparison, named, values),
+        {effect: explanation.probabilities[effect] for effect in lacking}
+        | {effect: cause.probabilities for effect, cause in causes.items()},
+        {effect: explanation.p_values[effect] for effect in lacking}
+        | {effect: cause.p_value for effect, cause in causes.items()},
+        {effect: cause.closed_fraction for effect, cause in causes.items()},
+        form_fraction,
+    )
 
 
 def lacking_effects(comparison: ModelComparison) -> tuple[str, ...]:
@@ -140,8 +130,7 @@ def rests_on_form(comparison: ModelComparison) -> bool:
     """Whether an explanation needs effects of the form and leaves more than noise: the base model may be wrong instead."""
     if comparison.best.chi_square <= THRESHOLDS.noise_chi_square:
         return False
-    weighting = comparison.weighting.thinned(MOST_SAMPLES)
-    return bool(form_effects(weighting, refit_on(weighting, comparison.base), comparison.effects))
+    return bool(form_effects(comparison.weighting, comparison.base, comparison.effects))
 
 
 def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) -> Refit:
@@ -284,7 +273,7 @@ def _cost_of_halves(refitted: Refit) -> Array:
 
 
 def _comparison_with(comparison: ModelComparison, effects: Sequence[str], values: Mapping[str, float]) -> ModelComparison:
-    """Refit the user's model with one effect more at a time, on all samples and without the remainder."""
+    """Refit the user's model with one effect more at a time, without the remainder."""
     chain = [
         _with_effects(comparison.weighting, comparison.base, effects[: count + 1], values) for count in range(len(effects))
     ]

@@ -101,6 +101,7 @@ def refit(
     folds: Sequence[tuple[int, slice]],
     null_errors: Sequence[Array] = (),
     converged: float = CONVERGED,
+    sensitivity: Array | None = None,
 ) -> Refit:
     """Fit a model to all runs, then without each fold in turn.
 
@@ -118,10 +119,13 @@ def refit(
         White errors of each run if there were no gap.
     converged : float
         Relative decrease of the cost below which the fit ends.
+    sensitivity : ndarray (samples, free), optional
+        Derivatives of the residuals with which the fit begins, roughly; each exact one takes a pass over the samples.
     """
     unit = problem.unit(start)
     if problem.free:
-        unit, _ = levenberg_marquardt(problem, unit, np.arange(len(unit)), EVALUATIONS, converged, renewal=3)
+        moving = np.arange(len(unit))
+        unit, _ = levenberg_marquardt(problem, unit, moving, EVALUATIONS, converged, 3, sensitivity)
     theta = problem.theta(unit)
     coefficients = problem.coefficients(theta)
     alone = replace(problem, remainder=())
@@ -133,7 +137,7 @@ def refit(
     costs = np.array([residuals[fold] @ residuals[fold] for _, fold in folds])
     joined = np.concatenate(null_errors, axis=1) if len(null_errors) else np.empty((0, len(residuals)))
     null_gradients = [joined[:, fold] @ jacobian[fold] for _, fold in folds]
-    averaging = jacobian.T @ alone.counted(averaged_over_period(force, problem.blocks) - force)
+    averaging = jacobian.T @ alone.counted(averaged_over_period(force, problem) - force)
     thetas, of_remainder = without_each(problem, unit, coefficients, normal_matrices, gradients)
     held_out = held_out_errors(problem, thetas, of_remainder, folds)
     return Refit(
@@ -155,11 +159,11 @@ def refit_on(weighting: Weighting, old: Refit) -> Refit:
     return refit(weighting.problem(old.problem.model, old.theta), old.theta, weighting.folds)
 
 
-def averaged_over_period(series: Array, blocks: Sequence[slice]) -> Array:
-    """Average runs (n,) over the sampling period around each sample, with straight lines between the samples."""
+def averaged_over_period(series: Array, problem: Problem) -> Array:
+    """Average runs (n,) over the sampling period around each counted sample, with parabolas between these."""
     averaged = series.copy()
-    for block in blocks:
-        averaged[block][1:-1] += np.diff(series[block], 2) / 8.0
+    for block, recording in zip(problem.blocks, problem.recordings, strict=True):
+        averaged[block][1:-1] += np.diff(series[block], 2) / (8.0 * recording.step**2)
     return averaged
 
 

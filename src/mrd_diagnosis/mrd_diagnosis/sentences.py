@@ -24,7 +24,14 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if gap is None:
         return fault_sentence(diagnosis.findings)
     if diagnosis.verdict == "no_gap":
-        return _no_gap_sentence(gap)
+        return _no_change_sentence(gap) if diagnosis.reference else _no_gap_sentence(gap)
+    if diagnosis.reference:
+        return f"Something has changed since the reference runs. {_gap_sentence(diagnosis, gap)}"
+    return _gap_sentence(diagnosis, gap)
+
+
+def _gap_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return what explains a gap, or a change."""
     if diagnosis.verdict == "explained":
         return _explained_sentence(diagnosis, gap)
     if diagnosis.verdict == "ambiguous":
@@ -51,6 +58,15 @@ def _no_gap_sentence(gap: Gap) -> str:
             f"{before} of the force's standard deviation; noise explains that ({noise})."
         )
     return f"No gap beyond the noise. The model's error is {before} of the force's standard deviation, the noise is {noise}."
+
+
+def _no_change_sentence(gap: Gap) -> str:
+    """Return the verdict that nothing has changed."""
+    error, floor = format_error(gap.before.value), format_error(gap.noise_floor.value)
+    return (
+        f"Nothing has changed since the reference runs. A model of these and of the reference runs errs by {error} of the "
+        f"force's standard deviation, and by {floor} if it may differ between them."
+    )
 
 
 def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
@@ -80,7 +96,8 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     whether = f"these runs do not show whether {join_words(clauses, 'or')} (probabilities {join_words(likely)})."
     text = f"{capitalised(_clauses(certain))}. Beyond that, {whether}" if certain else capitalised(whether)
     if math.isfinite(gap.closed_fraction.value):
-        text += f" The most likely explanation removes {format_share(gap.closed_fraction.value)} of the explainable gap."
+        share = format_share(gap.closed_fraction.value)
+        text += f" The most likely explanation removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
     return text
 
 
@@ -114,12 +131,12 @@ def share_of_form(gap: Gap) -> float:
 def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that no effect explains the gap, with the best clues."""
     nearest = diagnosis.nearest
-    tested, untestable = _effects_tried(diagnosis), len(diagnosis.untestable)
+    tested, untestable, gap_name = _effects_tried(diagnosis), len(diagnosis.untestable), _gap_name(diagnosis)
     if tested:
         cannot = f"; {untestable} more cannot be tested with them" if untestable else ""
-        sentences = [f"None of the effects that these runs can test ({tested}) explains the gap{cannot}."]
+        sentences = [f"None of the effects that these runs can test ({tested}) explains the {gap_name}{cannot}."]
     else:
-        sentences = [f"These runs cannot test any of the effects ({untestable}) that may explain the gap."]
+        sentences = [f"These runs cannot test any of the effects ({untestable}) that may explain the {gap_name}."]
     if where := where_sentence(diagnosis):
         sentences.append(where)
     if model := notable_model(diagnosis):
@@ -129,7 +146,7 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         verb = "comes" if len(nearest.effects) == 1 else "come"
         share = format_share(nearest.closed_fraction.value)
         names = capitalised(effect_names(nearest.effects))
-        sentences.append(f"{names} {verb} nearest: this would remove {share} of the gap.")
+        sentences.append(f"{names} {verb} nearest: this would remove {share} of the {gap_name}.")
     if gap.form_fraction > THRESHOLDS.notable_alternative_model:
         sentences.append(
             f"A freer form of the damper model would remove {format_share(gap.form_fraction)} of the gap: the force depends "
@@ -218,6 +235,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the commands that follow from a verdict, one a line; empty where none do. ``folder`` is that of the report."""
     folder, runs = shlex.quote(folder), _run_arguments(diagnosis.runs)
     held_out = f" --held-out {_run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
+    held_out += f" --reference {_run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
     diagnose = f"ros2 run mrd_diagnosis diagnose {runs}"
     apply = f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "explained":
@@ -285,7 +303,12 @@ def _certainty(diagnosis: Diagnosis) -> str:
 
 def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
     adding = {1: "this effect", 2: "both effects"}.get(len(diagnosis.causes), "these effects")
-    return f"Adding {adding} removes {format_share(gap.closed_fraction.value)} of the explainable gap"
+    share = format_share(gap.closed_fraction.value)
+    return f"Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}"
+
+
+def _gap_name(diagnosis: Diagnosis, name: str = "gap") -> str:
+    return "change" if diagnosis.reference else name
 
 
 def _at(label: str) -> str:

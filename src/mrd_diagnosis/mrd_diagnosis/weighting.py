@@ -252,23 +252,6 @@ class Weighting:
         correlation = 1.0 + share * (correlation_length(white) - 1.0)
         return replace(self, discrepancy=discrepancy, error_correlation=correlation)
 
-    def thinned(self, most_samples: int) -> "Weighting":
-        """Return the weighting with every n-th counted sample, so that about ``most_samples`` remain at most."""
-        stride = -(-self.samples // most_samples)
-        if stride == 1:
-            return self
-        recordings = [
-            replace(recording, counted=slice(recording.counted.start, recording.counted.stop, stride))
-            for recording in self.recordings
-        ]
-        return replace(
-            self,
-            recordings=recordings,
-            noise=[replace(noise, sigma=noise.sigma[::stride]) for noise in self.noise],
-            error_correlation=max(1.0, self.error_correlation / stride),
-            remainder=tuple(columns[::stride] for columns in self.remainder),
-        )
-
     @property
     def noise_cost(self) -> float:
         """Sum of squared white errors that noise alone contributes."""

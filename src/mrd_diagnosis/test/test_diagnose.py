@@ -252,7 +252,7 @@ def test_little_more_than_noise_needs_only_half_of_the_gap_to_be_closed(closes, 
         weighting=SimpleNamespace(folds=[(0, slice(100 * n, 100 * n + 100)) for n in range(8)]),
     )
     chances = {"moving_mass": {"moving_mass": 1.0}}
-    assert decision.decide(comparison, 2.0, chances, [0.001], np.random.default_rng(0)) == verdict
+    assert decision.decide(comparison, 2.0, chances, {"moving_mass": 0.001}, np.random.default_rng(0)) == verdict
 
 
 def test_a_damper_model_that_predicts_worse_than_the_other_effects_alone_is_no_alternative():

@@ -101,11 +101,3 @@ def test_another_form_alone_is_no_effect():
     assert diagnosis.verdict == "unknown_effect"
     assert diagnosis.causes == ()
     assert diagnosis.gap.form_fraction > 0.8
-
-
-def test_thinned_recordings_keep_every_nth_sample(wrong_form):
-    weighting, _ = wrong_form
-    thinned = weighting.thinned(weighting.samples // 3)
-    assert weighting.samples / 4 <= thinned.samples <= weighting.samples / 3 + len(thinned.recordings)
-    for whole, part in zip(weighting.recordings, thinned.recordings, strict=True):
-        assert np.isin(part.force, whole.force).all()

@@ -246,7 +246,8 @@ def delayed():
 def verdict(delayed, probabilities_of_delay, p_value_of_delay=0.01):
     comparison, chi_square = delayed
     probabilities_of_causes = {"channel_delay": probabilities_of_delay}
-    return decide(comparison, chi_square, probabilities_of_causes, [p_value_of_delay], np.random.default_rng(0))
+    p_values = {"channel_delay": p_value_of_delay}
+    return decide(comparison, chi_square, probabilities_of_causes, p_values, np.random.default_rng(0))
 
 
 def test_a_certain_effect_is_explained_and_an_uncertain_one_is_ambiguous(delayed):
@@ -266,10 +267,10 @@ def test_a_likelier_damper_model_makes_the_effect_unknown(delayed):
 def test_without_a_chosen_effect_a_gap_is_unknown(delayed):
     comparison, chi_square = delayed
     without = comparison.without_effects()
-    assert decide(without, chi_square, {}, [], np.random.default_rng(0)) == "unknown_effect"
+    assert decide(without, chi_square, {}, {}, np.random.default_rng(0)) == "unknown_effect"
 
 
 def test_an_error_that_noise_explains_is_no_gap(delayed):
     comparison, _ = delayed
     certain = {"channel_delay": {"channel_delay": 1.0}}
-    assert decide(comparison, 1.05, certain, [0.01], np.random.default_rng(0)) == "no_gap"
+    assert decide(comparison, 1.05, certain, {"channel_delay": 0.01}, np.random.default_rng(0)) == "no_gap"

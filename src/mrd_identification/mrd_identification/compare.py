@@ -35,7 +35,7 @@ class RankedModel:
     Attributes
     ----------
     name : str
-        Id of the model, with the current law where one was given.
+        Id of the model, with the current law and the effects where they were given.
     fit : Fit
     nrmse : float
         Over all held-out samples.
@@ -115,7 +115,8 @@ def compare(
     runs : sequence of Run
         Runs that are fitted.
     models : sequence of str, optional
-        Ids of models, each optionally with a current law (``"bouc_wen:quadratic"``); all models of the catalogue otherwise.
+        Ids of models, each optionally with a current law and effects, such as ``"bouc_wen:quadratic+joint_play"`` or
+        ``"bouc_wen+auto"`` (see `Method.effects`); all models of the catalogue otherwise.
     held_out : sequence of Run
         Runs that are not fitted; without them each run is predicted by a fit to the other runs.
     method, scheduler, **options
@@ -137,7 +138,7 @@ def compare(
     if len(runs) < 2 and not held_out:
         raise InputError("one run and no held-out run: give at least two runs, or held-out ones")
     tasks = [_task(name, tuple(runs), tuple(held_out), common) for name in names]
-    total = len(tasks) * common.total_generations
+    total = sum(task.method.total_generations for task in tasks)
     fits = identify_all(tasks, scheduler=scheduler, progress=lambda generation, _: progress(generation / total))
     return rank(names, fits)
 
@@ -200,8 +201,21 @@ def _bootstrap(force: Array, errors: Sequence[Array], units: Sequence[slice]) ->
     return nrmse(np.ones(len(units))), nrmse(draws)
 
 
+def parse_row(name: str, method: Method) -> tuple[str, Method]:
+    """Return the id of the model and the method that ``ID[:LAW][+EFFECT...]`` names.
+
+    Raises
+    ------
+    InputError
+        For what is not in the catalogues.
+    """
+    model, *effects = name.split("+")
+    model, _, law = model.partition(":")
+    method = replace(method, laws=law or method.laws, effects=(*method.effects, *effects))
+    find_model(model, law, method.given_effects)
+    return model, method
+
+
 def _task(name: str, runs: tuple[Run, ...], held_out: tuple[Run, ...], method: Method) -> IdentificationTask:
-    """Return the identification of the model that ``ID`` or ``ID:LAW`` names."""
-    model, _, law = name.partition(":")
-    find_model(model, law)
-    return IdentificationTask(runs, model, held_out, replace(method, laws=law) if law else method)
+    model, method = parse_row(name, method)
+    return IdentificationTask(runs, model, held_out, method)

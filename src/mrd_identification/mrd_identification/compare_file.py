@@ -12,7 +12,7 @@ from mrd_identification.fit_file import write_fit
 from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import render
 
-SCHEMA = "mrd-comparison/2"
+SCHEMA = "mrd-comparison/3"
 COLUMNS = (
     "model", "free parameters", "NRMSE, held-out", "95 % interval", "difference to the best", "NRMSE, fitted", "time, s"
 )  # fmt: skip
@@ -35,6 +35,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
                 "name": entry.name,
                 "model": entry.fit.model.id,
                 "laws": entry.fit.model.laws,
+                "effects": [effect.id for effect in entry.fit.model.effects],
                 "free_parameters": entry.free,
                 "nrmse": {"value": entry.nrmse, "ci95": [finite_or_none(entry.lower), finite_or_none(entry.upper)]},
                 "difference_to_best": {
@@ -74,6 +75,15 @@ def sentence(comparison: Comparison) -> str:
         f"{text} with {best.free} parameters; {simplest.name} with {simplest.free} is not significantly "
         f"worse: {simplest.nrmse:.4f} [{simplest.lower:.4f}, {simplest.upper:.4f}]."
     )
+
+
+def selections(comparison: Comparison) -> list[str]:
+    """Return a sentence about the effects of each model for which they were selected."""
+    return [
+        f"{entry.name}: the selected effects are {', '.join(entry.fit.selection.effects) or 'none'}"
+        for entry in comparison.entries
+        if entry.fit.selection
+    ]
 
 
 def error_chart(comparison: Comparison) -> go.Figure:
@@ -119,6 +129,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         sentence=sentence(comparison),
         comparison=comparison,
         columns=COLUMNS,
+        selections=selections(comparison),
         rows=list(zip(comparison.entries, ranking(comparison), strict=True)),
         error_chart=figures.to_html(error_chart(comparison)),
         loops=figures.to_html(figures.loops(best.held_out)),
@@ -147,4 +158,5 @@ def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
 def markdown(comparison: Comparison) -> str:
     """Return the ranking as a table in Markdown."""
     rows = [(f"`{name}`", *cells) for name, *cells in ranking(comparison)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in (COLUMNS, ["---"] * len(COLUMNS), *rows))
+    table = "".join(f"| {' | '.join(row)} |\n" for row in (COLUMNS, ["---"] * len(COLUMNS), *rows))
+    return table + "".join(f"\n{text}.\n" for text in selections(comparison))

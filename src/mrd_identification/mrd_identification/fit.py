@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_identification.effect_selection import Selection
 from mrd_identification.method import Method
 from mrd_identification.metrics import Metrics, metrics
 from mrd_identification.nsga2 import Front
@@ -128,6 +129,8 @@ class Fit:
         Computing time in s.
     warnings : tuple of str
         Sentences about what limits the trust in this fit.
+    selection : Selection or None
+        How the effects were selected, where that was asked for.
     """
 
     model: DamperModel
@@ -146,6 +149,7 @@ class Fit:
     condition: float
     elapsed: float
     warnings: tuple[str, ...]
+    selection: Selection | None = None
 
     @property
     def current(self) -> float:

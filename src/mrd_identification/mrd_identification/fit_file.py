@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from mrd_identification.effect_selection import AddedEffect, Selection
 from mrd_identification.fit import Estimate, Fit
 from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
 
-SCHEMA = "mrd-fit/4"
+SCHEMA = "mrd-fit/5"
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
         "source": fit.model.source,
         "laws": fit.model.laws,
         "effects": [effect.id for effect in fit.model.effects],
+        "selection": _selection_json(fit.selection) if fit.selection else None,
         "runs": {
             "fit": [run_json(result.run) for result in fit.fitted],
             "held_out": [run_json(result.run) for result in fit.held_out] if fit.held_out_by == "runs" else [],
@@ -101,6 +103,27 @@ def _method_json(fit: Fit) -> dict[str, Any]:
         "loss": method.loss,
         "weights": method.weights if isinstance(method.weights, str) else list(method.weights),
         "run_offsets_N": list(fit.run_offsets) if method.offsets else None,
+    }
+
+
+def _selection_json(selection: Selection) -> dict[str, Any]:
+    return {
+        "left_out": "runs" if selection.of_runs else "stretches",
+        "parts": selection.parts,
+        "added": [_added_json(step) for step in selection.added],
+        "next_best": _added_json(selection.next_best) if selection.next_best else None,
+        "elapsed_s": round(selection.elapsed, 3),
+    }
+
+
+def _added_json(step: AddedEffect) -> dict[str, Any]:
+    return {
+        "effect": step.effect,
+        "nrmse_before": step.nrmse_before,
+        "nrmse_after": step.nrmse_after,
+        "improvement": step.improvement,
+        "standard_error": step.standard_error,
+        "equally_good": list(step.equally_good),
     }
 
 

@@ -1,19 +1,20 @@
 """Identify a damper model from recordings: NSGA-II, least squares, and an assessment of the result."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_identification.cluster import run_on_cluster
+from mrd_identification.effect_selection import AUTO, Selection, select_effects
 from mrd_identification.fit import Estimate, Fit, RunResult, evaluate_model, pooled_metrics
 from mrd_identification.fit_warnings import fit_warnings
 from mrd_identification.least_squares import fit_from_front, fit_least_squares, with_loss_scale
-from mrd_identification.method import Method
+from mrd_identification.method import SELECTION_SEARCHES, Method
 from mrd_identification.metrics import nrmse
 from mrd_identification.nsga2 import Front, search
 from mrd_identification.problem import Problem, make_problem
@@ -23,8 +24,17 @@ from mrd_runs import Run
 from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 Progress = Callable[[int, float], None]
-"""Called with the number of finished generations, over all searches, and the smallest NRMSE so far."""
+"""Called with the number of finished generations, over all searches, and the smallest NRMSE so far. A selection of effects
+counts as `SELECTION_SEARCHES` searches."""
+
+MOST_SELECTION_SAMPLES = 6000
+"""Samples of all runs together that count in the selection of effects. Models are integrated along all samples even so."""
+
+SELECTED_WITH_ALL_RUNS = (
+    "The held-out error is too small: the run that is left out helped to select the effects; give --held-out to judge them"
+)
 
 
 @dataclass(frozen=True)
@@ -38,8 +48,8 @@ class IdentificationTask:
 
     def check(self) -> None:
         """Raise `InputError` for what cannot be identified, see `identify`."""
-        find_model(self.model, self.method.laws, self.method.effects)
         self.method.check()
+        find_model(self.model, self.method.laws, self.method.given_effects)
         run_weights(self.runs, self.method.weights)
         if not self.runs:
             raise InputError("no runs to identify from")
@@ -101,25 +111,50 @@ def identify_all(
 ) -> list[Fit]:
     """Identify several models, or one model from several sets of runs; see `identify`.
 
-    First the searches from every seed of every task run, then every task is assessed. On a cluster each search and each
+    First the searches from every seed of every task run. Where effects are to be selected, the selection follows, then the
+    searches with the selected effects. Last, every task is assessed. On a cluster each search, each selection and each
     assessment is one piece of work.
     """
     for task in tasks:
         task.check()
-    searches = [(task.runs, task.model, task.method, seed) for task in tasks for seed in task.method.search_seeds]
-    generations = max((task.method.generations for task in tasks), default=0)
-    total = len(searches) * generations
-    solutions: list[Solution] = []
-    if scheduler is None:
-        for index, arguments in enumerate(searches):
-            solutions.append(search_and_fit(*arguments, _shifted(progress, index * generations)))
-    else:
-        solutions = run_on_cluster(scheduler, search_and_fit, searches, lambda done: progress(done * generations, np.nan))
-    remaining = iter(solutions)
+    total, finished = sum(task.method.total_generations for task in tasks), 0
+
+    def work(function: Callable[..., T], pieces: Sequence[tuple[Any, ...]], generations: Sequence[int]) -> list[T]:
+        """Call ``function`` for every piece, which takes about as long as a number of generations."""
+        nonlocal finished
+        ends = finished + np.cumsum([0, *generations])
+        finished = int(ends[-1])
+        if scheduler is not None and pieces:
+            return run_on_cluster(scheduler, function, pieces, lambda done: progress(int(ends[done]), np.nan))
+        return [function(*piece, _shifted(progress, int(end))) for piece, end in zip(pieces, ends[:-1], strict=True)]
+
+    methods = [replace(task.method, effects=task.method.given_effects) for task in tasks]
+    solutions: dict[int, list[Solution]] = {}
+    selections: dict[int, Selection] = {}
+
+    def search(indices: Sequence[int]) -> None:
+        """Search for the solutions of some tasks, with what their selections know."""
+        pieces = [
+            (tasks[i].runs, tasks[i].model, methods[i], seed, selections[i].values if i in selections else None)
+            for i in indices
+            for seed in methods[i].search_seeds
+        ]
+        found = iter(work(search_and_fit_from, pieces, [piece[2].generations for piece in pieces]))
+        for i in indices:
+            solutions[i] = [next(found) for _ in methods[i].search_seeds]
+
+    search(range(len(tasks)))
+    selecting = [i for i, task in enumerate(tasks) if AUTO in task.method.effects]
+    unselected = [(tasks[i].runs, tasks[i].model, methods[i], solutions[i]) for i in selecting]
+    found = work(select, unselected, [SELECTION_SEARCHES * methods[i].generations for i in selecting])
+    for i, selection in zip(selecting, found, strict=True):
+        selections[i] = selection
+        effects, fixed = (*methods[i].effects, *selection.effects), {**methods[i].fixed, **selection.fixed}
+        methods[i] = replace(methods[i], effects=effects, fixed=fixed)
+    search([i for i in selecting if selections[i].added])
     # Runs are arguments of their own, so that a cluster gets runs that several tasks share only once.
     assessments = [
-        (task.runs, task.held_out, task.model, task.method, [next(remaining) for _ in task.method.search_seeds])
-        for task in tasks
+        (task.runs, task.held_out, task.model, methods[i], solutions[i], selections.get(i)) for i, task in enumerate(tasks)
     ]
     if scheduler is not None:
         return run_on_cluster(scheduler, assess, assessments)
@@ -154,14 +189,55 @@ def search_and_fit(
     runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = lambda _generation, _nrmse: None
 ) -> Solution:
     """Search by NSGA-II from one seed, then continue by least squares."""
+    return search_and_fit_from(runs, model, method, seed, None, progress)
+
+
+def search_and_fit_from(
+    runs: Sequence[Run],
+    model: str,
+    method: Method,
+    seed: int,
+    known: Mapping[str, float] | None,
+    progress: Progress = lambda _generation, _nrmse: None,
+) -> Solution:
+    """Search as `search_and_fit`, with the parameters ``known`` by name in the first population."""
     began = time.monotonic()
     problem, _ = _pose(_prepare(runs, method), model, method)
     nrmse_per_e2 = np.sqrt(len(problem.force)) / np.std(problem.force)
-    front = search(problem, method.population, method.generations, seed, lambda g, e2: progress(g, e2 * nrmse_per_e2))
+    theta = np.array([known[name] for name in problem.model.names]) if known else None
+    front = search(problem, method.population, method.generations, seed, lambda g, e2: progress(g, e2 * nrmse_per_e2), theta)
     theta = front.thetas[front.knee]
     if method.least_squares:
         theta = fit_from_front(with_loss_scale(problem, front), front)
     return Solution(front, theta, time.monotonic() - began)
+
+
+def select(
+    runs: Sequence[Run],
+    model: str,
+    method: Method,
+    solutions: Sequence[Solution],
+    progress: Progress = lambda _generation, _nrmse: None,
+) -> Selection:
+    """Select the effects that are added to those of the method, see `mrd_identification.effect_selection`."""
+    began = time.monotonic()
+    recordings = _prepare(runs, method)
+    stride = -(-sum(len(recording.force) for recording in recordings) // MOST_SELECTION_SAMPLES)
+    thinned = [replace(r, counted=slice(r.counted.start, r.counted.stop, stride)) for r in recordings]
+    problem, _ = _pose(recordings, model, method)
+    best = min(solutions, key=lambda solution: problem.cost(solution.theta))
+
+    loss_scale = with_loss_scale(problem, best.front).loss_scale
+
+    def pose(effects: Sequence[str]) -> Problem:
+        return replace(_pose(thinned, model, replace(method, effects=effects))[0], loss_scale=loss_scale)
+
+    def share_done(share: float) -> None:
+        progress(int(share * SELECTION_SEARCHES * method.generations), np.nan)
+
+    selection = select_effects(pose, best.theta, tuple(method.effects), share_done)
+    before = sum(solution.elapsed for solution in solutions) if selection.added else 0.0
+    return replace(selection, elapsed=before + time.monotonic() - began)
 
 
 def assess(
@@ -170,6 +246,7 @@ def assess(
     model: str,
     method: Method,
     solutions: Sequence[Solution],
+    selection: Selection | None = None,
     step: Callable[[], None] = lambda: None,
 ) -> Fit:
     """Choose the best of the solutions, and determine its uncertainty and its error on held-out runs.
@@ -193,6 +270,8 @@ def assess(
     elif len(runs) > 1 and method.least_squares:
         predicted, warnings = _leave_one_out(recordings, model, method, [s.front for s in solutions], len(notes), step)
         held_out_by = "leave-one-run-out"
+        if selection:
+            warnings = [*warnings, SELECTED_WITH_ALL_RUNS]
         notes = [*notes, *warnings]
     else:
         predicted, held_out_by = (), "none"
@@ -213,8 +292,12 @@ def assess(
         run_offsets=tuple(map(float, problem.offset_of_runs(theta))),
         correlation=uncertain.correlation,
         condition=uncertain.condition,
-        elapsed=time.monotonic() - began + sum(solution.elapsed for solution in solutions),
+        elapsed=time.monotonic()
+        - began
+        + sum(solution.elapsed for solution in solutions)
+        + (selection.elapsed if selection else 0.0),
         warnings=(*notes, *fit_warnings(problem, theta, uncertain, thetas, held_out_by)),
+        selection=selection,
     )
 
 

@@ -55,7 +55,13 @@ def fit_least_squares(problem: Problem, theta: Array, max_evaluations: int = 100
 
 
 def levenberg_marquardt(
-    problem: Problem, unit: Array, moving: NDArray[np.intp], max_evaluations: int, tolerance: float = 1e-10, renewal: int = 1
+    problem: Problem,
+    unit: Array,
+    moving: NDArray[np.intp],
+    max_evaluations: int,
+    tolerance: float = 1e-10,
+    renewal: int = 1,
+    sensitivity: Array | None = None,
 ) -> tuple[Array, float]:
     """Return the optimum near ``unit``, a point of the unit box, over the coordinates ``moving``, and its cost.
 
@@ -65,16 +71,17 @@ def levenberg_marquardt(
     each step.
 
     With a ``renewal`` above 1 the derivatives are computed only every ``renewal`` steps, and corrected between from the
-    residuals of each step (Broyden, 1965): this saves time where the model is slow.
+    residuals of each step (Broyden, 1965): this saves time where the model is slow. The first ones may be given as
+    ``sensitivity`` (samples, moving), roughly.
     """
     unit = np.clip(unit, 0.0, 1.0)
     residuals = problem.residuals(problem.theta(unit))
     cost = _cost(problem, unit, residuals)
     damping, growth, evaluations_left = 1e-3, 2.0, max_evaluations - 1
-    age, sensitivity = renewal, np.empty(0)
+    age = renewal if sensitivity is None else 1
     while evaluations_left > 0 and np.isfinite(cost):
         root = problem.robust_weights(residuals)
-        if age >= renewal:
+        if sensitivity is None or age >= renewal:
             age, sensitivity = 0, problem.jacobian(unit, moving)
         jacobian = sensitivity * root[:, None]
         gram, gradient = jacobian.T @ jacobian, jacobian.T @ (residuals * root)

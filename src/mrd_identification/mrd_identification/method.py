@@ -5,9 +5,13 @@ from dataclasses import dataclass, field
 from typing import Any, get_args
 
 from mrd_base import InputError
+from mrd_identification.effect_selection import AUTO, selects
 from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_sim.current import parse_laws
+
+SELECTION_SEARCHES = 30
+"""Searches that take about as long as a selection of effects."""
 
 LEAST_POPULATION = 8
 """Candidates; the genetic operators of NSGA-II need several parents."""
@@ -22,7 +26,8 @@ class Method:
     laws : str or mapping
         Current laws, see `mrd_sim.models.DamperModel.with_laws`.
     effects : sequence of str
-        Ids of effects that are identified together with the model.
+        Ids of effects that are identified together with the model. ``"auto"`` among them stands for those that
+        `mrd_identification.effect_selection` adds to the others.
     fixed : mapping
         Values of parameters that are not searched, by name.
     freed : collection of str
@@ -64,11 +69,19 @@ class Method:
 
     @property
     def total_generations(self) -> int:
-        """Number of generations of all searches together."""
-        return self.generations * len(self.search_seeds)
+        """Number of generations of all searches together; the selection of effects counts as so many more."""
+        searches = len(self.search_seeds)
+        return self.generations * (2 * searches + SELECTION_SEARCHES if selects(self.effects) else searches)
+
+    @property
+    def given_effects(self) -> tuple[str, ...]:
+        """Ids of the effects that are not selected."""
+        return tuple(effect for effect in self.effects if effect != AUTO)
 
     def check(self) -> None:
-        """Raise `InputError` for a loss that does not exist, and for numbers that are too small."""
+        """Raise `InputError` for options that do not exist or exclude each other, and for numbers that are too small."""
+        if selects(self.effects) and not self.least_squares:
+            raise InputError(f"effect {AUTO}: effects are selected by least squares; name the effects, or use least squares")
         if self.loss not in get_args(Loss):
             raise InputError(f"loss {self.loss!r}: expected {', '.join(get_args(Loss))}")
         if self.population < LEAST_POPULATION or self.generations < 1 or self.seeds < 1:

@@ -43,6 +43,7 @@ def search(
     generations: int,
     seed: int,
     progress: Callable[[int, float], None] = lambda _generation, _e2: None,
+    known: Array | None = None,
 ) -> Front:
     """Search the nonlinear parameters by NSGA-II (Deb et al., 2002); the linear ones follow by variable projection.
 
@@ -52,6 +53,8 @@ def search(
     population, generations, seed : int
     progress : callable, optional
         Called with the generation and the smallest e2 in N.
+    known : ndarray (parameters,), optional
+        Parameters that are known to fit well, and belong to the first population.
     """
     searched = np.flatnonzero(~problem.linear)
     start = problem.unit(problem.base)
@@ -73,6 +76,8 @@ def search(
 
     first = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
     first[0] = start[searched]
+    if known is not None:
+        first[1] = problem.unit(known)[searched]
     result = minimize(
         Objectives(),
         NSGA2(pop_size=population, sampling=first),

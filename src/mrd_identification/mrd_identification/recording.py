@@ -1,7 +1,8 @@
 """Recordings as identification uses them: smoothed, laid out for integration, weighted."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -46,12 +47,15 @@ class Recording:
         Samples whose residuals enter the objective.
     weight : float
         Factor of the squared residuals of the run.
+    without_effects : bool
+        Whether the effects of a model do not act in the run: it was recorded before something changed.
     """
 
     smoothed: SmoothedRun
     path: Path
     counted: slice
     weight: float = 1.0
+    without_effects: bool = False
 
     @property
     def run(self) -> Run:
@@ -68,9 +72,21 @@ class Recording:
         """Measured force in N at the counted samples."""
         return self.run.force[self.counted]
 
+    @property
+    def step(self) -> int:
+        """Every how many samples one is counted."""
+        return int(self.counted.step or 1)
+
+    @cached_property
+    def whole(self) -> "Recording":
+        """The same recording with all samples counted, see `thinned`."""
+        if self.step == 1:
+            return self
+        return replace(self, counted=slice(self.counted.start, self.counted.stop), path=run_path(self.smoothed))
+
     def modelled(self, model: DamperModel, theta: Array) -> Array:
         """Return the modelled force in N at the counted samples of a damper that starts at rest and unloaded."""
-        return model.force(theta, self.path)[self.counted]
+        return consecutive_forces(model, theta, [self])[0]
 
 
 def prepare_recording(run: Run, weight: float = 1.0) -> Recording:
@@ -82,17 +98,41 @@ def prepare_recording(run: Run, weight: float = 1.0) -> Recording:
     return Recording(smoothed, run_path(smoothed), slice(start, len(run)), weight)
 
 
+def thinned(recordings: Sequence[Recording], most_samples: int) -> list[Recording]:
+    """Count fewer samples, so that about ``most_samples`` of all recordings remain at most, and coarsen the paths likewise.
+
+    Recordings with more samples per second than the others are thinned first: neighbouring samples tell least there.
+    """
+    durations = np.array([recording.run.duration for recording in recordings])
+    rates = np.array([recording.run.rate for recording in recordings])
+    rate = float(rates.max())
+    while durations @ np.minimum(rates, rate) > most_samples:
+        rate *= 0.98
+    steps = np.maximum(1, np.ceil(rates / rate - 0.1)).astype(int)
+    return [_every(recording, int(step)) for recording, step in zip(recordings, steps, strict=True)]
+
+
+def _every(recording: Recording, step: int) -> Recording:
+    if step == 1:
+        return recording
+    counted = slice(recording.counted.start, recording.counted.stop, step)
+    return replace(recording, counted=counted, path=recording.path.coarse(counted))
+
+
 def consecutive_modelled_forces(
     model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
 ) -> list[Array]:
     """Return the modelled force in N at every sample of runs that were recorded one after the other.
 
-    A state that outlasts a run, such as heat, is carried over to the next one. ``solutions`` is as in
-    `mrd_sim.models.DamperModel.force`.
+    A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects.
+    ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
     """
     forces: list[Array] = []
     state: Array | None = None
     for recording in recordings:
+        if recording.without_effects and model.effects:
+            forces.append(model.force(model.without_effects(theta), recording.path, solutions=solutions))
+            continue
         initial = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
         state = initial.astype(theta.dtype)
         forces.append(model.force(theta, recording.path, state, solutions))

@@ -7,6 +7,7 @@ import jinja2
 from plotly.offline import get_plotlyjs
 
 from mrd_identification import figures
+from mrd_identification.effect_selection import LEAST_IMPROVEMENT
 from mrd_identification.fit import Fit
 
 _EVALUATED_ON = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "fitted runs"}
@@ -46,6 +47,8 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
             ("samples", f"{metrics.samples}"),
         ],
         fit=fit,
+        steps=fit.selection.steps if fit.selection else [],
+        least_improvement=LEAST_IMPROVEMENT,
         rows=[("fitted", r) for r in fit.fitted] + [("held out", r) for r in fit.held_out],
     )
 

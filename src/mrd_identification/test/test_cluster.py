@@ -75,8 +75,8 @@ def cluster(tmp_path_factory):
 def test_a_cluster_gives_the_results_of_this_machine(cluster):
     runs, held_out = [simulate("a", 1), simulate("b", 2)], [simulate("c", 3)]
     options = {"held_out": held_out, "population": 16, "generations": 4, "seeds": 2}
-    here = compare(runs, ["bingham", "bouc_wen:tanh"], **options)
-    there = compare(runs, ["bingham", "bouc_wen:tanh"], scheduler=cluster, **options)
+    here = compare(runs, ["bingham", "bouc_wen:tanh", "linear_viscous+auto"], **options)
+    there = compare(runs, ["bingham", "bouc_wen:tanh", "linear_viscous+auto"], scheduler=cluster, **options)
     for local, remote in zip(here.entries, there.entries, strict=True):
         assert local.name == remote.name
         assert np.array_equal(local.fit.theta, remote.fit.theta)

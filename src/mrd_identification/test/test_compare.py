@@ -75,7 +75,7 @@ def test_files_follow_their_schema_and_the_page_needs_no_network(comparison, tmp
     page = write_comparison(comparison, tmp_path).read_text()
     assert "<script src=" not in page
     content = json.loads((tmp_path / "compare.json").read_text())
-    assert content["schema"] == "mrd-comparison/2"
+    assert content["schema"] == "mrd-comparison/3"
     jsonschema.validate(content, read_schema("mrd_identification", "compare"))
     table = (tmp_path / "compare.md").read_text()
     for model in content["models"]:

@@ -20,6 +20,7 @@ from mrd_runs.definitions import SAMPLES_TYPE
 Array = NDArray[np.float64]
 SERIES = ("position", "force", "coil_current", "acceleration")
 _LITTLE_ENDIAN = b"\x00\x01"
+_PERIODS = (1e-9, 1e6)  # s
 
 # The fields that `decode_as_table` knows, as rosbags describes them. For other fields, rosbags decodes the messages.
 _SERIES_TYPE = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("float64", 0)), 0))
@@ -195,10 +196,10 @@ def sample_columns(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[s
         del columns["acceleration_mps2"]
     if len(blocks.stamp) == 0:
         return {"time_s": np.empty(0), **columns}, {"lost": 0, "jitter_s": 0.0}
-    usable = np.isfinite(blocks.period) & (blocks.period > 0)
+    usable = (blocks.period > _PERIODS[0]) & (blocks.period < _PERIODS[1])
     if not usable.all():
         index = int(np.argmin(usable))
-        raise InputError(f"{where}: block {index} has the sample period {blocks.period[index]} s, expected a positive one")
+        raise InputError(f"{where}: block {index} has the sample period {blocks.period[index]} s, expected one of a bench")
     time, jitter = _sample_times(blocks)
     timing = {"lost": blocks.lost, "jitter_s": jitter, "first_stamp_s": float(blocks.stamp[0] * 1e-9)}
     return {"time_s": time, **columns}, timing

@@ -7,6 +7,7 @@ from pathlib import Path
 from mrd_base import InputError
 from mrd_runs.bag import read_bag
 from mrd_runs.blocks import Blocks, decode_blocks
+from mrd_runs.text import one_line
 
 
 @dataclass(frozen=True)
@@ -43,9 +44,12 @@ def check_completeness(path: Path, topic: str, written: Mapping[str, int]) -> Co
     """
     try:
         bag = read_bag(path)
-        blocks = decode_blocks(bag.topics[topic].messages, bag.types)
     except InputError as error:
         return Completeness(0, 0, 0.0, str(error))
+    try:
+        blocks = decode_blocks(bag.topics[topic].messages, bag.types)
+    except Exception as error:  # rosbags raises many kinds
+        return Completeness(0, 0, 0.0, f"{path}: the messages of {topic} cannot be read ({one_line(error)})")
     samples = int(blocks.count.sum())
     missing_messages = [
         f"{written[name] - len(entry.messages)} of {name}"

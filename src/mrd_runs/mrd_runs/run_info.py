@@ -7,11 +7,14 @@ import platform
 from datetime import UTC, datetime
 from typing import Any
 
-from mrd_base import InputError
-from mrd_base.config import parse_yaml
-from mrd_runs.bag import Bag
+import yaml
 
-_PACKAGES = ("mrd_runs", "numpy", "rosbags", "mcap")
+from mrd_runs.bag import Bag
+from mrd_runs.text import one_line
+
+_PACKAGES = ("mrd_runs", "numpy", "rosbags")
+# Characters of an experiment in which its name is looked for; the parser takes some seconds for them.
+_LONGEST_EXPERIMENT = 2**18
 
 
 def format_run_info(**facts: Any) -> str:
@@ -42,18 +45,52 @@ def read_run_info(bag: Bag) -> dict[str, Any]:
     info: dict[str, Any] = {}
     message = _last_message(bag, "run_info")
     if message is not None:
-        content = json.loads(message.data)
-        info |= content if isinstance(content, dict) else {}
-    experiment = info.get("experiment")
-    if experiment:
-        try:
-            info["experiment_name"] = parse_yaml(str(experiment), "experiment").get("name", "")
-        except InputError:
-            info["experiment_name"] = ""
+        info |= _known_kinds(json.loads(message.data))
+    if info.get("experiment"):
+        info["experiment_name"] = _experiment_name(str(info["experiment"]))
     calibration = _last_message(bag, "calibration")
     if calibration is not None:
         info["calibration"] = describe_calibration(calibration)
     return info
+
+
+def _known_kinds(content: Any) -> dict[str, Any]:
+    """Return the facts of the kinds that a recorder writes; a stranger's bag may hold anything."""
+    if not isinstance(content, dict):
+        return {}
+    facts: dict[str, Any] = {
+        name: value
+        for name, value in content.items()
+        if isinstance(value, str | int | float) and name not in ("versions", "notes", "calibration")
+    }
+    versions, notes, calibration = (content.get(name) for name in ("versions", "notes", "calibration"))
+    if isinstance(versions, dict):
+        facts["versions"] = {name: value for name, value in versions.items() if isinstance(value, str)}
+    if isinstance(notes, list):
+        facts["notes"] = [note for note in notes if isinstance(note, str)]
+    if isinstance(calibration, dict):
+        facts["calibration"] = {name: entry for name, entry in calibration.items() if _is_calibration(entry)}
+    return facts
+
+
+def _is_calibration(entry: Any) -> bool:
+    if not isinstance(entry, dict):
+        return isinstance(entry, str | int | float)
+    numbers, texts = (entry.get("gain"), entry.get("zero_V")), (entry.get("unit"), entry.get("channel"))
+    return all(isinstance(value, int | float) for value in numbers) and all(isinstance(value, str) for value in texts)
+
+
+def _experiment_name(text: str) -> str:
+    """Return the name of an experiment; "" where the text is none."""
+    if len(text) > _LONGEST_EXPERIMENT:
+        return ""
+    try:
+        # The base loader makes texts only, and expands no merge keys, which may nest exponentially.
+        content = yaml.load(text, yaml.BaseLoader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return ""
+    name = content.get("name", "") if isinstance(content, dict) else ""
+    return one_line(name) if name and isinstance(name, str) else ""
 
 
 def _last_message(bag: Bag, name: str) -> Any:

@@ -1,6 +1,7 @@
 """Recorder and replay as processes; the test takes the part of the other nodes."""
 
 import array
+import resource
 import signal
 import subprocess
 import threading
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -37,10 +39,11 @@ class FakeDaq:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.processes: list[subprocess.Popen[str]] = []
-        self._samples = self.node.create_publisher(BenchSamples, "samples", RECORDED)
+        self.samples = self.node.create_publisher(BenchSamples, "samples", RECORDED)
         self.calibration = self.node.create_publisher(Calibration, "calibration", LATCHED)
         self.setpoint = self.node.create_publisher(Setpoint, "setpoint", RECORDED)
         self.published: list[tuple[float, int]] = []  # when, and number of the last sample
+        self.rest_from = np.inf  # number of the sample at which the rod comes to rest
         self._clients: dict[str, Any] = {}
         self._streaming = threading.Event()
         self._stream: threading.Thread | None = None
@@ -54,15 +57,17 @@ class FakeDaq:
         return process
 
     def publish(self, first: int) -> None:
+        """Publish a block of a rod that swings, or stands where `rest_from` says so; the force counts the samples."""
         message = BenchSamples(sample_period=1e-3, sequence=first)
         message.header.stamp.sec = 1000 + first // 1000
         message.header.stamp.nanosec = first % 1000 * 10**6
         numbers = np.arange(first, first + 20)
-        message.position = array.array("d", 0.01 * np.sin(numbers / 100))
+        moving = numbers < self.rest_from
+        message.position = array.array("d", 0.01 * np.sin(np.minimum(numbers, self.rest_from) / 100))
         message.force = array.array("d", numbers.astype(float))
-        message.coil_current = array.array("d", np.full(20, 0.15))
+        message.coil_current = array.array("d", np.where(moving, 0.15, 0.0))
         message.acceleration = array.array("d", -np.sin(numbers / 100))
-        self._samples.publish(message)
+        self.samples.publish(message)
         self.published.append((time.monotonic(), first + 20))
 
     def stream(self, skip: tuple[int, ...] = ()) -> None:
@@ -105,11 +110,17 @@ class FakeDaq:
 
     def start_recording(self, bag: Path) -> Any:
         # A service may be discovered before the topic is.
-        self.until(lambda: self._samples.get_subscription_count() > 0)
+        self.until(lambda: self.samples.get_subscription_count() > 0)
         return self.call("start_recording", StartRecording, bag=str(bag), experiment="name: demo\n", seed=7)
 
     def stop_recording(self) -> Any:
         return self.call("stop_recording", StopRecording)
+
+    def recorder_states(self) -> list[DiagnosticStatus]:
+        """Return a list that receives what the recorder tells about itself."""
+        received: list[DiagnosticStatus] = []
+        self.node.create_subscription(DiagnosticStatus, "recorder_state", received.append, LATCHED)
+        return received
 
     def receive_samples(self) -> list[BenchSamples]:
         """Return a list that receives the samples; a long queue keeps them when the machine is busy."""
@@ -139,7 +150,7 @@ def test_recording_is_complete_and_describes_itself(bench: FakeDaq, tmp_path: Pa
     bench.calibration.publish(
         Calibration(quantity=["position"], unit=["m"], channel=["ai0"], gain=[0.005], zero=[0.1], device="simulated")
     )
-    recorder = bench.run("recorder")
+    recorder = bench.run("recorder", rest_timeout_s=0.0)
     bench.stream()
     bench.until(lambda: len(bench.published) > 10)
     assert list(tmp_path.iterdir()) == []  # nothing on the disk before the start
@@ -180,18 +191,97 @@ def test_recording_is_complete_and_describes_itself(bench: FakeDaq, tmp_path: Pa
 
 
 def test_missing_samples_are_reported(bench: FakeDaq, tmp_path: Path) -> None:
-    bench.run("recorder")
+    """A recorder that has closed a bad bag closes a good one, and the reverse: its log takes both."""
+    recorder = bench.run("recorder", rest_timeout_s=0.0)
     assert bench.start_recording(tmp_path / "none").success
     nothing = bench.stop_recording()
     assert (nothing.success, nothing.samples) == (False, 0)
     assert "no sample arrived" in nothing.message
+    bench.stream(skip=(100, 101))
+    bench.until(lambda: len(bench.published) > 10)
+    for name, lost in (("good", 0), ("bad", 40), ("good_again", 0)):
+        assert bench.start_recording(tmp_path / name).success
+        until = 110 if lost else len(bench.published) + 10
+        bench.until(lambda until=until: len(bench.published) > until)
+        stopped = bench.stop_recording()
+        assert (stopped.success, stopped.lost) == (not lost, lost), stopped.message
+        assert "40 of" in stopped.message or not lost
+    assert recorder.poll() is None
+
+
+def test_recording_goes_on_until_rod_and_coil_are_at_rest(bench: FakeDaq, tmp_path: Path) -> None:
+    bench.run("recorder")
+    states = bench.recorder_states()
+    bench.stream()
     assert bench.start_recording(tmp_path / "run").success
-    bench.stream(skip=(20, 21))
-    bench.until(lambda: len(bench.published) > 40)
+    bench.rest_from = bench.published[-1][1] + 2000
+    stopped = bench.stop_recording()  # about 2 s before the rod stands
+    assert stopped.success, stopped.message
+    run = read_run(stopped.bag)
+    assert 500 <= run.force[-1] - bench.rest_from < 1000
+    assert [state.message for state in states[-4:]] == ["idle", "recording", "stopping", "idle"]
+    # At rest, half a second is recorded as well, because the rod might move on.
+    assert bench.start_recording(tmp_path / "rest").success
+    asked = bench.published[-1][1]
+    run = read_bag(bench.stop_recording().bag)
+    assert 500 <= run.decode("/samples")[-1].force[-1] - asked < 1200
+
+
+def test_rod_that_never_rests(bench: FakeDaq, tmp_path: Path) -> None:
+    bench.run("recorder", rest_timeout_s=1.2)
+    bench.stream()
+    bench.start_recording(tmp_path / "run")
+    begin = time.monotonic()
+    stopped = bench.stop_recording()
+    assert 1.0 < time.monotonic() - begin < 3
+    assert stopped.success
+    assert "; not at rest 1.2 s after the stop (" in stopped.message
+    # Without samples, rest cannot be seen.
+    bench.start_recording(tmp_path / "second")
+    bench.until(lambda: len(bench.published) > 100)
+    bench.stop_stream()
+    assert bench.stop_recording().message.endswith("; the samples ended before rest was seen")
+
+
+def test_blocks_that_cannot_be_decoded(bench: FakeDaq, tmp_path: Path) -> None:
+    """They are recorded and reported; the recorder goes on."""
+    recorder = bench.run("recorder", rest_timeout_s=1.0)
+    bench.start_recording(tmp_path / "run")
+    for _ in range(60):
+        bench.samples.publish(BenchSamples(sample_period=1e-3, position=array.array("d", [0.0]), force=array.array("d")))
+        time.sleep(0.01)
     stopped = bench.stop_recording()
     assert not stopped.success
-    assert stopped.lost == 40
-    assert "40 of" in stopped.message
+    assert "the messages of /samples cannot be read (a block has series of unequal lengths" in stopped.message
+    assert bench.start_recording(tmp_path / "next").success
+    assert recorder.poll() is None
+
+
+def test_full_disk_is_told_at_once(bench: FakeDaq, tmp_path: Path) -> None:
+    """A limit of the size of its files is to the recorder what a full disk is."""
+    recorder = bench.run("recorder")
+    bench.stream()
+    assert bench.start_recording(tmp_path / "run").success
+    states = bench.recorder_states()
+    bench.until(lambda: states)
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+    bench.until(lambda: states[-1].level == DiagnosticStatus.ERROR, timeout=10)
+    failed = states[-1]
+    assert failed.message.startswith(f"{tmp_path}/run: cannot be written (File too large; ")
+    assert "MB free in " in failed.message
+    assert {value.key: value.value for value in failed.values} == {"state": "failed", "bag": f"{tmp_path}/run"}
+    late = bench.recorder_states()  # also told to who comes late
+    bench.until(lambda: late)
+    assert late[-1].message == failed.message
+    stopped = bench.stop_recording()
+    assert not stopped.success
+    assert stopped.message == failed.message
+    assert stopped.samples > 300
+    assert (tmp_path / "run/run.mcap").stat().st_size <= 60_000
+    bench.until(lambda: (states[-1].level, states[-1].message) == (DiagnosticStatus.OK, "idle"))
+    resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    assert bench.start_recording(tmp_path / "next").success
+    bench.until(lambda: states[-1].message == "recording")
 
 
 def test_recorder_refuses_impossible_folders(bench: FakeDaq, tmp_path: Path) -> None:

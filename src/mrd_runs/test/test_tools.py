@@ -144,3 +144,9 @@ def test_summary(columns) -> None:
     assert rows["reversals"] == "3"
     assert rows["rate"] == "1000 Hz"
     assert "seed" not in rows
+
+
+def test_info_takes_no_text_for_markup(tool, tmp_path: Path, columns, write_csv) -> None:
+    result = tool("info", write_csv(tmp_path / "run.csv", columns | {"[/red]": columns["force_N"]}))
+    assert result.returncode == 0, result.stderr
+    assert "columns ignored: [/red]" in result.stdout

@@ -19,6 +19,9 @@ FORCE_STEP = 0.03
 MOST_PIECES = 8
 """Pieces of one sampling interval; the time that a force takes grows with them."""
 
+COARSE_STEP = 0.05
+"""Share of the largest speed, current and force that none of them passes by between two vertices of a coarse path."""
+
 
 @dataclass(frozen=True)
 class Path:
@@ -41,6 +44,8 @@ class Path:
         Phase of the mains in rad at the start, for 50 and 60 Hz; see `mrd_runs.signals.mains.mains_phase`.
     smoothed : SmoothedRun or None
         Recorded run along which the path leads.
+    kept : slice or None
+        Samples that are vertices, where not all are; the index of any other sample is that of the last vertex before it.
     """
 
     dt: Array
@@ -51,13 +56,40 @@ class Path:
     samples: NDArray[np.intp]
     mains: Array = field(default_factory=lambda: np.zeros(2))
     smoothed: SmoothedRun | None = None
+    kept: slice | None = None
 
     @cached_property
     def fine(self) -> "Path":
         """The same path with more vertices where the recorded force changes fast, for effects that follow the force."""
         if self.smoothed is None:
             return self
-        return replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains)
+        path = replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains, smoothed=self.smoothed)
+        return path if self.kept is None else path.coarse(self.kept)
+
+    def coarse(self, kept: slice) -> "Path":
+        """Return the path with fewer vertices: some samples, every reversal, and wherever speed, current or force change.
+
+        A model that is exact along a polyline gives the same force at the kept samples, but for the bend of the motion
+        between them. Only a path along a recorded run can become coarse.
+        """
+        assert self.smoothed is not None
+        run = self.smoothed.run
+        force = np.interp(np.cumsum(self.dt), run.time - run.time[0], run.force)
+        keep = np.ones(len(self.dt), dtype=bool)
+        keep[self.samples] = False
+        for series in (self.velocity, self.current, force):
+            keep |= _passes_level(series, COARSE_STEP * float(np.abs(series).max()))
+        keep[self.samples[kept]] = keep[[0, -1]] = True
+        return replace(
+            self,
+            dt=np.diff(np.cumsum(self.dt)[keep], prepend=0.0),
+            position=self.position[keep],
+            velocity=self.velocity[keep],
+            acceleration=self.acceleration[keep],
+            current=self.current[keep],
+            samples=(np.cumsum(keep) - 1)[self.samples],
+            kept=kept,
+        )
 
 
 def run_path(smoothed: SmoothedRun) -> Path:
@@ -80,9 +112,21 @@ def pieces(run: Run) -> NDArray[np.intp]:
     After a reversal the force changes within few samples, and along a curve. Elements in series give way meanwhile, which is
     integrated to first order. Over whole intervals of recordings at 500 Hz, backlash came out 5 to 13 % too small.
     """
-    largest = 0.5 * float(np.ptp(np.quantile(run.force, [0.01, 0.99])))
     jumps = np.abs(np.diff(run.force))
-    return np.clip(np.ceil(jumps / max(FORCE_STEP * largest, np.finfo(float).tiny)), 1, MOST_PIECES).astype(np.intp)
+    largest_step = max(FORCE_STEP * _half_range(run), np.finfo(float).tiny)
+    return np.clip(np.ceil(jumps / largest_step), 1, MOST_PIECES).astype(np.intp)
+
+
+def _half_range(run: Run) -> float:
+    return 0.5 * float(np.ptp(np.quantile(run.force, [0.01, 0.99])))
+
+
+def _passes_level(series: Array, step: float) -> NDArray[np.bool_]:
+    """Return the vertices (m,) at which a series has passed a multiple of ``step``, and those before a jump."""
+    if step <= 0.0:
+        return np.zeros(len(series), dtype=bool)
+    passed = np.diff(np.floor(series / step)) != 0
+    return np.asarray(np.append(False, passed) | np.append(np.abs(np.diff(series)) >= step, False))
 
 
 def make_path(time: Array, position: Array, velocity: Array, acceleration: Array, current: Array) -> Path:

@@ -19,5 +19,7 @@ class SupervisorConfig:
     runs: str = quantity("runs", doc="folder of the bags whose goal names none")
     discovery_timeout: float = quantity(10.0, "s", "wall time to wait for the other nodes", lower=0.1, upper=120)
     answer_timeout: float = quantity(5.0, "s", "wall time to wait for a response", lower=0.1, upper=120)
-    close_timeout: float = quantity(60.0, "s", "wall time to wait for the recorder to close a bag", lower=1, upper=600)
+    close_timeout: float = quantity(
+        60.0, "s", "bench time to wait for rest, then wall time to close a bag", lower=1, upper=600
+    )
     home_timeout: float = quantity(60.0, "s", "bench time to wait for homing", lower=1, upper=600)

@@ -45,6 +45,8 @@ _PLANNING_TIMEOUT = 30.0
 _RESET_TIMEOUT = 10.0
 # Wall time in s between two reports of the progress of an experiment.
 _PROGRESS_INTERVAL = 0.2
+# Bench time in s between two looks, while the recorder waits for rest, at whether it is still there.
+_REST_INTERVAL = 0.5
 # Time by which an experiment may exceed its duration: bench time in s, and share of the duration.
 _OVERTIME = (3.0, 0.02)
 
@@ -58,7 +60,8 @@ def never_interrupted() -> None:
 class Peers(Protocol):
     """Services of the other nodes: ``servo``, ``daq``, ``generator`` and ``recorder``. Timeouts are in wall seconds.
 
-    While a call waits, it calls ``interruption``, which ends the wait by raising an exception.
+    While a call waits, it calls ``interruption``, which ends the wait by raising an exception, and whose own time does not
+    count.
     """
 
     def require(self, nodes: tuple[str, ...], timeout: float, interruption: Interruption) -> None:
@@ -171,7 +174,10 @@ class BenchOperations:
         self._call("start_experiment")
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
-        """Wait for the end of the experiment and report its progress in s; refuse if it ends otherwise or is late."""
+        """Wait for the end of the experiment and report its progress in s.
+
+        Refuse if it ends otherwise or is late, or if the recording fails.
+        """
         clock, monitor = self._clock, self._monitor
         begin = clock.now()
         latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration)
@@ -181,6 +187,8 @@ class BenchOperations:
             elapsed = clock.now() - begin
             if monitor.experiment_state == "aborted":
                 raise RefusedError("the generator aborted the experiment; look at its log")
+            if monitor.recording_problem:
+                raise RefusedError(monitor.recording_problem)
             if elapsed > latest:
                 raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the generator")
             if time.monotonic() - reported > _PROGRESS_INTERVAL:
@@ -235,8 +243,16 @@ class BenchOperations:
         self._call("start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed)
 
     def stop_recording(self) -> BagSummary:
-        """Close the bag and count its samples."""
-        response = self._peers.call("stop_recording", self._config.close_timeout, may_fail=True)
+        """Close the bag and count its samples. The recorder waits until rod and coil are at rest, in bench time."""
+        clock, monitor = self._clock, self._monitor
+        latest = clock.now() + self._config.close_timeout
+
+        def let_rod_rest() -> None:
+            # A simulated bench would stand still during the call. It ends the wait at the instant at which rest was seen.
+            if monitor.recorder_state == "stopping" and clock.now() < latest:
+                monitor.recorder_changed.wait(clock.now() + _REST_INTERVAL)
+
+        response = self._peers.call("stop_recording", self._config.close_timeout, let_rod_rest, may_fail=True)
         problem = "" if response.success else response.message
         return BagSummary(response.bag, response.samples, response.lost, response.duration, problem)
 

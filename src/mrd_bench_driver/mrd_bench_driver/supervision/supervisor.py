@@ -62,7 +62,7 @@ class Supervisor:
         self._lock = threading.Lock()
         self._stop_requested = threading.Event()
         self._punctuality = Punctuality(config.late)
-        self.monitor = BenchMonitor()
+        self.monitor = BenchMonitor(clock)
         self.mode = BenchMode(on_mode)
         self.procedure = ""
 

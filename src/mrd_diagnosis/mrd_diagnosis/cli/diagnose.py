@@ -25,6 +25,7 @@ from mrd_diagnosis.sentences import next_command, next_step
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
+from mrd_runs import read_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -52,6 +53,13 @@ def work() -> None:
         "next_experiment.yaml.",
     )
     add_run_arguments(parser)
+    parser.add_argument(
+        "--reference",
+        nargs="+",
+        default=[],
+        metavar="RUN",
+        help="runs of the same rig from before something changed: explain the change instead of the gap to the model",
+    )
     parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
     parser.add_argument(
         "--parameters",
@@ -94,6 +102,7 @@ def work() -> None:
             runs,
             arguments.model,
             held_out=held_out,
+            reference=read_runs(arguments.reference) if arguments.reference else (),
             parameters=parameters,
             laws=laws or None,
             effects=effects,

@@ -247,10 +247,10 @@ def _loop_seconds(residual: RunResidual) -> float:
 
 
 def _on_run(residual: RunResidual, counted: Array) -> Array:
-    """Extend a series at the counted samples to all samples of the run."""
-    whole = np.full(len(residual.recording.run), np.nan)
-    whole[residual.recording.counted] = counted
-    return whole
+    """Extend a series at the counted samples to all samples of the run, with straight lines between them."""
+    recording = residual.recording
+    samples = np.arange(len(recording.run))
+    return np.interp(samples, samples[recording.counted], counted, left=np.nan)
 
 
 def _maps(residuals: Sequence[RunResidual], errors: Sequence[Array]) -> tuple[Map, ...]:

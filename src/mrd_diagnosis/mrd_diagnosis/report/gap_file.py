@@ -45,6 +45,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "fit": [residuals.get(run.name, run_json(run)) for run in diagnosis.runs],
             "held_out": [residuals.get(run.name, run_json(run)) for run in diagnosis.held_out],
             "held_out_by": diagnosis.held_out_by,
+            "reference": [run_json(run) for run in diagnosis.reference],
         },
         "seed": diagnosis.seed,
         "elapsed_s": round(diagnosis.elapsed, 3),

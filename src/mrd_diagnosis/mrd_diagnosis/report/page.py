@@ -130,9 +130,11 @@ def write_gap_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
 def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
     """Return what the template of the page is filled with; ``folder`` is the folder of the report."""
     count = len(diagnosis.runs) + len(diagnosis.held_out)
+    against = f"{count} run{'s' if count != 1 else ''}{_origin(diagnosis)}"
     command = next_command(diagnosis, folder)
+    earlier = f", compared with {len(diagnosis.reference)} from before a change" if diagnosis.reference else ""
     content = {
-        "title": f"{diagnosis.model.title} model against {count} run{'s' if count != 1 else ''}{_origin(diagnosis)}",
+        "title": f"{diagnosis.model.title} model against {against}{earlier}",
         "verdict": diagnosis.verdict,
         "verdict_text": _VERDICTS[diagnosis.verdict],
         "verdict_sentence": diagnosis.sentence,

@@ -9,10 +9,10 @@ from tqdm import tqdm
 
 from mrd_base import run_tool
 from mrd_identification.cli.options import add_method_arguments, add_run_arguments, read_arguments_runs, read_method
-from mrd_identification.compare import compare
-from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, sentence, write_comparison
+from mrd_identification.compare import compare, parse_row
+from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
 from mrd_identification.json_file import make_folder
-from mrd_sim.models import MODELS, find_model
+from mrd_sim.models import MODELS
 
 TABLE_WIDTH = 110
 """Characters; a narrower terminal breaks the lines of the table, and no figure is cut off."""
@@ -34,8 +34,8 @@ def work() -> None:
     parser.add_argument(
         "--models",
         default=",".join(MODELS),
-        metavar="ID[:LAW],...",
-        help="models, each optionally with a current law (default: all)",
+        metavar="ID[:LAW][+EFFECT...],...",
+        help="models, each optionally with a current law and effects, or +auto for selected ones (default: all)",
     )
     add_method_arguments(parser, one_model=False)
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the results")
@@ -45,7 +45,7 @@ def work() -> None:
     models = arguments.models.split(",")
     make_folder(arguments.output)
     for name in models:
-        find_model(name.partition(":")[0])
+        parse_row(name, method)
         make_folder(f"{arguments.output}/{fit_folder(name)}")
     with tqdm(total=100, desc="comparing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
@@ -62,4 +62,6 @@ def work() -> None:
     Console(width=max(Console().width, TABLE_WIDTH)).print(table)
     print(f"The 95 % intervals come from a bootstrap over {comparison.units} {comparison.resampled}.")
     print(sentence(comparison))
+    for text in selections(comparison):
+        print(f"{text}.")
     print(page)

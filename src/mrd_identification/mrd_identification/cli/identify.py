@@ -32,11 +32,11 @@ def work() -> None:
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for fit.json and fit.html")
     arguments = parser.parse_args()
     method = read_method(arguments)
-    find_model(arguments.model, method.laws, method.effects)
+    find_model(arguments.model, method.laws, method.given_effects)
     runs, held_out = read_arguments_runs(arguments)
     folder = make_folder(arguments.output)
     total = method.total_generations
-    with tqdm(total=total, desc="NSGA-II", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
+    with tqdm(total=total, desc="identifying", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
 
         def progress(generation: int, nrmse: float) -> None:
             if generation == total:
@@ -51,6 +51,8 @@ def work() -> None:
     write_fit(fit, folder)
     report = write_report(fit, folder)
     print(sentence(fit))
+    for text in fit.selection.sentences if fit.selection else ():
+        print(f"{text}.")
     for warning in fit.warnings:
         print(f"note: {warning}")
     print(report)

@@ -32,11 +32,13 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
     )
     parser.add_argument(
         "--effect",
+        "--effects",
         dest="effects",
         action="append",
         default=[],
         metavar="EFFECT",
-        help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated",
+        help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated; "
+        "auto adds effects one after the other while runs that are left out are predicted better",
     )
     add_effects_folder(parser)
     parser.add_argument("--offsets", action="store_true", help="let each fitted run have its own force offset")

@@ -4,6 +4,7 @@ import argparse
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from mrd_base import run_tool
 from mrd_runs import read_runs
@@ -20,7 +21,7 @@ def main() -> None:
 def _show(paths: list[str]) -> None:
     console = Console(highlight=False)
     for run in read_runs(paths):
-        table = Table(title=run.name, show_header=False, title_justify="left")
+        table = Table(title=Text(run.name), show_header=False, title_justify="left")
         for name, content in summarise(run).items():
-            table.add_row(name, content)
+            table.add_row(name, Text(content))  # a text of a stranger's file is no markup
         console.print(table)

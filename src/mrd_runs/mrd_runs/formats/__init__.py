@@ -21,6 +21,8 @@ def file_format(path: Path) -> FileFormat:
     expected = ", ".join(entry.description for entry in FORMATS)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; expected {expected}")
+    if not (path.is_dir() or path.is_file()):
+        raise InputError(f"{path}: is neither a file nor a folder; expected {expected}")
     for entry in FORMATS:
         if entry.folders if path.is_dir() else path.suffix.lower() in entry.suffixes:
             return entry

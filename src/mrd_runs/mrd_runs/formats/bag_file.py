@@ -11,6 +11,7 @@ from mrd_runs.blocks import decode_blocks, sample_columns
 from mrd_runs.definitions import SAMPLES_TYPE
 from mrd_runs.formats.recording import FileFormat, Recording
 from mrd_runs.run_info import read_run_info
+from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
 
@@ -29,15 +30,14 @@ def read_bag_file(path: Path) -> Recording:
     try:
         blocks = decode_blocks(bag.topics[topic].messages, bag.types)
     except Exception as error:
-        raise InputError(f"{path}: the messages of {topic} cannot be read ({' '.join(str(error).split())})") from None
+        raise InputError(f"{path}: the messages of {one_line(topic)} cannot be read ({one_line(error)})") from None
     try:
         info = read_run_info(bag)
     except Exception as error:
-        problem = " ".join(str(error).split())
-        raise InputError(f"{path}: run_info or calibration cannot be read ({problem})") from None
+        raise InputError(f"{path}: run_info or calibration cannot be read ({one_line(error)})") from None
     columns, timing = sample_columns(blocks, str(path))
     for name in IMPORTED_COLUMNS:
-        values = _imported_column(bag, name)
+        values = _imported_column(bag, name, path)
         if values is not None and len(values) == len(columns["time_s"]):
             columns[name] = values
     notes = list(info.get("notes", ()))
@@ -62,16 +62,20 @@ def samples_topic(bag: Bag, where: str) -> str:
     """
     candidates = [name for name, topic in bag.topics.items() if topic.message_type == SAMPLES_TYPE]
     if not candidates:
-        present = ", ".join(f"{name} ({topic.message_type})" for name, topic in sorted(bag.topics.items())) or "none"
+        topics = [f"{name} ({topic.message_type})" for name, topic in sorted(bag.topics.items())]
+        present = one_line(", ".join(topics)) if topics else "none"
         raise InputError(f"{where}: holds no topic of type {SAMPLES_TYPE}; topics in it: {present}")
     named_samples = [name for name in candidates if name.rsplit("/", 1)[-1] == "samples"]
     if len(named_samples or candidates) > 1:
-        raise InputError(f"{where}: holds several topics of samples ({', '.join(candidates)}); expected one")
+        raise InputError(f"{where}: holds several topics of samples ({one_line(', '.join(candidates))}); expected one")
     return (named_samples or candidates)[0]
 
 
-def _imported_column(bag: Bag, name: str) -> Array | None:
+def _imported_column(bag: Bag, name: str, path: Path) -> Array | None:
     for topic, entry in bag.topics.items():
         if topic.endswith(f"/imported/{name}") and entry.messages:
-            return np.concatenate([np.asarray(message.data, np.float64) for message in bag.decode(topic)])
+            try:
+                return np.concatenate([np.asarray(message.data, np.float64) for message in bag.decode(topic)])
+            except Exception as error:  # as above
+                raise InputError(f"{path}: the messages of {one_line(topic)} cannot be read ({one_line(error)})") from None
     return None

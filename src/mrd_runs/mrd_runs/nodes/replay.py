@@ -16,6 +16,7 @@ from mrd_interfaces.msg import BenchSamples, ServoState, Setpoint
 from mrd_runs.bag import read_bag
 from mrd_runs.definitions import type_name
 from mrd_runs.formats.bag_file import samples_topic
+from mrd_runs.text import one_line
 
 _TYPES = {"samples": BenchSamples, "servo_state": ServoState, "setpoint": Setpoint}
 # Longest time in s that a subscriber may take to acknowledge the last messages.
@@ -72,7 +73,9 @@ class Replay(BenchNode[ReplaySettings]):
             else:
                 topics = [topic for topic, entry in bag.topics.items() if entry.message_type == type_name(_TYPES[name])]
             if not topics or not bag.topics[topics[0]].messages:
-                raise InputError(f"{self.config.bag}: holds no messages of {name} (topics: {', '.join(bag.topics)})")
+                raise InputError(
+                    f"{self.config.bag}: holds no messages of {name} (topics: {one_line(', '.join(bag.topics))})"
+                )
             entry = bag.topics[topics[0]]
             streams.append([(stamp, name, cdr) for stamp, cdr in zip(entry.stamps, entry.messages, strict=True)])
         return list(heapq.merge(*streams, key=lambda message: message[0]))

@@ -241,6 +241,12 @@ class DamperModel:
                 following[part] = state[part]
         return following
 
+    def without_effects(self, theta: Array) -> Array:
+        """Return parameters (parameters,) with which the effects change nothing."""
+        own = len(self._model_parameters)
+        neutral = np.array([parameter.default for parameter in self.parameters[own:]])
+        return np.concatenate([theta[:own], neutral.astype(theta.dtype)])
+
     def force(self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None) -> Array:
         """Return the measured force in N at the samples of a path.
 

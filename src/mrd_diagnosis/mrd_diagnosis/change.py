@@ -1,0 +1,157 @@
+"""Change: which effects explain the difference between recordings from before and after something has changed.
+
+Whatever the damper model lacks, it lacked before as well. A flexible remainder, common to both, takes that up; the effects
+act only in the recordings from after the change. What a remainder of their own closes there, and the common one does not, is
+the change, and everything else counts as noise. The same steps as without a reference then apply.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import ttest_ind
+
+from mrd_diagnosis.decision import decide_change
+from mrd_diagnosis.effect_search import EffectFit, search_effects
+from mrd_diagnosis.explanation import Explanation, probabilities_of_alternatives
+from mrd_diagnosis.flexible_remainder import flexible_functions
+from mrd_diagnosis.form_remainder import SCALES, form_columns, orthogonal, with_remainder
+from mrd_diagnosis.model_comparison import compare_on
+from mrd_diagnosis.null_distribution import draw_null_gains, p_value
+from mrd_diagnosis.refit import Refit, refit, refit_on
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighting import RunScatter, Weighting, error_of_run
+from mrd_identification.recording import consecutive_forces
+
+Array = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+FOURIER_FEATURES = 120
+"""Random Fourier features in the common remainder."""
+
+RUN_SCATTER = RunScatter(1e-3, 0.2)
+"""Scatter of the runs that is taken from their errors: a change may be one of gain or offset, so hardly any."""
+
+RUN_SCATTER_P_VALUE = 0.01
+"""Probability, in runs that differ by their scatter only, of a difference as large as that of a change that is named."""
+
+LEAST_INFORMATION = 0.05
+"""Share of the most informative run's information on an effect below which a run says nothing about it."""
+
+
+def explain_change(
+    weighting: Weighting,
+    base: Refit,
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    progress: Progress = lambda _fraction: None,
+) -> tuple[Explanation, list[EffectFit], Array]:
+    """Find the effects that explain a change.
+
+    Parameters
+    ----------
+    weighting : Weighting
+        Of recordings from before (`Recording.without_effects`) and after the change.
+    base : Refit
+        The model without effects, fitted to all of them.
+    effects : sequence of str
+        Ids of the candidates.
+    rng : numpy Generator
+    progress : callable
+        Called with the fraction of the work that is done.
+
+    Returns
+    -------
+    explanation : Explanation
+        Its comparison has the common remainder, and counts as noise what no change explains.
+    singles : list of EffectFit
+        Each effect by itself.
+    null_gains : ndarray
+        See `mrd_diagnosis.null_distribution.draw_null_gains`.
+    """
+    weighting = replace(weighting, scatter=RUN_SCATTER)
+    common, own = _functions(weighting, base, rng)
+    weighting, base = with_remainder(weighting, base, common)
+    progress(0.2)
+    freed = _with_own_remainder(weighting, base, own)
+    weighting = _with_floor(weighting, freed)
+    null_errors = _null_errors(weighting, freed)
+    base = refit(weighting.problem(base.problem.model, base.theta), base.theta, weighting.folds, null_errors)
+    chosen, fits = search_effects(weighting, base, effects, null_errors, lambda fraction: progress(0.2 + 0.7 * fraction))
+    singles = [fit for fit in fits if len(fit.effects) == 1]
+    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
+    comparison = compare_on(weighting, base, chosen, fits)
+    p_values = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
+    for effect in comparison.effects:
+        if p_values[effect] > THRESHOLDS.p_value or not exceeds_run_scatter(comparison.best, effect):
+            comparison = comparison.without_effects()
+            break
+    chances = probabilities_of_alternatives(comparison, rng)
+    progress(1.0)
+    return Explanation(decide_change(comparison, chances, rng), comparison, chances, p_values), singles, null_gains
+
+
+def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
+    """Whether an effect differs more between the runs before and after than among them.
+
+    Its size is estimated in each run, to first order, also in those from before. Of a single run before or after, nothing is
+    known about the scatter.
+    """
+    problem, theta = refitted.problem, refitted.theta
+    model = problem.model
+    places = [index for index, name in enumerate(model.names) if name.startswith(f"{effect}.")]
+    neutral = theta.copy()
+    neutral[places] = model.without_effects(theta)[places]
+    acting = [replace(recording, without_effects=False) for recording in problem.recordings]
+    with_effect, without = (consecutive_forces(model, values, acting) for values in (theta, neutral))
+    sizes: tuple[list[float], list[float]] = [], []
+    changes = [white(on - off) for white, on, off in zip(problem.whitenings, with_effect, without, strict=True)]
+    information = [float(change @ change) for change in changes]
+    for run, recording in enumerate(problem.recordings):
+        if information[run] > LEAST_INFORMATION * max(information):
+            error = error_of_run(problem, neutral, run, refitted.coefficients)[0]
+            sizes[not recording.without_effects].append(-float(error @ changes[run]) / information[run])
+    if min(map(len, sizes)) < 2:
+        return True
+    return bool(ttest_ind(*sizes, equal_var=False).pvalue < RUN_SCATTER_P_VALUE)
+
+
+def _functions(weighting: Weighting, base: Refit, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return the functions of the common remainder, and those of one that acts after the change only (samples, columns)."""
+    recordings = weighting.recordings
+    form = form_columns(recordings)
+    residuals = [-error_of_run(base.problem, base.theta, run)[1] for run in range(len(recordings))]
+    flexible, few = (flexible_functions(recordings, residuals, rng, count) for count in (FOURIER_FEATURES, 0))
+    changed = np.concatenate([np.full(len(recording.force), not recording.without_effects) for recording in recordings])
+    own = orthogonal(np.concatenate([form, few], axis=1)) * changed[:, None]
+    return orthogonal(np.concatenate([form, flexible], axis=1)), own
+
+
+def _with_own_remainder(weighting: Weighting, base: Refit, functions: Array) -> Refit:
+    """Refit the base beside further functions (samples, columns), if they predict held-out folds better at any scale."""
+    rms = float(np.sqrt(np.mean(base.problem.force**2)))
+    edges = np.cumsum([0, *(len(recording.force) for recording in weighting.recordings)])
+    refits = [base]
+    for scale in SCALES:
+        own = [scale * rms * functions[a:b] for a, b in itertools.pairwise(edges)]
+        remainder = tuple(np.concatenate(parts, axis=1) for parts in zip(weighting.remainder, own, strict=True))
+        refits.append(refit_on(replace(weighting, remainder=remainder), base))
+    return min(refits, key=lambda refitted: refitted.held_out_cost)
+
+
+def _with_floor(weighting: Weighting, freed: Refit) -> Weighting:
+    """Return the weighting in which all error that a refit leaves on held-out folds counts as noise."""
+    variance = np.concatenate([noise.sigma for noise in weighting.noise]) ** 2
+    excess = max(float(freed.held_out_squares.sum() - variance.sum()) / len(variance), 0.0)
+    noise = [replace(of_run, sigma=np.sqrt(of_run.sigma**2 + excess)) for of_run in weighting.noise]
+    return replace(weighting, noise=noise, discrepancy=0.0)
+
+
+def _null_errors(weighting: Weighting, freed: Refit) -> list[Array]:
+    """Return the white errors (1, n) of each run that a refit leaves: as large and correlated as without a change."""
+    problem = weighting.problem(freed.problem.model, freed.theta)
+    freed = replace(freed, problem=replace(problem, remainder=freed.problem.remainder))
+    runs = range(len(weighting.recordings))
+    return [error_of_run(freed.problem, freed.theta, run, freed.coefficients)[0][None] for run in runs]

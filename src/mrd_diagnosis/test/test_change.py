@@ -1,0 +1,106 @@
+"""What has changed between recordings from before and after, although the model has another form than the damper."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.report.gap_file import read_gap_report
+from mrd_diagnosis.report.page import write_gap_report
+from mrd_identification.recording import consecutive_forces, prepare_recording
+from mrd_runs import Run
+from mrd_sim.models import find_model
+
+CANDIDATES = ("moving_mass", "load_cell_gain", "gas_spring", "shear_thinning", "joint_play")
+BEFORE, AFTER = range(3), range(3, 6)
+RATE, DURATION = 250.0, 6.0
+
+
+def run(seed):
+    """Record a damper that no model of the catalogue describes, along a motion and a current of its own."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(DURATION * RATE)) / RATE
+    x, v, a = np.zeros((3, len(t)))
+    for amplitude, frequency in ((7e-3, 0.7), (4e-3, 1.9), (2e-3, 3.7)):
+        w, phase = 2 * np.pi * frequency, rng.uniform(0, 6)
+        x += amplitude * np.sin(w * t + phase)
+        v += amplitude * w * np.cos(w * t + phase)
+        a -= amplitude * w**2 * np.sin(w * t + phase)
+    current = np.repeat(rng.uniform(0, 0.5, 10), len(t) // 10)
+    knee = np.arctan((v + 2e-3 * np.tanh(a / 0.3)) / (0.006 + 0.01 * current)) / 1.6
+    force = (50.0 + 500.0 * np.sqrt(current)) * knee + (600.0 + 800.0 * current) * v
+    return Run(f"run{seed}", t, x, v, current, force + rng.normal(0, 1.5, len(t))), a
+
+
+def runs(seeds):
+    return [run(seed)[0] for seed in seeds]
+
+
+def changed(share=0.0, mass=0.0):
+    """Return other runs of the same damper; ``share`` scales the force, ``mass`` in kg moves with the rod."""
+    return [replace(of_run, force=(1.0 + share) * (of_run.force + mass * a)) for of_run, a in map(run, AFTER)]
+
+
+@pytest.mark.parametrize(
+    ("change", "effect"),
+    [({"share": 0.08}, "load_cell_gain"), ({"mass": 12.0}, "moving_mass")],
+    ids=lambda value: str(value),
+)
+def test_a_change_is_named_although_the_model_has_another_form(change, effect):
+    diagnosis = diagnose(changed(**change), "bouc_wen", reference=runs(BEFORE), effects=CANDIDATES)
+    assert diagnosis.verdict in ("explained", "ambiguous", "partly_explained")
+    assert diagnosis.causes[0].effect == effect
+    assert diagnosis.causes[0].closed_fraction.value > 0.5
+    assert [run.name for run in diagnosis.reference] == [f"run{seed}" for seed in BEFORE]
+    assert {residual.recording.run.name for residual in diagnosis.residuals} == {f"run{seed}" for seed in AFTER}
+
+
+@pytest.mark.parametrize("seeds", [BEFORE, AFTER], ids=["the same runs", "other runs"])
+def test_nothing_is_named_where_nothing_changed(seeds):
+    diagnosis = diagnose(runs(seeds), "bouc_wen", reference=runs(BEFORE), effects=CANDIDATES)
+    assert diagnosis.causes == ()
+    assert diagnosis.verdict == "no_gap"
+
+
+def test_a_size_of_a_change_is_right():
+    diagnosis = diagnose(changed(share=0.08), "bouc_wen", reference=runs(BEFORE), effects=("load_cell_gain",))
+    (value,) = diagnosis.causes[0].parameters.values()
+    assert value.value.value == pytest.approx(0.08, abs=0.01)
+
+
+def test_the_report_of_a_change_names_the_reference_runs(tmp_path):
+    recorded = runs(BEFORE)
+    diagnosis = diagnose(changed(share=0.08), "bouc_wen", reference=recorded, effects=("load_cell_gain",))
+    assert diagnosis.sentence.startswith("Something has changed since the reference runs. The load cell's gain is off by 7")
+    assert "of the change." in diagnosis.sentence
+    page = write_gap_report(diagnosis, tmp_path)
+    assert "compared with 3 from before a change" in page.read_text(encoding="utf-8")
+    content = read_gap_report(tmp_path / "gap_report.json")
+    assert [run["name"] for run in content["runs"]["reference"]] == ["run0", "run1", "run2"]
+    assert [run["name"] for run in content["runs"]["fit"]] == ["run3", "run4", "run5"]
+
+
+def test_a_difference_no_larger_than_the_scatter_of_the_runs_is_no_change():
+    gains = iter((1.0, 1.06, 0.95, 1.01, 1.07, 0.97))
+    scattered = [replace(of_run, force=next(gains) * of_run.force) for of_run in runs(range(6))]
+    diagnosis = diagnose(scattered[3:], "bouc_wen", reference=scattered[:3], effects=("load_cell_gain", "moving_mass"))
+    assert diagnosis.causes == ()
+
+
+def test_a_change_excludes_held_out_runs():
+    recorded = runs(BEFORE)
+    with pytest.raises(InputError, match="both reference and held-out runs"):
+        diagnose(recorded, "bouc_wen", reference=recorded, held_out=recorded)
+
+
+def test_effects_do_not_act_before_the_change():
+    model = find_model("bouc_wen", effects=["thermal_fade", "load_cell_gain"])
+    theta = model.vector({"thermal_fade.fade": 1e-4, "load_cell_gain.gain": 0.1})
+    neutral = model.vector({"thermal_fade.fade": 0.0, "load_cell_gain.gain": 0.0})
+    before, after = (prepare_recording(run) for run in runs(range(2)))
+    before = replace(before, without_effects=True)
+    forces = consecutive_forces(model, theta, [before, after])
+    assert (forces[0] == consecutive_forces(model, neutral, [before])[0]).all()
+    assert (forces[1] == consecutive_forces(model, theta, [after])[0]).all()

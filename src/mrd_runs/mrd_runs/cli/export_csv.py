@@ -1,0 +1,21 @@
+"""Write the samples of a bag as a CSV file, and its setpoints and servo states into files beside it."""
+
+import argparse
+from pathlib import Path
+
+from mrd_base import run_tool
+from mrd_runs.csv_export import export_csv
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="export_csv", description=__doc__)
+    parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder, .mcap or .db3 file")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="CSV file of the samples; by default beside BAG")
+    arguments = parser.parse_args()
+    run_tool(lambda: _export(arguments.bag, arguments.output))
+
+
+def _export(bag: Path, output: Path | None) -> None:
+    name = bag.resolve().name if bag.is_dir() else bag.stem
+    for path, rows in export_csv(bag, output or bag.resolve().parent / f"{name}.csv").items():
+        print(f"{path}: {rows} rows")
