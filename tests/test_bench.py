@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -55,7 +56,8 @@ class WholeBench:
         specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1)
         # The procedure asks a killed node to stop, too. Its silence ends the wait sooner than by default.
         *others, supervisor = specs
-        supervisor = dataclasses.replace(supervisor, parameters={**supervisor.parameters, "answer_timeout_s": 2.5})
+        timeouts = {"answer_timeout_s": 2.5, "close_timeout_s": 15.0}
+        supervisor = dataclasses.replace(supervisor, parameters={**supervisor.parameters, **timeouts})
         self.processes = BenchProcesses([*others, supervisor], folder / "log", environment=environment)
 
     def __enter__(self) -> "WholeBench":
@@ -203,6 +205,28 @@ def test_a_recording_ends_with_half_a_second_of_rest(bench: WholeBench, tmp_path
     # The mean of 20 ms moves by less than 0.1 mm; the noise of single samples is larger.
     means = run.position[at_rest][-240:].reshape(-1, 10).mean(axis=1)
     assert np.ptp(means) < 1e-4
+
+
+@pytest.mark.timeout(120)
+def test_a_recorder_that_dies_while_it_waits_for_rest_is_named(bench: WholeBench, tmp_path: Path) -> None:
+    killed: list[str] = []
+
+    def kill(status: DiagnosticStatus) -> None:
+        if status.message == "stopping":
+            bench.processes.kill("recorder")
+            killed.append(status.message)
+
+    bench.client.node.create_subscription(DiagnosticStatus, "recorder_state", kill, LATCHED)
+    client = ActionClient(bench.client.node, RunExperiment, "run_experiment")
+    assert bench.client.spin(client.server_is_ready, 10)
+    accepted = client.send_goal_async(RunExperiment.Goal(experiment=SHORT, bag=str(tmp_path / "bag")))
+    assert bench.client.spin(accepted.done, 10)
+    ended = accepted.result().get_result_async()
+    assert bench.client.spin(ended.done, 60, watch=False)
+    assert killed
+    message = ended.result().result.message
+    assert "recorder did not respond to stop_recording within 15 s" in message or "recorder is gone" in message
+    client.destroy()
 
 
 @pytest.mark.timeout(120)
