@@ -1,11 +1,14 @@
-"""Bench time: the time by which every node stamps its messages, waits and times out."""
+"""Bench time: the time by which every node stamps its messages, waits and times out.
 
+On a real bench, it is the time of the machine (`BenchClock`). On a simulated bench, it stands still until every node has
+done its work (`mrd_base.barrier_clock.BarrierClock`). Code that only uses the methods of `BenchClock` runs on both.
+"""
+
+import contextlib
+import os
+import select
 import time
-from dataclasses import dataclass, field
-
-# Bounds of ``time_scale``. Below, waiting for a timeout takes too long; above, a timeout is shorter than the time in which a
-# process can answer.
-SLOWEST, FASTEST = 0.01, 100.0
+from contextlib import AbstractContextManager, suppress
 
 
 def _uptime() -> float:
@@ -15,39 +18,88 @@ def _uptime() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-@dataclass(frozen=True)
+class Waiter:
+    """Lets one thread wait for a bench time. Any other thread may end the wait."""
+
+    def __init__(self, clock: "BenchClock") -> None:
+        self._clock = clock
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._read, False)
+        os.set_blocking(self._write, False)
+
+    def wake(self) -> None:
+        """End the present wait, or else the next one, at once."""
+        # A full pipe means that it is woken already.
+        with suppress(BlockingIOError):
+            os.write(self._write, b"!")
+
+    def clear(self) -> None:
+        """Forget that it was woken."""
+        with suppress(BlockingIOError):
+            os.read(self._read, 4096)
+
+    def wait(self, until: float, line: int | None = None) -> bool:
+        """Wait until a bench time; return whether `wake` ended the wait.
+
+        Parameters
+        ----------
+        line : int, optional
+            Descriptor of the motor's serial line. Bytes that arrive on it end the wait, too.
+        """
+        watched = [self._read] if line is None else [self._read, line]
+        if self._read in select.select(watched, [], [], max(0.0, until - self._clock.now()))[0]:
+            self.clear()
+            return True
+        return False
+
+    def close(self) -> None:
+        """Release what it holds. Nobody may wait or wake afterwards."""
+        os.close(self._read)
+        os.close(self._write)
+
+
 class BenchClock:
-    """Clock of bench time, which passes ``time_scale`` times as fast as wall-clock time.
+    """Clock of a real bench.
 
-    Bench time follows the time since the machine was started, which all processes share. Nodes with the same ``time_scale``
-    therefore agree on the time without exchanging messages, and an adjustment of the machine's clock stops no watchdog.
-    With ``time_scale`` 1, bench time is Unix time as it was when the clock was created: nodes created before and after an
-    adjustment of the machine's clock differ by that adjustment. Otherwise it is zero at the start of the machine.
-
-    Parameters
-    ----------
-    time_scale : float
-        Bench seconds per wall-clock second, > 0; 1 on a real bench.
+    Bench time is Unix time as it was when the clock was created, and follows the time since the machine was started, which
+    all processes share. An adjustment of the machine's clock therefore stops no watchdog; nodes created before and after it
+    differ by that adjustment.
     """
 
-    time_scale: float = 1.0
-    _offset: float = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        if not self.time_scale > 0:
-            raise ValueError(f"time_scale is {self.time_scale}, expected > 0")
-        object.__setattr__(self, "_offset", time.time() - _uptime() if self.time_scale == 1.0 else 0.0)
+    def __init__(self) -> None:
+        self._offset = time.time() - _uptime()
 
     def now(self) -> float:
         """Return the bench time in s."""
-        return self._offset + self.time_scale * _uptime()
-
-    def wall(self, duration: float) -> float:
-        """Return the wall-clock length, in s, of a duration in bench seconds."""
-        return duration / self.time_scale
+        return self._offset + _uptime()
 
     def sleep_until(self, bench_time: float) -> None:
         """Block until ``bench_time``; return at once when it has passed."""
-        remaining = self.wall(bench_time - self.now())
+        remaining = bench_time - self.now()
         if remaining > 0:
             time.sleep(remaining)
+
+    def sleep(self, duration: float) -> None:
+        """Block for ``duration`` bench seconds."""
+        self.sleep_until(self.now() + duration)
+
+    def sleep_step(self, period: float) -> None:
+        """Block for a period between two looks at a condition."""
+        time.sleep(period)
+
+    def waiter(self) -> Waiter:
+        """Return a means to wait that another thread can end."""
+        return Waiter(self)
+
+    def busy(self) -> AbstractContextManager[None]:
+        """Return a context in which a simulated bench stands still, except while the thread waits for a bench time."""
+        return contextlib.nullcontext()
+
+    def hold(self) -> None:
+        """Begin work during which a simulated bench stands still; any thread ends it by `release`."""
+
+    def release(self) -> None:
+        """End work that `hold` began."""
+
+    def sending(self, channel: str, count: int = 1) -> None:
+        """Announce messages or bytes that are about to be sent, so that a simulated bench waits until they are received."""

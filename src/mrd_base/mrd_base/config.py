@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 
 import yaml
 
-from mrd_base.clock import FASTEST, SLOWEST
 from mrd_base.errors import InputError
 
 T = TypeVar("T")
@@ -71,11 +70,6 @@ def quantity(
         Inclusive bounds in SI units.
     """
     return dataclasses.field(default=default, metadata={"unit": unit, "doc": doc, "lower": lower, "upper": upper})
-
-
-def bench_time_scale() -> Any:
-    """Declare the field ``time_scale``, which the configuration of every node has."""
-    return quantity(1.0, doc="bench seconds per wall second", lower=SLOWEST, upper=FASTEST)
 
 
 def yaml_key(field: dataclasses.Field[Any], units: Mapping[str, str] | None = None) -> tuple[str, float]:

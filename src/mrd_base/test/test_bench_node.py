@@ -26,7 +26,7 @@ def start(*arguments):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["-p", "prt:=/dev/x"], "error: node tiny: unknown parameter prt; did you mean port? (known: time_scale, "),
+        (["-p", "prt:=/dev/x"], "error: node tiny: unknown parameter prt; did you mean port? (known: limits.stroke_mm, "),
         (["-p", "limits.stroek_mm:=40"], "unknown parameter limits.stroek_mm; did you mean limits.stroke_mm?"),
         (["-p", "limits.stroke_mm:=abc"], "error: node tiny: limits: stroke_mm: found str 'abc', expected a finite number"),
         (["-p", "limits.stroke_mm:=0.055"], "limits: stroke_mm: found 0.055, expected 1 to 1000 (travel of the damper)"),
@@ -68,13 +68,13 @@ def test_parameters_become_the_configuration_and_every_signal_closes_the_node(tm
     file = tmp_path / "bench.yaml"
     file.write_text("""
 /**:
-  ros__parameters: {time_scale: 2, limits: {stroke_mm: 40.0}}
+  ros__parameters: {limits: {stroke_mm: 40.0}}
 /**/other:
   ros__parameters: {what: ever}
 """)
     node = start("--ros-args", "--params-file", str(file), "-p", "offset_mm:=3", "-p", "gains:=[1, 3]")
     assert node.stdout.readline() == (
-        "TinySettings(time_scale=2.0, limits=RodLimits(stroke=0.04, force=800.0), port='/dev/ttyUSB0', gains=(1.0, 3.0), "
+        "TinySettings(limits=RodLimits(stroke=0.04, force=800.0), port='/dev/ttyUSB0', gains=(1.0, 3.0), "
         "offset=0.003, rate=25.0)\n"
     )
     node.send_signal(end)

@@ -14,7 +14,6 @@ class RodLimits:
 
 @dataclass(frozen=True)
 class TinySettings:
-    time_scale: float = quantity(1.0, lower=0.01, upper=100)
     limits: RodLimits = RodLimits()
     port: str = quantity("/dev/ttyUSB0", doc="serial line")
     gains: tuple[float, ...] = quantity((1.0, 2.0))

@@ -19,8 +19,16 @@ from mrd_base import InputError, read_node_parameters
 # Nodes that command a motion end first. Then end those that release rod and coil, while motor and recorder still run.
 _STOP_ORDER = (("supervisor", "generator"), ("servo", "daq"), ("recorder", "plant"))
 
+# Those for whom the time of a simulated bench begins: the nodes, and the client that lets them run experiments.
+PARTICIPANTS = "servo,daq,recorder,generator,supervisor,bench"
+
 # Lines of the log of a process that its error message shows.
 _LOG_LINES = 15
+
+
+def clock_of(port: Path) -> Path:
+    """Return the socket of the bench time of the simulated plant with a serial port."""
+    return port.with_name(port.name + ".clock")
 
 
 class ProcessDiedError(Exception):
@@ -49,7 +57,7 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def bench_processes(
-    bench: Path, plant: Path | None, port: Path, *, time_scale: float | None = None, seed: int = 0
+    bench: Path, plant: Path | None, port: Path, *, pace: float | None = None, seed: int = 0
 ) -> list[ProcessSpec]:
     """Return the processes of a bench.
 
@@ -61,17 +69,23 @@ def bench_processes(
         Parameter file of the simulated plant; None for the real bench.
     port : Path
         Path at which the simulated plant creates the serial port of the motor.
-    time_scale : float, optional
-        Bench seconds per wall second; overrides the parameter file.
+    pace : float, optional
+        Largest number of bench seconds in a wall second of a simulated bench, by default as many as the machine computes.
     seed : int
         Seed of the plant's noise.
     """
-    common: dict[str, Any] = {} if time_scale is None else {"time_scale": float(time_scale)}
-    servo, daq = dict(common), dict(common)
+    # On a simulated bench, all nodes wait for each other.
+    common: dict[str, Any] = {} if plant is None else {"clock": str(clock_of(port))}
+    servo, daq, supervisor = dict(common), dict(common), dict(common)
     specs = []
     if plant is not None:
-        specs.append(ProcessSpec("mrd_sim", "plant", {**common, "port_link": str(port), "seed": seed}, (bench, plant)))
+        simulation = {"port_link": str(port), "seed": seed, "participants": PARTICIPANTS}
+        if pace is not None:
+            simulation["pace"] = float(pace)
+        specs.append(ProcessSpec("mrd_sim", "plant", {**common, **simulation}, (bench, plant)))
         servo["port"], daq["backend"] = str(port), "simulated"
+        # Nothing moves while the supervisor waits for a process. ROS tells a dead one from a slow one within 20 s.
+        supervisor |= {"answer_timeout_s": 30.0, "discovery_timeout_s": 60.0}
     elif read_node_parameters(bench, "daq").get("backend", "simulated") == "simulated":
         raise InputError(f"{bench}: daq has backend simulated; add --simulated, or set backend: ni_usb_6216")
     return [
@@ -80,7 +94,7 @@ def bench_processes(
         ProcessSpec("mrd_bench_driver", "daq", daq, (bench,)),
         ProcessSpec("mrd_runs", "recorder", common, (bench,)),
         ProcessSpec("mrd_trajectory", "generator", common, (bench,)),
-        ProcessSpec("mrd_bench_driver", "supervisor", common, (bench,)),
+        ProcessSpec("mrd_bench_driver", "supervisor", supervisor, (bench,)),
     ]
 
 

@@ -3,6 +3,7 @@
 import sys
 import types
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import BenchClock, InputError
+from mrd_base.barrier import Barrier
+from mrd_base.barrier_clock import BarrierClock
 from mrd_bench_driver.acquisition import (
     BACKENDS,
     AcquisitionError,
@@ -106,9 +109,11 @@ def test_an_unknown_backend_is_refused_with_the_known_ones() -> None:
         make_backend("ni6216", WIRING, BenchClock())
 
 
-def test_a_real_converter_cannot_run_faster_than_time() -> None:
-    with pytest.raises(InputError, match="time_scale is 4"):
-        make_backend("ni_usb_6216", WIRING, BenchClock(4.0))
+def test_a_real_converter_has_no_simulated_time(tmp_path: Path) -> None:
+    owner = Barrier(tmp_path / "clock", [], 0.0, 1.0, print)
+    with pytest.raises(InputError, match="expected simulated on a simulated bench"):
+        make_backend("ni_usb_6216", WIRING, BarrierClock(tmp_path / "clock", "daq"))
+    owner.close()
 
 
 def test_every_backend_puts_0_volts_on_the_coil_when_opened_and_closed(ni: "FakeNi") -> None:

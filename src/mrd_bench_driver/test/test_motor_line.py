@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_base import BenchClock
-from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted, WakeUp
+from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted
 from mrd_bench_driver.servo.smartmotor import ReplyError
 
 pytestmark = pytest.mark.realtime
@@ -24,8 +24,9 @@ class Far:
     def __init__(self) -> None:
         self.master, self.slave = pty.openpty()
         tty.setraw(self.slave)
-        self.wake_up = WakeUp()
-        self.line = MotorLine(os.ttyname(self.slave), 115200, BenchClock(), self.wake_up)
+        clock = BenchClock()
+        self.waiter = clock.waiter()
+        self.line = MotorLine(os.ttyname(self.slave), 115200, clock, self.waiter)
         self.line.drain()
 
     def ask(self, *script: tuple[float, bytes], count: int = 1, timeout: float = 0.05):
@@ -100,7 +101,7 @@ def test_trickling_bytes_do_not_stretch_the_timeout(far):
 
 
 def test_wake_breaks_off_at_once(far):
-    threading.Timer(0.02, far.wake_up.set).start()
+    threading.Timer(0.02, far.waiter.wake).start()
     begin = time.monotonic()
     with pytest.raises(WaitInterrupted):
         far.ask(timeout=1.0)
@@ -117,9 +118,9 @@ def test_unplugged(far):
 
 def test_a_port_that_is_not_there_or_taken(far):
     with pytest.raises(LineLostError, match="cannot be opened"):
-        MotorLine("/dev/does-not-exist", 9600, BenchClock(), far.wake_up)
+        MotorLine("/dev/does-not-exist", 9600, BenchClock(), far.waiter)
     with pytest.raises(LineLostError, match="cannot be opened"):
-        MotorLine(os.ttyname(far.slave), 9600, BenchClock(), far.wake_up)
+        MotorLine(os.ttyname(far.slave), 9600, BenchClock(), far.waiter)
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +24,7 @@ EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: cons
 class FakePeers:
     """Peers that do at once what they are asked, and whose data are published by `publish`."""
 
-    def __init__(self) -> None:
+    def __init__(self, late: float = 1.0) -> None:
         self.calls: list[str] = []
         self.refusals: dict[str, str] = {}
         self.effects: dict[str, Callable[[], None]] = {}
@@ -33,7 +34,7 @@ class FakePeers:
         self.force, self.rate, self.state = 0.0, 100.0, ""
         self.modes: list[tuple[Mode, str]] = []
         self.emergency_stops: list[bool] = []
-        config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1)
+        config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1, late=late)
         self.supervisor = Supervisor(
             config, self.clock, self, lambda mode, reason: self.modes.append((mode, reason)), self._on_emergency_stop
         )
@@ -85,9 +86,9 @@ class FakePeers:
 
 
 @pytest.fixture
-def peers() -> Any:
+def peers(request: pytest.FixtureRequest) -> Any:
     """Peers whose data a thread publishes, as the executor of the node does."""
-    peers = FakePeers()
+    peers = FakePeers(*getattr(request, "param", ()))
     ended = threading.Event()
 
     def publish() -> None:
@@ -132,6 +133,31 @@ def test_an_interlock_ends_an_experiment_and_reset_fault_needs_health(peers: Fak
     assert peers.supervisor.reset_fault().startswith("reset; ")
     assert not peers.emergency_stops[-1]
     assert peers.supervisor.mode.current is Mode.IDLE
+
+
+@pytest.mark.parametrize("peers", [(0.5,)], indirect=True)
+def test_a_machine_that_is_too_slow_is_named_before_and_after_a_run(
+    peers: FakePeers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start() -> None:
+        for _ in range(3):
+            peers.supervisor.tick()
+        time.sleep(0.6)  # no setpoint comes meanwhile
+        peers.supervisor.tick()
+
+    peers.effects["start_experiment"] = start
+    outcome = run(peers)
+    assert outcome.message.startswith("interlock stale setpoint: ")
+    assert "; this machine is too slow: 1 of 4 cycles came more than 500 ms late, the worst " in outcome.message
+    assert peers.supervisor.reset_fault()
+
+    delays = iter([0.6])
+    monkeypatch.setattr(peers.clock, "sleep", lambda duration: time.sleep(duration + next(delays, 0.0)))
+    peers.calls.clear()
+    outcome = run(peers)
+    assert not outcome.success
+    assert outcome.message.startswith("not armed, this machine is too slow: 1 of 50 cycles came more than 500 ms late")
+    assert "servo/enable True" not in peers.calls
 
 
 def test_cancel_and_stop_end_an_experiment(peers: FakePeers) -> None:

@@ -16,6 +16,7 @@ STEPS = (
     "require_ready",
     "load",
     "set_sample_rate 25.0",
+    "require_punctual_machine",
     "enter homing",
     "centre",
     "tare",
@@ -52,6 +53,9 @@ class FakeBench:
 
     def set_sample_rate(self, rate: float) -> None:
         self._do(f"set_sample_rate {rate}")
+
+    def require_punctual_machine(self) -> None:
+        self._do("require_punctual_machine")
 
     def enter(self, mode: Mode) -> None:
         self._do(f"enter {mode}")

@@ -139,12 +139,14 @@ def test_the_processes_end_when_their_starter_is_killed(prefix: Path, tmp_path: 
 
 
 def test_a_simulated_bench_has_a_plant_and_one_serial_port(tmp_path: Path) -> None:
-    specs = {
-        p.executable: p for p in bench_processes(BENCH, tmp_path / "plant.yaml", tmp_path / "motor", time_scale=4, seed=3)
-    }
+    specs = {p.executable: p for p in bench_processes(BENCH, tmp_path / "plant.yaml", tmp_path / "motor", pace=4, seed=3)}
     assert list(specs) == ["plant", "servo", "daq", "recorder", "generator", "supervisor"]
-    assert specs["plant"].parameters == {"time_scale": 4.0, "port_link": str(tmp_path / "motor"), "seed": 3}
-    assert specs["servo"].parameters == {"time_scale": 4.0, "port": str(tmp_path / "motor")}
+    port = str(tmp_path / "motor")
+    names = "servo,daq,recorder,generator,supervisor,bench"
+    clock = {"clock": f"{port}.clock"}
+    assert specs["plant"].parameters == {**clock, "port_link": port, "seed": 3, "participants": names, "pace": 4.0}
+    assert specs["servo"].parameters == {**clock, "port": port}
+    assert specs["recorder"].parameters == clock
     assert specs["daq"].parameters["backend"] == "simulated"
     assert specs["plant"].files == (BENCH, tmp_path / "plant.yaml")
 
@@ -156,4 +158,4 @@ def test_a_real_bench_needs_a_real_converter(tmp_path: Path) -> None:
     real.write_text("/**/daq: {ros__parameters: {backend: ni_usb_6216}}")
     specs = {part.executable: part for part in bench_processes(real, None, tmp_path / "motor")}
     assert "plant" not in specs
-    assert "port" not in specs["servo"].parameters
+    assert all(not spec.parameters for spec in specs.values()), "a real bench has the time of the machine"

@@ -6,19 +6,20 @@ import math
 import numpy as np
 import pytest
 
+from mrd_base import BenchClock
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
 
 
 def test_nothing_is_known_before_the_first_message() -> None:
-    snapshot = BenchMonitor().snapshot(10.0, follows_experiment=True)
+    snapshot = BenchMonitor(BenchClock()).snapshot(10.0, follows_experiment=True)
     assert (snapshot.sample_age, snapshot.servo_age, snapshot.setpoint_age) == (math.inf, math.inf, 0.0)
     assert math.isnan(snapshot.position)
     assert not snapshot.servo.connected
 
 
 def test_samples_give_age_extremes_speed_and_mean_current() -> None:
-    monitor = BenchMonitor()
+    monitor = BenchMonitor(BenchClock())
     for block in range(2):
         position = 1e-3 * block + np.linspace(-5e-3, -4e-3, 20)
         force = np.array([100.0, -300.0, 200.0] + [0.0] * 17)
@@ -33,7 +34,7 @@ def test_samples_give_age_extremes_speed_and_mean_current() -> None:
 
 
 def test_a_gap_in_the_samples_gives_no_speed_and_an_empty_block_nothing() -> None:
-    monitor = BenchMonitor()
+    monitor = BenchMonitor(BenchClock())
     one = np.array([1e-3])
     monitor.add_samples(10.0, 0.04, one, one, one)
     monitor.add_samples(11.0, 0.04, 5 * one, one, one)
@@ -46,7 +47,7 @@ def test_a_gap_in_the_samples_gives_no_speed_and_an_empty_block_nothing() -> Non
 
 
 def test_the_servo_is_as_old_as_its_status() -> None:
-    monitor = BenchMonitor()
+    monitor = BenchMonitor(BenchClock())
     monitor.servo = ServoStatus(time=10.0, position=0.002, connected=True)
     snapshot = monitor.snapshot(10.05, follows_experiment=False)
     assert snapshot.servo_age == pytest.approx(0.05)
@@ -58,7 +59,7 @@ def test_the_age_of_setpoints_counts_only_while_an_experiment_runs_that_is_follo
         snapshot: Snapshot = monitor.snapshot(now, follows_experiment=follows_experiment)
         return snapshot.setpoint_age
 
-    monitor = BenchMonitor()
+    monitor = BenchMonitor(BenchClock())
     monitor.add_setpoint(9.0)
     monitor.add_experiment_state("running", 10.0)
     assert age(10.1) == pytest.approx(0.1)

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -44,6 +45,7 @@ class Fakes:
         self._servo = node.create_publisher(ServoState, "servo_state", RECORDED)
         self._setpoint = node.create_publisher(Setpoint, "setpoint", COMMAND)
         self._experiment = node.create_publisher(String, "experiment_state", LATCHED)
+        self.recorder_state = node.create_publisher(DiagnosticStatus, "recorder_state", LATCHED)
         self.emergency_stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         node.create_subscription(Bool, "emergency_stop", self._on_stop, LATCHED)
         self.states: list[BenchState] = graph.subscribe("bench_state", BenchState, LATCHED)
@@ -159,6 +161,11 @@ class Fakes:
 
     def _start_recording(self, request: Any, _response: Any) -> None:
         self.bag["bag"] = request.bag
+
+    def tell_recorder_state(self, state: str, problem: str = "") -> None:
+        level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK
+        values = [KeyValue(key="state", value=state)]
+        self.recorder_state.publish(DiagnosticStatus(level=level, message=problem or state, values=values))
 
     def _stop_recording(self, _request: Any, response: Any) -> None:
         for name, value in self.bag.items():
@@ -437,6 +444,25 @@ def test_lost_samples_are_reported(fakes: Fakes) -> None:
     ended = fakes.result(fakes.send())
     assert ended.status == GoalStatus.STATUS_ABORTED
     assert (ended.result.message, ended.result.lost) == ("20 samples are missing", 20)
+
+
+def test_a_recording_that_fails_ends_the_experiment_at_once(fakes: Fakes) -> None:
+    failure = "/tmp/bag: cannot be written (No space left on device)"
+    fakes.tell_recorder_state("recording")
+    handle = fakes.running()
+    fakes.remaining = 10_000
+    fakes.calls.clear()
+    fakes.bag.update(success=False, message=failure)
+    told = fakes.graph.clock.now()
+    fakes.tell_recorder_state("failed", failure)
+    fakes.graph.until(lambda: fakes.calls, timeout=5.0)
+    assert fakes.graph.clock.now() - told < 0.5
+    ended = fakes.result(handle)
+    assert (ended.status, ended.result.message) == (GoalStatus.STATUS_ABORTED, failure)
+    assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]
+    fakes.tell_recorder_state("idle")
+    fakes.reset()
+    assert fakes.result(fakes.send()).result.success
 
 
 def test_nothing_is_armed_on_stale_inputs(start: Callable[..., Fakes]) -> None:

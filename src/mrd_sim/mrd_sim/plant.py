@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
-from mrd_base.config import bench_time_scale, from_mapping, read_node_parameters
+from mrd_base.config import from_mapping, read_node_parameters
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.effects import load_effects
@@ -76,7 +76,8 @@ def read_damper(path: str | Path) -> DamperConfig:
 class PlantConfig:
     """The simulated bench: the section ``plant`` of plant.yaml."""
 
-    time_scale: float = bench_time_scale()
+    participants: str = quantity("", "", "nodes, separated by commas, for whose start the bench time waits")
+    pace: float = quantity(0.0, "", "most bench seconds in a wall second; 0: as many as the machine computes", lower=0)
     port_link: str = quantity("~/.ros/mrd_bench/motor", "", "link to the serial port of the simulated motor")
     seed: int = quantity(1, "", "seed of all noise", lower=0, upper=2**31 - 1)
     hardware_rate: float = quantity(2000.0, "Hz", "rate of the converter, as in the section daq", lower=1, upper=8000)

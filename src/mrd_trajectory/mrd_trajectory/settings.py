@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrd_base import from_mapping, quantity, read_node_parameters
-from mrd_base.config import bench_time_scale
 from mrd_trajectory.force import ForceEnvelope
 from mrd_trajectory.limits import Limits
 
@@ -13,7 +12,6 @@ from mrd_trajectory.limits import Limits
 class GeneratorSettings:
     """Section ``generator`` of bench.yaml, with the shared section ``limits``."""
 
-    time_scale: float = bench_time_scale()
     setpoint_rate: float = quantity(100.0, "Hz", "setpoints per second", lower=1, upper=2000)
     stall: float = quantity(0.2, "s", "gap between two setpoints that aborts the run", lower=0.01)
     limits: Limits = Limits()

@@ -29,7 +29,6 @@ rate_hz: 100
 rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 1.0}
 coil: {waveform: prbs, low_mA: 0, high_mA: 150, bit_s: 0.2}
 """
-SCALE = 2.0
 
 
 class Client:
@@ -69,7 +68,7 @@ def start_generator():
     processes = []
 
     def start(*parameters):
-        arguments = [part for parameter in (f"time_scale:={SCALE}", *parameters) for part in ("-p", parameter)]
+        arguments = [part for parameter in parameters for part in ("-p", parameter)]
         processes.append(
             subprocess.Popen(
                 ["ros2", "run", "mrd_trajectory", "generator", "--ros-args", "-r", "__ns:=/test", *arguments],
@@ -109,7 +108,7 @@ def test_streams_the_plan_and_comes_to_rest(bench, start_generator):
     bench.during(0.3)
     assert bench.setpoints == []  # nothing moves that was not asked to
 
-    before = BenchClock(SCALE).now()
+    before = BenchClock().now()
     assert bench.call("start_experiment").success
     assert not bench.call("load_experiment", experiment=TEXT).success  # not while it runs
     assert not bench.call("start_experiment").success

@@ -1,14 +1,16 @@
 """Base of every node: configuration from ROS parameters, bench time, diagnostics, orderly shutdown."""
 
 import dataclasses
+import functools
 import gc
 import itertools
 import signal
 import sys
+import threading
 import typing
 from array import array
-from collections.abc import Callable, Mapping
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Generic, Protocol, TypeVar
 
 import rclpy
 from builtin_interfaces.msg import Time
@@ -20,11 +22,13 @@ from rclpy.experimental import EventsExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from rclpy.timer import Timer
+from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
+from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
 from mrd_base.config import from_mapping, to_mapping, unknown_key, yaml_key
 from mrd_base.errors import InputError
@@ -34,12 +38,50 @@ COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 RECORDED = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
 # Sections of bench.yaml that stand under /** and so reach every node, also one that does not use them.
-_SHARED = {"time_scale", "limits"}
+_SHARED = {"clock", "limits"}
 
 # Parameters that rclpy itself declares or reads.
 _RCLPY = {"use_sim_time", "start_type_description_service", "qos_overrides"}
 
 C = TypeVar("C")
+
+
+class BenchTimer(Protocol):
+    """A timer in bench time."""
+
+    def reset(self) -> None:
+        """Begin a new period."""
+
+    def cancel(self) -> None:
+        """Call back no more until `reset`."""
+
+
+class _AnnouncingPublisher(Publisher):
+    """A publisher that announces each message to the owner of a simulated bench's time."""
+
+    bench: BenchClock
+
+    def publish(self, msg: Any) -> None:
+        self.bench.sending(self.topic_name)
+        super().publish(msg)
+
+    @functools.cached_property
+    def topic_name(self) -> str:
+        return str(super().topic_name)
+
+
+class _Inbox:
+    """The messages of a subscription on a simulated bench. The node's executor does not know the subscription."""
+
+    def __init__(self, subscription: Subscription, callback: Callable[[Any], None]) -> None:
+        self.subscription, self.handle = subscription, callback
+
+    def take(self) -> tuple[Any, int] | None:
+        """Return the next message and its number, or None if none is there."""
+        subscription = self.subscription
+        with subscription.handle:
+            taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        return None if taken is None else (taken[0], taken[1]["publication_sequence_number"])
 
 
 class BenchNode(Node, Generic[C]):
@@ -53,7 +95,7 @@ class BenchNode(Node, Generic[C]):
     name : str
         Default node name.
     config_type : dataclass type
-        It has a field ``time_scale`` and defaults for all fields.
+        It has defaults for all fields.
 
     Attributes
     ----------
@@ -63,14 +105,26 @@ class BenchNode(Node, Generic[C]):
         Configuration at start, in SI units.
     bench : BenchClock
         Clock of bench time, by which the node stamps and times everything.
+
+    Notes
+    -----
+    The parameter ``clock`` names the owner of the time of a simulated bench (`mrd_base.barrier`). Messages and bench timers
+    then call back in the thread of the bench time, one at a time with everything else that the node does.
     """
 
     dynamic: typing.ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, name: str, config_type: type[C]) -> None:
+        self.bench = BenchClock()
+        self.callback_lock = threading.RLock()
+        self._announcing: list[Publisher] = []
+        self._inboxes: dict[Subscription, _Inbox] = {}
         super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
         self.config: C = from_mapping(config_type, self._declare(config_type), f"node {name}")
-        self.bench = BenchClock(typing.cast(Any, self.config).time_scale)
+        descriptor = ParameterDescriptor(
+            description="socket of the owner of a simulated bench's time; empty on a real bench", read_only=True
+        )
+        self.bench = self.make_clock(self.declare_parameter("clock", "", descriptor).value)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._publish_diagnostics)
 
@@ -113,6 +167,7 @@ class BenchNode(Node, Generic[C]):
         if not self.has_parameter(name):
             self.declare_parameter(name, value, ParameterDescriptor(dynamic_typing=True))
 
+        @self._one_at_a_time
         def on_set(parameters: list[Parameter]) -> SetParametersResult:
             try:
                 for parameter in parameters:
@@ -124,9 +179,84 @@ class BenchNode(Node, Generic[C]):
 
         self.add_on_set_parameters_callback(on_set)
 
-    def create_bench_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+    def make_clock(self, clock: str) -> BenchClock:
+        """Return the clock of bench time for the parameter ``clock``."""
+        if not clock:
+            return BenchClock()
+        barrier_clock = BarrierClock(clock, self.get_name())
+        barrier_clock.on_loss = lambda what: self.get_logger().error(what)
+        return barrier_clock
+
+    def create_bench_timer(self, period: float, callback: Callable[[], None]) -> BenchTimer:
         """Create a timer with a period in bench seconds, which no adjustment of the machine's clock delays."""
-        return self.create_timer(self.bench.wall(period), callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if isinstance(self.bench, BarrierClock):
+            return self.bench.timer(period, self._one_at_a_time(callback))
+        timer: BenchTimer = self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return timer
+
+    # On a simulated bench, the thread of the bench time takes the messages, so that it knows when a node has processed them.
+
+    def _one_at_a_time(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a callback that runs with no other of the node, and during which a simulated bench stands still."""
+
+        def call(*arguments: Any) -> Any:
+            with self.bench.busy(), self.callback_lock:
+                return callback(*arguments)
+
+        return call
+
+    def create_publisher(self, msg_type: Any, topic: str, qos_profile: Any, **options: Any) -> Publisher:
+        """Create a publisher, as `Node` does."""
+        if topic.startswith("/") or not isinstance(self.bench, BarrierClock):
+            return super().create_publisher(msg_type, topic, qos_profile, **options)
+        publisher = super().create_publisher(msg_type, topic, qos_profile, publisher_class=_AnnouncingPublisher, **options)
+        publisher.bench = self.bench
+        self._announcing.append(publisher)
+        return publisher
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any
+    ) -> Subscription:
+        """Create a subscription, as `Node` does."""
+        subscription = super().create_subscription(msg_type, topic, callback, qos_profile, **options)
+        if isinstance(self.bench, BarrierClock):
+
+            def handle(message: Any) -> None:
+                with self.callback_lock:
+                    callback(message)
+
+            self._inboxes[subscription] = _Inbox(subscription, handle)
+        return subscription
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Subscriptions for the executor."""
+        return (subscription for subscription in super().subscriptions if subscription not in self._inboxes)
+
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Any:
+        """Create a service, as `Node` does."""
+        simulated = isinstance(self.bench, BarrierClock)
+        return super().create_service(
+            srv_type, srv_name, self._one_at_a_time(callback) if simulated else callback, **options
+        )
+
+    def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
+        """Create a timer, as `Node` does."""
+        simulated = isinstance(self.bench, BarrierClock)
+        callback = self._one_at_a_time(callback) if simulated else callback
+        return super().create_timer(timer_period_sec, callback, *arguments, **options)
+
+    def take_part(self) -> None:
+        """Take part in a simulated bench, once all publishers and subscriptions exist."""
+        if isinstance(self.bench, BarrierClock):
+            self.bench.join(
+                {publisher.topic_name: publisher.get_subscription_count for publisher in self._announcing},
+                {
+                    subscription.topic_name: (inbox, subscription.get_publisher_count)
+                    for subscription, inbox in self._inboxes.items()
+                },
+                share_core=True,
+            )
 
     def stamp(self, bench_time: float | None = None) -> Time:
         """Return the ROS time of a bench time in s, by default of now."""
@@ -181,6 +311,7 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
     try:
         _init()
         node = factory()
+        node.take_part()
         # Imported objects stay. A full collection that scanned them all would stop the node for a tenth of a second.
         gc.collect()
         gc.freeze()
@@ -188,12 +319,20 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
         node_executor.add_node(node)
         while not stopping:
             node_executor.spin_once(timeout_sec=0.1)
+            if isinstance(node.bench, BarrierClock) and node.bench.error is not None:
+                raise node.bench.error
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         status = 2
     finally:
         if node is not None:
+            if isinstance(node.bench, BarrierClock):
+                node.bench.stop_receiving()
+            with node.callback_lock:
+                pass  # a callback that still runs has ended now
             node.close()
+            if isinstance(node.bench, BarrierClock):
+                node.bench.leave()
             node.destroy_node()
         rclpy.try_shutdown()
     sys.exit(status)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from mrd_base import BenchClock, InputError
+from mrd_base.barrier_clock import BarrierClock
 from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
 from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, ConverterSettings, VoltBlock
 from mrd_bench_driver.acquisition.ni_usb_6216 import NiUsb6216
@@ -15,8 +16,8 @@ def make_backend(name: str, wiring: ConverterSettings, clock: BenchClock) -> Bac
     """Return a backend of the catalogue, not yet open."""
     if name not in BACKENDS:
         raise InputError(f"backend is {name!r}, expected one of {', '.join(BACKENDS)}")
-    if name != "simulated" and clock.time_scale != 1:
-        raise InputError(f"time_scale is {clock.time_scale:g}, expected 1 with backend {name}, a real bench")
+    if name != "simulated" and isinstance(clock, BarrierClock):
+        raise InputError(f"backend is {name}, expected simulated on a simulated bench; start the bench without --simulated")
     return BACKENDS[name](wiring, clock)
 
 

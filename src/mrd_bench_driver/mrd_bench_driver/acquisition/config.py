@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from mrd_base import quantity
-from mrd_base.config import bench_time_scale
 from mrd_bench_driver.acquisition.channels import ChannelMap, CoilOutput
 from mrd_trajectory.limits import Limits
 
@@ -12,7 +11,6 @@ from mrd_trajectory.limits import Limits
 class DaqConfig:
     """Section ``daq`` of bench.yaml."""
 
-    time_scale: float = bench_time_scale()
     limits: Limits = Limits()
     backend: str = quantity("simulated", doc="simulated or ni_usb_6216")
     device: str = quantity("Dev1", doc="name of the converter in NI's configuration")

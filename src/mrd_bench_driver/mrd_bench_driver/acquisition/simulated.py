@@ -1,5 +1,6 @@
 """Backend of the simulated plant. The node carries the voltages between the plant and this backend."""
 
+import math
 import queue
 from collections.abc import Callable, Sequence
 
@@ -13,17 +14,20 @@ from mrd_bench_driver.acquisition.backend import AcquisitionError, ConverterSett
 class Simulated:
     """Backend that receives blocks by `feed` and passes the coil voltage to ``send``."""
 
-    def __init__(self, wiring: ConverterSettings, _clock: BenchClock) -> None:
+    def __init__(self, wiring: ConverterSettings, clock: BenchClock) -> None:
         self.product = "simulated"
         self.send: Callable[[float], None] = lambda _volts: None
-        self._wiring = wiring
+        self._wiring, self._clock = wiring, clock
         self._inputs = [channel.input for _, channel in wiring.channels.items()]
+        self._volts = math.nan  # on the coil output
+        self._processing = False  # whether the block that was read last may still be processed
         self._blocks: queue.SimpleQueue[VoltBlock | AcquisitionError] = queue.SimpleQueue()
 
     def feed(
         self, sequence: int, time: float, sample_period: float, inputs: Sequence[str], volts: NDArray[np.float64]
     ) -> None:
         """Add a block from the plant: ``volts`` (n · inputs,), input after input."""
+        self._clock.hold()
         self._blocks.put(self._to_block(sequence, time, sample_period, inputs, volts))
 
     def _to_block(
@@ -50,22 +54,30 @@ class Simulated:
         """Discard earlier blocks and set the coil output to 0 V."""
         while not self._blocks.empty():
             self._blocks.get()
-        self.send(0.0)
+            self._clock.release()
+        self._volts = math.nan
+        self.write(0.0)
 
     def read(self) -> VoltBlock | None:
-        """Return the next block, or None if none came for a moment."""
+        """Return the next block, or None if none came for a moment. The block before has been processed by now."""
+        if self._processing:
+            self._processing = False
+            self._clock.release()
         try:
             block = self._blocks.get(timeout=0.1)
         except queue.Empty:
             return None
+        self._processing = True
         if isinstance(block, AcquisitionError):
             raise block
         return block
 
     def write(self, volts: float) -> None:
-        """Send a coil voltage to the plant."""
-        self.send(volts)
+        """Send a coil voltage to the plant, which keeps it."""
+        if volts != self._volts:
+            self._volts = volts
+            self.send(volts)
 
     def close(self) -> None:
         """Set the coil output to 0 V."""
-        self.send(0.0)
+        self.write(0.0)

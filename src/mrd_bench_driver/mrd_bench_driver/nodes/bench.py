@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base import InputError, run_tool
-from mrd_base.clock import FASTEST, SLOWEST
 from mrd_bench_driver.nodes.bench_client import BenchClient
-from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes
+from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
@@ -92,15 +91,21 @@ def main() -> None:
     )
     parser.add_argument("--simulated", action="store_true", help="simulate the plant, including motor and converter")
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of bags and logs (default: runs/NAME-TIME)")
-    parser.add_argument("--time-scale", type=float, help="bench seconds per wall second; needs --simulated")
+    parser.add_argument(
+        "--pace",
+        type=float,
+        metavar="X",
+        help="at most X bench seconds in a wall second, 1 for real time (default: as many as the machine computes); "
+        "needs --simulated",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     arguments = parser.parse_args()
     if arguments.bench is None:
         parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
-    if arguments.time_scale not in (None, 1) and not arguments.simulated:
-        parser.error("--time-scale needs --simulated: a real bench has one time")
-    if arguments.time_scale is not None and not SLOWEST <= arguments.time_scale <= FASTEST:
-        parser.error(f"--time-scale is {arguments.time_scale:g}, expected {SLOWEST:g} to {FASTEST:g}")
+    if arguments.pace is not None and not arguments.simulated:
+        parser.error("--pace needs --simulated: a real bench has one time")
+    if arguments.pace is not None and not arguments.pace > 0:
+        parser.error(f"--pace is {arguments.pace:g}, expected > 0")
     if not 0 <= arguments.seed < 2**31:
         parser.error(f"--seed is {arguments.seed}, expected a whole number from 0 to 2147483647")
     run_tool(lambda: _work(arguments))
@@ -108,9 +113,8 @@ def main() -> None:
 
 def _work(arguments: argparse.Namespace) -> None:
     session = _prepare(arguments)
-    specs = bench_processes(
-        arguments.bench, session.plant, session.logs / "motor", time_scale=arguments.time_scale, seed=arguments.seed
-    )
+    port = session.logs / "motor"
+    specs = bench_processes(arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed)
     signals = SignalCounter()
     try:
         with BenchProcesses(specs, session.logs) as processes:
@@ -119,13 +123,15 @@ def _work(arguments: argparse.Namespace) -> None:
                 signals.check()
                 processes.check()
 
-            with BenchClient(processes.namespace, watch) as client:
+            clock = clock_of(port) if arguments.simulated else None
+            with BenchClient(processes.namespace, watch, clock) as client:
                 client.wait_until_up(set(processes.specs))
                 if not session.experiments:
                     print(
                         f"the bench is up in namespace {processes.namespace}; logs: {session.logs}; end it by Ctrl-C",
                         flush=True,
                     )
+                    client.let_time_pass()
                     client.spin(lambda: False, float("inf"))
                 result = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:

@@ -14,13 +14,15 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from mrd_base import InputError
+from mrd_base import BenchClock, InputError
+from mrd_base.barrier_clock import BarrierClock
 from mrd_interfaces.action import RunExperiment, RunSet
 
-# Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s.
-START_TIMEOUT = 60.0
+# Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s, or longer on a busy
+# machine. Nobody waits so long for a process that has died: the watch of the client sees it.
+START_TIMEOUT = 180.0
 # Wall time in s for the supervisor to accept a goal.
-ACCEPT_TIMEOUT = 10.0
+ACCEPT_TIMEOUT = 30.0
 # Wall time in s for a cancelled experiment to end; it includes the time in which the recorder may close its bag.
 CANCEL_TIMEOUT = 90.0
 
@@ -41,15 +43,27 @@ class BenchClient:
         Namespace of the bench's nodes.
     watch : callable
         Called often during waits; an exception that it raises ends the wait.
+    clock : Path, optional
+        Socket of the bench time of a simulated bench. Its time does not begin before the first experiment, or
+        `let_time_pass`: the same experiments with the same seed are therefore the same runs, bit by bit.
+
+    Attributes
+    ----------
+    time : BenchClock
+        Clock of bench time, once the nodes are up.
     """
 
-    def __init__(self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, namespace: str = "/bench", watch: Callable[[], None] = lambda: None, clock: Path | None = None
+    ) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(f"bench_client_{os.getpid()}", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._watch = watch
+        self._watch, self._clock = watch, clock
+        self._held = False
+        self.time = BenchClock()
         self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
         self._run_set = ActionClient(self.node, RunSet, "run_set")
         self._nodes_up: set[str] = set()
@@ -62,6 +76,8 @@ class BenchClient:
         return self
 
     def __exit__(self, *_error: object) -> None:
+        if isinstance(self.time, BarrierClock):
+            self.time.leave()
         self._run_experiment.destroy()
         self._run_set.destroy()
         self._executor.shutdown()
@@ -80,12 +96,13 @@ class BenchClient:
         return True
 
     def wait_until_up(self, names: set[str], timeout: float = START_TIMEOUT) -> None:
-        """Wait until all nodes have published diagnostics, which they do once they work, and the supervisor is ready."""
+        """Wait until all nodes work and the supervisor is ready; on a real bench, their diagnostics show it."""
         namespace = self.node.get_namespace().strip("/")
+        begun = self._join_simulated_bench(timeout) if self._clock else lambda: False
         actions = self._run_experiment, self._run_set
 
         def missing() -> list[str]:
-            nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up)
+            nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up and not begun())
             if nodes or all(action.server_is_ready() for action in actions):
                 return nodes
             return ["the actions of the supervisor"]
@@ -94,6 +111,23 @@ class BenchClient:
             raise InputError(
                 f"the bench did not come up within {timeout:g} s: {', '.join(missing())} missing; look at the logs"
             )
+
+    def _join_simulated_bench(self, timeout: float) -> Callable[[], bool]:
+        """Take part in the time of a simulated bench; return whether all others do, too."""
+        assert self._clock is not None
+        if not self.spin(self._clock.exists, timeout):
+            raise InputError(f"the simulated plant did not come up within {timeout:g} s; look at its log")
+        clock = BarrierClock(self._clock, "bench")
+        clock.hold()
+        clock.join()
+        self.time, self._held = clock, True
+        return clock.begun.is_set
+
+    def let_time_pass(self) -> None:
+        """Let the time of a simulated bench begin."""
+        if self._held:
+            self._held = False
+            self.time.release()
 
     def run_experiment(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
         """Run an experiment, given by the text of its file, and return the result of the action.
@@ -110,7 +144,11 @@ class BenchClient:
         return self._run(self._run_set, goal, feedback)
 
     def _run(self, action: ActionClient, goal: Any, feedback: Feedback) -> Any:
-        accepted = action.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        def on_feedback(message: Any) -> None:
+            self.let_time_pass()  # the supervisor has begun
+            feedback(message.feedback)
+
+        accepted = action.send_goal_async(goal, feedback_callback=on_feedback)
         if not self.spin(accepted.done, ACCEPT_TIMEOUT):
             raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle: ClientGoalHandle = accepted.result()

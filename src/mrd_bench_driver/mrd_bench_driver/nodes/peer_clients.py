@@ -96,15 +96,16 @@ class PeerClients:
             future.add_done_callback(responses.put)
 
         self.check(service)
-        begin = time.monotonic()
+        waited = 0.0
         try:
             send()
             while True:
+                begin = time.monotonic()
                 with contextlib.suppress(queue.Empty):
                     return responses.get(timeout=_POLLING_INTERVAL).result()
+                waited += time.monotonic() - begin
                 interruption()
                 self.check(service)
-                waited = time.monotonic() - begin
                 if waited > timeout:
                     raise RefusedError(f"{owner} did not respond to {service} within {timeout:g} s; look at its log")
                 if service not in _NOT_REPEATED and waited > _REPEAT_AFTER * len(pending):

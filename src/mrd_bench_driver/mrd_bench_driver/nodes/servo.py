@@ -55,11 +55,10 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def _publish(self, status: ServoStatus) -> None:
         """Publish a status. Only the thread of the serial line calls this, so that only it uses these publishers."""
-        fields = dataclasses.asdict(status)
-        state = msg.ServoState(**{name: value for name, value in fields.items() if name != "time"})
+        state = msg.ServoState(**{name: value for name, value in vars(status).items() if name != "time"})
         state.header.stamp = self.stamp(status.time)
         self._state.publish(state)
-        if not math.isnan(status.position):
+        if self._joint.get_subscription_count() and not math.isnan(status.position):
             joint = JointState(name=["rod"], position=[status.position], velocity=[status.velocity])
             joint.header = state.header
             self._joint.publish(joint)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -57,10 +58,11 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
         self.create_subscription(BenchSamples, "samples", self._on_samples, RECORDED)
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, RECORDED)
-        self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND)
+        self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND, raw=True)
         self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
+        self.create_subscription(DiagnosticStatus, "recorder_state", self._on_recorder_state, LATCHED)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop_service)
-        self.create_bench_timer(self.config.check, self._supervisor.check_interlocks)
+        self.create_bench_timer(self.config.check, self._supervisor.tick)
 
         self._active_goals: list[ServerGoalHandle] = []
         self._request_node = Node("supervisor_requests", start_parameter_services=False, enable_rosout=False)
@@ -113,11 +115,15 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.monitor.servo = ServoStatus(seconds(state.header.stamp), **fields)
         self._supervisor.check_interlocks()
 
-    def _on_setpoint(self, _setpoint: Setpoint) -> None:
+    def _on_setpoint(self, _cdr: bytes) -> None:
         self._supervisor.monitor.add_setpoint(self.bench.now())
 
     def _on_experiment_state(self, state: String) -> None:
         self._supervisor.monitor.add_experiment_state(state.data, self.bench.now())
+
+    def _on_recorder_state(self, status: DiagnosticStatus) -> None:
+        state = next((value.value for value in status.values if value.key == "state"), "")
+        self._supervisor.monitor.add_recorder_state(state, status.message if status.level == DiagnosticStatus.ERROR else "")
 
     def _on_emergency_stop(self, message: Bool) -> None:
         # False has no effect: only reset_fault releases the stop. In a fault, this message may be our own.

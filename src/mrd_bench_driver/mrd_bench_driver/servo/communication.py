@@ -9,7 +9,7 @@ from pathlib import Path
 from mrd_base import BenchClock, InputError
 from mrd_bench_driver.servo.config import ServoConfig
 from mrd_bench_driver.servo.controller import ServoController
-from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted, WakeUp
+from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WaitInterrupted
 from mrd_bench_driver.servo.motor_setup import connect_motor
 from mrd_bench_driver.servo.smartmotor import ReplyError
 from mrd_bench_driver.servo.status import ServoStatus
@@ -37,8 +37,8 @@ class ServoCommunication:
 
     def __init__(self, config: ServoConfig, clock: BenchClock, on_status: Callable[[ServoStatus], None]) -> None:
         self._config, self._clock, self._on_status = config, clock, on_status
-        self._wake_up = WakeUp()
-        self.controller = ServoController(config, self._wake_up.set)
+        self._waiter = clock.waiter()
+        self.controller = ServoController(config, self._waiter.wake)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="servo line", daemon=True)
 
@@ -51,18 +51,25 @@ class ServoCommunication:
         if self._closing.is_set():
             return
         self._closing.set()
-        self._wake_up.set()
+        self._waiter.wake()
         if self._thread.ident is not None:
             self._thread.join(timeout=5.0)
         if not self._thread.is_alive():
-            self._wake_up.close()
+            self._waiter.close()
 
     def _run(self) -> None:
+        with self._clock.busy():
+            self._waiter.wait(
+                self._clock.now() + 1e-3
+            )  # until the time of a simulated bench has begun, and its port is there
+            self._connect_until_closed()
+
+    def _connect_until_closed(self) -> None:
         delay = _RETRY_DELAY[0]
         while not self._closing.is_set():
             line: MotorLine | None = None
             try:
-                line, motor = connect_motor(self._config, self.controller.homed, self._clock, self._wake_up)
+                line, motor = connect_motor(self._config, self.controller.homed, self._clock, self._waiter)
                 self.controller.connect(motor, line.baud_rate, self._clock.now())
                 delay = _RETRY_DELAY[0]
                 self._exchange_until_closed(line)
@@ -93,7 +100,7 @@ class ServoCommunication:
             if absent and port.exists():
                 return _RETRY_DELAY[0]
             self._publish(now)
-            self._wake_up.wait(self._clock.wall(min(0.1, end - now)))
+            self._waiter.wait(min(now + 0.1, end))
         return min(_RETRY_DELAY[1], 2 * delay)
 
     def _exchange_until_closed(self, line: MotorLine) -> None:
@@ -103,10 +110,10 @@ class ServoCommunication:
         while not self._closing.is_set():
             # A stop that comes after this wakes the thread. Either it interrupts the exchange below before a motion command
             # is written, or it is written after that command.
-            self._wake_up.clear()
+            self._waiter.clear()
             if data := controller.take_commands():
                 line.write(data)
-            if self._wake_up.wait(clock.wall(due - clock.now())):
+            if self._waiter.wait(due):
                 continue
             batch = controller.tick(clock.now())
             # After a delay the next tick is one period away: ticks to catch up would send targets in a burst.
@@ -135,7 +142,7 @@ class ServoCommunication:
         """Bring the rod to rest and switch the drive off, whatever ended the exchange."""
         with suppress(LineLostError):
             line.write(b"\rX\r")
-            self._clock.sleep_until(self._clock.now() + _REST_DELAY)
+            self._clock.sleep(_REST_DELAY)
             line.write(b"OFF\r")
-            self._clock.sleep_until(self._clock.now() + line.duration(4) + 0.002)
+            self._clock.sleep(line.duration(4) + 0.002)
         line.close()

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from mrd_base import quantity
-from mrd_base.config import bench_time_scale
 from mrd_bench_driver.servo.smartmotor import Drivetrain
 from mrd_trajectory.limits import Limits
 
@@ -12,7 +11,6 @@ from mrd_trajectory.limits import Limits
 class ServoConfig:
     """Section ``servo`` of bench.yaml."""
 
-    time_scale: float = bench_time_scale()
     limits: Limits = Limits()
     port: str = quantity("/dev/ttyUSB0", doc="serial port of the motor; /dev/serial/by-id/... survives replugging")
     baud_rate: int = quantity(115200, doc="rate in bit/s to use; the motor is found at any rate", lower=9600, upper=115200)

@@ -1,22 +1,21 @@
 """The serial line to the motor. A query brings its own whole replies or an error, never part of a reply or a late one.
 
-One thread owns the line. Other threads may only send it a `WakeUp`, which ends any wait of the owner at once.
+One thread owns the line. Other threads may only wake its `Waiter`, which ends any wait of the owner at once.
 """
 
-import os
 import select
 import termios
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import serial
 
-from mrd_base import BenchClock
+from mrd_base.barrier_clock import LINE
+from mrd_base.clock import BenchClock, Waiter
 from mrd_bench_driver.servo.smartmotor import ReplyError
 
-# Shortest timeout in wall s: under load, the operating system takes this long to deliver a byte, whatever the bench time.
+# Shortest timeout in s: under load, the operating system takes this long to deliver a byte.
 MIN_TIMEOUT = 0.02
 # Bytes read at once, and the length beyond which data without a carriage return is no reply.
 _BUFFER_SIZE = 256
@@ -32,42 +31,6 @@ class WaitInterrupted(Exception):  # noqa: N818 (no error: somebody asked for it
     """The owner of the line was woken while it waited for a reply, which is lost."""
 
 
-class WakeUp:
-    """Signal that wakes the thread that owns the line; any thread may send it."""
-
-    def __init__(self) -> None:
-        self._read, self._write = os.pipe()
-        os.set_blocking(self._read, False)
-        os.set_blocking(self._write, False)
-
-    def fileno(self) -> int:
-        """Return the descriptor, which is readable while a wake-up is pending."""
-        return self._read
-
-    def set(self) -> None:
-        """Wake the owner."""
-        # A full pipe means that wake-ups are pending already.
-        with suppress(BlockingIOError):
-            os.write(self._write, b"!")
-
-    def wait(self, wall: float) -> bool:
-        """Wait at most ``wall`` seconds; return whether a wake-up came, and clear it."""
-        if not select.select([self], [], [], max(0.0, wall))[0]:
-            return False
-        self.clear()
-        return True
-
-    def clear(self) -> None:
-        """Discard pending wake-ups."""
-        with suppress(BlockingIOError):
-            os.read(self._read, 4096)
-
-    def close(self) -> None:
-        """Close the descriptors."""
-        os.close(self._read)
-        os.close(self._write)
-
-
 class MotorLine:
     """A serial port on which each reply ends with a carriage return.
 
@@ -77,8 +40,8 @@ class MotorLine:
         Device. ``/dev/serial/by-id/...`` survives replugging.
     clock : BenchClock
         Clock of the timeouts, which are in bench seconds.
-    wake_up : WakeUp
-        Ends a wait for a reply.
+    waiter : Waiter
+        Waits for replies; another thread may wake it to end a wait.
 
     Raises
     ------
@@ -86,8 +49,8 @@ class MotorLine:
         By every method, once the port fails.
     """
 
-    def __init__(self, port: str, baud_rate: int, clock: BenchClock, wake_up: WakeUp) -> None:
-        self.port, self.clock, self._wake_up = port, clock, wake_up
+    def __init__(self, port: str, baud_rate: int, clock: BenchClock, waiter: Waiter) -> None:
+        self.port, self.clock, self._waiter = port, clock, waiter
         self._buffer = bytearray()
         self._stale = True  # whether bytes of earlier queries may still arrive
         with self._guarded("cannot be opened"):
@@ -114,6 +77,7 @@ class MotorLine:
 
     def write(self, data: bytes) -> None:
         """Send commands, which the motor does not answer."""
+        self.clock.sending(LINE, len(data))
         with self._guarded("does not take data"):
             self._serial.write(data)
 
@@ -144,12 +108,12 @@ class MotorLine:
         """
         if self._stale:
             self.drain()
-        if self._buffer or self._ready(0.0):
+        if self._buffer or self._ready(self.clock.now()):
             self.drain()
             raise ReplyError("bytes came without a query: a late reply, or noise")
         self.write(request)
         self._stale = True
-        deadline = time.monotonic() + max(MIN_TIMEOUT, self.clock.wall(timeout + self.duration(len(request))))
+        deadline = self.clock.now() + max(MIN_TIMEOUT, timeout + self.duration(len(request)))
         replies = [(self._line(deadline), self.clock.now()) for _ in range(count)]
         if self._buffer:
             raise ReplyError(f"{bytes(self._buffer)!r} came after the last expected reply")
@@ -158,10 +122,10 @@ class MotorLine:
 
     def drain(self, limit: float = 0.2) -> None:
         """Discard what arrives until the line has been quiet, for at most ``limit`` bench seconds."""
-        quiet = max(0.002, self.clock.wall(self.duration(5)))
-        deadline = time.monotonic() + max(MIN_TIMEOUT, self.clock.wall(limit))
+        quiet = max(0.002, self.duration(5))
+        deadline = self.clock.now() + max(MIN_TIMEOUT, limit)
         self._buffer.clear()
-        while time.monotonic() < deadline and self._ready(quiet):
+        while self.clock.now() < deadline and self._ready(self.clock.now() + quiet):
             self._receive()
         self._buffer.clear()
         self._stale = False
@@ -175,22 +139,23 @@ class MotorLine:
         while (end := self._buffer.find(b"\r")) < 0:
             if len(self._buffer) > _BUFFER_SIZE:
                 raise ReplyError(f"{len(self._buffer)} bytes came without an end of a reply")
-            if not self._ready(deadline - time.monotonic()):
+            if not self._ready(deadline):
                 raise ReplyError("no reply in time" if not self._buffer else f"incomplete reply: {bytes(self._buffer)!r}")
             self._receive()
         line = bytes(self._buffer[:end]).strip(b"\n")
         del self._buffer[: end + 1]
         return line
 
-    def _ready(self, wall: float) -> bool:
-        """Wait at most ``wall`` seconds for bytes; return whether there are any."""
+    def _ready(self, until: float) -> bool:
+        """Wait for bytes until a bench time; return whether there are any."""
         with self._guarded("is gone"):
-            ready = select.select([self._serial.fileno(), self._wake_up], [], [], max(0.0, wall))[0]
-        if self._wake_up in ready:
-            self._wake_up.clear()
+            line = self._serial.fileno()
+            interrupted = self._waiter.wait(until, line)
+            ready = bool(select.select([line], [], [], 0.0)[0])
+        if interrupted:
             self._stale = True
             raise WaitInterrupted("the wait for a reply was interrupted")
-        return bool(ready)
+        return ready
 
     def _receive(self) -> None:
         with self._guarded("is gone"):

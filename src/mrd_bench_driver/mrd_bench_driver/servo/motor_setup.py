@@ -4,9 +4,9 @@ import math
 from contextlib import suppress
 from dataclasses import dataclass
 
-from mrd_base import BenchClock
+from mrd_base.clock import BenchClock, Waiter
 from mrd_bench_driver.servo.config import ServoConfig
-from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine, WakeUp
+from mrd_bench_driver.servo.motor_line import LineLostError, MotorLine
 from mrd_bench_driver.servo.smartmotor import (
     BAUD_RATES,
     FACTORY_BAUD_RATE,
@@ -42,7 +42,7 @@ class MotorIdentity:
 
 
 def connect_motor(
-    config: ServoConfig, keep_origin: bool, clock: BenchClock, wake_up: WakeUp
+    config: ServoConfig, keep_origin: bool, clock: BenchClock, waiter: Waiter
 ) -> tuple[MotorLine, MotorIdentity]:
     """Open the port, find and identify the motor, switch it to the configured baud rate, and set it up.
 
@@ -50,8 +50,8 @@ def connect_motor(
     ----------
     keep_origin : bool
         Whether to keep software travel limits that the motor still holds. They show that it was not reset.
-    wake_up : WakeUp
-        Ends the search for the motor.
+    waiter : Waiter
+        Waits for replies; another thread may wake it to end the search for the motor.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def connect_motor(
     WaitInterrupted
         If a wake-up came.
     """
-    line = MotorLine(config.port, config.baud_rate, clock, wake_up)
+    line = MotorLine(config.port, config.baud_rate, clock, waiter)
     try:
         _find_baud_rate(line, config.baud_rate)
         # A motor that still moves comes to rest while it is identified.
@@ -132,7 +132,7 @@ def _answers(line: MotorLine) -> bool:
 def _switch_baud_rate(line: MotorLine, baud_rate: int) -> None:
     previous = line.baud_rate
     line.write(b"BAUD(0)=%d\r" % baud_rate)
-    line.clock.sleep_until(line.clock.now() + line.duration(16) + 0.005)
+    line.clock.sleep(line.duration(16) + 0.005)
     line.baud_rate = baud_rate
     if not _answers(line):
         raise LineLostError(

@@ -25,6 +25,7 @@ from mrd_bench_driver.supervision.interlocks import (
     first_trip,
 )
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
+from mrd_bench_driver.supervision.punctuality import measure_punctuality
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
 
@@ -44,8 +45,10 @@ _PLANNING_TIMEOUT = 30.0
 _RESET_TIMEOUT = 10.0
 # Wall time in s between two reports of the progress of an experiment.
 _PROGRESS_INTERVAL = 0.2
+# Bench time in s between two looks, while the recorder waits for rest, at whether it is still there.
+_REST_INTERVAL = 0.5
 # Time by which an experiment may exceed its duration: bench time in s, and share of the duration.
-_OVERTIME = (2.0, 0.02)
+_OVERTIME = (3.0, 0.02)
 
 Interruption = Callable[[], None]
 
@@ -57,7 +60,8 @@ def never_interrupted() -> None:
 class Peers(Protocol):
     """Services of the other nodes: ``servo``, ``daq``, ``generator`` and ``recorder``. Timeouts are in wall seconds.
 
-    While a call waits, it calls ``interruption``, which ends the wait by raising an exception.
+    While a call waits, it calls ``interruption``, which ends the wait by raising an exception, and whose own time does not
+    count.
     """
 
     def require(self, nodes: tuple[str, ...], timeout: float, interruption: Interruption) -> None:
@@ -130,6 +134,7 @@ class BenchOperations:
         self._mode.require_idle()
         self.require_servo_and_daq()
         self._require_healthy()
+        self.require_punctual_machine()
 
     def require_servo_and_daq(self) -> None:
         """Wait until servo and DAQ are present."""
@@ -142,10 +147,16 @@ class BenchOperations:
 
         # Nodes that have just been started need a while to find motor and converter.
         with contextlib.suppress(RefusedError):
-            self._wait_until(lambda: not silent(), self._clock.time_scale * self._config.answer_timeout, "")
+            self._wait_until(lambda: not silent(), self._config.answer_timeout, "")
         trip = self._first_trip(HOMING_INTERLOCKS)
         if trip is not None:
             raise RefusedError(f"not armed, {trip.interlock}: {trip.message}")
+
+    def require_punctual_machine(self) -> None:
+        """Measure for a moment how punctual the machine is; refuse if it is too slow to stop the rod in time."""
+        problem = measure_punctuality(self._clock, self._config.late).problem()
+        if problem:
+            raise RefusedError(f"not armed, {problem}")
 
     # The experiment
 
@@ -163,24 +174,28 @@ class BenchOperations:
         self._call("start_experiment")
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
-        """Wait for the end of the experiment and report its progress in s; refuse if it ends otherwise or is late."""
+        """Wait for the end of the experiment and report its progress in s.
+
+        Refuse if it ends otherwise or is late, or if the recording fails.
+        """
         clock, monitor = self._clock, self._monitor
         begin = clock.now()
-        # A message of the generator may take a wall second, which is ``time_scale`` bench seconds.
-        latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration) + clock.time_scale
+        latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration)
         reported = -math.inf
         while monitor.experiment_state != "done":
             self._interruption()
             elapsed = clock.now() - begin
             if monitor.experiment_state == "aborted":
                 raise RefusedError("the generator aborted the experiment; look at its log")
+            if monitor.recording_problem:
+                raise RefusedError(monitor.recording_problem)
             if elapsed > latest:
                 raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the generator")
             if time.monotonic() - reported > _PROGRESS_INTERVAL:
                 self._peers.check("stop_recording")
                 reported = time.monotonic()
                 progress(min(elapsed, duration))
-            time.sleep(min(clock.wall(0.02), 0.02))
+            clock.sleep_step(0.02)
 
     def await_last_samples(self) -> None:
         """Wait until the samples of the present instant have arrived."""
@@ -218,7 +233,7 @@ class BenchOperations:
             response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption, may_fail=True)
             reason = response.message
             if not response.success:
-                time.sleep(min(self._clock.wall(0.1), 0.1))
+                self._clock.sleep_step(0.1)
             return bool(response.success)
 
         self._wait_until(tared, _TARE_TIMEOUT, lambda: f"daq: {reason}")
@@ -228,8 +243,16 @@ class BenchOperations:
         self._call("start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed)
 
     def stop_recording(self) -> BagSummary:
-        """Close the bag and count its samples."""
-        response = self._peers.call("stop_recording", self._config.close_timeout, may_fail=True)
+        """Close the bag and count its samples. The recorder waits until rod and coil are at rest, in bench time."""
+        clock, monitor = self._clock, self._monitor
+        latest = clock.now() + self._config.close_timeout
+
+        def let_rod_rest() -> None:
+            # A simulated bench would stand still during the call. It ends the wait at the instant at which rest was seen.
+            if monitor.recorder_state == "stopping" and clock.now() < latest:
+                monitor.recorder_changed.wait(clock.now() + _REST_INTERVAL)
+
+        response = self._peers.call("stop_recording", self._config.close_timeout, let_rod_rest, may_fail=True)
         problem = "" if response.success else response.message
         return BagSummary(response.bag, response.samples, response.lost, response.duration, problem)
 
@@ -311,13 +334,13 @@ class BenchOperations:
         return self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
 
     def _wait_until(self, condition: Callable[[], bool], timeout: float, failure: str | Callable[[], str]) -> None:
-        """Wait for a condition, at most ``timeout`` bench seconds, but at least a wall second: processes need it."""
-        deadline = time.monotonic() + max(self._clock.wall(timeout), 1.0)
+        """Wait for a condition, at most ``timeout`` bench seconds."""
+        deadline = self._clock.now() + timeout
         while not condition():
             self._interruption()
-            if time.monotonic() > deadline:
+            if self._clock.now() > deadline:
                 raise RefusedError(failure if isinstance(failure, str) else failure())
-            time.sleep(min(self._clock.wall(0.01), 0.01))
+            self._clock.sleep_step(0.01)
 
     def _servo(self) -> ServoStatus:
         if self._monitor.servo is None:

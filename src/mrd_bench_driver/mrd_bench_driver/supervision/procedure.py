@@ -49,6 +49,7 @@ class _Experiment:
         plan = bench.load(self._request.experiment)
         self._duration = plan.duration
         bench.set_sample_rate(plan.rate)
+        bench.require_punctual_machine()
         bench.enter(Mode.HOMING)
         self._undo.append(bench.halt)
         bench.centre()
@@ -101,7 +102,8 @@ def run_experiment(bench: BenchOperations, request: RunRequest, progress: Progre
     finally:
         failures = experiment.undo()
     recorded = experiment.recorded
-    problems = ([problem] if problem else []) + failures
+    # A recording that fails during the experiment is also the problem of its bag.
+    problems = list(dict.fromkeys(([problem] if problem else []) + failures))
     message = "; ".join(problems) or f"{recorded.samples} samples in {recorded.duration:.1f} s, none lost"
     return RunOutcome(not problems, cancelled, message, recorded)
 

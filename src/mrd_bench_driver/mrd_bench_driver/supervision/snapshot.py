@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base import BenchClock
 from mrd_bench_driver.servo.status import ServoStatus
 
 # Longest time in s between two blocks of samples whose means give a speed.
@@ -54,13 +55,19 @@ class BenchMonitor:
         Latest status of the servo.
     experiment_state : str
         Latest state of the experiment: loaded, running, done or aborted.
+    recorder_state, recording_problem : str
+        Latest state of the recorder: idle, recording, stopping or failed; and why the recording has failed, or "".
+    recorder_changed : Waiter
+        Woken by every state of the recorder.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: BenchClock) -> None:
         self.sample_time = -math.inf
         self.sample_period = math.nan
         self.servo: ServoStatus | None = None
         self.experiment_state = ""
+        self.recorder_state = self.recording_problem = ""
+        self.recorder_changed = clock.waiter()
         self._setpoint_time = -math.inf
         self._block_mean = (-math.inf, math.nan)  # time and mean position in m of the latest block
         self._samples = Snapshot()  # only the values of the samples are filled in
@@ -94,6 +101,11 @@ class BenchMonitor:
         """Note a state of the experiment. Its first setpoint may come after it, so the age of setpoints counts from now."""
         self._setpoint_time = max(self._setpoint_time, now)
         self.experiment_state = state
+
+    def add_recorder_state(self, state: str, problem: str) -> None:
+        """Note a state of the recorder and the problem of its recording, if there is one."""
+        self.recorder_state, self.recording_problem = state, problem
+        self.recorder_changed.wake()
 
     def snapshot(self, now: float, *, follows_experiment: bool) -> Snapshot:
         """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""

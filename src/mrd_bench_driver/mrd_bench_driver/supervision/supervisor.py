@@ -1,6 +1,7 @@
 """The supervisor: it checks the interlocks, holds the mode of the bench, and runs one procedure at a time."""
 
 import contextlib
+import dataclasses
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -14,6 +15,7 @@ from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCK
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.operations import BenchOperations, Interruption, Peers, never_interrupted
 from mrd_bench_driver.supervision.procedure import Progress, RunOutcome, SetOutcome, run_experiment, run_set
+from mrd_bench_driver.supervision.punctuality import Punctuality
 from mrd_bench_driver.supervision.run_requests import RunRequest, set_of_runs, single_run
 from mrd_bench_driver.supervision.snapshot import BenchMonitor
 
@@ -59,7 +61,8 @@ class Supervisor:
         self._send_emergency_stop = send_emergency_stop
         self._lock = threading.Lock()
         self._stop_requested = threading.Event()
-        self.monitor = BenchMonitor()
+        self._punctuality = Punctuality(config.late)
+        self.monitor = BenchMonitor(clock)
         self.mode = BenchMode(on_mode)
         self.procedure = ""
 
@@ -82,6 +85,11 @@ class Supervisor:
         """Stop everything at once. The stop is latched until `reset_fault`; the reason of the first stop stays."""
         self._send_emergency_stop(True)
         self.mode.trip(reason)
+
+    def tick(self) -> None:
+        """Check the interlocks, and how punctually this is called every ``check`` s."""
+        self._punctuality.note(self._clock.now(), self._config.check)
+        self.check_interlocks()
 
     # Requests
 
@@ -113,7 +121,8 @@ class Supervisor:
         """Stop whatever runs; return the message of success."""
         self._stop_requested.set()
         try:
-            failures = self._operations().halt_all()
+            with self._clock.busy():
+                failures = self._operations().halt_all()
         finally:
             # A running procedure leaves its mode itself, once it has stopped everything.
             if not self.procedure:
@@ -200,10 +209,14 @@ class Supervisor:
             return outcome_type(False, False, str(error))
 
     def _run(self, bench: BenchOperations, request: RunRequest, progress: Progress) -> RunOutcome:
+        self._punctuality.restart()
         try:
-            return run_experiment(bench, request, progress)
+            outcome = run_experiment(bench, request, progress)
         finally:
             self.mode.leave("the experiment ended")
+        # An interlock names what fell silent. Whether only the machine was too slow, it cannot know.
+        problem = self._punctuality.problem()
+        return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome
 
     @contextlib.contextmanager
     def _exclusive(self, procedure: str) -> Iterator[None]:
@@ -214,7 +227,8 @@ class Supervisor:
             self.procedure = procedure
             self._stop_requested.clear()
         try:
-            yield
+            with self._clock.busy():
+                yield
         finally:
             self.procedure = ""
 

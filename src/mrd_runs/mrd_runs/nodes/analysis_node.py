@@ -10,7 +10,6 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
 from mrd_base import InputError, quantity
-from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode
 from mrd_interfaces.msg import BenchSamples
 from mrd_runs import Run, read_runs
@@ -21,7 +20,6 @@ from mrd_runs.sample_buffer import SampleBuffer
 class AnalysisSettings:
     """Parameters of a node that analyses runs."""
 
-    time_scale: float = bench_time_scale()
     max_blocks: int = quantity(100_000, "", "number of sample blocks kept for an analysis; older ones are dropped", lower=1)
 
 

@@ -1,10 +1,10 @@
 """Recorder: writes one bag for each start_recording; stop_recording or the end of the node closes it."""
 
 import contextlib
+import math
 import os
 import signal
 import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool
 
 from mrd_base import InputError, quantity
-from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
 from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
@@ -27,17 +26,11 @@ from mrd_runs.definitions import type_name, typestore
 from mrd_runs.rest import RestLimits, RestMonitor
 from mrd_runs.run_info import describe_calibration, format_run_info
 
-# Shortest wall time in s after which samples that do not come are not waited for: processes need it.
-_SHORTEST_WAIT = 1.0
-# Wall time in s between two looks at whether rod and coil have come to rest.
-_POLLING_INTERVAL = 0.02
-
 
 @dataclass(frozen=True)
 class RecorderSettings:
     """Parameters of the recorder."""
 
-    time_scale: float = bench_time_scale()
     stale: float = quantity(1.0, "s", "a recording without samples for longer is reported in the diagnostics", lower=0.0)
     rest_speed: float = quantity(2e-3, "mm/s", "below, the rod is at rest; a bag is closed then", lower=0.0)
     rest_current: float = quantity(0.05, "A", "below, the coil is at rest", lower=0.0)
@@ -54,7 +47,8 @@ class Recorder(BenchNode[RecorderSettings]):
 
     Topics are served by the executor of this node. Requests are served one after the other by a second node in a thread of
     its own, because stop_recording waits until rod and coil are at rest while the recording goes on. The topic
-    ``recorder_state`` tells at once when a recording fails.
+    ``recorder_state`` tells at once when a recording fails. On a simulated bench, time stands still during a request, except
+    while stop_recording waits for rest; who calls it lets time pass while ``recorder_state`` is ``stopping``.
     """
 
     def __init__(self) -> None:
@@ -64,6 +58,9 @@ class Recorder(BenchNode[RecorderSettings]):
         self._failure = ""
         self._last_samples = 0.0
         self._rest: RestMonitor | None = None
+        self._requested = 0.0  # bench time of the latest request
+        self._end = math.inf  # bench time from which on nothing is written
+        self._wait_over = self.bench.waiter()  # woken when the wait for rest is over
         # The latest message of each latched topic opens every bag, because it is still valid then.
         self._latched: dict[str, bytes] = {}
         self._types: dict[str, tuple[str, bool]] = {}
@@ -115,16 +112,25 @@ class Recorder(BenchNode[RecorderSettings]):
         return int(self.bench.now() * 1e9)
 
     def _write(self, topic: str, cdr: bytes) -> None:
-        if self._writer is None or self._failure:
+        now = self.bench.now()
+        if self._writer is None or self._failure or now >= self._end:
             return
+        # On a simulated bench, samples of the instant of a request may come before or after it. They neither begin a bag nor
+        # show rest, so that each run of an experiment is recorded alike.
+        later = now > self._requested
         if topic == self._samples:
-            self._last_samples = self.bench.now()
+            if not later and self._rest is None:
+                return
+            self._last_samples = now
         try:
-            self._writer.write(topic, self._now(), cdr)
+            self._writer.write(topic, int(now * 1e9), cdr)
         except InputError as error:
             self._fail(error)
-        if self._rest is not None:
+        if self._rest is not None and later:
             self._follow_rest(self._rest, topic, cdr)
+            if self._rest.rested:
+                self._end = now
+                self._wait_over.wake()
 
     def _flush(self) -> None:
         with self._lock:
@@ -137,6 +143,7 @@ class Recorder(BenchNode[RecorderSettings]):
 
     def _fail(self, error: InputError) -> None:
         self._failure = str(error)
+        self._wait_over.wake()
         self._publish_state("failed", self._failure)
         self.get_logger().error(self._failure)
 
@@ -156,7 +163,8 @@ class Recorder(BenchNode[RecorderSettings]):
 
     def _start(self, request: StartRecording.Request, response: StartRecording.Response) -> StartRecording.Response:
         try:
-            path = self._open(request)
+            with self.bench.busy():
+                path = self._open(request)
         except InputError as error:
             response.success, response.message = False, str(error)
             return response
@@ -175,7 +183,6 @@ class Recorder(BenchNode[RecorderSettings]):
             experiment=request.experiment,
             seed=int(request.seed),
             calibration=None if calibration is None else describe_calibration(calibration),
-            time_scale=self.config.time_scale,
             node=self.get_fully_qualified_name(),
         )
         writer = BagWriter(Path(request.bag).absolute())
@@ -187,7 +194,9 @@ class Recorder(BenchNode[RecorderSettings]):
             for topic, cdr in self._latched.items():
                 writer.write(topic, self._now(), cdr)
             writer.flush()
-            self._writer, self._failure, self._last_samples = writer, "", self.bench.now()
+            self._writer, self._failure = writer, ""
+            self._last_samples = self._requested = self.bench.now()
+            self._end = math.inf
             self._publish_state("recording")
         self.get_logger().info(f"recording into {writer.path}")
         return writer.path
@@ -195,6 +204,10 @@ class Recorder(BenchNode[RecorderSettings]):
     # Stop
 
     def _stop(self, _request: StopRecording.Request, response: StopRecording.Response) -> StopRecording.Response:
+        with self.bench.busy():
+            return self._close_and_count(response)
+
+    def _close_and_count(self, response: StopRecording.Response) -> StopRecording.Response:
         writer = self._writer
         if writer is None:
             response.success, response.message = False, "not recording; nothing to stop"
@@ -217,21 +230,21 @@ class Recorder(BenchNode[RecorderSettings]):
         return response
 
     def _await_rest(self) -> str:
-        """Wait until rod and coil have been at rest for long enough; return why they were not."""
-        if not self.config.rest_timeout:
-            return ""
+        """Wait in bench time until rod and coil have been at rest for long enough; return why they were not."""
         with self._lock:
-            self._rest = rest = RestMonitor(self.config.rest)
-            self._publish_state("failed" if self._failure else "stopping", self._failure)
-        begin, silence = time.monotonic(), max(self.bench.wall(self.config.stale), _SHORTEST_WAIT)
-        timeout = max(self.bench.wall(self.config.rest_timeout), _SHORTEST_WAIT)
+            if not self.config.rest_timeout or self._failure:
+                return ""
+            rest = RestMonitor(self.config.rest)
+            self._requested = begin = self.bench.now()
+            self._rest, self._end = rest, (end := begin + self.config.rest_timeout)
+            self._publish_state("stopping")
         while self._writer is not None and not self._failure and not rest.rested:
-            waited = time.monotonic() - begin
-            if waited > timeout:
+            silent = max(begin, self._last_samples) + self.config.stale
+            if self.bench.now() >= end:
                 return f"not at rest {self.config.rest_timeout:g} s after the stop ({rest.describe()})"
-            if min(waited, self.bench.wall(self.bench.now() - self._last_samples)) > silence:
+            if self.bench.now() >= silent:
                 return "the samples ended before rest was seen"
-            time.sleep(_POLLING_INTERVAL)
+            self._wait_over.wait(min(end, silent))
         return ""
 
     def _follow_rest(self, rest: RestMonitor, topic: str, cdr: bytes) -> None:
@@ -275,7 +288,9 @@ class Recorder(BenchNode[RecorderSettings]):
         if failure:
             self.get_logger().error(f"{failure}; `ros2 run mrd_runs recover` completes the bag")
         self._ending.set()
+        self._wait_over.wake()
         self._request_thread.join()
+        self._wait_over.close()
         self._request_executor.shutdown()
         self._request_node.destroy_node()
 

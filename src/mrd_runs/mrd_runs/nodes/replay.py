@@ -11,7 +11,6 @@ from typing import Any
 from rclpy.duration import Duration
 
 from mrd_base import InputError, quantity
-from mrd_base.config import bench_time_scale
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
 from mrd_interfaces.msg import BenchSamples, ServoState, Setpoint
 from mrd_runs.bag import read_bag
@@ -30,7 +29,6 @@ _MUTUAL_DISCOVERY = 0.5
 class ReplaySettings:
     """Parameters of the replay."""
 
-    time_scale: float = bench_time_scale()
     bag: str = quantity("", doc="bag folder, .mcap or .db3 file")
     speed: float = quantity(1.0, doc="recorded seconds per bench second; 0 means as fast as max_rate_hz allows", lower=0.0)
     max_rate: float = quantity(500.0, "Hz", "messages per wall-clock second, at any speed", lower=1.0)
@@ -105,7 +103,7 @@ class Replay(BenchNode[ReplaySettings]):
         for stamp, name, cdr in self._messages:
             due = earliest
             if self.config.speed > 0:
-                due = max(due, start + self.bench.wall(1e-9 * (stamp - origin) / self.config.speed))
+                due = max(due, start + 1e-9 * (stamp - origin) / self.config.speed)
             # Sleeping for less than a tick of the scheduler is not worth its cost.
             if due - time.monotonic() > 1e-3 and self._ending.wait(due - time.monotonic()):
                 return False

@@ -3,18 +3,19 @@
 import contextlib
 import fcntl
 import os
-import selectors
+import sys
 import termios
 import threading
+import time
 import tty
 from pathlib import Path
 
-from mrd_base import BenchClock, InputError
+from mrd_base import InputError
 from mrd_sim.motor.smart_motor import BAUD_RATES, SmartMotor
 
 _RATES = {getattr(termios, f"B{rate}"): rate for rate in BAUD_RATES}
-_HANDOVER = 0.001
-"""Wall seconds. Bytes that leave within it are handed over together, as a USB adapter does."""
+_DELIVERY_TIMEOUT = 5.0
+"""Wall seconds in which the kernel carries bytes through a pseudo-terminal, be the machine ever so busy."""
 
 
 class DeviceLink:
@@ -80,14 +81,16 @@ class DeviceLink:
 class MotorSerialPort:
     """Serves a motor on a pseudo-terminal that a driver opens by a link.
 
-    A thread carries the bytes, each at its bench time. Whoever else uses the motor holds ``lock``.
-
     Parameters
     ----------
     motor : SmartMotor
-    bench : BenchClock
     link : path
         Link to make, see `DeviceLink`; ``~`` is the home directory.
+
+    Attributes
+    ----------
+    lock : Lock
+        Held by everybody who uses the motor.
 
     Raises
     ------
@@ -95,18 +98,13 @@ class MotorSerialPort:
         When the link cannot be made.
     """
 
-    def __init__(self, motor: SmartMotor, bench: BenchClock, link: str | Path) -> None:
+    def __init__(self, motor: SmartMotor, link: str | Path) -> None:
         self.motor = motor
-        self.bench = bench
         self.link = Path(link).expanduser().absolute()
-        self.lock = threading.Lock()
+        self.lock = threading.RLock()
+        self.plugged = False
+        self._received = 0  # bytes since the start
         self._device_link = DeviceLink(self.link)
-        self._thread: threading.Thread | None = None
-
-    @property
-    def plugged(self) -> bool:
-        """Whether the port exists and is served."""
-        return self._thread is not None and self._thread.is_alive()
 
     @property
     def terminal(self) -> str:
@@ -114,63 +112,85 @@ class MotorSerialPort:
         return os.ttyname(self._slave)
 
     def plug(self) -> None:
-        """Make the pseudo-terminal and its link and serve them; nothing when that is done already."""
-        if self._thread is not None:
-            return
-        # As long as we hold the slave open, reading the master does not fail when the driver closes its end.
-        self._master, self._slave = os.openpty()
-        # Raw before anybody can write: a fresh terminal echoes and turns CR into LF.
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self._wake_reader, self._wake_writer = os.pipe()
-        self._device_link.point_to(self.terminal)
-        self._thread = threading.Thread(target=self._serve, name="motor serial port", daemon=True)
-        self._thread.start()
+        """Make the pseudo-terminal and its link; nothing when that is done already."""
+        with self.lock:
+            if self.plugged:
+                return
+            # As long as we hold the slave open, reading the master does not fail when the driver closes its end.
+            self._master, self._slave = os.openpty()
+            # Raw before anybody can write: a fresh terminal echoes and turns CR into LF.
+            tty.setraw(self._slave)
+            os.set_blocking(self._master, False)
+            self._device_link.point_to(self.terminal)
+            self.plugged = True
 
     def unplug(self) -> None:
         """Pull the line: the driver's end fails, the link is gone, the motor goes on with its last command."""
-        if self._thread is None:
-            return
-        os.write(self._wake_writer, b"x")
-        self._thread.join()
-        self._thread = None
-        target = self.terminal
-        for descriptor in (self._master, self._slave, self._wake_reader, self._wake_writer):
-            os.close(descriptor)
-        self._device_link.remove(target)
+        with self.lock:
+            if not self.plugged:
+                return
+            self.plugged = False
+            target = self.terminal
+            for descriptor in (self._master, self._slave):
+                os.close(descriptor)
+            self._device_link.remove(target)
 
     def close(self) -> None:
         """Unplug for good and release the link."""
         self.unplug()
         self._device_link.release()
 
+    def read(self, count: int, now: float) -> None:
+        """Wait until ``count`` bytes in all have come since the start, and give the motor those of bench time ``now``.
+
+        The kernel takes a moment to carry bytes from one end of a pseudo-terminal to the other. Bytes that do not come are
+        lost: the line was pulled meanwhile.
+        """
+        deadline = time.monotonic() + _DELIVERY_TIMEOUT
+        while self._received < count:
+            with self.lock:
+                arrived = self.plugged and self._read(now)
+            if not self.plugged or time.monotonic() > deadline:
+                self._received = count
+            elif not arrived:
+                os.sched_yield()
+
+    def exchange(self, now: float, awaited: bool = False) -> bool:
+        """Let the motor read and answer until a bench time; return whether bytes were sent to the host.
+
+        Where a host does nothing but wait for them, they are at its end by then.
+        """
+        with self.lock:
+            if self.plugged:
+                self._read(now)
+            self.motor.advance(now)
+            sent = bytes(byte for _, byte in self.motor.take_output(now, self._host_baud() if self.plugged else None))
+            return self.plugged and bool(sent) and self._write(sent, awaited)
+
     def _host_baud(self) -> int:
         """Rate that the host has set: a pseudo-terminal transports at any rate, but remembers the setting."""
         return _RATES.get(termios.tcgetattr(self._slave)[5], 0)
 
-    def _serve(self) -> None:
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._master, selectors.EVENT_READ)
-            selector.register(self._wake_reader, selectors.EVENT_READ)
-            while True:
-                with self.lock:
-                    due = self.motor.next_event()
-                wait = None if due == float("inf") else max(self.bench.wall(due - self.bench.now()), _HANDOVER)
-                ready = {key.fd for key, _ in selector.select(wait)}
-                if self._wake_reader in ready:
-                    return
-                data = b""
-                if self._master in ready:
-                    with contextlib.suppress(BlockingIOError):
-                        data = os.read(self._master, 4096)
-                now = self.bench.now()
-                with self.lock:
-                    baud = self._host_baud()
-                    if data:
-                        self.motor.feed(data, now, baud)
-                    self.motor.advance(now)
-                    sent = bytes(byte for _, byte in self.motor.take_output(now, baud))
-                if sent:
-                    # When nobody reads, the buffer is full and the bytes are lost, as on a wire.
-                    with contextlib.suppress(BlockingIOError):
-                        os.write(self._master, sent)
+    def _read(self, now: float) -> bool:
+        try:
+            data = os.read(self._master, 4096)
+        except BlockingIOError:
+            return False
+        self._received += len(data)
+        self.motor.feed(data, now, self._host_baud())
+        return True
+
+    def _write(self, data: bytes, awaited: bool) -> bool:
+        present = self._bytes_at_host()
+        try:
+            os.write(self._master, data)
+        except BlockingIOError:
+            return False  # nobody reads, so the buffer is full and the bytes are lost, as on a wire
+        deadline = time.monotonic() + _DELIVERY_TIMEOUT
+        while awaited and self._bytes_at_host() < present + len(data) and time.monotonic() < deadline:
+            os.sched_yield()  # a sleep would take many times as long as the kernel
+        return True
+
+    def _bytes_at_host(self) -> int:
+        """Return the number of bytes that the host has not read yet."""
+        return int.from_bytes(fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)), sys.byteorder)

@@ -38,6 +38,7 @@ LINE_FAULTS = {
 _SCALE = 65536.0  # velocity and acceleration units per count/sample and count/sample²
 _INT32 = (-(2**31), 2**31 - 1)
 _LONGEST_COMMAND = 64
+_PAUSE = 1e-3  # s between bytes after which a USB adapter hands over those before
 _TERMINATORS = b"\r\n "
 
 # Error codes of RERRC (DG p.864-865).
@@ -216,9 +217,13 @@ class SmartMotor:
         return output
 
     def next_event(self) -> float:
-        """Return the bench time at which the next received byte is read or the next sent byte leaves; inf for none."""
-        reads = max(self._received[0][0], self._busy_until) if self._received else math.inf
-        leaves = self._sent[0][0] if self._sent else math.inf
+        """Return the bench time at which the received bytes have been read, or the sent bytes pause; inf for neither."""
+        reads = max(self._received[-1][0], self._busy_until) if self._received else math.inf
+        leaves = math.inf
+        for time, _, rate in self._sent:
+            if time - leaves > 10.0 / rate + _PAUSE:
+                break
+            leaves = time
         return min(reads, leaves)
 
     def take_motion(self, samples: int) -> Array:

@@ -1,26 +1,28 @@
 """The simulated bench: the motor on a serial port, everything else on the terminals of the simulated DAQ."""
 
 import array
+import math
 import threading
+import time
+from pathlib import Path
 from typing import ClassVar
 
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from mrd_base.barrier import Barrier
+from mrd_base.barrier_clock import BarrierClock
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
 from mrd_interfaces.msg import AnalogInput, AnalogOutput
 from mrd_sim.motor import MotorSerialPort
 from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
 
-_BLOCK = 0.01  # bench seconds
-_SHORTEST_PERIOD = 0.004  # wall seconds between blocks, for a bench that runs much faster than real time
-_LONGEST_BLOCK = 0.1  # bench seconds, after the machine was busy with other work
+_BLOCK = 0.02  # bench seconds
+_SWITCHED_ON = 1.0  # bench seconds before the start
 
 
 class PlantNode(BenchNode[PlantConfig]):
-    """Advances the plant with the bench clock. It may fall behind, but it never skips samples.
-
-    A thread steps the plant, because an executor's timer costs more than the whole simulation.
-    """
+    """Simulates the plant, and owns the bench time: it goes on as soon as all nodes have done their work."""
 
     dynamic: ClassVar[frozenset[str]] = frozenset({"fault"})
 
@@ -28,9 +30,11 @@ class PlantNode(BenchNode[PlantConfig]):
         super().__init__("plant", PlantConfig)
         # The very first run compiles for seconds; that must not happen while anything moves.
         Plant(self.config).advance(_BLOCK)
-        self.plant = Plant(self.config, self.bench.now())
-        self.port = MotorSerialPort(self.plant.motor, self.bench, self.config.port_link)
-        self._slowest = 0.0
+        # Everything was switched on a moment before the bench time begins: the motor has booted, the filters have settled.
+        self.plant = Plant(self.config, self.bench.now() - _SWITCHED_ON)
+        self.plant.advance(self.bench.now())
+        self.port = MotorSerialPort(self.plant.motor, self.config.port_link)
+        self._time_topic = self.create_publisher(Clock, "/clock", 1)
         self._analog_input = self.create_publisher(AnalogInput, "analog_input", RECORDED)
         # True values, which no real bench has; tests read them.
         self._true_state = self.create_publisher(JointState, "plant/true_state", 10)
@@ -40,6 +44,19 @@ class PlantNode(BenchNode[PlantConfig]):
         self._closing = threading.Event()
         self._stepper = threading.Thread(target=self._run, name="plant", daemon=True)
         self._stepper.start()
+
+    def make_clock(self, clock: str) -> BarrierClock:
+        """Make the owner of the bench time, by default beside the serial port; return a clock that follows it."""
+        config = self.config
+        path = Path(clock or f"{config.port_link}.clock").expanduser().absolute()
+        participants = [*filter(None, config.participants.split(",")), "plant"]
+        self._barrier = Barrier(path, participants, float(int(time.time())), config.pace or math.inf, self._report)
+        barrier_clock = BarrierClock(path, "plant")
+        barrier_clock.on_loss = self._report
+        return barrier_clock
+
+    def _report(self, message: str) -> None:
+        self.get_logger().error(message)
 
     def _set_fault(self, fault: str) -> None:
         check_fault(fault)
@@ -55,19 +72,34 @@ class PlantNode(BenchNode[PlantConfig]):
             self.plant.command_coil(message.coil_command, seconds(message.header.stamp))
 
     def _run(self) -> None:
-        period = max(self.bench.wall(_BLOCK), _SHORTEST_PERIOD)
-        while not self._closing.wait(max(period - self.bench.wall(self.bench.now() - self.plant.time), 0.0)):
-            self._step()
+        try:
+            self._barrier.run(self, self._closing)
+        finally:
+            self._barrier.close()
 
-    def _step(self) -> None:
-        now = self.bench.now()
-        self._slowest = max(self._slowest, now - self.plant.time)
-        while now - self.plant.time >= 1.0 / self.config.hardware_rate:
-            with self.port.lock:
-                block = self.plant.advance(min(now, self.plant.time + _LONGEST_BLOCK))
-            if block is None:
-                break
+    # What the owner of the time calls.
+
+    def next_event(self) -> float:
+        """Return the bench time of the next block, or of an event on the serial line before it."""
+        return min(self.plant.time + _BLOCK, self.plant.motor.next_event())
+
+    def read_line(self, count: int, now: float) -> None:
+        """Receive what was sent to the motor."""
+        self.port.read(count, now)
+
+    def advance_line(self, now: float, awaited: bool) -> bool:
+        """Let the motor answer; return whether it did."""
+        return self.port.exchange(now, awaited)
+
+    def advance(self, now: float) -> bool:
+        """Simulate and publish the next block once it is due; return whether it was."""
+        if now < self.plant.time + _BLOCK - 1e-5:
+            return False
+        with self.port.lock:
+            block = self.plant.advance(now)
+        if block is not None:
             self._publish(block)
+        return True
 
     def _publish(self, block: Block) -> None:
         if self.plant.fault != "freeze_daq":
@@ -87,22 +119,16 @@ class PlantNode(BenchNode[PlantConfig]):
         )
         state.header.stamp = self.stamp(self.plant.time)
         self._true_state.publish(state)
+        self._time_topic.publish(Clock(clock=state.header.stamp))
 
     def health(self) -> tuple[str, dict[str, object]]:
-        """Return a problem, and port, largest delay against the bench clock, and temperature."""
+        """Return a problem, and port and temperature."""
         problem = ""
         if not self._stepper.is_alive():
             problem = "the simulation has stopped; its error is on stderr"
         elif self.plant.fault:
             problem = f"fault on purpose: {self.plant.fault}"
-        elif not self.port.plugged:
-            problem = "the serial port has stopped; its error is on stderr"
-        slowest, self._slowest = self._slowest, 0.0
-        return problem, {
-            "port": self.port.link,
-            "worst delay, s": round(slowest, 4),
-            "temperature, degC": round(self.plant.motor.axis.temperature, 1),
-        }
+        return problem, {"port": self.port.link, "temperature, degC": round(self.plant.motor.axis.temperature, 1)}
 
     def close(self) -> None:
         """Stop the simulation and remove the serial port."""
