@@ -220,7 +220,8 @@ import sys, time
 from mrd_base.barrier_clock import BarrierClock
 clock = BarrierClock(sys.argv[1], "other")
 clock.join()
-print("joined", flush=True)
+clock.sleep(0.05)
+print("at work", flush=True)
 while True:
     clock.sleep(0.05)
 """
@@ -232,7 +233,7 @@ def test_a_dead_participant_is_named_and_time_goes_on_without_it(make_bench, end
     one = bench.clock("one")
     other = subprocess.Popen([sys.executable, "-c", OTHER, str(bench.path)], stdout=subprocess.PIPE)
     try:
-        assert other.stdout.readline() == b"joined\n"
+        assert other.stdout.readline() == b"at work\n"
         until(lambda: one.now() > 0.5)
         other.send_signal(end)
         until(lambda: bench.reports, timeout=5.0)
