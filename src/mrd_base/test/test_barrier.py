@@ -220,10 +220,10 @@ import sys, time
 from mrd_base.barrier_clock import BarrierClock
 clock = BarrierClock(sys.argv[1], "other")
 clock.join()
-clock.sleep(0.05)
-print("at work", flush=True)
-while True:
-    clock.sleep(0.05)
+with clock.busy():
+    print("at work", flush=True)
+    while True:
+        clock.sleep(0.05)
 """
 
 
