@@ -215,12 +215,7 @@ def _diagnose_physics(
     reference = tuple(recording.run for recording in recordings if recording.without_effects)
     if verdict in ("unknown_effect", "partly_explained"):
         nearest = _nearest(comparison, listed)
-        if not reference:
-            progress("trying other damper models", 0.93)
-            if not other_models:
-                tolerated = tolerated_excess(comparison.base)
-                other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
-            models = list_alternative_models(comparison, other_models, rng)
+        models = list_alternative_models(comparison, other_models, rng)
     conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
         progress("designing the next experiment", 0.95)
@@ -297,9 +292,13 @@ def _explain_gap(
     verdict = decide(complete, base.chi_square, chances, p_values, rng)
     explanation = Explanation(verdict, comparison, chances, p_values)
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
+        if not other_models:
+            progress("trying other damper models", 0.77)
+            tolerated = tolerated_excess(comparison.base)
+            other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
         progress("looking for causes beside a wrong form", 0.8)
         # At a single speed, nothing tells an effect from the form.
-        explanation = explain_in_part(explanation, [] if one_speed else effects, rng)
+        explanation = explain_in_part(explanation, list(other_models.values()), [] if one_speed else effects, rng)
         complete = compare_on_all_samples(explanation.comparison, rng)
     return explanation, complete, singles, null_gains, other_models
 

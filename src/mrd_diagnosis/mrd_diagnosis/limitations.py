@@ -39,8 +39,7 @@ def untestable_effects(
     rate = min(recording.run.rate for recording in recordings)
     levels, varies = current_levels([recording.run for recording in recordings])
     for effect in candidates:
-        included = EFFECTS[effect].coefficient in {coefficient.name for coefficient in model.coefficients}
-        if included or (EFFECTS[effect].structural and model.states):
+        if contains(model, effect):
             reasons[effect] = "the model contains it already"
         if effect == "coil_lag" and parameters is not None and parameters[model.names.index(effect)] > 0.0:
             reasons[effect] = "the simulator contains it already"
@@ -51,6 +50,13 @@ def untestable_effects(
         if levels == 1 and effect in ("current_saturation", "current_sensor_error"):
             reasons[effect] = "all runs have the same current"
     return tuple(UntestableEffect(effect, why) for effect, why in reasons.items())
+
+
+def contains(model: DamperModel, effect: str) -> bool:
+    """Whether a damper model describes an effect by itself."""
+    if EFFECTS[effect].structural:
+        return bool(model.states)
+    return EFFECTS[effect].coefficient in {coefficient.name for coefficient in model.coefficients}
 
 
 def limitation_notes(recordings: Sequence[Recording], noise: Sequence[RunNoise]) -> list[str]:
