@@ -87,34 +87,35 @@ def explain_in_part(
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
     forms = _weighted_forms([alone, *other_models])
-    tried = [effect for effect in effects if effect not in lacking]
-    beside = _search_beside_remainder(comparison, forms, tried, rng, progress)
-    progress(0.8)
-    causes = beside.causes
-    values = alone.values | beside.values
-    explained = _with_effects(weighting, alone, list(causes), values)
-    free_form, _ = with_form_remainder(weighting, alone)
-    freed = refit_on(free_form, explained)
+    form, others = forms[0][0], [other for other, _ in forms[1:]]
+    contained = [effect for effect in effects if contains(form.problem.model, effect)]
+    tried = [effect for effect in effects if effect not in (*lacking, *contained)]
+    chosen = comparison.effects
+    if form is not alone:
+        chosen = _search_around(weighting, form, tried, rng, lambda fraction: progress(0.3 * fraction))
+    beside = _search_beside_remainder(comparison, forms, tried, rng, lambda fraction: progress(0.3 + 0.5 * fraction))
+    causes, values = beside.causes, alone.values | beside.values
+    explained = _with_effects(weighting, form, list(causes), values)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
-    of_form = [e for e in tried if e not in beside.tried or (e in comparison.effects and e not in causes)]
-    for effect, fitted in _form_chain(weighting, explained, freed, of_form):
-        # Another model that predicts better has the form without this effect.
-        others = [form for form, _ in forms if form is not alone and not contains(form.problem.model, effect)]
-        instead = [_with_effects(weighting, form, list(causes), values) for form in others[:1]]
-        probability = float(probabilities([fitted, *instead], rng)[0])
-        if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
-            break
-        gain = float(explained.held_out_cost - fitted.held_out_cost)
-        closed = closed_fraction_between(explained, fitted, comparison, rng)
-        causes[effect] = HeldCause({effect: probability}, p_value(gain, beside.null_gains), closed)
-        values |= fitted.values
-        explained, freed = fitted, refit_on(free_form, fitted)
+    of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen and effect not in causes)]
+    freed = refit_on(beside.weighting, explained).held_out_cost
+    of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, others, beside.null_gains, rng)
+    causes, values = causes | of_form_causes, values | explained.values
+    if form is not alone:
+        # What the best form contains and the user's model does not tells the two apart.
+        best_cost = explained.held_out_cost
+        explained = _with_effects(weighting, alone, list(causes), values)
+        lacked = [effect for effect in contained if not contains(alone.problem.model, effect)]
+        of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, (), beside.null_gains, rng)
+        causes, values = causes | of_form_causes, values | explained.values
+    free_form, _ = with_form_remainder(weighting, alone)
+    freed = refit_on(free_form, explained).held_out_cost
     progress(0.9)
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
         return explanation
     gap = comparison.base.held_out_cost - weighting.noise_cost
-    form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
+    form_fraction = float(np.clip((explained.held_out_cost - freed) / gap, 0.0, 1.0))
     if not named:
         return replace(explanation, verdict="unknown_effect", form_fraction=form_fraction)
     return Explanation(
@@ -156,12 +157,18 @@ def stacking_weights(refits: Sequence[Refit]) -> Array:
 
 
 def _weighted_forms(refits: Sequence[Refit]) -> list[tuple[Refit, float]]:
-    """Return the damper models that count most with their weights; first the one that predicts best."""
-    weights = stacking_weights(refits)
-    best = min(range(len(refits)), key=lambda index: refits[index].held_out_cost)
-    counted = sorted(range(len(refits)), key=lambda index: (index != best, -weights[index]))[:MOST_FORMS]
+    """Return the damper models that count most with their weights; first the one that predicts best.
+
+    Of refits of one model with more or less freedom, the best counts.
+    """
+    best_by_model: dict[str, Refit] = {}
+    for refitted in sorted(refits, key=lambda refitted: refitted.held_out_cost):
+        best_by_model.setdefault(refitted.problem.model.id, refitted)
+    forms = list(best_by_model.values())
+    weights = stacking_weights(forms)
+    counted = sorted(range(len(forms)), key=lambda index: (index > 0, -weights[index]))[:MOST_FORMS]
     total = weights[counted].sum()
-    return [(refits[index], float(weights[index] / total)) for index in counted if index == best or weights[index] > 0.0]
+    return [(forms[index], float(weights[index] / total)) for index in counted]
 
 
 @dataclass(frozen=True)
@@ -170,19 +177,22 @@ class _BesideRemainder:
 
     Attributes
     ----------
+    weighting : Weighting
+        With the remainder.
+    of_form : list of str
+        Candidates that belong to the form of the damper, so that the remainder takes their place.
     causes : dict
         The effects that hold, by id.
     values : dict
         Parameters of the model with the chosen effects, by name.
-    tried : list of str
-        Candidates that do not belong to the form of the damper, whose place the remainder would take.
     null_gains : ndarray
         See `mrd_diagnosis.null_distribution.draw_null_gains`.
     """
 
+    weighting: Weighting
+    of_form: list[str]
     causes: dict[str, HeldCause]
     values: dict[str, float]
-    tried: list[str]
     null_gains: Array
 
 
@@ -198,17 +208,16 @@ def _search_beside_remainder(
     """
     spaces = [with_form_remainder(comparison.weighting, form) for form, _ in forms]
     weighting, base = spaces[0]
-    effects = [effect for effect in effects if not contains(base.problem.model, effect)]
     of_form = form_effects(weighting, base, effects)
     tried = [effect for effect in effects if effect not in of_form]
     force_noise = [of_run.force for of_run in weighting.noise]
     null_errors = draw_null_errors(base.problem, base.theta, force_noise, weighting.scatter, rng)
     base = refit(base.problem, base.theta, weighting.folds, null_errors)
-    chosen, fits = search_effects(weighting, base, tried, null_errors, lambda fraction: progress(0.8 * fraction))
+    chosen, fits = search_effects(weighting, base, tried, null_errors, progress)
     singles = [fit.refit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
     if not chosen:
-        return _BesideRemainder({}, {}, tried, null_gains)
+        return _BesideRemainder(weighting, of_form, {}, {}, null_gains)
     best = chosen[-1].refit
     compared = compare_on(weighting.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
     gains = {fit.effects[-1]: fit.gain for fit in chosen}
@@ -227,21 +236,55 @@ def _search_beside_remainder(
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
-    return _BesideRemainder(causes, compared.best.values, tried, null_gains)
+    return _BesideRemainder(weighting, of_form, causes, compared.best.values, null_gains)
 
 
-def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]) -> list[tuple[str, Refit]]:
-    """Add effects of the form one after the other; return them where they close most of what the remainder closes.
+def _search_around(
+    weighting: Weighting, form: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
+) -> tuple[str, ...]:
+    """Return the effects that are chosen around a form of the damper without the remainder."""
+    around = weighting.updated(form.problem.model, form.theta)
+    chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress)
+    return chosen[-1].effects if chosen else ()
 
-    ``explained`` is the model with all other causes, ``freed`` the same with the remainder.
+
+def _form_causes(
+    comparison: ModelComparison,
+    explained: Refit,
+    reachable: float,
+    effects: Sequence[str],
+    others: Sequence[Refit],
+    null_gains: Array,
+    rng: np.random.Generator,
+) -> tuple[dict[str, HeldCause], Refit]:
+    """Return the effects that hold as a part of the form, and the model with them.
+
+    They close most of what lies between the cost of ``explained``, the model with all other causes, and the cost that is
+    ``reachable`` by a freer or a better form. None of the ``other`` forms, which lack them, predicts better.
     """
-    available = explained.held_out_cost - freed.held_out_cost
+    weighting, causes = comparison.weighting, {}
+    for effect, fitted in _form_chain(weighting, explained, reachable, effects):
+        lacking = [form for form in others if not contains(form.problem.model, effect)]
+        instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
+        probability = float(probabilities([fitted, *instead], rng)[0])
+        if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
+            break
+        gain = float(explained.held_out_cost - fitted.held_out_cost)
+        closed = closed_fraction_between(explained, fitted, comparison, rng)
+        causes[effect] = HeldCause({effect: probability}, p_value(gain, null_gains), closed)
+        explained = fitted
+    return causes, explained
+
+
+def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[tuple[str, Refit]]:
+    """Add effects of the form one after the other; return them where they close most of what can be reached."""
+    available = explained.held_out_cost - reachable
     gap = explained.held_out_cost - weighting.noise_cost
     if available < THRESHOLDS.least_share_first * gap:
         return []
     chain: list[tuple[str, Refit]] = []
     best = explained
-    while len(chain) < MOST_FORM_EFFECTS:
+    while len(chain) < MOST_FORM_EFFECTS and best.held_out_cost > reachable:
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting, BaseFit.linearise(weighting, best), remaining, len(remaining), present=best.effects
@@ -249,9 +292,7 @@ def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: S
         if not fits:
             break
         fit = min(fits, key=lambda fit: fit.refit.held_out_cost)
-        if best.held_out_cost - fit.refit.held_out_cost < THRESHOLDS.least_share_next * (
-            best.held_out_cost - freed.held_out_cost
-        ):
+        if best.held_out_cost - fit.refit.held_out_cost < THRESHOLDS.least_share_next * (best.held_out_cost - reachable):
             break
         best = fit.refit
         chain.append((fit.effects[-1], best))
@@ -261,17 +302,16 @@ def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: S
 
 def _with_and_without(weighting: Weighting, form: Refit, best: Refit, effect: str) -> tuple[Refit, Refit]:
     """Refit another form of the damper with the effects of ``best``, and with all of them but one."""
-    # What the form contains, such as a hysteretic state, is not added.
-    present = [other.id for other in best.problem.model.effects if not contains(form.problem.model, other.id)]
-    without = [name for name in present if name != effect]
-    return _with_effects(weighting, form, present, best.values), _with_effects(weighting, form, without, best.values)
+    without = [other for other in best.effects if other != effect]
+    return _with_effects(weighting, form, best.effects, best.values), _with_effects(weighting, form, without, best.values)
 
 
 def _with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], values: Mapping[str, float]) -> Refit:
-    """Refit a model with effects, whose parameters start from ``values``."""
+    """Refit a model with those effects that it does not contain; their parameters start from ``values``."""
     model, theta = refitted.problem.model, refitted.theta
     for effect in effects:
-        model, theta = with_effect(model, theta, effect)
+        if not contains(refitted.problem.model, effect):
+            model, theta = with_effect(model, theta, effect)
     theta = np.array([values[n] if "." in n else v for n, v in zip(model.names, theta, strict=True)])
     return refit(weighting.problem(model, theta), theta, weighting.folds)
 
