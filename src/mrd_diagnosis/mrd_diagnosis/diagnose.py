@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_diagnosis.alternative_models import fit_alternative_models
+from mrd_diagnosis.alternative_models import best_model, fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure import Closure, compute_closure
@@ -61,6 +61,12 @@ NOTE_ON_CHANGE = (
     "flexible function of motion, current and force; the rest of the error counts as noise."
 )
 
+BEST_MODEL = "auto"
+"""In place of a model's id: the model of the catalogue that predicts the recordings best."""
+
+START_OF_CHOICE = "bouc_wen"
+"""Model with which the noise is estimated before the best model is chosen."""
+
 MOST_SAMPLES = 10_000
 """Samples of all runs together on which effects are searched. What was found is then fitted to all samples and judged by
 these."""
@@ -90,7 +96,7 @@ def diagnose(
     runs : sequence of Run
         In the order in which they were recorded.
     model : str
-        Id of the simulator's damper model.
+        Id of the simulator's damper model, or "auto" for the one that predicts the recordings best without any effect.
     held_out : sequence of Run
         Runs that judge how far the gap closes. Without them, each run is left out in turn.
     reference : sequence of Run
@@ -120,12 +126,16 @@ def diagnose(
     if reference and held_out:
         raise InputError("found both reference and held-out runs, expected one kind: a change is judged on all runs in turn")
     candidates = [effect.id for effect in find_effects(list(effects) or list(EFFECTS))]
-    base = find_model(model, laws if laws is not None else (parameters.laws if parameters else None))
+    if model == BEST_MODEL and parameters:
+        model = parameters.model
+    laws = laws if laws is not None else (parameters.laws if parameters else None)
+    base = find_model(START_OF_CHOICE if model == BEST_MODEL else model, laws)
     theta = _theta_as_given(base, parameters)
     progress("checking the recordings", 0.0)
-    findings = preflight([*runs, *held_out], base)
+    expected = None if model == BEST_MODEL else base
+    findings = preflight([*runs, *held_out], expected)
     if reference:
-        findings = (*preflight(reference, base), *findings)
+        findings = (*preflight(reference, expected), *findings)
     if any(finding.severity == "fault" for finding in findings):
         progress("done", 1.0)
         return Diagnosis(
@@ -142,7 +152,16 @@ def diagnose(
         )
     before = [replace(recording, without_effects=True) for recording in in_threads(prepare_recording, reference)]
     fitted, set_aside = (in_threads(prepare_recording, group) for group in (runs, held_out))
-    return _diagnose_physics(base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress)
+    if model == BEST_MODEL:
+        progress("choosing the damper model", 0.02)
+        base = best_model(base, thinned(fitted, MOST_SAMPLES), np.random.default_rng(seed))
+    diagnosis = _diagnose_physics(
+        base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress
+    )
+    if model == BEST_MODEL:
+        chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
+        diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
+    return diagnosis
 
 
 def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | None:

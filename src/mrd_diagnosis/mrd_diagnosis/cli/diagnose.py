@@ -11,7 +11,7 @@ from rich.table import Table
 from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
-from mrd_diagnosis.diagnose import diagnose
+from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.report.candidate_text import (
     LEAST_SHOWN,
@@ -60,7 +60,11 @@ def work() -> None:
         metavar="RUN",
         help="runs of the same rig from before something changed: explain the change instead of the gap to the model",
     )
-    parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
+    parser.add_argument(
+        "--model",
+        default=BEST_MODEL,
+        help=f"one of {', '.join(MODELS)}; default: {BEST_MODEL}, the one that predicts the recordings best",
+    )
     parser.add_argument(
         "--parameters",
         metavar="FIT.json",
@@ -86,7 +90,8 @@ def work() -> None:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
     effects = tuple(filter(None, arguments.effects.split(",")))
     laws = parse_laws(arguments.law, "--law")
-    find_model(arguments.model, laws)
+    if arguments.model != BEST_MODEL:
+        find_model(arguments.model, laws)
     find_effects(effects)
     parameters = read_fit(arguments.parameters) if arguments.parameters else None
     bench = read_settings(arguments.bench)
