@@ -220,13 +220,13 @@ def _diagnose_physics(
         comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
 
-    progress("measuring how far the gap closes", 0.85)
+    progress("measuring how far the gap closes", 0.9)
     closure = compute_closure(complete, held_out, rng)
     where: tuple[Region, ...] = ()
     oscillation = None
     explainable = float("nan")
     if verdict != "no_gap":
-        progress("locating the gap", 0.9)
+        progress("locating the gap", 0.93)
         residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
         where, oscillation, explainable = _locate(closure, residuals, rng)
     nearest = None
@@ -237,7 +237,7 @@ def _diagnose_physics(
         models = list_alternative_models(comparison, other_models, rng)
     conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
-        progress("designing the next experiment", 0.95)
+        progress("designing the next experiment", 0.96)
     gap = Gap(
         closure.noise_floor,
         closure.before,
@@ -291,9 +291,9 @@ def _explain_gap(
     noise alone, and other damper models where they were tried.
     """
     chosen, fits = search_effects(
-        weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.15 + 0.6 * fraction)
+        weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.15 + 0.3 * fraction)
     )
-    progress("comparing models", 0.75)
+    progress("comparing models", 0.45)
     singles = [fit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
     comparison = compare_models(weighting, base, chosen, fits, rng)
@@ -301,7 +301,7 @@ def _explain_gap(
     one_speed = has_one_peak_speed([recording.run for recording in weighting.recordings])
     if comparison.effects and one_speed:
         # At a single speed, an effect may imitate what another damper model does.
-        progress("trying other damper models", 0.77)
+        progress("trying other damper models", 0.48)
         excess = comparison.best.chi_square - 1.0
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
         comparison = comparison.with_alternative_models(other_models)
@@ -312,12 +312,18 @@ def _explain_gap(
     explanation = Explanation(verdict, comparison, chances, p_values)
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         if not other_models:
-            progress("trying other damper models", 0.77)
+            progress("trying other damper models", 0.48)
             tolerated = tolerated_excess(comparison.base)
             other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
-        progress("looking for causes beside a wrong form", 0.8)
+        stage = "looking for causes beside a wrong form"
         # At a single speed, nothing tells an effect from the form.
-        explanation = explain_in_part(explanation, list(other_models.values()), [] if one_speed else effects, rng)
+        explanation = explain_in_part(
+            explanation,
+            list(other_models.values()),
+            [] if one_speed else effects,
+            rng,
+            lambda fraction: progress(stage, 0.55 + 0.35 * fraction),
+        )
         complete = compare_on_all_samples(explanation.comparison, rng)
     return explanation, complete, singles, null_gains, other_models
 
