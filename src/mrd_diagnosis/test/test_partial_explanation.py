@@ -98,6 +98,15 @@ def test_a_cause_is_named_although_the_damper_has_another_form(cause, recorded):
     assert diagnosis.sentence
 
 
+def test_a_spring_that_hardens_is_not_surely_an_end_stop():
+    springs = ("end_stop", "hardening_spring")
+    recorded = runs(effect=lambda signals: 60.0 * (signals[1] / 8e-3) ** 3)
+    diagnosis = diagnose(recorded, "hyperbolic_tangent", effects=(*CANDIDATES, *springs))
+    (cause,), (alternative,) = diagnosis.causes, diagnosis.alternatives
+    assert {cause.effect, alternative.effect} == set(springs)
+    assert cause.probability < 0.9
+
+
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
     diagnosis = diagnose(runs(lag=0.012), "auto", effects=CANDIDATES)
     assert diagnosis.model.id in ("hyperbolic_tangent", "sigmoid", "algebraic")
