@@ -98,7 +98,7 @@ def explain_in_part(
     explained = _with_effects(weighting, form, list(causes), values)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
     of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen and effect not in causes)]
-    freed = refit_on(beside.weighting, explained).held_out_cost
+    freed = _cost_beside(beside.remainder, weighting, explained)
     of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, others, beside.null_gains, rng)
     causes, values = causes | of_form_causes, values | explained.values
     if form is not alone:
@@ -109,7 +109,7 @@ def explain_in_part(
         of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, (), beside.null_gains, rng)
         causes, values = causes | of_form_causes, values | explained.values
     free_form, _ = with_form_remainder(weighting, alone)
-    freed = refit_on(free_form, explained).held_out_cost
+    freed = _cost_beside(free_form.remainder, weighting, explained)
     progress(0.9)
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
@@ -177,8 +177,8 @@ class _BesideRemainder:
 
     Attributes
     ----------
-    weighting : Weighting
-        With the remainder.
+    remainder : tuple of ndarray
+        See `mrd_diagnosis.weighting.WeightedProblem`.
     of_form : list of str
         Candidates that belong to the form of the damper, so that the remainder takes their place.
     causes : dict
@@ -189,7 +189,7 @@ class _BesideRemainder:
         See `mrd_diagnosis.null_distribution.draw_null_gains`.
     """
 
-    weighting: Weighting
+    remainder: tuple[Array, ...]
     of_form: list[str]
     causes: dict[str, HeldCause]
     values: dict[str, float]
@@ -217,7 +217,7 @@ def _search_beside_remainder(
     singles = [fit.refit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
     if not chosen:
-        return _BesideRemainder(weighting, of_form, {}, {}, null_gains)
+        return _BesideRemainder(weighting.remainder, of_form, {}, {}, null_gains)
     best = chosen[-1].refit
     compared = compare_on(weighting.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
     gains = {fit.effects[-1]: fit.gain for fit in chosen}
@@ -236,7 +236,7 @@ def _search_beside_remainder(
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
-    return _BesideRemainder(weighting, of_form, causes, compared.best.values, null_gains)
+    return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
 
 
 def _search_around(
@@ -246,6 +246,11 @@ def _search_around(
     around = weighting.updated(form.problem.model, form.theta)
     chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress)
     return chosen[-1].effects if chosen else ()
+
+
+def _cost_beside(remainder: tuple[Array, ...], weighting: Weighting, refitted: Refit) -> float:
+    """Return the held-out cost of a model beside a remainder, with the weighting of the model alone."""
+    return refit_on(replace(weighting, remainder=remainder), refitted).held_out_cost
 
 
 def _form_causes(
