@@ -58,11 +58,15 @@ class Path:
     smoothed: SmoothedRun | None = None
     kept: slice | None = None
 
-    @cached_property
+    @property
     def fine(self) -> "Path":
         """The same path with more vertices where the recorded force changes fast, for effects that follow the force."""
-        if self.smoothed is None:
-            return self
+        # A path that kept itself would stay in memory until the garbage collector comes by.
+        return self if self.smoothed is None else self._fine
+
+    @cached_property
+    def _fine(self) -> "Path":
+        assert self.smoothed is not None
         path = replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains, smoothed=self.smoothed)
         return path if self.kept is None else path.coarse(self.kept)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from numba.core.dispatcher import Dispatcher
 
 from mrd_base import InputError
 from mrd_runs import Run
@@ -308,6 +309,18 @@ def test_as_many_may_be_in_series_as_the_catalogue_has_and_no_more():
     assert np.isfinite(model.force(theta, make_path(*rich(rate=500.0, seconds=1.0)))).all()
     with pytest.raises(InputError, match=r"joint_play, own: all in series with the damper, expected at most 5"):
         find_model("bouc_wen").with_effects([*series, replace(series[0], id="own")])
+
+
+def test_elements_in_series_look_their_functions_up_once(monkeypatch):
+    """A fit calls the model hundreds of times; numba takes as long for their addresses as the model for 500 samples."""
+    model, theta = switched_on("bouc_wen", "series_compliance")
+    path = make_path(*rich(rate=500.0, seconds=1.0))
+    expected = model.force(theta, path)
+    looked_up = []
+    monkeypatch.setattr(Dispatcher, "get_compile_result", lambda function, signature: looked_up.append(function))
+    assert np.array_equal(model.force(theta, path), expected)
+    assert np.isfinite(model.force(theta + 1j * STEP, path).imag).all()
+    assert not looked_up
 
 
 def test_effects_act_in_the_order_of_the_catalogue_however_they_are_named():
