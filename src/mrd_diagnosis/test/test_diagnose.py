@@ -347,10 +347,15 @@ def test_a_hum_is_found_whichever_the_mains_are(frequency):
     assert f"at {frequency:.0f} Hz" in diagnosis.sentence
 
 
-def test_a_strong_hum_in_slow_sampling_is_no_noise():
-    runs = recorded({"mains_hum": {"amplitude": 34.0}}, rate=200)
+@pytest.mark.parametrize("frequency", [50.0, 60.02, 119.96])
+def test_a_strong_hum_in_slow_sampling_is_no_noise(frequency):
+    phases = enumerate(recorded(rate=200))
+    runs = [replace(run, force=run.force + 34.0 * np.cos(2 * np.pi * frequency * run.time + phase)) for phase, run in phases]
     diagnosis = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
-    assert "mains_hum" in [cause.effect for cause in diagnosis.causes]
+    assert [cause.effect for cause in diagnosis.causes] == ["mains_hum"]
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.corrected.parameters["mains_hum.frequency"] == round(frequency)
+    assert diagnosis.gap.noise_floor.value < 0.15 * diagnosis.gap.before.value
     assert diagnosis.corrected.parameters["mains_hum.amplitude"] == pytest.approx(34.0, rel=0.15)
     assert any(finding.kind == "hum" for finding in diagnosis.findings)
 

@@ -294,8 +294,9 @@ def test_a_jump_of_the_position(place, size):
 @examples
 @given(st.sampled_from([50.0, 60.0, 100.0, 120.0]), st.floats(0.08, 0.3), st.sampled_from([200.0, 500.0]), st.floats(0, 6))
 def test_a_hum(frequency, share, rate, phase):
-    if abs(frequency - rate / 2) < 1:  # at the Nyquist frequency
-        return
+    if abs(frequency - rate / 2) < 1:
+        phase = 0.0
+        rate += 0.5  # at exactly half the sampling rate, the size depends on the phase
     run = measured("multisine", rate)
     amplitude = share * run.force.std()
     hum = processing_of(
@@ -304,6 +305,25 @@ def test_a_hum(frequency, share, rate, phase):
     assert hum.frequency == frequency
     assert hum.folded == pytest.approx(min(frequency, rate - frequency))
     assert hum.amplitude == pytest.approx(amplitude, rel=0.15)
+    assert hum.share == pytest.approx(share / np.sqrt(2 + share**2), rel=0.15)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.6, 1.2, 3.0])
+def test_a_hum_at_half_the_sampling_rate_is_told_with_its_least_size(phase):
+    run = measured("multisine", 200.0)
+    humming = replace(run, force=run.force + 40.0 * np.cos(2 * np.pi * 100 * run.time + phase))
+    assert processing_of(humming).hum.amplitude == pytest.approx(40.0 * abs(np.cos(phase)), rel=0.1)
+    (finding,) = (finding for finding in preflight([humming]) if finding.kind == "hum")
+    assert finding.severity == "limitation"
+    assert "at least" in finding.text
+
+
+def test_a_hum_is_told_with_its_share_of_the_force():
+    run = measured("multisine", 200.0)
+    amplitude = 0.12 * np.sqrt(2) * run.force.std()
+    humming = replace(run, force=run.force + amplitude * np.cos(2 * np.pi * 120 * run.time))
+    (finding,) = (finding for finding in preflight([humming]) if finding.kind == "hum")
+    assert "at 120 Hz, which sampling folds to 80 Hz (12 % of the standard deviation of the force)" in finding.text
 
 
 def test_a_hum_beyond_the_effect_is_a_limitation_that_says_so():

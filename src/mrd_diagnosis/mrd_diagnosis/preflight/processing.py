@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_diagnosis.diagnosis import Finding, Severity
-from mrd_diagnosis.limitations import LOWEST_RATE_FOR_MAINS
 from mrd_diagnosis.preflight.channels import LOW_RATE, MOVING_STROKE, Channel, CheckedRun, milli
 from mrd_diagnosis.preflight.joins import original_rate
 from mrd_diagnosis.preflight.low_pass import LowPass, moving_average
@@ -20,7 +19,7 @@ from mrd_diagnosis.preflight.spectra import (
     noise_end,
 )
 from mrd_runs import Run
-from mrd_runs.signals.mains import MAINS
+from mrd_runs.signals.mains import shows_line
 from mrd_sim.effects import EFFECTS
 
 HELD_SHARE = 0.3
@@ -206,16 +205,21 @@ def _filter_finding(checked: CheckedRun, channel: str, low_pass: LowPass) -> Fin
 
 def _hum_finding(checked: CheckedRun, hum: Hum) -> Finding:
     largest = EFFECTS["mains_hum"].parameters[0].upper
+    alternates = round(2 * hum.folded / checked.run.rate, 3) == 1.0
+    least = "at least " if alternates else ""
     folded = f", which sampling folds to {hum.folded:.3g} Hz" if hum.folded < hum.frequency else ""
-    tried = hum.amplitude <= largest and hum.frequency in MAINS and checked.run.rate >= LOWEST_RATE_FOR_MAINS
+    tried = shows_line(hum.frequency, checked.run.rate) and hum.amplitude <= largest and not alternates
+    if tried:
+        consequence = "The diagnosis tries it as the effect mains_hum."
+    elif alternates:
+        consequence = "At half the sampling rate, its size depends on its phase: it seems to differ from run to run."
+    elif hum.amplitude > largest:
+        consequence = f"The effect mains_hum reaches up to {largest:g} N only."
+    else:
+        consequence = "There it cannot be told from harmonics of the motion, so that the diagnosis does not try it."
     text = (
-        f"the force carries a mains hum of {hum.amplitude:.3g} N at {hum.frequency:.3g} Hz{folded}: expected none. "
-        + (
-            "The diagnosis tries it as the effect mains_hum. "
-            if tried
-            else f"The effect mains_hum reaches up to {largest:g} N at 50 or 60 Hz, so that this hum may pass for noise and "
-            "hide other effects. "
-        )
-        + "Check shield and earth of the load cell."
+        f"the force carries a mains hum of {least}{hum.amplitude:.3g} N at {hum.frequency:.3g} Hz{folded} "
+        f"({100 * hum.share:.2g} % of the standard deviation of the force): expected none. {consequence} "
+        "Check shield and earth of the load cell."
     )
     return checked.finding("hum", "remark" if tried else "limitation", "force", text)
