@@ -25,7 +25,6 @@ from mrd_diagnosis.sentences import next_command, next_step
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
-from mrd_runs import read_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -95,7 +94,7 @@ def work() -> None:
     find_effects(effects)
     parameters = read_fit(arguments.parameters) if arguments.parameters else None
     bench = read_settings(arguments.bench)
-    runs, held_out = read_arguments_runs(arguments)
+    runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
     with tqdm(total=100, desc="diagnosing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
@@ -107,7 +106,7 @@ def work() -> None:
             runs,
             arguments.model,
             held_out=held_out,
-            reference=read_runs(arguments.reference) if arguments.reference else (),
+            reference=reference,
             parameters=parameters,
             laws=laws or None,
             effects=effects,
