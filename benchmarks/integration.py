@@ -2,7 +2,8 @@
 
 LSODA integrates the textbook equations of the models, once written in Python and once compiled by numba like the models of
 this bench. The motion is a compiled function of time. The tolerance rtol is 1e-6, and the first power of ten that is as
-accurate as this bench. The C code (bouc_wen.c) has the same operations as this bench, in one pass over the same path.
+accurate as this bench. The C code (bouc_wen.c, without the shear-thinning model) has the same operations as this bench, in
+one pass over the same path.
 """
 
 import ctypes
@@ -62,6 +63,33 @@ def _modified(t: float, s: Array, p: Array) -> Array:
     return np.array([_state_slope(w, v - y_speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[13], y_speed])
 
 
+@njit(cache=True)
+def _speed_of_element(drive: float, c0: float, index: float, c1: float) -> float:
+    """Solve c1 u + c0 u (hypot(u, 1e-4) / 0.1)^(index - 1) = drive by Newton's method, kept within its bracket."""
+    low, high = min(0.0, drive / c1), max(0.0, drive / c1)
+    u = 0.5 * (low + high)
+    for _ in range(100):
+        viscous = c0 * (np.hypot(u, 1e-4) / 0.1) ** (index - 1.0)
+        balance = (c1 + viscous) * u - drive
+        if balance > 0.0:
+            high = u
+        else:
+            low = u
+        step = -balance / (c1 + viscous * (index * u * u + 1e-8) / (u * u + 1e-8))
+        if abs(step) <= 1e-14 * abs(u):
+            break
+        u = u + step if low < u + step < high else 0.5 * (low + high)
+    return u
+
+
+@njit(cache=True)
+def _shear_thinning(t: float, s: Array, p: Array) -> Array:
+    w, u, y = s
+    c1, v = p[9] + p[10] * u, velocity(t)
+    speed = _speed_of_element(c1 * v - (p[0] + p[1] * u) * w - p[11] * (position(t) - y), p[6] + p[7] * u, p[8], c1)
+    return np.array([_state_slope(w, speed, p[4]) / (p[2] + p[3] * u), (current(t) - u) / p[14], v - speed])
+
+
 def _bouc_wen_force(s: Array, p: Array, x: Array, v: Array) -> Array:
     w, u = s
     return (p[0] + p[1] * u) * w + (p[6] + p[7] * u) * v + p[8] * x + p[9]
@@ -73,10 +101,19 @@ def _modified_force(s: Array, p: Array, x: Array, v: Array) -> Array:
     return c1 * ((p[0] + p[1] * u) * w + c0 * v + p[10] * (x - y)) / (c0 + c1) + p[11] * x + p[12]
 
 
+def _shear_thinning_force(s: Array, p: Array, x: Array, v: Array) -> Array:
+    w, u, y = s
+    c1 = p[9] + p[10] * u
+    drive = c1 * v - (p[0] + p[1] * u) * w - p[11] * (x - y)
+    speed = np.array([_speed_of_element(*at) for at in zip(drive, p[6] + p[7] * u, np.full(len(u), p[8]), c1, strict=True)])
+    return c1 * (v - speed) + p[12] * x + p[13]
+
+
 EQUATIONS = {
     # By model: derivatives of the states, force, and magnitude of each state, which scales its absolute tolerance.
     "bouc_wen": (_bouc_wen, _bouc_wen_force, np.array([1.0, 0.2])),
     "modified_bouc_wen": (_modified, _modified_force, np.array([1.0, 0.2, 0.01])),
+    "shear_thinning_bouc_wen": (_shear_thinning, _shear_thinning_force, np.array([1.0, 0.2, 0.01])),
 }
 
 
@@ -175,7 +212,7 @@ def compare(model_id: str, library: ctypes.CDLL | None, table: Table) -> None:
         f"scipy odeint, compiled, {RTOL:g}": (lambda: with_odeint(model_id, theta, time_s, x, v), 1),
     }
     forces = {name: work() for name, (work, _) in alternatives.items()}
-    if library is not None:
+    if library is not None and hasattr(library, model_id):
         name = f"C, gcc {' '.join(C_FLAGS)}"
         call, forces[name] = with_c(library, model_id, theta, path)
         call()

@@ -1,16 +1,16 @@
 """Alternative models: another damper model in the place of effects, because what is missing may be no effect at all."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.base_fit import global_fit
+from mrd_diagnosis.base_fit import fit_base, global_fit
 from mrd_diagnosis.refit import Refit, refit
 from mrd_diagnosis.weighting import Weighting
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import make_problem
-from mrd_identification.recording import current_levels
+from mrd_identification.recording import Recording, current_levels
 from mrd_sim.models import MODELS, DamperModel, find_model
 
 Array = NDArray[np.float64]
@@ -57,6 +57,21 @@ def fit_alternative_models(weighting: Weighting, base: Refit, enough: float, rng
         if refits[name].chi_square - 1.0 <= enough:
             break
     return refits
+
+
+def best_model(start: DamperModel, recordings: Sequence[Recording], rng: np.random.Generator) -> DamperModel:
+    """Return the damper model that predicts held-out folds of recordings best, without effects.
+
+    Parameters
+    ----------
+    start : DamperModel
+        Model with which the noise is estimated.
+    recordings : sequence of Recording
+    rng : numpy Generator
+    """
+    weighting, base, _, _ = fit_base(start, None, recordings, rng)
+    refits = [base, *fit_alternative_models(weighting, base, -np.inf, rng).values()]
+    return min(refits, key=lambda refitted: refitted.held_out_cost).problem.model
 
 
 _AlternativeModel = tuple[str, DamperModel, tuple[str, ...], Array | None]

@@ -33,12 +33,6 @@ FOURIER_FEATURES = 120
 RUN_SCATTER = RunScatter(1e-3, 0.2)
 """Scatter of the runs that is taken from their errors: a change may be one of gain or offset, so hardly any."""
 
-RUN_SCATTER_P_VALUE = 0.01
-"""Probability, in runs that differ by their scatter only, of a difference as large as that of a change that is named."""
-
-LEAST_INFORMATION = 0.05
-"""Share of the most informative run's information on an effect below which a run says nothing about it."""
-
 
 def explain_change(
     weighting: Weighting,
@@ -109,12 +103,12 @@ def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
     changes = [white(on - off) for white, on, off in zip(problem.whitenings, with_effect, without, strict=True)]
     information = [float(change @ change) for change in changes]
     for run, recording in enumerate(problem.recordings):
-        if information[run] > LEAST_INFORMATION * max(information):
+        if information[run] > THRESHOLDS.least_information * max(information):
             error = error_of_run(problem, neutral, run, refitted.coefficients)[0]
             sizes[not recording.without_effects].append(-float(error @ changes[run]) / information[run])
     if min(map(len, sizes)) < 2:
         return True
-    return bool(ttest_ind(*sizes, equal_var=False).pvalue < RUN_SCATTER_P_VALUE)
+    return bool(ttest_ind(*sizes, equal_var=False).pvalue < THRESHOLDS.change_p_value)
 
 
 def _functions(weighting: Weighting, base: Refit, rng: np.random.Generator) -> tuple[Array, Array]:

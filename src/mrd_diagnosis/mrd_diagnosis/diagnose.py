@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_diagnosis.alternative_models import fit_alternative_models
+from mrd_diagnosis.alternative_models import best_model, fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure import Closure, compute_closure
@@ -61,6 +61,12 @@ NOTE_ON_CHANGE = (
     "flexible function of motion, current and force; the rest of the error counts as noise."
 )
 
+BEST_MODEL = "auto"
+"""In place of a model's id: the model of the catalogue that predicts the recordings best."""
+
+START_OF_CHOICE = "bouc_wen"
+"""Model with which the noise is estimated before the best model is chosen."""
+
 MOST_SAMPLES = 10_000
 """Samples of all runs together on which effects are searched. What was found is then fitted to all samples and judged by
 these."""
@@ -90,7 +96,7 @@ def diagnose(
     runs : sequence of Run
         In the order in which they were recorded.
     model : str
-        Id of the simulator's damper model.
+        Id of the simulator's damper model, or "auto" for the one that predicts the recordings best without any effect.
     held_out : sequence of Run
         Runs that judge how far the gap closes. Without them, each run is left out in turn.
     reference : sequence of Run
@@ -120,12 +126,16 @@ def diagnose(
     if reference and held_out:
         raise InputError("found both reference and held-out runs, expected one kind: a change is judged on all runs in turn")
     candidates = [effect.id for effect in find_effects(list(effects) or list(EFFECTS))]
-    base = find_model(model, laws if laws is not None else (parameters.laws if parameters else None))
+    if model == BEST_MODEL and parameters:
+        model = parameters.model
+    laws = laws if laws is not None else (parameters.laws if parameters else None)
+    base = find_model(START_OF_CHOICE if model == BEST_MODEL else model, laws)
     theta = _theta_as_given(base, parameters)
     progress("checking the recordings", 0.0)
-    findings = preflight([*runs, *held_out], base)
+    expected = None if model == BEST_MODEL else base
+    findings = preflight([*runs, *held_out], expected)
     if reference:
-        findings = (*preflight(reference, base), *findings)
+        findings = (*preflight(reference, expected), *findings)
     if any(finding.severity == "fault" for finding in findings):
         progress("done", 1.0)
         return Diagnosis(
@@ -142,7 +152,16 @@ def diagnose(
         )
     before = [replace(recording, without_effects=True) for recording in in_threads(prepare_recording, reference)]
     fitted, set_aside = (in_threads(prepare_recording, group) for group in (runs, held_out))
-    return _diagnose_physics(base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress)
+    if model == BEST_MODEL:
+        progress("choosing the damper model", 0.02)
+        base = best_model(base, thinned(fitted, MOST_SAMPLES), np.random.default_rng(seed))
+    diagnosis = _diagnose_physics(
+        base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress
+    )
+    if model == BEST_MODEL:
+        chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
+        diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
+    return diagnosis
 
 
 def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | None:
@@ -201,13 +220,13 @@ def _diagnose_physics(
         comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
     listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
 
-    progress("measuring how far the gap closes", 0.85)
+    progress("measuring how far the gap closes", 0.9)
     closure = compute_closure(complete, held_out, rng)
     where: tuple[Region, ...] = ()
     oscillation = None
     explainable = float("nan")
     if verdict != "no_gap":
-        progress("locating the gap", 0.9)
+        progress("locating the gap", 0.93)
         residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
         where, oscillation, explainable = _locate(closure, residuals, rng)
     nearest = None
@@ -215,15 +234,10 @@ def _diagnose_physics(
     reference = tuple(recording.run for recording in recordings if recording.without_effects)
     if verdict in ("unknown_effect", "partly_explained"):
         nearest = _nearest(comparison, listed)
-        if not reference:
-            progress("trying other damper models", 0.93)
-            if not other_models:
-                tolerated = tolerated_excess(comparison.base)
-                other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
-            models = list_alternative_models(comparison, other_models, rng)
+        models = list_alternative_models(comparison, other_models, rng)
     conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
-        progress("designing the next experiment", 0.95)
+        progress("designing the next experiment", 0.96)
     gap = Gap(
         closure.noise_floor,
         closure.before,
@@ -277,9 +291,9 @@ def _explain_gap(
     noise alone, and other damper models where they were tried.
     """
     chosen, fits = search_effects(
-        weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.15 + 0.6 * fraction)
+        weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.15 + 0.3 * fraction)
     )
-    progress("comparing models", 0.75)
+    progress("comparing models", 0.45)
     singles = [fit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
     comparison = compare_models(weighting, base, chosen, fits, rng)
@@ -287,7 +301,7 @@ def _explain_gap(
     one_speed = has_one_peak_speed([recording.run for recording in weighting.recordings])
     if comparison.effects and one_speed:
         # At a single speed, an effect may imitate what another damper model does.
-        progress("trying other damper models", 0.77)
+        progress("trying other damper models", 0.48)
         excess = comparison.best.chi_square - 1.0
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
         comparison = comparison.with_alternative_models(other_models)
@@ -297,9 +311,19 @@ def _explain_gap(
     verdict = decide(complete, base.chi_square, chances, p_values, rng)
     explanation = Explanation(verdict, comparison, chances, p_values)
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
-        progress("looking for causes beside a wrong form", 0.8)
+        if not other_models:
+            progress("trying other damper models", 0.48)
+            tolerated = tolerated_excess(comparison.base)
+            other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
+        stage = "looking for causes beside a wrong form"
         # At a single speed, nothing tells an effect from the form.
-        explanation = explain_in_part(explanation, [] if one_speed else effects, rng)
+        explanation = explain_in_part(
+            explanation,
+            list(other_models.values()),
+            [] if one_speed else effects,
+            rng,
+            lambda fraction: progress(stage, 0.55 + 0.35 * fraction),
+        )
         complete = compare_on_all_samples(explanation.comparison, rng)
     return explanation, complete, singles, null_gains, other_models
 

@@ -10,13 +10,11 @@ from mrd_diagnosis.diagnosis import RunNoise, UntestableEffect
 from mrd_diagnosis.multisine import distortion
 from mrd_diagnosis.repetition import repeating_period
 from mrd_identification.recording import Recording, current_levels
+from mrd_runs.signals.mains import MAINS_LINES, shows_line
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
-
-LOWEST_RATE_FOR_MAINS = 130.0
-"""Sampling rate in Hz from which on a hum of 60 Hz can be recognised."""
 
 SLOW_RATE = 100.0
 """Sampling rate in Hz below which time constants of coil and fluid fall between the samples."""
@@ -39,18 +37,24 @@ def untestable_effects(
     rate = min(recording.run.rate for recording in recordings)
     levels, varies = current_levels([recording.run for recording in recordings])
     for effect in candidates:
-        included = EFFECTS[effect].coefficient in {coefficient.name for coefficient in model.coefficients}
-        if included or (EFFECTS[effect].structural and model.states):
+        if contains(model, effect):
             reasons[effect] = "the model contains it already"
         if effect == "coil_lag" and parameters is not None and parameters[model.names.index(effect)] > 0.0:
             reasons[effect] = "the simulator contains it already"
-        if effect == "mains_hum" and rate < LOWEST_RATE_FOR_MAINS:
+        if effect == "mains_hum" and not any(shows_line(frequency, rate) for frequency in MAINS_LINES):
             reasons[effect] = f"a sampling rate of {rate:.0f} Hz does not show the mains frequency"
         if not varies and effect in ("coil_lag", "magnetic_hysteresis"):
             reasons[effect] = "the current never changes within a run"
         if levels == 1 and effect in ("current_saturation", "current_sensor_error"):
             reasons[effect] = "all runs have the same current"
     return tuple(UntestableEffect(effect, why) for effect, why in reasons.items())
+
+
+def contains(model: DamperModel, effect: str) -> bool:
+    """Whether a damper model describes an effect by itself."""
+    if EFFECTS[effect].structural:
+        return bool(model.states)
+    return EFFECTS[effect].coefficient in {coefficient.name for coefficient in model.coefficients}
 
 
 def limitation_notes(recordings: Sequence[Recording], noise: Sequence[RunNoise]) -> list[str]:

@@ -14,6 +14,7 @@ from mrd_diagnosis.force_noise import force_noise_variance, without_offset_and_g
 from mrd_diagnosis.input_errors import propagated_variance
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, consecutive_forces
+from mrd_runs.signals.mains import without_mains
 from mrd_runs.signals.quantisation import quantisation_step
 from mrd_sim.models import DamperModel
 
@@ -53,7 +54,11 @@ def estimate_noise(
     items = list(zip(recordings, rng.spawn(len(recordings)), strict=True))
     propagated = in_threads(lambda item: propagated_variance(item[0], model, theta, item[1], draws), items)
     modelled = consecutive_forces(model, theta, recordings)
-    residuals = [recording.force - force for recording, force in zip(recordings, modelled, strict=True)]
+    # A hum is no noise: it goes on in phase through the whole run.
+    residuals = [
+        without_mains(recording.force - force, recording.run.time[recording.counted])
+        for recording, force in zip(recordings, modelled, strict=True)
+    ]
     noise = []
     for index, recording in enumerate(recordings):
         residual = without_offset_and_gain(residuals[index], recording.force)

@@ -1,8 +1,10 @@
 """Partial explanation: the effects that can be named although the model's form is wrong, and what remains beside them.
 
-No base model has the form of a measured damper. A cause is named all the same when it holds against three things: a flexible
-remainder for the form of the damper (`form_remainder`), the other half of the recordings, and another base model. An effect
-that belongs to the form itself holds against the remainder where its formula closes most of what the remainder can close.
+No base model has the form of a measured damper. So causes are searched around the model of the catalogue that predicts best,
+whatever model the simulator has, and a cause is named when it holds against three things: a flexible remainder for the form
+of the damper (`form_remainder`), the other half of the recordings, and other damper models, which count as much as they add
+to the prediction (`stacking_weights`). An effect that belongs to the form itself holds against the remainder where its
+formula closes most of what the remainder can close.
 """
 
 import itertools
@@ -11,31 +13,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
-from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.effect_search import refit_with_effects, search_effects
 from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
+from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
 from mrd_diagnosis.refit import Refit, held_out_errors, refit, refit_on, without_each
 from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
-from mrd_identification.problem import make_problem
 from mrd_sim.effects import EFFECTS
-from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-OTHER_FORMS = ("hyperbolic_tangent", "bouc_wen")
-"""Damper models around which a cause has to hold as well: the first that is not the user's own."""
-
-RANDOM_STARTS, EVALUATIONS = 20, 40
-"""Random points from which the other model is fitted, and evaluations of the fit."""
+MOST_FORMS = 3
+"""Damper models around which a cause is judged."""
 
 MOST_FORM_EFFECTS = 2
 """Effects of the form that are added to the model one after the other, at most."""
@@ -61,7 +60,11 @@ class HeldCause:
 
 
 def explain_in_part(
-    explanation: Explanation, effects: Sequence[str], rng: np.random.Generator, progress: Progress = lambda _fraction: None
+    explanation: Explanation,
+    other_models: Sequence[Refit],
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    progress: Progress = lambda _fraction: None,
 ) -> Explanation:
     """Find the effects that can be named although the form of the model may be wrong.
 
@@ -71,6 +74,8 @@ def explain_in_part(
     ----------
     explanation : Explanation
         With the model alone. It is returned where it holds beside a freer form as well.
+    other_models : sequence of Refit
+        Other damper models, without effects.
     effects : sequence of str
         Ids of the candidates.
     rng : numpy Generator
@@ -81,34 +86,36 @@ def explain_in_part(
     weighting = comparison.weighting
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
-    other = _other_form(weighting, alone, rng)
-    tried = [effect for effect in effects if effect not in lacking]
-    beside = _search_beside_remainder(comparison, other, tried, rng, progress)
-    progress(0.8)
-    causes = beside.causes
-    values = alone.values | beside.values
-    explained = _with_effects(weighting, alone, list(causes), values)
-    free_form = replace(weighting, remainder=beside.remainder)
-    freed = refit_on(free_form, explained)
+    forms = _weighted_forms([alone, *other_models])
+    form, others = forms[0][0], [other for other, _ in forms[1:]]
+    contained = [effect for effect in effects if contains(form.problem.model, effect)]
+    tried = [effect for effect in effects if effect not in (*lacking, *contained)]
+    chosen = comparison.effects
+    if form is not alone:
+        chosen = _search_around(weighting, form, tried, rng, lambda fraction: progress(0.3 * fraction))
+    beside = _search_beside_remainder(comparison, forms, tried, rng, lambda fraction: progress(0.3 + 0.5 * fraction))
+    causes, values = beside.causes, alone.values | beside.values
+    explained = _with_effects(weighting, form, list(causes), values)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
-    of_form = [e for e in tried if e in beside.form_effects or (e in comparison.effects and e not in causes)]
-    for effect, fitted in _form_chain(weighting, explained, freed, of_form):
-        # Another base model that predicts better has the form without this effect.
-        instead = _with_effects(weighting, other, list(causes), values)
-        probability = float(probabilities([fitted, instead], rng)[0])
-        if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
-            break
-        gain = float(explained.held_out_cost - fitted.held_out_cost)
-        closed = closed_fraction_between(explained, fitted, comparison, rng)
-        causes[effect] = HeldCause({effect: probability}, p_value(gain, beside.null_gains), closed)
-        values |= fitted.values
-        explained, freed = fitted, refit_on(free_form, fitted)
+    of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen and effect not in causes)]
+    freed = _cost_beside(beside.remainder, weighting, explained)
+    of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, others, beside.null_gains, rng)
+    causes, values = causes | of_form_causes, values | explained.values
+    if form is not alone:
+        # What the best form contains and the user's model does not tells the two apart.
+        best_cost = explained.held_out_cost
+        explained = _with_effects(weighting, alone, list(causes), values)
+        lacked = [effect for effect in contained if not contains(alone.problem.model, effect)]
+        of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, (), beside.null_gains, rng)
+        causes, values = causes | of_form_causes, values | explained.values
+    free_form, _ = with_form_remainder(weighting, alone)
+    freed = _cost_beside(free_form.remainder, weighting, explained)
     progress(0.9)
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
         return explanation
     gap = comparison.base.held_out_cost - weighting.noise_cost
-    form_fraction = float(np.clip((explained.held_out_cost - freed.held_out_cost) / gap, 0.0, 1.0))
+    form_fraction = float(np.clip((explained.held_out_cost - freed) / gap, 0.0, 1.0))
     if not named:
         return replace(explanation, verdict="unknown_effect", form_fraction=form_fraction)
     return Explanation(
@@ -135,12 +142,33 @@ def rests_on_form(comparison: ModelComparison) -> bool:
     return bool(form_effects(comparison.weighting, comparison.base, comparison.effects))
 
 
-def _other_form(weighting: Weighting, alone: Refit, rng: np.random.Generator) -> Refit:
-    """Fit another damper model, without effects."""
-    model = find_model(next(name for name in OTHER_FORMS if name != alone.problem.model.id))
-    problem, _ = make_problem(model, weighting.recordings, fixed=weighting.fixed)
-    theta = global_fit(problem, None, rng, RANDOM_STARTS, EVALUATIONS)
-    return refit(weighting.problem(model, theta), theta, weighting.folds)
+def stacking_weights(refits: Sequence[Refit]) -> Array:
+    """Return the weights (refits,) with which models together predict best: none negative, one in sum.
+
+    They minimise the squared error of the weighted prediction (stacked regressions; Breiman, 1996). The errors are those of
+    the joint fit: each model has few parameters for the samples.
+    """
+    errors = np.stack([refitted.problem.residuals(refitted.theta) for refitted in refits], axis=1)
+    sum_is_one = 100.0 * np.linalg.norm(errors)
+    matrix = np.linalg.cholesky(errors.T @ errors + sum_is_one**2 + 1e-9 * sum_is_one**2 * np.eye(len(refits))).T
+    target = np.linalg.solve(matrix.T, np.full(len(refits), sum_is_one**2))
+    weights = nnls(matrix, target)[0]
+    return np.asarray(weights / weights.sum())
+
+
+def _weighted_forms(refits: Sequence[Refit]) -> list[tuple[Refit, float]]:
+    """Return the damper models that count most with their weights; first the one that predicts best.
+
+    Of refits of one model with more or less freedom, the best counts.
+    """
+    best_by_model: dict[str, Refit] = {}
+    for refitted in sorted(refits, key=lambda refitted: refitted.held_out_cost):
+        best_by_model.setdefault(refitted.problem.model.id, refitted)
+    forms = list(best_by_model.values())
+    weights = stacking_weights(forms)
+    counted = sorted(range(len(forms)), key=lambda index: (index > 0, -weights[index]))[:MOST_FORMS]
+    total = weights[counted].sum()
+    return [(forms[index], float(weights[index] / total)) for index in counted]
 
 
 @dataclass(frozen=True)
@@ -151,69 +179,117 @@ class _BesideRemainder:
     ----------
     remainder : tuple of ndarray
         See `mrd_diagnosis.weighting.WeightedProblem`.
+    of_form : list of str
+        Candidates that belong to the form of the damper, so that the remainder takes their place.
     causes : dict
         The effects that hold, by id.
     values : dict
         Parameters of the model with the chosen effects, by name.
-    form_effects : list of str
-        Candidates that belong to the form of the damper, so that the remainder takes their place.
     null_gains : ndarray
         See `mrd_diagnosis.null_distribution.draw_null_gains`.
     """
 
     remainder: tuple[Array, ...]
+    of_form: list[str]
     causes: dict[str, HeldCause]
     values: dict[str, float]
-    form_effects: list[str]
     null_gains: Array
 
 
 def _search_beside_remainder(
-    comparison: ModelComparison, other: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
+    comparison: ModelComparison,
+    forms: Sequence[tuple[Refit, float]],
+    effects: Sequence[str],
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> _BesideRemainder:
-    """Search for effects beside the remainder; they have to hold in both halves and around the ``other`` model."""
-    weighting, base = with_form_remainder(comparison.weighting, comparison.base)
+    """Search for effects beside the remainder around the first of the forms; they have to hold in both halves and around
+    the other forms.
+    """
+    spaces = [with_form_remainder(comparison.weighting, form) for form, _ in forms]
+    weighting, base = spaces[0]
     of_form = form_effects(weighting, base, effects)
     tried = [effect for effect in effects if effect not in of_form]
     force_noise = [of_run.force for of_run in weighting.noise]
     null_errors = draw_null_errors(base.problem, base.theta, force_noise, weighting.scatter, rng)
     base = refit(base.problem, base.theta, weighting.folds, null_errors)
-    chosen, fits = search_effects(weighting, base, tried, null_errors, lambda fraction: progress(0.8 * fraction))
+    chosen, fits = search_effects(weighting, base, tried, null_errors, progress)
     singles = [fit.refit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
     if not chosen:
-        return _BesideRemainder(weighting.remainder, {}, {}, of_form, null_gains)
+        return _BesideRemainder(weighting.remainder, of_form, {}, {}, null_gains)
     best = chosen[-1].refit
     compared = compare_on(weighting.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
-    around_other = with_form_remainder(comparison.weighting, other)
     gains = {fit.effects[-1]: fit.gain for fit in chosen}
     causes = {}
     for effect, others in compared.alternatives.items():
         p = p_value(gains[effect], null_gains)
         if p > THRESHOLDS.p_value or not _holds_in_halves(others[NO_EFFECT], others[effect]):
             continue
-        support = _support(around_other, compared.best, effect, rng)
+        of_forms = [(others[effect], others[NO_EFFECT])] + [
+            _with_and_without(*space, compared.best, effect) for space in spaces[1:]
+        ]
+        support = sum(weight * float(probabilities(pair, rng)[0]) for pair, (_, weight) in zip(of_forms, forms, strict=True))
         if support < THRESHOLDS.listed_probability:
             continue
         shares = map(float, probabilities(list(others.values()), rng))
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
-    return _BesideRemainder(weighting.remainder, causes, compared.best.values, of_form, null_gains)
+    return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
 
 
-def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: Sequence[str]) -> list[tuple[str, Refit]]:
-    """Add effects of the form one after the other; return them where they close most of what the remainder closes.
+def _search_around(
+    weighting: Weighting, form: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
+) -> tuple[str, ...]:
+    """Return the effects that are chosen around a form of the damper without the remainder."""
+    around = weighting.updated(form.problem.model, form.theta)
+    chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress)
+    return chosen[-1].effects if chosen else ()
 
-    ``explained`` is the model with all other causes, ``freed`` the same with the remainder.
+
+def _cost_beside(remainder: tuple[Array, ...], weighting: Weighting, refitted: Refit) -> float:
+    """Return the held-out cost of a model beside a remainder, with the weighting of the model alone."""
+    return refit_on(replace(weighting, remainder=remainder), refitted).held_out_cost
+
+
+def _form_causes(
+    comparison: ModelComparison,
+    explained: Refit,
+    reachable: float,
+    effects: Sequence[str],
+    others: Sequence[Refit],
+    null_gains: Array,
+    rng: np.random.Generator,
+) -> tuple[dict[str, HeldCause], Refit]:
+    """Return the effects that hold as a part of the form, and the model with them.
+
+    They close most of what lies between the cost of ``explained``, the model with all other causes, and the cost that is
+    ``reachable`` by a freer or a better form. None of the ``other`` forms, which lack them, predicts better.
     """
-    available = explained.held_out_cost - freed.held_out_cost
+    weighting, causes = comparison.weighting, {}
+    for effect, fitted in _form_chain(weighting, explained, reachable, effects):
+        lacking = [form for form in others if not contains(form.problem.model, effect)]
+        instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
+        probability = float(probabilities([fitted, *instead], rng)[0])
+        if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
+            break
+        gain = float(explained.held_out_cost - fitted.held_out_cost)
+        closed = closed_fraction_between(explained, fitted, comparison, rng)
+        causes[effect] = HeldCause({effect: probability}, p_value(gain, null_gains), closed)
+        explained = fitted
+    return causes, explained
+
+
+def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[tuple[str, Refit]]:
+    """Add effects of the form one after the other; return them where they close most of what can be reached."""
+    available = explained.held_out_cost - reachable
     gap = explained.held_out_cost - weighting.noise_cost
     if available < THRESHOLDS.least_share_first * gap:
         return []
     chain: list[tuple[str, Refit]] = []
     best = explained
-    while len(chain) < MOST_FORM_EFFECTS:
+    while len(chain) < MOST_FORM_EFFECTS and best.held_out_cost > reachable:
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting, BaseFit.linearise(weighting, best), remaining, len(remaining), present=best.effects
@@ -221,9 +297,7 @@ def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: S
         if not fits:
             break
         fit = min(fits, key=lambda fit: fit.refit.held_out_cost)
-        if best.held_out_cost - fit.refit.held_out_cost < THRESHOLDS.least_share_next * (
-            best.held_out_cost - freed.held_out_cost
-        ):
+        if best.held_out_cost - fit.refit.held_out_cost < THRESHOLDS.least_share_next * (best.held_out_cost - reachable):
             break
         best = fit.refit
         chain.append((fit.effects[-1], best))
@@ -231,24 +305,18 @@ def _form_chain(weighting: Weighting, explained: Refit, freed: Refit, effects: S
     return chain if closed >= THRESHOLDS.least_form_share * available else []
 
 
-def _support(form: tuple[Weighting, Refit], best: Refit, effect: str, rng: np.random.Generator) -> float:
-    """Return the probability of an effect against none around another form of the damper, the other effects present."""
-    weighting, refitted = form
-    values = best.values
-    # The other model has a hysteretic state of its own.
-    present = [other.id for other in best.problem.model.effects if not other.structural]
-    fits = [
-        _with_effects(weighting, refitted, wanted, values)
-        for wanted in (present, [name for name in present if name != effect])
-    ]
-    return float(probabilities(fits, rng)[0])
+def _with_and_without(weighting: Weighting, form: Refit, best: Refit, effect: str) -> tuple[Refit, Refit]:
+    """Refit another form of the damper with the effects of ``best``, and with all of them but one."""
+    without = [other for other in best.effects if other != effect]
+    return _with_effects(weighting, form, best.effects, best.values), _with_effects(weighting, form, without, best.values)
 
 
 def _with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], values: Mapping[str, float]) -> Refit:
-    """Refit a model with effects, whose parameters start from ``values``."""
+    """Refit a model with those effects that it does not contain; their parameters start from ``values``."""
     model, theta = refitted.problem.model, refitted.theta
     for effect in effects:
-        model, theta = with_effect(model, theta, effect)
+        if not contains(refitted.problem.model, effect):
+            model, theta = with_effect(model, theta, effect)
     theta = np.array([values[n] if "." in n else v for n, v in zip(model.names, theta, strict=True)])
     return refit(weighting.problem(model, theta), theta, weighting.folds)
 

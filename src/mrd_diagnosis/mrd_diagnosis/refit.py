@@ -193,9 +193,10 @@ def without_each(
     solutions = np.empty((len(normal_matrices), len(joint)))
     for index, (matrix_of_piece, gradient_of_piece) in enumerate(zip(normal_matrices, gradients, strict=True)):
         rest = matrix - matrix_of_piece
-        determined = np.diag(rest) > NO_INFORMATION * np.maximum(np.diag(matrix), 1e-300)
-        new = np.where(determined, joint, neutral)
-        chosen = np.flatnonzero(determined)
+        only_here = np.diag(rest) <= NO_INFORMATION * np.diag(matrix)
+        # What no piece determines, such as a second parameter of what is absent, stays where it is.
+        new = np.where(only_here & (np.diag(matrix) > 0.0), neutral, joint)
+        chosen = np.flatnonzero(~only_here)
         step = bounded_step(
             rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]),
             (gradient - gradient_of_piece)[chosen],

@@ -78,6 +78,18 @@ class Thresholds:
         "share that effects of the form must close by their own formulas to be named",
         "other forms with one effect, seed 990",
     )
+    least_information: float = threshold(
+        0.05,
+        "of the most informative run",
+        "share of the information on an effect below which a run says nothing about a change of it",
+        "before/after pairs, seed 901",
+    )
+    change_p_value: float = threshold(
+        0.01,
+        "",
+        "probability, in runs that differ by their scatter only, of a difference as large as that of a change that is named",
+        "convention",
+    )
     # The verdict
     no_gap_chi_square: float = threshold(
         1.1,

@@ -18,6 +18,7 @@ from mrd_diagnosis.effect_search import refit_with_effects, score_effects
 from mrd_diagnosis.model_comparison import ModelComparison
 from mrd_diagnosis.refit import refit_on
 from mrd_identification.fit_file import StoredFit
+from mrd_identification.low_pass import parse_low_pass, with_force_filter
 from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
@@ -347,10 +348,27 @@ def test_a_hum_is_found_whichever_the_mains_are(frequency):
     assert f"at {frequency:.0f} Hz" in diagnosis.sentence
 
 
-def test_a_strong_hum_in_slow_sampling_is_no_noise():
-    runs = recorded({"mains_hum": {"amplitude": 34.0}}, rate=200)
+def test_a_known_filter_of_the_force_is_no_gap():
+    runs = [
+        replace(run, force=parse_low_pass("lowpass:6:zero-phase").filtered(run.force, run.rate))
+        for run in recorded(rate=200)
+    ]
+    unknown = diagnose(runs, "bouc_wen", effects=FEW)
+    known = diagnose([with_force_filter(run, "lowpass:6:zero-phase") for run in runs], "bouc_wen", effects=FEW)
+    assert known.gap.before.value < 0.2 * unknown.gap.before.value
+    assert (known.verdict, known.causes) == ("no_gap", ())
+    assert [finding.severity for finding in known.findings if finding.kind == "filter"] == ["remark"] * len(runs)
+
+
+@pytest.mark.parametrize("frequency", [50.0, 60.02, 119.96])
+def test_a_strong_hum_in_slow_sampling_is_no_noise(frequency):
+    phases = enumerate(recorded(rate=200))
+    runs = [replace(run, force=run.force + 34.0 * np.cos(2 * np.pi * frequency * run.time + phase)) for phase, run in phases]
     diagnosis = diagnose(runs, "bouc_wen", effects=("mains_hum", *FEW))
-    assert "mains_hum" in [cause.effect for cause in diagnosis.causes]
+    assert [cause.effect for cause in diagnosis.causes] == ["mains_hum"]
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.corrected.parameters["mains_hum.frequency"] == round(frequency)
+    assert diagnosis.gap.noise_floor.value < 0.15 * diagnosis.gap.before.value
     assert diagnosis.corrected.parameters["mains_hum.amplitude"] == pytest.approx(34.0, rel=0.15)
     assert any(finding.kind == "hum" for finding in diagnosis.findings)
 

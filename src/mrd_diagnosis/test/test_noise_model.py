@@ -1,6 +1,8 @@
 """The noise model, on simulated runs of which everything is known."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import pytest
 from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.repetition import repeating_period
 from mrd_identification.recording import Recording, prepare_recording
-from mrd_runs import make_run
+from mrd_runs import make_run, read_run
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -129,6 +131,29 @@ def test_blocks_of_one_run_do_not_repeat_each_other() -> None:
 def test_quantisation_of_the_force_is_noise() -> None:
     (noise,) = estimate_noise([recorded("wander", step=8.0)], DAMPER.model, DAMPER.theta, np.random.default_rng(4))
     assert noise.force == pytest.approx(np.hypot(FORCE, 8.0 / np.sqrt(12)), rel=0.2)
+
+
+@pytest.mark.parametrize("frequency", [50.0, 59.97, 100.04, 120.0])
+@pytest.mark.parametrize("kind", ["sine", "wander"])
+def test_a_hum_is_no_noise(kind: str, frequency: float) -> None:
+    recording = recorded(kind, rate=200.0)
+    run = recording.run
+    hum = 0.12 * np.std(run.force) * np.cos(2 * np.pi * frequency * run.time + 1.0)
+    humming = prepare_recording(replace(run, force=run.force + hum))
+    (noise,) = estimate_noise([humming], DAMPER.model, DAMPER.theta, np.random.default_rng(4))
+    assert noise.force == pytest.approx(FORCE, rel=0.3)
+
+
+def test_a_hum_in_a_measured_run_is_no_noise() -> None:
+    folder = os.environ.get("MRD_DATA", str(Path(__file__).resolve().parents[4] / "shared/data"))
+    file = Path(folder) / "utfsm/sine_25mm_0.25hz_0.5A.csv"
+    if not file.exists():
+        pytest.skip("no measured runs; name their folder by MRD_DATA")
+    run = read_run(file)
+    hum = 0.12 * np.sqrt(2) * np.std(run.force) * np.cos(2 * np.pi * 50.0 * run.time + 1.0)
+    humming = prepare_recording(replace(run, force=run.force + hum))
+    (noise,) = estimate_noise([humming], DAMPER.model, DAMPER.theta, np.random.default_rng(4))
+    assert noise.force < 0.1 * np.std(hum)
 
 
 def test_noise_is_never_larger_than_the_residual() -> None:

@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mrd_diagnosis import diagnose
+from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
+from mrd_diagnosis.partial_explanation import stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import find_model
@@ -94,6 +96,35 @@ def test_a_cause_is_named_although_the_damper_has_another_form(cause, recorded):
     assert diagnosis.causes[0].probability > 0.9
     assert diagnosis.gap.form_fraction > 0.05
     assert diagnosis.sentence
+
+
+def test_a_spring_that_hardens_is_not_surely_an_end_stop():
+    springs = ("end_stop", "hardening_spring")
+    recorded = runs(effect=lambda signals: 60.0 * (signals[1] / 8e-3) ** 3)
+    diagnosis = diagnose(recorded, "hyperbolic_tangent", effects=(*CANDIDATES, *springs))
+    (cause,), (alternative,) = diagnosis.causes, diagnosis.alternatives
+    assert {cause.effect, alternative.effect} == set(springs)
+    assert cause.probability < 0.9
+
+
+def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
+    diagnosis = diagnose(runs(lag=0.012), "auto", effects=CANDIDATES)
+    assert diagnosis.model.id in ("hyperbolic_tangent", "sigmoid", "algebraic")
+    assert diagnosis.notes[0].startswith("Of the damper models of the catalogue")
+    assert [named.effect for named in diagnosis.causes] == ["coil_lag"]
+    assert diagnosis.causes[0].probability > 0.9
+
+
+def test_models_are_weighted_by_what_they_add_to_the_prediction(wrong_form):
+    weighting, base = wrong_form
+    twin = replace(base, theta=base.theta.copy())
+    others = fit_alternative_models(weighting, base, -np.inf, np.random.default_rng(1))
+    weights = stacking_weights([base, twin, *others.values()])
+    assert weights.sum() == pytest.approx(1.0)
+    assert (weights >= 0.0).all()
+    # The damper's own curve is a hyperbolic tangent of speed.
+    assert weights[2 + list(others).index("hyperbolic_tangent")] > 0.9
+    assert stacking_weights([base, twin]) == pytest.approx([0.5, 0.5], abs=1e-3)
 
 
 def test_another_form_alone_is_no_effect():

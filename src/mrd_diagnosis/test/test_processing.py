@@ -15,8 +15,8 @@ from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
 from mrd_diagnosis.preflight import preflight
-from mrd_diagnosis.preflight.low_pass import LowPass, moving_average
 from mrd_diagnosis.preflight.processing import Processing, processing_of
+from mrd_identification.low_pass import LowPass, moving_average, with_force_filter
 from mrd_runs import Run, read_run, read_runs
 from mrd_sim.damper import Damper
 from mrd_sim.simulate import measure_plan
@@ -181,15 +181,15 @@ def test_a_velocity_that_was_shifted_or_smoothed():
 
 
 @examples
-@given(st.sampled_from(RICH), st.floats(1.5, 4.5), st.booleans())
-def test_a_low_pass_filter_of_the_force(name, corner, causal):
+@given(st.sampled_from(RICH), st.floats(1.5, 5.5), st.sampled_from([2, 4]), st.booleans())
+def test_a_low_pass_filter_of_the_force(name, corner, order, causal):
     run = measured(name)
-    sections = signal.butter(2, corner, fs=run.rate, output="sos")
+    sections = signal.butter(order, corner, fs=run.rate, output="sos")
     force = signal.sosfilt(sections, run.force) if causal else signal.sosfiltfilt(sections, run.force)
     low_pass = processing_of(replace(run, force=force)).force_filter
-    assert low_pass.kind == ("second_order" if causal else "zero_phase")
-    # Forwards and backwards, the filter lowers its corner by 6 dB; -3 dB are at 0.80 of it.
-    assert low_pass.cutoff == pytest.approx(corner * (1.0 if causal else 0.802), rel=0.1)
+    expected = {2: ("second_order", "zero_phase"), 4: ("fourth_order", "zero_phase_fourth_order")}
+    assert low_pass.kind == expected[order][not causal]
+    assert low_pass.cutoff == pytest.approx(corner, rel=0.1)
     assert abs(low_pass.delay) < 0.02
 
 
@@ -224,6 +224,29 @@ def test_a_smoothed_position_is_known_by_the_end_of_its_noise(corner):
     low_pass = processing_of(replace(run, position=smooth)).position_filter
     assert low_pass.kind == "unknown"
     assert low_pass.cutoff == pytest.approx(0.802 * corner, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("order", "passes", "word"), [(2, 1, "lowpass:5"), (4, 1, "lowpass:5:4"), (2, 2, "lowpass:5:zero-phase")]
+)
+def test_the_filter_that_was_found_is_offered_as_an_option(order, passes, word):
+    run = measured("multisine")
+    sections = signal.butter(order, 5.0, fs=run.rate, output="sos")
+    force = (signal.sosfilt if passes == 1 else signal.sosfiltfilt)(sections, run.force)
+    text = findings_about(replace(run, force=force), "filter")["force"]
+    kind, cutoff, *rest = re.search(r"add --force-filter multisine=(\S+):", text)[1].split(":")
+    assert float(cutoff) == pytest.approx(5.0, rel=0.05)
+    assert ":".join([kind, "5", *rest]) == word
+
+
+def test_a_known_filter_is_a_remark_and_no_advance_of_the_force():
+    run = measured("multisine")
+    smooth = replace(run, force=uniform_filter1d(run.force, 150))
+    known = preflight([with_force_filter(smooth, "average:0.3")])
+    (finding,) = (finding for finding in known if finding.kind == "filter")
+    assert finding.severity == "remark"
+    assert "average:0.3" in finding.text
+    assert not [finding for finding in known if finding.severity == "fault"]
 
 
 def test_a_finding_of_a_filter():
@@ -294,8 +317,9 @@ def test_a_jump_of_the_position(place, size):
 @examples
 @given(st.sampled_from([50.0, 60.0, 100.0, 120.0]), st.floats(0.08, 0.3), st.sampled_from([200.0, 500.0]), st.floats(0, 6))
 def test_a_hum(frequency, share, rate, phase):
-    if abs(frequency - rate / 2) < 1:  # at the Nyquist frequency
-        return
+    if abs(frequency - rate / 2) < 1:
+        phase = 0.0
+        rate += 0.5  # at exactly half the sampling rate, the size depends on the phase
     run = measured("multisine", rate)
     amplitude = share * run.force.std()
     hum = processing_of(
@@ -304,6 +328,25 @@ def test_a_hum(frequency, share, rate, phase):
     assert hum.frequency == frequency
     assert hum.folded == pytest.approx(min(frequency, rate - frequency))
     assert hum.amplitude == pytest.approx(amplitude, rel=0.15)
+    assert hum.share == pytest.approx(share / np.sqrt(2 + share**2), rel=0.15)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.6, 1.2, 3.0])
+def test_a_hum_at_half_the_sampling_rate_is_told_with_its_least_size(phase):
+    run = measured("multisine", 200.0)
+    humming = replace(run, force=run.force + 40.0 * np.cos(2 * np.pi * 100 * run.time + phase))
+    assert processing_of(humming).hum.amplitude == pytest.approx(40.0 * abs(np.cos(phase)), rel=0.1)
+    (finding,) = (finding for finding in preflight([humming]) if finding.kind == "hum")
+    assert finding.severity == "limitation"
+    assert "at least" in finding.text
+
+
+def test_a_hum_is_told_with_its_share_of_the_force():
+    run = measured("multisine", 200.0)
+    amplitude = 0.12 * np.sqrt(2) * run.force.std()
+    humming = replace(run, force=run.force + amplitude * np.cos(2 * np.pi * 120 * run.time))
+    (finding,) = (finding for finding in preflight([humming]) if finding.kind == "hum")
+    assert "at 120 Hz, which sampling folds to 80 Hz (12 % of the standard deviation of the force)" in finding.text
 
 
 def test_a_hum_beyond_the_effect_is_a_limitation_that_says_so():

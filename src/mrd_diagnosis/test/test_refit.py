@@ -119,6 +119,20 @@ def test_leaving_a_fold_out_is_fitting_without_it(weighting, alone):
     assert np.abs(problem.unit(step) - problem.unit(alone.theta)).max() > 0.1 * standard_error.min()
 
 
+@pytest.mark.parametrize("known", ["by no fold", "by one fold"])
+def test_a_parameter_without_information_stays_unless_it_leaves_with_its_only_fold(alone, known):
+    problem, lost = alone.problem, 1
+    unit = problem.unit(alone.theta)
+    neutral_unit = problem.unit(problem.model.defaults)
+    unit[lost] = 0.5 * neutral_unit[lost]
+    matrices, gradients = alone.normal_matrices.copy(), alone.gradients.copy()
+    dead = slice(0, None) if known == "by no fold" else slice(1, None)
+    matrices[dead, lost, :] = matrices[dead, :, lost] = gradients[dead, lost] = 0.0
+    thetas, _ = without_each(problem, unit, np.empty(0), matrices, gradients)
+    expected = unit[lost] if known == "by no fold" else neutral_unit[lost]
+    assert problem.unit(thetas[0])[lost] == pytest.approx(expected)
+
+
 def test_gains_in_noise_follow_their_null_distribution(weighting, alone):
     effects = ("moving_mass", "force_sensor_lag", "channel_delay")
     base_fit = BaseFit.linearise(weighting, alone)

@@ -14,6 +14,7 @@ from mrd_identification.effect_selection import AUTO, Selection, select_effects
 from mrd_identification.fit import Estimate, Fit, RunResult, evaluate_model, pooled_metrics
 from mrd_identification.fit_warnings import fit_warnings
 from mrd_identification.least_squares import fit_from_front, fit_least_squares, with_loss_scale
+from mrd_identification.low_pass import filter_notes
 from mrd_identification.method import SELECTION_SEARCHES, Method
 from mrd_identification.metrics import nrmse
 from mrd_identification.nsga2 import Front, search
@@ -256,6 +257,7 @@ def assess(
     began = time.monotonic()
     recordings = _prepare(runs, method)
     problem, notes = _pose(recordings, model, method)
+    notes = [*notes, *filter_notes([*runs, *held_out])]
     problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
     theta = best.theta

@@ -221,7 +221,7 @@ class Problem:
         columns = np.empty((len(self.force), len(free)), order="F")
         remainder = np.empty(len(self.force))
         for recording, block in zip(self.recordings, self.blocks, strict=True):
-            regressors, nonlinear_force = self.model.regressors(theta, recording.path)
+            regressors, nonlinear_force = map(recording.as_recorded, self.model.regressors(theta, recording.path))
             np.multiply(regressors[recording.counted][:, is_free], span, out=columns[block])
             remainder[block] = nonlinear_force[recording.counted]
             if fixed.size:

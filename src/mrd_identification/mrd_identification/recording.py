@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import interp1d
 
 from mrd_base import InputError
+from mrd_identification.low_pass import known_force_filter
 from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
@@ -84,6 +86,20 @@ class Recording:
             return self
         return replace(self, counted=slice(self.counted.start, self.counted.stop), path=run_path(self.smoothed))
 
+    def as_recorded(self, force: NDArray[Any]) -> NDArray[Any]:
+        """Return a modelled force (n, ...) at every sample behind the filter that the force of the run has passed.
+
+        See `mrd_identification.low_pass.with_force_filter`.
+        """
+        low_pass = known_force_filter(self.run)
+        if low_pass is None:
+            return force
+        if self.step > 1:
+            # Samples that are no vertices have the force of the vertex before; a straight line between vertices is nearer.
+            vertices = np.flatnonzero(np.diff(self.path.samples, prepend=-1))
+            force = interp1d(vertices, force[vertices], axis=0, assume_sorted=True)(np.arange(len(force)))
+        return low_pass.filtered(force, self.run.rate)
+
     def modelled(self, model: DamperModel, theta: Array) -> Array:
         """Return the modelled force in N at the counted samples of a damper that starts at rest and unloaded."""
         return consecutive_forces(model, theta, [self])[0]
@@ -131,11 +147,12 @@ def consecutive_modelled_forces(
     state: Array | None = None
     for recording in recordings:
         if recording.without_effects and model.effects:
-            forces.append(model.force(model.without_effects(theta), recording.path, solutions=solutions))
+            force = model.force(model.without_effects(theta), recording.path, solutions=solutions)
+            forces.append(recording.as_recorded(force))
             continue
         initial = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
         state = initial.astype(theta.dtype)
-        forces.append(model.force(theta, recording.path, state, solutions))
+        forces.append(recording.as_recorded(model.force(theta, recording.path, state, solutions)))
     return forces
 
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mrd_identification.low_pass import with_force_filter
 from mrd_identification.recording import consecutive_forces, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
@@ -42,6 +43,17 @@ def test_about_as_many_samples_are_counted_as_asked_for_and_fast_recordings_lose
 def test_recordings_that_are_short_enough_stay_as_they_are():
     recordings = [recording(200.0, 2.0)]
     assert thinned(recordings, 1000)[0] is recordings[0]
+
+
+@pytest.mark.parametrize("word", ["lowpass:3", "lowpass:20:4:zero-phase", "average:0.2:past"])
+def test_a_thinned_recording_passes_the_filter_of_the_whole_one(word):
+    model = find_model("bouc_wen")
+    theta = model.vector({"yield_force": 60.0, "yield_force_per_A": 700.0, "coil_lag": 0.0})
+    whole = [prepare_recording(with_force_filter(recording(1000.0, 4.0).run, word))]
+    part = thinned(whole, 400)
+    expected = consecutive_forces(model, theta, whole)[0][:: part[0].step]
+    found = consecutive_forces(model, theta, part)[0]
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.02 * expected.std()
 
 
 @pytest.mark.parametrize(

@@ -551,7 +551,7 @@ def _wrapped(head: str, parts: Sequence[str], tail: str) -> str:
     whole = head + ", ".join(parts) + tail
     kept = whole.replace(" ", "\0").replace(",\0", ", ")
     indent = " " * (len(head) - len(head.lstrip()) + 4)
-    return textwrap.fill(kept, 110, subsequent_indent=indent, drop_whitespace=True).replace("\0", " ")
+    return textwrap.fill(kept, 110, subsequent_indent=indent, break_long_words=False).replace("\0", " ")
 
 
 def _names(node: ast.expr) -> set[str]:

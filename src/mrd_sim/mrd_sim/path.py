@@ -1,13 +1,14 @@
 """The path along which a damper model is integrated: samples plus the vertices where the rod reverses."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs import Run
-from mrd_runs.signals.mains import mains_phase
+from mrd_runs.signals.mains import MAINS_LINES, Line, mains_lines
 from mrd_runs.signals.motion import motion_between_samples, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 
@@ -40,8 +41,8 @@ class Path:
         A.
     samples : ndarray (n,) of int
         Indices of the vertices that are samples.
-    mains : ndarray (2,)
-        Phase of the mains in rad at the start, for 50 and 60 Hz; see `mrd_runs.signals.mains.mains_phase`.
+    mains : sequence of Line
+        Hum on the recorded force near each of `MAINS_LINES`; without a recording, of no size and phase.
     smoothed : SmoothedRun or None
         Recorded run along which the path leads.
     kept : slice or None
@@ -54,15 +55,19 @@ class Path:
     acceleration: Array
     current: Array
     samples: NDArray[np.intp]
-    mains: Array = field(default_factory=lambda: np.zeros(2))
+    mains: Sequence[Line] = tuple(map(Line, MAINS_LINES))
     smoothed: SmoothedRun | None = None
     kept: slice | None = None
 
-    @cached_property
+    @property
     def fine(self) -> "Path":
         """The same path with more vertices where the recorded force changes fast, for effects that follow the force."""
-        if self.smoothed is None:
-            return self
+        # A path that kept itself would stay in memory until the garbage collector comes by.
+        return self if self.smoothed is None else self._fine
+
+    @cached_property
+    def _fine(self) -> "Path":
+        assert self.smoothed is not None
         path = replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains, smoothed=self.smoothed)
         return path if self.kept is None else path.coarse(self.kept)
 
@@ -93,8 +98,8 @@ class Path:
 
 
 def run_path(smoothed: SmoothedRun) -> Path:
-    """Return the path of a recorded run: its smoothed motion, its current without sensor noise, the phase of the mains."""
-    return replace(_along(smoothed, 1), mains=mains_phase(smoothed.run, smoothed.current), smoothed=smoothed)
+    """Return the path of a recorded run: its smoothed motion, its current without sensor noise, the hum."""
+    return replace(_along(smoothed, 1), mains=mains_lines(smoothed.run, smoothed.current), smoothed=smoothed)
 
 
 def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:

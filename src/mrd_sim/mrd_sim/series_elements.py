@@ -7,7 +7,7 @@ first order in the step.
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,20 +30,33 @@ SHORTEST_STEP = 1e-9
 """s. In less nothing gives way, and speeds of elongation would be rounding."""
 
 
+_VECTOR, _REALS = types.complex128[::1], types.float64[::1]
+_KERNEL = types.none(types.complex128[:, ::1], _VECTOR, _REALS, _VECTOR, _VECTOR, _VECTOR, _VECTOR)
+_ELONGATION = types.complex128(_VECTOR, types.complex128, types.float64, types.complex128, types.complex128)
+
+
+def first_class(kernel: Any, elongations: Sequence[Any]) -> tuple[Any, ...]:
+    """Return a kernel and the elongations of the elements as the first arguments of the functions below.
+
+    They take the compiled functions themselves, too; but numba would then look up the address of each at every call, which
+    takes longer than a path of a thousand vertices.
+    """
+    functions = [*elongations] + [elongations[0]] * (MOST_IN_SERIES - len(elongations))
+    signatures = [_KERNEL] + [_ELONGATION] * MOST_IN_SERIES
+    pairs = zip([kernel, *functions], signatures, strict=True)
+    return tuple(types.CompileResultWAP(function.get_compile_result(signature)) for function, signature in pairs)
+
+
 def _compiled(number: Any) -> Callable[[Any], Any]:
     """Return a decorator that compiles a function for ``number``, real or with derivatives.
 
     The kernel and the elongations come as first-class functions, so that one compiled function serves all models. Numba
     warns where such functions are put into a tuple.
     """
-    reals, row, rows = types.float64[::1], number[::1], number[:, ::1]
-    dual, duals = types.complex128[::1], types.complex128[:, ::1]
-    kernel = types.FunctionType(types.none(duals, dual, reals, dual, dual, dual, dual))
-    elongation = types.FunctionType(
-        types.complex128(dual, types.complex128, types.float64, types.complex128, types.complex128)
-    )
-    arguments = duals, row, rows, row, reals, row, row, row, row, types.float64[:, ::1]
-    signature = types.none(kernel, *[elongation] * MOST_IN_SERIES, *arguments)
+    row, rows = number[::1], number[:, ::1]
+    functions = [types.FunctionType(_KERNEL)] + [types.FunctionType(_ELONGATION)] * MOST_IN_SERIES
+    arguments = types.complex128[:, ::1], row, rows, row, _REALS, row, row, row, row, types.float64[:, ::1]
+    signature = types.none(*functions, *arguments)
 
     def decorate(function: Any) -> Any:
         with warnings.catch_warnings():

@@ -1,6 +1,8 @@
 """What every damper model of the catalogue promises, and what single ones do besides."""
 
+import gc
 import sys
+import weakref
 from dataclasses import replace
 from pathlib import Path as File
 
@@ -462,6 +464,19 @@ def test_reversal_on_a_sample_adds_no_vertex():
     assert 0 < np.min(np.abs(v[100::200])) < 1e-15
     path = make_path(time, x, v, a, current)
     assert np.all(path.dt[1:] > 0)
+
+
+def test_a_path_goes_with_its_last_user():
+    """A diagnosis draws hundreds of paths; those of long recordings, if they stayed, would fill the memory."""
+    path = make_path(*sine())
+    assert path.fine is path
+    gone = weakref.ref(path)
+    gc.disable()
+    try:
+        del path
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_lagged_current_follows_an_exponential():

@@ -11,7 +11,7 @@ from rich.table import Table
 from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
-from mrd_diagnosis.diagnose import diagnose
+from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.report.candidate_text import (
     LEAST_SHOWN,
@@ -25,7 +25,6 @@ from mrd_diagnosis.sentences import next_command, next_step
 from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
-from mrd_runs import read_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -60,7 +59,11 @@ def work() -> None:
         metavar="RUN",
         help="runs of the same rig from before something changed: explain the change instead of the gap to the model",
     )
-    parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
+    parser.add_argument(
+        "--model",
+        default=BEST_MODEL,
+        help=f"one of {', '.join(MODELS)}; default: {BEST_MODEL}, the one that predicts the recordings best",
+    )
     parser.add_argument(
         "--parameters",
         metavar="FIT.json",
@@ -86,11 +89,12 @@ def work() -> None:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
     effects = tuple(filter(None, arguments.effects.split(",")))
     laws = parse_laws(arguments.law, "--law")
-    find_model(arguments.model, laws)
+    if arguments.model != BEST_MODEL:
+        find_model(arguments.model, laws)
     find_effects(effects)
     parameters = read_fit(arguments.parameters) if arguments.parameters else None
     bench = read_settings(arguments.bench)
-    runs, held_out = read_arguments_runs(arguments)
+    runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
     with tqdm(total=100, desc="diagnosing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
@@ -102,7 +106,7 @@ def work() -> None:
             runs,
             arguments.model,
             held_out=held_out,
-            reference=read_runs(arguments.reference) if arguments.reference else (),
+            reference=reference,
             parameters=parameters,
             laws=laws or None,
             effects=effects,

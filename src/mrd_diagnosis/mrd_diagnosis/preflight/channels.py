@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mrd_diagnosis.diagnosis import Finding, Severity
 from mrd_identification.recording import current_varies
 from mrd_runs import Run
-from mrd_runs.signals.quantisation import resolution
+from mrd_runs.signals.quantisation import resolution, smallest_step
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -61,6 +61,11 @@ class Channel:
     def resolution(self) -> float:
         """Smallest difference between two readings; 0 where they are continuous."""
         return resolution(self.values)
+
+    @cached_property
+    def smallest_step(self) -> float:
+        """Smallest difference between two readings, also where they are continuous."""
+        return smallest_step(self.values)
 
     @cached_property
     def noise(self) -> float:

@@ -45,9 +45,8 @@ def original_rate(channel: Channel, rate: float) -> float:
     """Return the rate in Hz at which a channel was sampled before it was interpolated linearly; 0 where it was not."""
     curvature = np.abs(np.diff(channel.values, 2))
     largest = float(np.abs(channel.values).max())
-    gaps = np.diff(np.unique(channel.values))
-    step = float(np.min(gaps[gaps > 1e-12 * largest], initial=largest))
-    straight = max(STRAIGHT * np.quantile(curvature, STRAIGHT_SHARE), ROUNDED_STEPS * step, ROUNDING * largest)
+    usual = STRAIGHT * np.quantile(curvature, STRAIGHT_SHARE)
+    straight = max(usual, ROUNDED_STEPS * channel.smallest_step, ROUNDING * largest)
     bent = curvature > straight
     if not bent.any() or np.mean(curvature[bent] < HARDLY_BENT * straight) > HARDLY_BENT_SHARE:
         return 0.0

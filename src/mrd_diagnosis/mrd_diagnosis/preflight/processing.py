@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_diagnosis.diagnosis import Finding, Severity
-from mrd_diagnosis.limitations import LOWEST_RATE_FOR_MAINS
 from mrd_diagnosis.preflight.channels import LOW_RATE, MOVING_STROKE, Channel, CheckedRun, milli
 from mrd_diagnosis.preflight.joins import original_rate
-from mrd_diagnosis.preflight.low_pass import LowPass, moving_average
 from mrd_diagnosis.preflight.response import PHYSICAL_DELAYS, Response, delay_behind, force_response
 from mrd_diagnosis.preflight.spectra import (
     LARGEST_NOISE_OF_POSITION,
@@ -19,8 +17,9 @@ from mrd_diagnosis.preflight.spectra import (
     mains_hum,
     noise_end,
 )
+from mrd_identification.low_pass import LowPass, describe_low_pass, filter_notes, known_force_filter, moving_average
 from mrd_runs import Run
-from mrd_runs.signals.mains import MAINS
+from mrd_runs.signals.mains import shows_line
 from mrd_sim.effects import EFFECTS
 
 HELD_SHARE = 0.3
@@ -29,12 +28,6 @@ FEWEST_STROKES = 4
 """Strokes of a run, at least, from which its force shows a response to the motion."""
 SAME_END = 1.25
 """Ratio of the frequencies at which the noise of two channels ends, up to which the recording was resampled there."""
-NAMES = {
-    "first_order": "a first-order low-pass filter",
-    "second_order": "a low-pass filter",
-    "zero_phase": "a low-pass filter without delay (forwards and backwards)",
-    "unknown": "a low-pass filter",
-}
 
 
 @dataclass(frozen=True)
@@ -88,7 +81,8 @@ def processing_of(run: Run) -> Processing:
 def _processing_of(checked: CheckedRun) -> Processing:
     run = checked.run
     moves = checked.stroke > MOVING_STROKE and len(checked.stroke_starts) > FEWEST_STROKES
-    response = force_response(run) if moves and np.ptp(run.force) > 0.0 else Response()
+    known = known_force_filter(run)
+    response = force_response(run) if moves and np.ptp(run.force) > 0.0 and not known else Response()
     hum = mains_hum(run.force, run.rate)
     channels = [checked.channels[name] for name in ("position", "force")]
     rates = {channel.name: original_rate(channel, run.rate) for channel in channels if not _is_held(channel)}
@@ -107,8 +101,8 @@ def _processing_of(checked: CheckedRun) -> Processing:
     # A current that switches after equal times leaves the same comb of notches in the force.
     if windows[0] and checked.current_varies and has_notches(run.current, windows[0]):
         windows[0] = 0
-    force_filter = response.low_pass
-    if windows[0]:
+    force_filter = known or response.low_pass
+    if windows[0] and not known:
         force_filter = moving_average(windows[0] / run.rate)
         if moves:
             force_filter = moving_average(windows[0] / run.rate, delay_behind(run, force_filter))
@@ -145,7 +139,9 @@ def check_processing(checked: CheckedRun) -> Iterator[Finding]:
     """Find recordings that are not as their sensors gave them."""
     processing = _processing_of(checked)
     yield from _check_shift(checked, processing)
-    if processing.force_filter:
+    if known_force_filter(checked.run):
+        yield checked.finding("filter", "remark", "force", f"{filter_notes([checked.run])[0]}.")
+    elif processing.force_filter:
         yield _filter_finding(checked, "force", processing.force_filter)
     if processing.position_filter:
         yield _filter_finding(checked, "position", processing.position_filter)
@@ -188,34 +184,42 @@ def _check_shift(checked: CheckedRun, processing: Processing) -> Iterator[Findin
 
 
 def _filter_finding(checked: CheckedRun, channel: str, low_pass: LowPass) -> Finding:
-    if low_pass.kind == "moving_average":
-        name = f"a moving average over {milli(low_pass.window)} ms"
-    else:
-        name = NAMES[low_pass.kind]
     effect = (
         "Loops are rounded, which a model takes for lag, compliance or hysteresis"
         if channel == "force"
         else "Reversals are rounded, and a velocity computed from it is too small"
     )
+    each = " in each direction" if low_pass.kind.startswith("zero_phase") else ""
+    advice = "Give the unfiltered recording."
+    if channel == "force" and low_pass.word:
+        advice = (
+            "Give the unfiltered recording; or, if the filter is right, add --force-filter "
+            f"{checked.run.name}={low_pass.word}: the modelled force then passes it too."
+        )
     text = (
-        f"the {channel} has passed {name}, cut-off (-3 dB) at about {low_pass.cutoff:.3g} Hz: expected the readings of "
-        f"the sensor. {effect}, and the noise estimate is too small. Give the unfiltered recording."
+        f"the {channel} has passed {describe_low_pass(low_pass)}, cut-off (-3 dB) at about {low_pass.cutoff:.3g} Hz{each}: "
+        f"expected the readings of the sensor. {effect}, and the noise estimate is too small. {advice}"
     )
     return checked.finding("filter", "limitation" if low_pass.cutoff < LOW_RATE / 2 else "remark", channel, text)
 
 
 def _hum_finding(checked: CheckedRun, hum: Hum) -> Finding:
     largest = EFFECTS["mains_hum"].parameters[0].upper
+    alternates = round(2 * hum.folded / checked.run.rate, 3) == 1.0
+    least = "at least " if alternates else ""
     folded = f", which sampling folds to {hum.folded:.3g} Hz" if hum.folded < hum.frequency else ""
-    tried = hum.amplitude <= largest and hum.frequency in MAINS and checked.run.rate >= LOWEST_RATE_FOR_MAINS
+    tried = shows_line(hum.frequency, checked.run.rate) and hum.amplitude <= largest and not alternates
+    if tried:
+        consequence = "The diagnosis tries it as the effect mains_hum."
+    elif alternates:
+        consequence = "At half the sampling rate, its size depends on its phase: it seems to differ from run to run."
+    elif hum.amplitude > largest:
+        consequence = f"The effect mains_hum reaches up to {largest:g} N only."
+    else:
+        consequence = "There it cannot be told from harmonics of the motion, so that the diagnosis does not try it."
     text = (
-        f"the force carries a mains hum of {hum.amplitude:.3g} N at {hum.frequency:.3g} Hz{folded}: expected none. "
-        + (
-            "The diagnosis tries it as the effect mains_hum. "
-            if tried
-            else f"The effect mains_hum reaches up to {largest:g} N at 50 or 60 Hz, so that this hum may pass for noise and "
-            "hide other effects. "
-        )
-        + "Check shield and earth of the load cell."
+        f"the force carries a mains hum of {least}{hum.amplitude:.3g} N at {hum.frequency:.3g} Hz{folded} "
+        f"({100 * hum.share:.2g} % of the standard deviation of the force): expected none. {consequence} "
+        "Check shield and earth of the load cell."
     )
     return checked.finding("hum", "remark" if tried else "limitation", "force", text)

@@ -220,8 +220,7 @@ def _piled_up(checked: CheckedRun, channel: Channel, limit: float, band: float) 
     if count < FEWEST_PILED_UP:
         return 0
     # Where a signal turns smoothly, readings dwell near its extreme as well, but not in one band only.
-    gaps = np.diff(np.unique(channel.values))
-    step = float(np.min(gaps[gaps > 1e-9 * abs(limit)], initial=np.ptp(channel.values)))
+    step = channel.smallest_step
     width = max(band, step) * (1 + 1e-6)
     beside = np.histogram(inwards[~at_limit], bins=band + width * np.arange(BANDS_BESIDE + 1))[0]
     speed = np.abs(checked.run.velocity[at_limit])

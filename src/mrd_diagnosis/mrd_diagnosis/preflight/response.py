@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.signal import lfilter, windows
 
-from mrd_diagnosis.preflight.low_pass import LowPass
+from mrd_identification.low_pass import Kind, LowPass
 from mrd_identification.recording import current_varies
 from mrd_runs import Run
 
@@ -42,6 +42,15 @@ SEGMENT = 16.0
 """s, length of the segments whose spectra are summed."""
 SHORTEST = 2.0
 """s, shortest run whose response is estimated."""
+KINDS: tuple[Kind, ...] = (
+    "second_order",
+    "fourth_order",
+    "zero_phase",
+    "zero_phase_fourth_order",
+    "moving_average",
+    "first_order",
+)
+"""Filters that are tried."""
 DELAYS: Array = 5e-3 * np.arange(-50, 81, dtype=np.float64)
 """Delays in s that are tried."""
 DELAYS_OF_FILTERS: Array = 1e-2 * np.arange(-12, 26, dtype=np.float64)
@@ -242,7 +251,7 @@ def _errors(spectra: _Spectra, low_pass: LowPass, delays: Array = DELAYS) -> Arr
 
 def _filters(spectra: _Spectra) -> Iterator[tuple[float, LowPass]]:
     """Yield the error of each filter at its best delay."""
-    for kind in ("second_order", "zero_phase", "moving_average", "first_order"):
+    for kind in KINDS:
         for cutoff in CUTOFFS[(SLOWEST_SENSOR if kind == "first_order" else np.inf) > CUTOFFS]:
             errors = _errors(spectra, LowPass(kind, float(cutoff)), DELAYS_OF_FILTERS)
             best = int(errors.argmin())

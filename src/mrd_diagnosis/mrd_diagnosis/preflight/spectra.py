@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
+from mrd_runs.signals.mains import MAINS_LINES, folded_frequency
 from mrd_runs.signals.quantisation import resolution
 
 Array = NDArray[np.float64]
 
-MAINS_LINES = (50.0, 60.0, 100.0, 120.0)
-"""Frequencies in Hz of mains hum: fundamentals and doubles."""
 MAINS_DEVIATION = 0.3
 """Largest deviation in Hz of the mains and of the sample clock."""
 LINE_NEIGHBOURHOOD = 8.0
@@ -66,12 +65,15 @@ class Hum:
     folded : float
         Hz, frequency at which the hum appears after sampling.
     amplitude : float
-        In the unit of the channel.
+        In the unit of the channel. At half the sampling rate, where it depends on the phase, the least that it may be.
+    share : float
+        Rms of the hum over the standard deviation of the channel.
     """
 
     frequency: float
     folded: float
     amplitude: float
+    share: float
 
 
 def mains_hum(values: Array, rate: float) -> Hum | None:
@@ -90,16 +92,19 @@ def mains_hum(values: Array, rate: float) -> Hum | None:
     reach = MAINS_DEVIATION + 3 * bin_width
     found = []
     for line in MAINS_LINES:
-        folded = abs(line - rate * round(line / rate))
+        folded = folded_frequency(line, rate)
         inside = np.abs(frequency - folded) <= reach
         beside = (np.abs(frequency - folded) <= LINE_NEIGHBOURHOOD) & ~inside & (frequency >= 3 * bin_width)
-        # At zero and at the Nyquist frequency, the amplitude depends on the phase.
-        if folded < 2 * reach or folded > 0.5 * rate - 2 * reach or not beside.any():
+        # At zero it is the offset.
+        if folded < 2 * reach or not beside.any() or power[inside].max() <= LINE_RATIO * power[beside].max():
             continue
-        if power[inside].max() > LINE_RATIO * power[beside].max():
-            # A sine of amplitude 1 has the power sum(window**2) / 4 times the length of the spectrum.
-            amplitude = float(np.sqrt(4 * power[inside].sum() / (len(values) * np.sum(window**2))))
-            found.append(Hum(line, folded, amplitude))
+        # Power stands in the spectrum twice: below half the sampling rate, and mirrored above. A line at half the sampling
+        # rate alternates from sample to sample.
+        mirrored = np.where(frequency[inside] < 0.5 * (rate - bin_width), 2, 1)
+        mean_square = float(mirrored @ power[inside]) / (len(values) * np.sum(window**2))
+        alternates = folded > 0.5 * rate - 2 * bin_width
+        amplitude = np.sqrt(mean_square if alternates else 2 * mean_square)
+        found.append(Hum(line, folded, float(amplitude), float(np.sqrt(mean_square) / np.std(values))))
     return max(found, key=lambda hum: hum.amplitude, default=None)
 
 

@@ -69,7 +69,8 @@ class DatedProblem(Problem):
         theta_of_run = theta[: len(self.model.parameters)].copy()
         theta_of_run[self.followed] = theta[len(theta_of_run) + self.date_index[index]]
         recording = self.recordings[index]
-        return self.model.force(theta_of_run, recording.path, solutions=solutions)[recording.counted]
+        force = self.model.force(theta_of_run, recording.path, solutions=solutions)
+        return recording.as_recorded(force)[recording.counted]
 
     def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
         """Return the modelled force in N over all counted samples."""

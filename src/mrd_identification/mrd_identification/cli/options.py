@@ -1,10 +1,13 @@
 """Arguments that several tools share."""
 
 import argparse
+import itertools
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import get_args
 
 from mrd_base import InputError
+from mrd_identification.low_pass import GRAMMAR, with_force_filter
 from mrd_identification.method import Method, parse_method
 from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
@@ -19,6 +22,14 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the runs to fit and the held-out runs."""
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs not fitted, for the prediction error")
+    parser.add_argument(
+        "--force-filter",
+        action="append",
+        default=[],
+        metavar="[RUN=]FILTER",
+        help="low-pass filter that the recorded force has passed, of all runs or of the one with this name; the modelled "
+        f"force passes it too: {GRAMMAR}; may be repeated",
+    )
 
 
 def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True) -> None:
@@ -108,7 +119,23 @@ def read_method(arguments: argparse.Namespace) -> Method:
     return parse_method(**{field.name: getattr(arguments, field.name) for field in fields(Method)})
 
 
-def read_arguments_runs(arguments: argparse.Namespace) -> tuple[list[Run], list[Run]]:
-    """Read the runs to fit and the held-out runs; their names are distinct."""
-    runs = read_runs([*arguments.runs, *arguments.held_out])
-    return runs[: len(arguments.runs)], runs[len(arguments.runs) :]
+def read_arguments_runs(arguments: argparse.Namespace, *others: str) -> list[list[Run]]:
+    """Read the runs to fit, the held-out runs, whose names are distinct, and the runs of ``others`` of the arguments."""
+    groups = [[*arguments.runs, *arguments.held_out], *(getattr(arguments, name) for name in others)]
+    runs = [run for files in groups if files for run in read_runs(files)]
+    filtered = iter(with_force_filters(runs, arguments.force_filter))
+    sizes = [len(arguments.runs), len(arguments.held_out), *map(len, groups[1:])]
+    return [list(itertools.islice(filtered, size)) for size in sizes]
+
+
+def with_force_filters(runs: Sequence[Run], options: Sequence[str]) -> list[Run]:
+    """Return runs with the filters of the options ``--force-filter``; a later option replaces an earlier one."""
+    filtered = list(runs)
+    for option in options:
+        name, _, word = option.rpartition("=")
+        places = [place for place, run in enumerate(runs) if name in ("", run.name)]
+        if not places:
+            raise InputError(f"--force-filter {option}: expected the name of a run: {', '.join(run.name for run in runs)}")
+        for place in places:
+            filtered[place] = with_force_filter(filtered[place], word)
+    return filtered

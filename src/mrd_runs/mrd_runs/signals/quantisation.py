@@ -9,6 +9,8 @@ Array = NDArray[np.float64]
 _TOLERANCE = 1e-3
 # Smallest share of the gaps that are multiples of the step; averaged or unquantised readings have fewer.
 _MULTIPLES = 0.99
+# Gap over the largest reading, up to which two readings are equal but for the rounding of a calibration.
+_ROUNDING = 1e-12
 
 
 def rounding_error(readings: Array) -> float:
@@ -32,8 +34,7 @@ def quantisation_step(
     multiples : float
         Smallest share of such gaps that must be multiples of the step.
     """
-    gaps = np.diff(np.unique(readings))
-    gaps = gaps[gaps > resolution]
+    gaps = _gaps(readings, resolution)
     if len(gaps) == 0:
         return 0.0
     step = float(gaps.min())
@@ -58,8 +59,18 @@ def resolution(readings: Array) -> float:
     Unlike `quantisation_step`, it does not demand that all differences are multiples of it: the readings of a file may have
     been calibrated, rounded again, or averaged.
     """
-    levels = np.unique(readings)
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 1e-12 * max(np.abs(levels[0]), np.abs(levels[-1]))] if len(gaps) else gaps
+    gaps = _gaps(readings, _ROUNDING * float(np.abs(readings).max()))
     # Among n continuous readings the closest two are about span/n² apart, and the median gap is about span/n.
     return float(gaps.min()) if len(gaps) and gaps.min() > 0.1 * np.median(gaps) else 0.0
+
+
+def smallest_step(readings: Array) -> float:
+    """Return the smallest difference between two readings (n,), also of a continuous channel; 0 where all are equal."""
+    gaps = _gaps(readings, _ROUNDING * float(np.abs(readings).max()))
+    return float(gaps.min()) if len(gaps) else 0.0
+
+
+def _gaps(readings: Array, least: float) -> Array:
+    """Return the differences between neighbouring values of a channel that exceed ``least``."""
+    gaps = np.diff(np.unique(readings))
+    return np.asarray(gaps[gaps > least])

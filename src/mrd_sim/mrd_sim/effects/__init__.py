@@ -30,6 +30,7 @@ EFFECTS: dict[str, Effect] = {
         "settling",
         "seal_friction",
         "side_load_friction",
+        "hardening_spring",
         "end_stop",
         "joint_play",
         "moving_mass",

@@ -33,7 +33,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"stiffness": 5e6, "limit": 0.008},
     signature="spikes of force near the ends of the stroke only, at any speed and current",
-    confused_with=("gas_spring", "cavitation", "side_load_friction"),
+    confused_with=("hardening_spring", "gas_spring", "cavitation", "side_load_friction"),
     separated_by="the same speed on short strokes off the centre",
     kernel=_apply,
 )

@@ -117,6 +117,8 @@ def _first_event(
             limit = slides * f_c if slides != 0.0 else f_c if reached > 0.0 else -f_c
             instant: float = _crossing(f - limit, df_slow, df_fast, slow, fast, low, high)
             return instant
+        if high == left:
+            break
         low, high = high, left
     return left
 

@@ -15,7 +15,7 @@ from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, derivatives_in_series, force_in_series
+from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, derivatives_in_series, first_class, force_in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
@@ -307,21 +307,19 @@ class DamperModel:
         Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
         """
         parameters = np.stack([np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self._series)])
-        functions = [effect.elongation for effect in self._series]
-        functions += functions[:1] * (MOST_IN_SERIES - len(functions))
         with_derivatives = np.iscomplexobj(theta)
         key = theta.real.tobytes(), start
         known = solutions.get(id(path)) if solutions is not None and with_derivatives else None
         if known is None or known[0] != key:
             values = [np.ascontiguousarray(argument.real) for argument in arguments]
             solved = np.empty((len(path.dt), 2 + self.states))
-            force_in_series(self.kernel, *functions, parameters.real + 0j, *values, solved)
+            force_in_series(*self._series_functions, parameters.real + 0j, *values, solved)
             known = key, values[-1].copy(), solved
             if solutions is not None and not with_derivatives:
                 solutions[id(path)] = known
         if with_derivatives:
             arguments[-1][:] = known[1]
-            derivatives_in_series(self.kernel, *functions, parameters, *arguments, known[2])
+            derivatives_in_series(*self._series_functions, parameters, *arguments, known[2])
 
     @cached_property
     def follows_force(self) -> bool:
@@ -337,6 +335,11 @@ class DamperModel:
     def _series(self) -> tuple[Effect, ...]:
         """Effects that are elements in series with the damper."""
         return tuple(effect for effect in self.effects if effect.elongation is not None)
+
+    @cached_property
+    def _series_functions(self) -> tuple[Any, ...]:
+        """The kernel and the elongations of the elements in series, as compiled functions take them."""
+        return first_class(self.kernel, [effect.elongation for effect in self._series])
 
     @cached_property
     def _effect_states(self) -> tuple[slice, ...]:

@@ -20,6 +20,7 @@ from mrd_trials.truth.effects.field_stiffness import elastic_force
 from mrd_trials.truth.effects.flow_asymmetry import asymmetric_force
 from mrd_trials.truth.effects.gas_spring import gas_force, heated_force
 from mrd_trials.truth.effects.guide_waviness import waviness_force
+from mrd_trials.truth.effects.hardening_spring import hardening_force
 from mrd_trials.truth.effects.joint_play import joint_offset
 from mrd_trials.truth.effects.lvdt_nonlinearity import transducer_reading
 from mrd_trials.truth.effects.mains_hum import hum
@@ -52,6 +53,7 @@ ALTERATIONS = (
     "joint_play",
     "seal_friction",
     "side_load_friction",
+    "hardening_spring",
     "end_stop",
     "moving_mass",
     "lvdt_nonlinearity",
@@ -155,7 +157,7 @@ def _force_on_cell(
         level = stribeck_factor(p, v)
         guide = guide_deflection(guide, x - before)
         gas_heat = heated_force(p, gas_heat, before, x, step)
-        parallel = gas_force(p, x) + gas_heat + stop_force(p, x, v) + elastic_force(p, x, current[i])
+        parallel = gas_force(p, x) + gas_heat + hardening_force(p, x) + stop_force(p, x, v) + elastic_force(p, x, current[i])
         parallel += waviness_force(p, x) + turbulent_force(p, v)
         if p.seal_friction_coulomb > 0.0:
             parallel += p.seal_friction_coulomb * seal

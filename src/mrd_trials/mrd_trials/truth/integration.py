@@ -25,6 +25,7 @@ from mrd_trials.truth.effects.field_stiffness import elastic_force
 from mrd_trials.truth.effects.flow_asymmetry import asymmetric_force
 from mrd_trials.truth.effects.gas_spring import gas_force, heated_force
 from mrd_trials.truth.effects.guide_waviness import waviness_force
+from mrd_trials.truth.effects.hardening_spring import hardening_force
 from mrd_trials.truth.effects.joint_play import joint_offset
 from mrd_trials.truth.effects.orifice_loss import turbulent_force
 from mrd_trials.truth.effects.rate_dependent_hysteresis import BRANCHES, branch_elongation, branch_force
@@ -212,7 +213,9 @@ def _forces(
     rod = s[PISTON] + dx + dashpot + void + bubble_compression(p, fluid)
     travel = rod - s[ROD]
     force = p.offset + p.stiffness * rod + gas_force(p, rod) + heated_force(p, s[GAS_HEAT], s[ROD], rod, h)
-    force += stop_force(p, rod, travel / h) + elastic_force(p, rod, current) + waviness_force(p, rod)
+    force += (
+        hardening_force(p, rod) + stop_force(p, rod, travel / h) + elastic_force(p, rod, current) + waviness_force(p, rod)
+    )
     if p.seal_friction_coulomb > 0.0:
         force += p.seal_friction_coulomb * seal_deflection(p, s[SEAL], travel, v, s[SEAL_LEVEL])
     if p.side_load_friction_slope > 0.0:

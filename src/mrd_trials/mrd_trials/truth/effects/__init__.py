@@ -29,6 +29,7 @@ EFFECTS: dict[str, TrueEffect] = {
         "joint_play",
         "seal_friction",
         "side_load_friction",
+        "hardening_spring",
         "end_stop",
         "moving_mass",
         "lvdt_nonlinearity",
