@@ -73,6 +73,7 @@ class CompiledController(NamedTuple):
         A.
     base_share : float
         Share of the velocity of the base that the velocities are relative to, in the state that a law sees.
+    lever_ratio : float
     """
 
     law: Any
@@ -87,9 +88,10 @@ class CompiledController(NamedTuple):
     period: Any
     most_current: Any
     base_share: Any
+    lever_ratio: Any
 
 
-CONTROLLER_TYPES = (LAW, PREDICTOR, ROW, ROW, ROWS, ROW, ROW, ROWS, ROWS, *[types.float64] * 3)
+CONTROLLER_TYPES = (LAW, PREDICTOR, ROW, ROW, ROWS, ROW, ROW, ROWS, ROWS, *[types.float64] * 4)
 """Compiled types of the entries of a `CompiledController`."""
 
 
@@ -114,7 +116,7 @@ def law_current(controller: Any, state: Array, base: Array, force: float, measur
     signals[0] = controller.period
     for i in range(5):
         signals[1 + i] = output(outputs, i, state, base, force)
-    signals[6] = measured
+    signals[6], signals[7] = measured, controller.lever_ratio
     half = order // 2
     for j in range(half):
         signals[STATE + j] = state[j] - base[0]
@@ -159,7 +161,7 @@ def control_cycle(
         Position in m and velocity in m/s of the base now and at the next sample.
     force, rod : float
         Measured force in N and measured position of the rod in m, now.
-    signals : ndarray (7 + 2 n,)
+    signals : ndarray (8 + 2 n,)
         Filled with what the law saw.
     answer : ndarray (5 + 2 n,)
         Filled with the current to command from now on in A, the position to command for the next sample, and position,
@@ -228,6 +230,7 @@ def controller_entries(
         period,
         most_current,
         float(system.base_accelerates),
+        system.lever_ratio,
     )
 
 
@@ -245,6 +248,7 @@ def _cycle(
     period: float,
     most_current: float,
     base_share: float,
+    lever_ratio: float,
     state: Array,
     base: Array,
     base_after: Array,
@@ -267,6 +271,7 @@ def _cycle(
         period,
         most_current,
         base_share,
+        lever_ratio,
     )
     control_cycle(controller, state, base, base_after, force, rod, signals, answer)
 

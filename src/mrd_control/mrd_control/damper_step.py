@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_sim.current import evaluate_coefficients
 from mrd_sim.damper import Damper
+from mrd_sim.lag import follow
 from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
@@ -152,14 +153,15 @@ def magnetise(damper: Any, lag_left: float, vertex: Any) -> None:
     lag_left : float
         Share of the lag of the coil that is left after the step.
     vertex : Vertex
-        Its current is held over the step; it becomes the effective one.
+        Its current, linear over the step, becomes the effective one.
     """
     u, state, starts = vertex.current, damper.state, damper.starts
     for i in range(damper.counts[0], damper.counts[1]):
         part = state[starts[i] : starts[i + 1]]
         damper.effects[i](damper.parameters[i], part, vertex.step, vertex.x, vertex.v, vertex.a, u, vertex.force)
-    state[1] = u[0]
-    state[0] = u[0] = u[0] + (state[0] - u[0]) * lag_left
+    now = u[0]
+    u[0] = follow(state[0], state[1], now, damper.theta[-1] / vertex.step[0], lag_left)
+    state[0], state[1] = u[0], now
     evaluate_coefficients(damper.theta, damper.codes, damper.columns, damper.floors, u, damper.row)
 
 

@@ -77,13 +77,14 @@ def inverse_map(damper: Damper, most_current: float) -> Array:
 def current_for_force(table: Array, speed: float, force: float) -> float:
     """Return the coil current in A with which the damper gives a force in N at a speed in m/s, or comes next to it.
 
-    Zero where the force has the direction of the motion: a damper cannot give that. ``table`` is from `inverse_map`.
+    Zero at rest and where the force has the direction of the motion: a damper cannot give that. ``table`` is from
+    `inverse_map`.
     """
     rows, columns = table.shape
-    direction = 1.0 if speed >= 0.0 else -1.0
-    wanted = direction * force
-    if wanted <= 0.0:
+    if force * speed <= 0.0:
         return 0.0
+    direction = 1.0 if speed > 0.0 else -1.0
+    wanted = direction * force
     # Rows run from the fastest negative speed to the fastest positive one; no row is at rest.
     first, last = (1 + (rows - 1) // 2, rows - 1) if direction > 0.0 else (1, (rows - 1) // 2)
     i = first

@@ -201,6 +201,7 @@ def _run(
     period: float,
     most_current: float,
     base_share: float,
+    lever_ratio: float,
     settings: Array,
     state: Array,
     base: Array,
@@ -228,6 +229,7 @@ def _run(
         period,
         most_current,
         base_share,
+        lever_ratio,
     )
     supply_left, hybrid, delay, left, lag = settings[0], settings[1] > 0.0, settings[2], settings[3], settings[4]
     work, order, n = np.zeros((7, 1)), len(state), len(base)

@@ -28,7 +28,7 @@ AMPLITUDE = 2e-3
 the fluid yields the damper is stiff, and the loop trembles within a fraction of this."""
 SLOWEST_GROWTH = 0.02
 """1/s. A mode that grows more slowly counts as stable."""
-LONGEST = 0.1
+LONGEST = 0.5
 """s of delay, up to which the margin is looked for."""
 FREQUENCIES = np.geomspace(0.1, 400.0, 40)
 """Hz, at which the describing function is computed."""

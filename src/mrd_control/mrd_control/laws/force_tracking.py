@@ -23,7 +23,7 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 @njit(cache=True, nogil=True)
 def _current(parameters: Array, memory: Array, signals: Array, force_map: Array) -> Any:
     p, s = named(Parameters, parameters), named(Signals, signals)
-    force = p.skyhook_viscous * s.upper_velocity + p.viscous * s.speed
+    force = p.skyhook_viscous * s.upper_velocity / s.lever_ratio + p.viscous * s.speed
     if force * s.speed <= 0.0:
         return 0.0
     direction = 1.0 if s.speed > 0.0 else -1.0

@@ -16,7 +16,7 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 @njit(cache=True, nogil=True)
 def _current(parameters: Array, memory: Array, signals: Array, force_map: Array) -> Any:
     p, s = named(Parameters, parameters), named(Signals, signals)
-    return current_for_force(force_map, s.speed, -p.groundhook_viscous * s.lower_velocity)
+    return current_for_force(force_map, s.speed, -p.groundhook_viscous * s.lower_velocity / s.lever_ratio)
 
 
 LAW = Law(

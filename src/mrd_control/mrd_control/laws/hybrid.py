@@ -24,7 +24,7 @@ def _current(parameters: Array, memory: Array, signals: Array, force_map: Array)
         force += p.share * sky
     if ground * s.speed > 0.0:
         force += (1.0 - p.share) * ground
-    return current_for_force(force_map, s.speed, force)
+    return current_for_force(force_map, s.speed, force / s.lever_ratio)
 
 
 LAW = Law(

@@ -36,6 +36,8 @@ class Signals(NamedTuple):
     """Of the damper, m/s."""
     force: Any
     """Measured, N."""
+    lever_ratio: Any
+    """Travel of the damper over that between its ends; a force of the damper acts on the masses as much larger."""
 
 
 STATE = len(Signals._fields)
