@@ -10,13 +10,13 @@ from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
 
-SPEEDS = np.geomspace(2e-3, 2.0, 16)
+SPEEDS = np.geomspace(2e-3, 2.0, 12)
 """m/s, of the map, in both directions. Below the slowest one the force is taken as there."""
-CURRENTS = 21
+CURRENTS = 11
 """Currents of the map."""
 STEADY_TRAVEL = 0.02
 """m. Travel at constant speed after which every hysteresis has ended."""
-VERTICES = 200
+VERTICES = 50
 LEAST_RISE = 1.0
 """N. Rise of the force from the least to the largest current, without which a damper cannot be controlled."""
 
