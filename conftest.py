@@ -18,7 +18,7 @@ except ImportError:
     pytest.exit("the packages are not in reach; enter the environment first: . ./env.sh", returncode=2)
 
 claim_domain()
-stale_kernels.delete_stale_kernels(Path(stale_kernels.__file__).parent)
+stale_kernels.delete_stale_kernels(Path(__file__).parent / "src")
 
 
 @pytest.fixture

@@ -25,6 +25,7 @@ BELOW = {
     "mrd_bench_driver": {"mrd_base", "mrd_trajectory", "mrd_runs"},
     "mrd_identification": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim"},
     "mrd_diagnosis": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
+    "mrd_control": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
     "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
 
@@ -36,6 +37,7 @@ EXECUTABLES = {
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
+    "mrd_control": {"evaluate"},
     "mrd_trials": {"make", "run", "score", "withhold"},
 }
 

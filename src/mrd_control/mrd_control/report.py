@@ -1,0 +1,153 @@
+"""The files of an evaluation: evaluation.json and the page evaluation.html."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mrd_base import to_mapping
+from mrd_control import figures
+from mrd_control.evaluation import Entry, Evaluation, GainFront, comfort
+from mrd_control.laws import LAWS
+from mrd_control.systems import SYSTEMS
+from mrd_identification.figures import to_html
+from mrd_identification.json_file import finite_or_none, write_json
+from mrd_identification.report import render
+
+SCHEMA = "mrd-evaluation/1"
+_SHARED = ("law", "excitation", "damper")
+_METRICS = ("a, m/s²", "a W_k, m/s²", "vs. passive", "travel, mm", "peak, mm", "power, W", "switching, 1/s")
+
+
+def columns(evaluation: Evaluation) -> list[str]:
+    """Return the titles of the table."""
+    second = ["tyre load, N"] if figures.second_metric(evaluation) == "contact" else ["drift, mm", "peak drift, mm"]
+    tracked = ["delay, ms", "NRMS, %", "peak, %"] if evaluation.conditions.actuator else []
+    return [*_SHARED, *_METRICS[:5], *second, *_METRICS[5:], *tracked]
+
+
+def rows(evaluation: Evaluation) -> list[list[str]]:
+    """Return the cells of the table: every law, and before them the best constant current, by excitation and damper."""
+    table = []
+    for damper, excitation in dict.fromkeys((e.damper, e.excitation) for e in evaluation.entries):
+        best = evaluation.best_passive(damper, excitation)
+        laws = [e for e in evaluation.entries if (e.damper, e.excitation) == (damper, excitation)]
+        table.append(_row(evaluation, best, best, f"passive, best: {best.candidate.label}"))
+        table += [_row(evaluation, entry, best, entry.candidate.label) for entry in laws]
+    return table
+
+
+def _row(evaluation: Evaluation, entry: Entry, best: Entry, label: str) -> list[str]:
+    ride, cells = entry.ride, [label, entry.excitation, entry.damper]
+    if ride is None:
+        return [*cells, "diverged", *[""] * (len(columns(evaluation)) - 4)]
+    contact = figures.second_metric(evaluation) == "contact"
+    cells += [
+        f"{ride.acceleration:.3f}",
+        f"{ride.weighted:.3f}",
+        f"{100 * (ride.weighted / comfort(best) - 1):+.1f} %",
+        f"{1e3 * ride.travel:.2f}",
+        f"{1e3 * ride.peak_travel:.1f}",
+    ]
+    cells += [f"{ride.contact:.1f}"] if contact else [f"{1e3 * ride.drift:.3f}", f"{1e3 * ride.peak_drift:.2f}"]
+    cells += [f"{ride.energy:.3f}", f"{ride.switching:.1f}"]
+    if entry.tracking:
+        followed = entry.tracking
+        cells += [f"{1e3 * followed.delay:.2f}", f"{100 * followed.nrms:.2f}", f"{100 * followed.peak:.2f}"]
+    return cells
+
+
+def sentence(evaluation: Evaluation) -> str:
+    """Say in one sentence which law is the most comfortable one, and by how much."""
+    parts = []
+    for damper, excitation in dict.fromkeys((e.damper, e.excitation) for e in evaluation.entries):
+        laws = [e for e in evaluation.entries if (e.damper, e.excitation) == (damper, excitation)]
+        best, passive = min(laws, key=comfort), evaluation.best_passive(damper, excitation)
+        if not math.isfinite(comfort(best)):
+            parts.append(f"on {excitation} with {damper} every law diverged")
+            continue
+        change = 100 * (comfort(best) / comfort(passive) - 1)
+        parts.append(
+            f"on {excitation} with {damper} {best.candidate.label} is the most comfortable law, {abs(change):.1f} % "
+            f"{'below' if change < 0 else 'above'} the best constant current ({passive.candidate.label})"
+        )
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def to_json(evaluation: Evaluation, fronts: Sequence[GainFront] = ()) -> dict[str, Any]:
+    """Return the content of evaluation.json."""
+    conditions = evaluation.conditions
+    system = next(name for name, kind in SYSTEMS.items() if kind is type(evaluation.system))
+    return {
+        "schema": SCHEMA,
+        "system": {"system": system, **to_mapping(evaluation.system)},
+        "conditions": {
+            "rate_hz": conditions.rate,
+            "duration_s": conditions.duration,
+            "beginning_s": conditions.beginning,
+            "most_current_A": conditions.most_current,
+            "supply_lag_s": conditions.supply_lag,
+            "actuator": asdict(conditions.actuator) if conditions.actuator else None,
+        },
+        "margins": {
+            damper: {"delay_s": finite_or_none(m.delay), "frequency_hz": finite_or_none(m.frequency), "current_A": m.current}
+            for damper, m in evaluation.margins.items()
+        },
+        "laws": [_entry_json(entry) for entry in evaluation.entries],
+        "passive": [_entry_json(entry) for entry in evaluation.passive],
+        "fronts": [
+            {
+                "law": front.law,
+                "damper": front.damper,
+                "excitation": front.excitation,
+                "objectives": ["weighted", front.second],
+                "points": [
+                    {
+                        "gains": dict(zip(front.names, map(float, gains), strict=True)),
+                        "values": [float(value) for value in values],
+                        "knee": index == front.knee,
+                    }
+                    for index, (gains, values) in enumerate(zip(front.gains, front.objectives, strict=True))
+                ],
+            }
+            for front in fronts
+        ],
+    }
+
+
+def _entry_json(entry: Entry) -> dict[str, Any]:
+    return {
+        "label": entry.candidate.label,
+        "law": entry.candidate.law,
+        "gains": LAWS[entry.candidate.law].values(entry.candidate.gains),
+        "damper": entry.damper,
+        "excitation": entry.excitation,
+        "ride": {name: finite_or_none(value) for name, value in asdict(entry.ride).items()} if entry.ride else None,
+        "tracking": asdict(entry.tracking) if entry.tracking else None,
+    }
+
+
+def write_evaluation(evaluation: Evaluation, fronts: Sequence[GainFront], folder: str | Path) -> Path:
+    """Write evaluation.json and evaluation.html into ``folder``; return the path of the page, which needs no network."""
+    write_json(to_json(evaluation, fronts), "mrd_control", "evaluation", folder)
+    kind = next(name for name, kind in SYSTEMS.items() if kind is type(evaluation.system))
+    drawn = evaluation.results["passive", evaluation.entries[0].excitation].time.size > 1
+    return render(
+        "evaluation",
+        folder,
+        "mrd_control",
+        title=f"Control laws for a {kind.replace('_', ' ')}",
+        sentence=sentence(evaluation),
+        trade_off=to_html(figures.trade_off(evaluation)),
+        over_time=to_html(figures.over_time(evaluation)) if drawn else "",
+        spectra=to_html(figures.spectra(evaluation)),
+        loops=to_html(figures.loops(evaluation)),
+        fronts=to_html(figures.gain_fronts(evaluation, fronts)) if fronts else "",
+        knees=[(front, front.gains[front.knee], front.objectives[front.knee]) for front in fronts],
+        columns=columns(evaluation),
+        rows=rows(evaluation),
+        laws=[LAWS[name] for name in dict.fromkeys(entry.candidate.law for entry in evaluation.entries)],
+        evaluation=evaluation,
+    )
