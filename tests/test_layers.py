@@ -26,17 +26,19 @@ BELOW = {
     "mrd_identification": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim"},
     "mrd_diagnosis": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
     "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
+    "mrd_cli": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
 
 EXECUTABLES = {
     "mrd_base": set(),
     "mrd_trajectory": {"generator", "preview"},
-    "mrd_runs": {"recorder", "replay", "import_csv", "export_csv", "info", "recover"},
+    "mrd_runs": {"recorder", "replay", "import", "export_csv", "info", "recover"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
     "mrd_trials": {"make", "run", "score", "withhold"},
+    "mrd_cli": {"mrd"},
 }
 
 ROSDEP = {
@@ -48,8 +50,11 @@ ROSDEP = {
     "jinja2": "python3-jinja2",
     "tqdm": "python3-tqdm",
     "psutil": "python3-psutil",
+    "argcomplete": "python3-argcomplete",
+    "openpyxl": "python3-openpyxl",
+    "h5py": "python3-h5py",
 }
-WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich"}
+WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich", "nptdms"}
 OPTIONAL = {"nidaqmx"}
 
 
