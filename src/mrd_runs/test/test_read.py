@@ -182,3 +182,17 @@ def test_all_measured_data_are_readable(measured: list[Path]) -> None:
         assert np.isfinite(run.velocity).all()
         assert 0.005 < np.abs(run.velocity).max() < 1
     assert len({run.name for run in runs}) == len(measured)
+
+
+def test_files_of_other_programs_are_sent_to_the_import(tmp_path: Path, columns, write_csv) -> None:
+    (tmp_path / "a.csv").write_text("Zeit;Weg;Kraft\n0;1;2\n")
+    with pytest.raises(InputError, match=r"`mrd import` reads tables of other programs\)$"):
+        read_run(tmp_path / "a.csv")
+    (tmp_path / "a.xlsx").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"unknown kind of file; .* \(`mrd import` makes bags of other recordings\)$"):
+        read_run(tmp_path / "a.xlsx")
+    with pytest.raises(InputError, match=r"line 2: force_N is nothing, expected a number$"):
+        text = write_csv(tmp_path / "b.csv", {"time_s": columns["time_s"], "position_m": columns["position_m"]}).read_text()
+        lines = [f"{line},1," if number else f"{line},current_A,force_N" for number, line in enumerate(text.splitlines())]
+        (tmp_path / "b.csv").write_text("\n".join(lines))
+        read_run(tmp_path / "b.csv")

@@ -1,14 +1,17 @@
 """Arguments that several tools share."""
 
 import argparse
+import sys
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import get_args
 
-from mrd_base import InputError
+from mrd_base import FaultError, InputError
 from mrd_identification.method import Method, parse_method
 from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
+from mrd_runs.faults import find_faults
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS
 
@@ -112,3 +115,25 @@ def read_arguments_runs(arguments: argparse.Namespace) -> tuple[list[Run], list[
     """Read the runs to fit and the held-out runs; their names are distinct."""
     runs = read_runs([*arguments.runs, *arguments.held_out])
     return runs[: len(arguments.runs)], runs[len(arguments.runs) :]
+
+
+def add_anyway(parser: argparse.ArgumentParser) -> None:
+    """Add the option that fits recordings although they look faulty."""
+    parser.add_argument(
+        "--anyway", action="store_true", help="fit the runs even if the sign or the unit of their force looks wrong"
+    )
+
+
+def look_at_runs(runs: Sequence[Run], anyway: bool) -> None:
+    """Look at runs before they are fitted.
+
+    Raises
+    ------
+    FaultError
+        When the sign or the unit of their force is wrong, unless they are to be fitted ``anyway``.
+    """
+    faults = find_faults(runs)
+    if faults and not anyway:
+        raise FaultError(f"{'; '.join(faults)}; or fit them as they are with --anyway")
+    for fault in faults:
+        print(f"warning: {fault}", file=sys.stderr)

@@ -18,7 +18,7 @@ def main() -> None:
 
 def work() -> None:
     """Print the catalogue, or one model with its parameters."""
-    parser = argparse.ArgumentParser(prog="models", description="List the damper models, or show one with its parameters.")
+    parser = argparse.ArgumentParser(description="List the damper models, or show one with its parameters.")
     parser.add_argument("model", nargs="?", help=f"one of {', '.join(MODELS)}")
     parser.add_argument(
         "--markdown", action="store_true", help="print the page of the documentation, or the model's section of it"

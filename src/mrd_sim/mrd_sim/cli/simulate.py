@@ -48,8 +48,7 @@ def work() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="simulate",
-        description="Simulate a damper along an experiment's setpoints or a recorded motion and current; write a CSV file.",
+        description="Simulate a damper along an experiment's setpoints or a recorded motion and current; write a CSV file."
     )
     parser.add_argument("input", metavar="EXPERIMENT.yaml|RUN", help="experiment, or bag, .mcap, .db3 or CSV")
     damper = parser.add_mutually_exclusive_group(required=True)
