@@ -277,6 +277,30 @@ def test_a_file_without_time_needs_its_rate(tool, tmp_path: Path) -> None:
     check(tmp_path / "bags/a")
 
 
+@pytest.mark.parametrize(
+    ("stamp", "decimal"), [("%H:%M:%S.%f", ","), ("%Y-%m-%dT%H:%M:%S.%fZ", "."), ("%d.%m.%Y %H:%M:%S.%f", ",")]
+)
+def test_times_of_day_in_text(tmp_path: Path, stamp: str, decimal: str) -> None:
+    start = datetime.datetime(2024, 3, 12, 9, 59, 59)
+    lines = ["Zeit;Weg [mm];Kraft [N]"]
+    for time, position, force in zip(TIME, POSITION, FORCE, strict=True):
+        # The first dots of a date are none of a decimal sign.
+        clock, _, fraction = (start + datetime.timedelta(seconds=float(time))).strftime(stamp).rpartition(".")
+        lines.append(f"{clock}{decimal}{fraction};" + f"{1e3 * position:.6f};{force:.6f}".replace(".", decimal))
+    (tmp_path / "a.txt").write_text("\n".join(lines))
+    columns = read_foreign(tmp_path / "a.txt", Mapped(current=0.0)).columns
+    np.testing.assert_allclose(columns["time_s"] - columns["time_s"][0], TIME, atol=1e-6)
+    np.testing.assert_allclose(columns["position_m"], POSITION, atol=1e-9)
+
+
+def test_a_sign_that_looks_wrong_is_named(tool, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.csv", np.column_stack([TIME, POSITION, -FORCE]), delimiter=",", header="t,x,F", comments="")
+    code, _, error = tool("a.csv --current 0 --output bags")
+    assert code == 0
+    assert error.startswith("warning: a: the damper drives the rod, expected that it resists")
+    assert tool("a.csv --current 0 --flip force --output turned")[::2] == (0, "")
+
+
 @pytest.mark.parametrize("bias", [0.0, 2e-3])
 def test_velocity_only_is_integrated_without_drift(tool, tmp_path: Path, bias: float) -> None:
     noise = np.random.default_rng(1).normal(0, 1e-3, COUNT)

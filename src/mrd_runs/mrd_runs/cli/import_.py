@@ -2,6 +2,7 @@
 
 import argparse
 import shutil
+import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 from mrd_base import InputError, run_tool
 from mrd_runs import make_run
 from mrd_runs.bag_import import bag_folder, write_bag
+from mrd_runs.faults import find_faults
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.units import COLUMNS, check_quantity
 from mrd_runs.read import checksum, unique_name
@@ -63,6 +65,8 @@ def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[P
         print(f"{path}: {len(run)} samples, {run.duration:.6g} s at {run.rate:.6g} Hz")
         for note in run.info["notes"]:
             print(f"  {note}")
+        for fault in find_faults([run]):
+            print(f"warning: {fault}", file=sys.stderr)
 
 
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 import datetime
 import zipfile
+from array import array
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -76,17 +77,16 @@ def _numbered(sheet: Any, table: Located) -> Iterator[tuple[int, list[Cell]]]:
 
 def _read_columns(sheet: Any, table: Located, names: Sequence[str], path: Path) -> dict[str, Array]:
     indices = [[column.name for column in table.columns].index(name) for name in names]
-    rows: list[list[float]] = []
+    values = array("d")
     for number, row in _numbered(sheet, table):
-        values: list[float] = []
         for name, index in zip(names, indices, strict=True):
             cell = row[index] if index < len(row) else None
             if not isinstance(cell, float):
                 found = "nothing" if cell is None else one_line(repr(cell))
                 raise InputError(f"{path}: row {number}: {one_line(name)} is {found}, expected a number")
             values.append(cell)
-        rows.append(values)
-    return dict(zip(names, np.array(rows).T.copy(), strict=True))
+    numbers = np.frombuffer(values).reshape(-1, len(names))
+    return {name: numbers[:, i].copy() for i, name in enumerate(names)}
 
 
 def _cell(value: object) -> Cell:

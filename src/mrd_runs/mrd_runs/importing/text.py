@@ -1,6 +1,7 @@
 """Tables in text files of any dialect: delimiter, decimal sign, encoding, and what stands above the numbers."""
 
 import csv
+import datetime
 import itertools
 import re
 from collections.abc import Iterator, Sequence
@@ -25,6 +26,11 @@ _NUMBERS = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE | re.ASCII),
     ",": re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE | re.ASCII),
 }
+# A time of day, maybe with a date; its seconds are a number.
+_CLOCK = re.compile(
+    r"(?:(\d{4})-(\d\d)-(\d\d)[T ]\s*|(\d\d)\.(\d\d)\.(\d{4})\s+)?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)Z?", re.ASCII
+)
+_FIRST_DAY = datetime.date(2000, 1, 1).toordinal()  # the nearer to now, the more digits are left for the seconds
 _COMMENT = re.compile(r"^\s*(#|%|//)+\s?")
 
 
@@ -40,11 +46,14 @@ class Dialect:
         Sign before the decimals, ``.`` or ``,``.
     located : Located
         Columns, and the index of the first line of numbers.
+    clocks : tuple of int
+        Indices of the columns that hold times of day.
     """
 
     delimiter: str
     decimal: str
     located: Located
+    clocks: tuple[int, ...] = ()
 
     def cells(self, line: str) -> list[Cell]:
         """Return the cells of a line; those that are numbers as such."""
@@ -69,7 +78,9 @@ def guess_dialect(lines: Sequence[str]) -> Dialect | None:
         first = rows[located.first]
         whole = sum(isinstance(cell, float) for cell in first) - sum(isinstance(cell, str) for cell in first)
         if (located.rows, whole) > most:
-            best, most = Dialect(delimiter, decimal, located), (located.rows, whole)
+            cells = split_line(lines[located.first], delimiter)
+            clocks = tuple(index for index, cell in enumerate(cells) if _clock_seconds(cell) is not None)
+            best, most = Dialect(delimiter, decimal, located, clocks), (located.rows, whole)
     return best
 
 
@@ -157,7 +168,17 @@ def _read_columns(path: Path, encoding: str, dialect: Dialect, names: Sequence[s
     elif dialect.decimal == ",":
         rows = (line.replace(",", ".") for line in rows)
     try:
-        values = np.loadtxt(rows, np.float64, comments=None, delimiter=delimiter, usecols=indices, ndmin=2, quotechar='"')
+        values = np.loadtxt(
+            rows,
+            np.float64,
+            comments=None,
+            delimiter=delimiter,
+            converters=dict.fromkeys(dialect.clocks, _number),
+            encoding=None,
+            usecols=indices,
+            ndmin=2,
+            quotechar='"',
+        )
     except ValueError as error:
         raise _first_bad_cell(path, encoding, dialect, indices) or InputError(
             f"{path}: cannot be read ({one_line(error)})"
@@ -179,4 +200,29 @@ def _first_bad_cell(path: Path, encoding: str, dialect: Dialect, indices: Sequen
 def _cell(text: str, decimal: str) -> Cell:
     if not text:
         return None
-    return float(text.replace(",", ".")) if _NUMBERS[decimal].fullmatch(text) else text
+    if _NUMBERS[decimal].fullmatch(text):
+        return float(text.replace(",", "."))
+    seconds = _clock_seconds(text)
+    return text if seconds is None else seconds
+
+
+def _clock_seconds(text: str) -> float | None:
+    """Return the seconds of a time of day, counted from the year 2000 where it has a date; None for another text."""
+    match = _CLOCK.fullmatch(text)
+    if match is None:
+        return None
+    year, month, day, other_day, other_month, other_year, hour, minute, second = match.groups()
+    day_seconds = 3600 * int(hour) + 60 * int(minute) + float(second.replace(",", "."))
+    if not (year or other_year):
+        return day_seconds
+    try:
+        date = datetime.date(int(year or other_year), int(month or other_month), int(day or other_day))
+    except ValueError:
+        return None
+    return 86400.0 * (date.toordinal() - _FIRST_DAY) + day_seconds
+
+
+def _number(text: str) -> float:
+    """Return the number of a cell of a line in which points stand for decimal commas."""
+    seconds = _clock_seconds(text.strip().strip('"'))
+    return float(text) if seconds is None else seconds
