@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from mrd_base import InputError
 from mrd_runs.importing.quantities import find_sources
 from mrd_runs.importing.table import Column
 from mrd_runs.importing.text import guess_dialect, read_text_table
@@ -130,7 +131,7 @@ def test_dialects_of_a_line(line: str, delimiter: str, decimal: str, count: int)
     dialect = guess_dialect(["Remarks, more; and more", *[line] * 10])
     assert dialect is not None
     assert (dialect.delimiter, dialect.decimal) == (delimiter, decimal)
-    assert sum(bool(column.name) for column in dialect.located.columns) == count
+    assert sum(bool(column.name) and not column.text for column in dialect.located.columns) == count
 
 
 @pytest.mark.parametrize(
@@ -171,3 +172,29 @@ def test_quantities_are_found_by_names_and_units(header: str, names: list[str]) 
 )
 def test_units(quantity: str, unit: str, value: float, expected: float) -> None:
     assert to_si(quantity, np.array([value]), unit, "a")[0] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("lines", "names"),
+    [
+        (["Test\t17", "rate 500", "", "0 0 0"], ["column 1", "column 2", "column 3"]),
+        (["% t x F", "0 0 0"], ["t", "x", "F"]),
+        (["Time\tAxial Displacement\tAxial Force", "Sec\tmm\tkN", "0\t0\t0"], ["Time", "Axial Displacement", "Axial Force"]),
+        (["Zeit [ s ] ; Weg [ mm ] ; Kraft [ N ]", "0 ; 0 ; 0"], ["Zeit [ s ]", "Weg [ mm ]", "Kraft [ N ]"]),
+        (["t;x;F;remark", "0;0;0"], ["t", "x", "F"]),
+        (["t,x,x", "0,0,0"], ["t", "x", "x (2)"]),
+    ],
+)
+def test_names_of_columns(lines: list[str], names: list[str]) -> None:
+    dialect = guess_dialect([*lines, *[lines[-1]] * 5])
+    assert dialect is not None
+    assert [column.name for column in dialect.located.columns] == names
+
+
+def test_a_column_that_holds_no_numbers_is_named() -> None:
+    columns = [Column("t"), Column("x"), Column("F", "", "1.087,76")]
+    expected = r"no column is left for the force \(t, x\); .* \(no numbers: F holds '1.087,76'\)$"
+    with pytest.raises(InputError, match=expected):
+        find_sources(columns, {}, "a", current_is_given=True, rate_is_given=False)
+    with pytest.raises(InputError, match=r"^a: --map force: F holds '1.087,76', expected numbers$"):
+        find_sources(columns, {"force": "F"}, "a", current_is_given=True, rate_is_given=False)

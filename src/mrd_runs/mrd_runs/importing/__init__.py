@@ -105,7 +105,7 @@ def read_foreign(path: Path, mapped: Mapped = Mapped()) -> Recording:
         shown = ", ".join(f"{count} of {one_line(sources[quantity].name)}" for quantity, count in lengths.items())
         raise InputError(f"{path}: holds {shown}; expected equally many, of one table")
     notes = [table.layout] if table.layout else []
-    unused = [column.name for column in table.columns if column.name and column.name not in values]
+    unused = [column.name for column in table.columns if column.name and not column.text and column.name not in values]
     if unused:
         notes.append(f"not used: {', '.join(map(one_line, unused[:20]))}" + (", ..." if len(unused) > 20 else ""))
     if mapped.rate is not None:

@@ -59,7 +59,7 @@ def read_hdf5_table(path: Path) -> Table:
     try:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-    except OSError as error:
+    except Exception as error:  # h5py raises many kinds for a damaged file
         raise InputError(f"{path}: cannot be read as an HDF5 file ({one_line(error)})") from None
     if not columns:
         raise InputError(f"{path}: holds no data sets of numbers; expected time, position and force")
@@ -78,7 +78,9 @@ def _read(
                 if max(data.shape) > MOST_VALUES // len(names):
                     raise InputError(f"{path}: {one_line(name)} has {max(data.shape)} values; split the file")
                 series[column] = np.ascontiguousarray(data.fields(field)[index] if field else data[index], np.float64)
-    except OSError as error:
+    except InputError:
+        raise
+    except Exception as error:  # as above
         raise InputError(f"{path}: cannot be read as an HDF5 file ({one_line(error)})") from None
     return series
 

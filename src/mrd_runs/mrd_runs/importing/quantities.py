@@ -70,8 +70,11 @@ def find_sources(
         When a column that is named is not there; or when names and units do not tell which column a quantity is. The line
         then ends with the options that would do.
     """
-    named = {column.name: column for column in columns if column.name}
+    named = {column.name: column for column in columns if column.name and not column.text}
+    texts = {column.name: column.text for column in columns if column.name and column.text}
     for quantity, name in given.items():
+        if name in texts:
+            raise InputError(f"{where}: --map {quantity}: {name} holds {one_line(texts[name])!r}, expected numbers")
         if name not in named:
             raise InputError(f"{where}: --map {quantity}: unknown column {one_line(unknown_key(name, named))}")
     chosen = dict(given)
@@ -86,7 +89,9 @@ def find_sources(
     needed = [quantity for quantity in ("time", "position", "force", "current") if not unneeded.get(quantity)]
     missing = [quantity for quantity in needed if quantity not in chosen]
     if missing:
-        raise InputError(_question(where, list(named), chosen, doubtful, missing))
+        question = _question(where, list(named), chosen, doubtful, missing)
+        others = ", ".join(f"{one_line(name)} holds {one_line(text)!r}" for name, text in list(texts.items())[:3])
+        raise InputError(question + (f" (no numbers: {others})" if others else ""))
     used = {quantity: name for quantity, name in chosen.items() if quantity == "position" or not unneeded.get(quantity)}
     return {quantity: Source(name, _unit(quantity, named[name])) for quantity, name in used.items()}
 

@@ -21,10 +21,21 @@ MOST_VALUES = 5 * 10**7
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a file: its name as the file has it, and its unit; "" where the file does not say."""
+    """A column of a file.
+
+    Attributes
+    ----------
+    name : str
+        As the file has it.
+    unit : str
+        "" where the file does not say.
+    text : str
+        What stands in the first row of a column that holds no numbers; "" for numbers.
+    """
 
     name: str
     unit: str = ""
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -84,8 +95,9 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
     width = len(rows[run[0]])
     above = [index for index in filled if index < run[0]]
     names, units = _header([header(index, width) for index in above[-2:]], width)
-    used = {i for index in run for i, cell in enumerate(rows[index]) if isinstance(cell, float)}
-    columns = [Column(names[i], units[i]) if i in used else Column("") for i in range(width)]
+    used = {i for index in run for i, cell in enumerate(rows[index]) if cell is not None}
+    texts = [cell if isinstance(cell, str) else "" for cell in rows[run[0]]]
+    columns = [Column(names[i] if i in used else "", units[i], texts[i]) for i in range(width)]
     return Located(tuple(columns), run[0], len(run))
 
 
@@ -97,7 +109,7 @@ def _kind(row: Sequence[Cell]) -> tuple[int, tuple[int, ...]]:
 def _header(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:
     """Return names and units of columns from the last two rows above them, where these have as many cells."""
     texts = [["" if cell is None else str(cell).strip() for cell in row] for row in above]
-    fitting = [row[:width] if len(row) >= width and any(row) else None for row in texts]
+    fitting = [row[:width] if len(row) >= width and any(row) and not any(map(_is_number, row)) else None for row in texts]
     units = [""] * width
     names = fitting[-1] if fitting else None
     if names and len(fitting) > 1 and fitting[-2] and all(not cell or is_unit(cell.strip("[]() ")) for cell in names):
@@ -108,3 +120,11 @@ def _header(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], lis
         seen[name] += 1
         names[i] = name if seen[name] == 1 else f"{name} ({seen[name]})"
     return names, units
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True

@@ -31,7 +31,7 @@ def read_tdms_table(path: Path) -> Table:
     channels: dict[str, tuple[str, str]] = {}
     clocks: dict[str, tuple[int, float, float]] = {}
     try:
-        with nptdms.TdmsFile.open(path) as file:
+        with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
             groups = [group for group in file.groups() if group.channels()]
             for group in groups:
                 prefix = f"{group.name}/" if len(groups) > 1 else ""
@@ -63,7 +63,7 @@ def _read(
 ) -> dict[str, Array]:
     series: dict[str, Array] = {}
     try:
-        with nptdms.TdmsFile.open(path) as file:
+        with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
             for name in names:
                 count = clocks[name][0] if name in clocks else len(file[channels[name][0]][channels[name][1]])
                 if count > MOST_VALUES // len(names):

@@ -118,7 +118,7 @@ def read_text_table(path: Path) -> Table:
     """
     check_bounds(path)
     encoding = _encoding(path)
-    with path.open(encoding=encoding, newline=None) as stream:
+    with path.open(encoding=encoding, newline=None, errors="replace") as stream:
         lines = [line.rstrip("\n") for line in islice(stream, LONGEST_HEAD)]
     dialect = guess_dialect(lines)
     if dialect is None:
