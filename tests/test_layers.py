@@ -51,10 +51,8 @@ ROSDEP = {
     "tqdm": "python3-tqdm",
     "psutil": "python3-psutil",
     "argcomplete": "python3-argcomplete",
-    "openpyxl": "python3-openpyxl",
-    "h5py": "python3-h5py",
 }
-WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich", "nptdms"}
+WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich"}
 OPTIONAL = {"nidaqmx"}
 
 

@@ -56,6 +56,11 @@ def test_every_tool_is_there(run):
         assert text.startswith("usage: ")
 
 
+def test_the_usage_of_a_tool_is_what_one_types(run):
+    assert run("identify", "--help")[1].startswith("usage: mrd identify [-h] ")
+    assert run("import", "--help")[1].startswith("usage: mrd import [-h] ")
+
+
 def test_version(run):
     assert run("--version") == (0, f"mrd {VERSION}\n", "")
 

@@ -411,15 +411,13 @@ def _read_file(file: Path, content: _Content, metadata: Metadata | None) -> bool
     if not closed and metadata is not None:
         raise InputError(
             f"{file}: was closed and has lost its end since (metadata.yaml describes a complete bag); "
-            f"take another copy, or save what is left with `ros2 run mrd_runs recover`"
+            f"take another copy, or save what is left with `mrd recover`"
         )
     return closed
 
 
 def _unreadable(file: Path, problem: str) -> InputError:
-    return InputError(
-        f"{file}: cannot be read as a bag ({problem}); `ros2 run mrd_runs recover` saves what is left of a damaged one"
-    )
+    return InputError(f"{file}: cannot be read as a bag ({problem}); `mrd recover` saves what is left of a damaged one")
 
 
 def _sort(topic: RecordedTopic) -> None:

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.bag import BagWriter
 from mrd_runs.definitions import SAMPLES_TYPE
-from mrd_runs.formats import file_format
 from mrd_runs.formats.bag_file import IMPORTED_COLUMNS
-from mrd_runs.run import Run
 from mrd_runs.run_info import format_run_info
 
 Array = NDArray[np.float64]
@@ -25,31 +23,12 @@ _BLOCK = 20
 _END_OF_STAMPS = 2.0**31
 
 
-def import_run(run: Run, path: Path) -> None:
-    """Write the file from which a run was read as a bag.
+def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, path: Path) -> None:
+    """Write columns as `make_run` takes them as a bag.
 
     The samples go into blocks on the topic ``samples``, as the DAQ sends them, so that the bag can be replayed. Blocks have
     equally spaced samples, without velocity and temperature. Topics ``imported/time_s`` and so on therefore hold these
     columns exactly, and `read_run` returns every value bit by bit.
-
-    Parameters
-    ----------
-    run : Run
-        Read from a file.
-    path : Path
-        Folder of the bag; it must not exist.
-
-    Raises
-    ------
-    InputError
-        When the folder exists, or the recording is longer than ROS stamps reach (68 years). No file is left behind then.
-    """
-    source = Path(run.info["source"])
-    write_bag(file_format(source).read(source).columns, run.info["notes"], source, path)
-
-
-def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, path: Path) -> None:
-    """Write columns as `make_run` takes them as a bag, as `import_run` does.
 
     Parameters
     ----------
@@ -64,7 +43,7 @@ def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, 
     Raises
     ------
     InputError
-        As `import_run`.
+        When the folder exists, or the recording is longer than ROS stamps reach (68 years). No file is left behind then.
     """
     stamps = _stamps(columns["time_s"], source)
     new_folders = [folder for folder in path.parents if not folder.exists()]

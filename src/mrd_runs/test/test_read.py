@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
-from mrd_runs.bag_import import import_run
+from mrd_runs.bag_import import write_bag
 
 
 def test_csv_is_read_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -162,7 +162,7 @@ def test_names_are_unique_and_the_same_recording_is_refused(tmp_path: Path, make
 def test_csv_and_the_bag_made_of_it_are_the_same_recording(tmp_path: Path, make_columns, write_csv) -> None:
     columns = make_columns() | {"time_s": 12.5 + np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 1000))}
     file = write_csv(tmp_path / "run.csv", columns)
-    import_run(read_run(file), tmp_path / "bag")
+    write_bag(columns, [], file, tmp_path / "bag")
     with pytest.raises(InputError, match=r"bag: is the same recording as .*run.csv"):
         read_runs([file, tmp_path / "bag"])
     other = columns | {"force_N": np.nextafter(columns["force_N"], np.inf)}

@@ -11,7 +11,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run
-from mrd_runs.bag_import import import_run
+from mrd_runs.bag_import import write_bag
 from mrd_runs.cli import import_, info
 from mrd_runs.summary import count_reversals, summarise
 
@@ -76,27 +76,25 @@ def test_import_overwrites_nothing_and_leaves_no_part_behind(tool, tmp_path: Pat
 @pytest.mark.parametrize("start", [-5.0, 2.0**31 - 0.5, 1e11])
 def test_times_without_a_ros_stamp_are_read_back(tmp_path: Path, columns, write_csv, start: float) -> None:
     file = write_csv(tmp_path / "run.csv", columns | {"time_s": start + columns["time_s"]})
-    import_run(read_run(file), tmp_path / "bags/run")
+    write_bag(columns | {"time_s": start + columns["time_s"]}, [], file, tmp_path / "bags/run")
     np.testing.assert_array_equal(read_run(tmp_path / "bags/run").time, read_run(file).time)
 
 
-@pytest.mark.parametrize("failing", ["format_run_info", "file_format"])
+@pytest.mark.parametrize("failing", ["format_run_info", "_write"])
 def test_failed_import_leaves_nothing_behind(tmp_path: Path, columns, write_csv, monkeypatch, failing: str) -> None:
     def fail(*_: object, **__: object) -> None:
         raise InputError("no")
 
-    run = read_run(write_csv(tmp_path / "run.csv", columns))
     monkeypatch.setattr(f"mrd_runs.bag_import.{failing}", fail)
     with pytest.raises(InputError, match="no"):
-        import_run(run, tmp_path / "new/bags/run")
-    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+        write_bag(columns, [], Path("run.csv"), tmp_path / "new/bags/run")
+    assert not list(tmp_path.iterdir())
 
 
 def test_recording_longer_than_stamps_reach(tmp_path: Path, columns, write_csv) -> None:
     columns["time_s"][-1] = 1e11
-    run = read_run(write_csv(tmp_path / "run.csv", columns))
     with pytest.raises(InputError, match=r"run.csv: is 1e\+11 s long"):
-        import_run(run, tmp_path / "bags/run")
+        write_bag(columns, [], Path("run.csv"), tmp_path / "bags/run")
     assert not (tmp_path / "bags").exists()
 
 

@@ -36,7 +36,7 @@ def work() -> None:
     console = Console()
     if chosen is None:
         console.print(table())
-        console.print("One with its parameters: ros2 run mrd_sim effects EFFECT")
+        console.print("One with its parameters: mrd effects EFFECT")
         return
     console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
     for clause in clauses(chosen.equation):

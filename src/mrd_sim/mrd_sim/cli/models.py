@@ -31,7 +31,7 @@ def work() -> None:
     console = Console()
     if model is None:
         console.print(catalogue())
-        console.print("One with its parameters and current laws: ros2 run mrd_sim models MODEL")
+        console.print("One with its parameters and current laws: mrd models MODEL")
         return
     console.print(f"{model.title} ({model.id})", highlight=False, style="bold")
     for clause in clauses(model.equation):

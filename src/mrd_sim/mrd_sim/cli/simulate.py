@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="EFFECT.PARAMETER=VALUE",
-        help="effect that acts with the model (ros2 run mrd_sim effects), in SI; may be repeated",
+        help="effect that acts with the model (mrd effects), in SI; may be repeated",
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
     add_effects_folder(parser)
