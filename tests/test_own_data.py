@@ -106,6 +106,13 @@ def test_imported_bags_come_to_the_right_verdict(run, tmp_path):
     assert answer.startswith("The force sensor lags by 20 ms (probability above 99 % among the 3 effects that were tried).")
 
 
+def test_the_python_of_the_page_runs(run):
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert len(names["run"]) == 2000
+
+
 def test_the_page_names_tools_that_exist():
     for line in COMMANDS:
         assert callable(import_module(mrd.TOOLS[line.split()[1]].module).main)

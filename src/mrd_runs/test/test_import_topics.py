@@ -124,6 +124,17 @@ def test_a_bag_without_topics_named_is_answered_with_a_mapping_that_does(tool, t
     assert tool(f"a {mapping} --output bags")[0] == 0
 
 
+def test_large_messages_of_other_topics_are_not_kept(tmp_path: Path, monkeypatch) -> None:
+    image = T["std_msgs/msg/ByteMultiArray"](T["std_msgs/msg/MultiArrayLayout"]([], 0), np.zeros(10_000, np.uint8))
+    messages = bench() | {"/camera": ("std_msgs/msg/ByteMultiArray", [(t, image) for t in np.arange(0, SECONDS, 0.01)])}
+    write_bag(tmp_path / "a", StoragePlugin.MCAP, messages)
+    monkeypatch.setattr("mrd_runs.bag.LARGEST_BAG", 2_000_000)
+    with pytest.raises(InputError, match="is a bag of another bench"):
+        read_foreign(tmp_path / "a")
+    topics = {"position": "/joint_states.position[rod]", "force": "/ft.wrench.force.z"}
+    assert len(read_foreign(tmp_path / "a", Mapped(topics=topics, current=0.0)).columns["time_s"]) > 900
+
+
 @pytest.mark.parametrize(
     ("topics", "line"),
     [

@@ -2,8 +2,8 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ Stamps = NDArray[np.int64]
 
 _ADDRESS = re.compile(r"(?P<topic>[^.\[\]\s]+)\.(?P<field>[\w.]+)(\[(?P<index>[^\[\]]+)\])?")
 _MOST_ELEMENTS = 12  # of an array that is listed
-_LISTED_MESSAGES = 200
+_LISTED_MESSAGES = 50
+_NO_SERIES = ("rosout", "parameter_events", "clock")
 
 
 @dataclass(frozen=True)
@@ -151,21 +152,17 @@ def _getter(message: Any, address: Address, path: Path) -> Callable[[Any], float
 
 def list_numbers(path: Path) -> dict[str, float]:
     """Return the addresses of all numbers in the messages of a bag, with their range in the first messages of each topic."""
-    ranges: dict[str, float] = {}
-    for topic in read_bag(path, set()).topics:
-        if topic in ("/rosout", "/parameter_events", "/clock"):
+    bag = read_bag(path, most=_LISTED_MESSAGES)
+    ranges: dict[str, list[float]] = {}
+    for topic in bag.topics:
+        if topic.rsplit("/", 1)[-1] in _NO_SERIES:
             continue
-        bag = read_bag(path, {topic.rsplit("/", 1)[-1]})
-        entry = bag.topics[topic]
-        found: dict[str, list[float]] = {}
-        try:
-            for cdr in islice(entry.messages, _LISTED_MESSAGES):
-                for address, value in _numbers(bag.types.deserialize_cdr(cdr, entry.message_type), topic):
-                    found.setdefault(str(address), []).append(value)
-        except Exception:  # a type that is not known: its numbers cannot be named
-            continue
-        ranges |= {address: float(np.ptp(values)) for address, values in found.items()}
-    return ranges
+        # A type that is not known has no numbers to name; rosbags raises many kinds of errors for it.
+        with suppress(Exception):
+            for message in bag.decode(topic):
+                for address, value in _numbers(message, topic):
+                    ranges.setdefault(str(address), []).append(value)
+    return {address: float(np.ptp(values)) for address, values in ranges.items()}
 
 
 def _numbers(content: Any, topic: str, prefix: str = "") -> Iterator[tuple[Address, float]]:
