@@ -1,6 +1,6 @@
 """Faults of recordings that make every fit worthless: a sign that is wrong, a force in another unit.
 
-The diagnosis looks for many more (`mrd_diagnosis.preflight`); these two are checked before any fit.
+The diagnosis looks for many more (`mrd_diagnosis.preflight`); these are checked before any fit.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,6 +16,8 @@ _FEWEST_TURNS = 3
 _WRONG_SIGN_WORK = -0.2
 """Work on the damper over the largest work of the same forces, below which a sign is wrong: it is positive at every usual
 delay, and near zero for a spring."""
+_TURNED = -0.3
+"""Correlation of the velocity with the differences of the position, below which one of them is turned; noise lowers it."""
 _SMALLEST_FORCE, _LARGEST_FORCE = 5.0, 1e5
 """Span of the force in N of small MR dampers; those of some newtons are rarer than files in kN or V."""
 _SEGMENTS = 200
@@ -45,6 +47,12 @@ def _has_wrong_sign(run: Run) -> bool:
     return _moves(run) and turns >= _FEWEST_TURNS and relative_work(run) < _WRONG_SIGN_WORK
 
 
+def _has_turned_velocity(run: Run) -> bool:
+    if not _moves(run) or np.ptp(run.velocity) == 0:
+        return False
+    return float(np.corrcoef(run.velocity, np.gradient(run.position, run.time))[0, 1]) < _TURNED
+
+
 def _has_small_force(run: Run) -> bool:
     return _moves(run) and 0 < float(np.ptp(run.force)) < _SMALLEST_FORCE
 
@@ -58,6 +66,11 @@ _CHECKS: tuple[tuple[Callable[[Run], bool], str], ...] = (
         _has_wrong_sign,
         "the damper drives the rod, expected that it resists: the force or the position has the wrong sign "
         "(force > 0 resists extension, position > 0 extends); turn it with `mrd import FILE --flip force`",
+    ),
+    (
+        _has_turned_velocity,
+        "the velocity falls where the position rises: one of them has the wrong sign; turn it with "
+        "`mrd import FILE --flip velocity` or position",
     ),
     (
         _has_small_force,

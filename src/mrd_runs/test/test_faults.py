@@ -42,6 +42,13 @@ def test_a_force_or_a_position_of_the_wrong_sign_is_named(offset: float) -> None
         assert "--flip force" in fault
 
 
+def test_a_velocity_against_the_position_is_named() -> None:
+    run = run_of(DAMPER)
+    (fault,) = find_faults([replace(run, velocity=-VELOCITY)])
+    assert fault.startswith("a: the velocity falls where the position rises")
+    assert find_faults([replace(run, velocity=VELOCITY), replace(run, velocity=0 * VELOCITY)]) == []
+
+
 def test_a_force_in_another_unit_is_named() -> None:
     (fault,) = find_faults([run_of(1e-3 * DAMPER)])
     assert fault.startswith("a: the force spans less than 5 N while the rod moves: is it in kN or V?")

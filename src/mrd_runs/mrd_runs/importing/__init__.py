@@ -128,6 +128,8 @@ def _read_bag(path: Path, mapped: Mapped) -> Recording:
         raise InputError(
             f"{path}: --topics names no {missing}; expected position (or velocity), force and current (or --current)"
         )
+    if "time" in addresses:
+        raise InputError(f"{path}: --topics names a time; the times are those of the messages, leave it out")
     found, notes = read_topics(path, addresses)
     series, done = synchronise(found, mapped.rate, str(path))
     sources = {quantity: Source(str(address), "") for quantity, address in addresses.items()}
