@@ -16,6 +16,8 @@ else
     esac
     # `ros2 run` stands in for the real command only where there is none.
     command -v ros2 >/dev/null 2>&1 || export PATH="$PATH:$_mrd_root/setup/bin"
+    # The tools that need no ROS are also there as `mrd NAME`.
+    case ":$PATH:" in *":$_mrd_root/install/mrd_cli/"*) ;; *) export PATH="$PATH:$_mrd_root/install/mrd_cli/lib/mrd_cli" ;; esac
     # A bench moves a machine: nobody else on the network should find its topics. ROS's own range LOCALHOST would do, but
     # brings shared memory with it, which config/fastdds.xml tells why not.
     if [ "${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}" = rmw_fastrtps_cpp ]; then

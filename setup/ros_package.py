@@ -27,14 +27,17 @@ def setup_ros_package() -> None:
         data_files=[("share/ament_index/resource_index/packages", [f"resource/{name}"]), (f"share/{name}", ["package.xml"])],
         install_requires=["setuptools"],
         zip_safe=True,
-        entry_points={"console_scripts": [f"{module.rpartition('.')[2]} = {module}:main" for module in executables(name)]},
+        entry_points={"console_scripts": [f"{command} = {module}:main" for command, module in executables(name)]},
         options={"develop": {"script_dir": scripts}, "install": {"install_scripts": scripts}},
     )
 
 
-def executables(package: str) -> Iterator[str]:
-    """Yield the modules in nodes/ and cli/ of a package that define `main`."""
+def executables(package: str) -> Iterator[tuple[str, str]]:
+    """Yield each executable of a package and its module, a file in nodes/ or cli/ that defines `main`.
+
+    The file of an executable whose name is a word of Python, such as ``import``, ends with an underscore.
+    """
     for folder in ("nodes", "cli"):
         for file in sorted(Path(package, folder).glob("*.py")):
             if re.search(r"^def main\(", file.read_text(encoding="utf-8"), re.MULTILINE):
-                yield f"{package}.{folder}.{file.stem}"
+                yield file.stem.rstrip("_"), f"{package}.{folder}.{file.stem}"

@@ -27,18 +27,20 @@ BELOW = {
     "mrd_diagnosis": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
     "mrd_control": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
     "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
+    "mrd_cli": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
 
 EXECUTABLES = {
     "mrd_base": set(),
     "mrd_trajectory": {"generator", "preview"},
-    "mrd_runs": {"recorder", "replay", "import_csv", "export_csv", "info", "recover"},
+    "mrd_runs": {"recorder", "replay", "import", "export_csv", "info", "recover"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
     "mrd_control": {"evaluate"},
     "mrd_trials": {"make", "run", "score", "withhold"},
+    "mrd_cli": {"mrd"},
 }
 
 ROSDEP = {
@@ -50,6 +52,7 @@ ROSDEP = {
     "jinja2": "python3-jinja2",
     "tqdm": "python3-tqdm",
     "psutil": "python3-psutil",
+    "argcomplete": "python3-argcomplete",
 }
 WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich"}
 OPTIONAL = {"nidaqmx"}

@@ -1,4 +1,4 @@
-"""The error that all packages raise for unusable input."""
+"""The errors that all packages raise for unusable input."""
 
 
 class InputError(ValueError):
@@ -6,3 +6,7 @@ class InputError(ValueError):
 
     Tools print the line and exit with status 2; nodes refuse the request with it.
     """
+
+
+class FaultError(InputError):
+    """Recordings that can be read but are faulty, so that every result would be wrong. Tools exit with status 3."""

@@ -4,21 +4,21 @@ import os
 import sys
 from collections.abc import Callable
 
-from mrd_base.errors import InputError
+from mrd_base.errors import FaultError, InputError
 
 
 def run_tool(work: Callable[[], None]) -> None:
     """Run the work of a command-line tool and set the exit status of the process.
 
-    The status is 0 on success; 2 after an `InputError` or a file that cannot be read or written, with one line on stderr;
-    and 130 after Ctrl-C.
+    The status is 0 on success; 2 after an `InputError` or a file that cannot be read or written, and 3 after a `FaultError`,
+    with one line on stderr; and 130 after Ctrl-C.
     """
     try:
         work()
         sys.stdout.flush()
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(3 if isinstance(error, FaultError) else 2)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)

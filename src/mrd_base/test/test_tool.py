@@ -6,10 +6,13 @@ import pytest
 
 PROGRAM = """
 import sys, time
-from mrd_base import InputError, run_tool
+from mrd_base import FaultError, InputError, run_tool
 
 def refuse():
     raise InputError("a.csv: column force_N is missing")
+
+def doubt():
+    raise FaultError("a.csv: the force has the wrong sign")
 
 def write():
     open("/nowhere/out.json", "w")
@@ -22,7 +25,8 @@ def chatter():
     for line in range(100_000):
         print("line", line)
 
-run_tool({"done": lambda: print("done"), "refuse": refuse, "write": write, "wait": wait, "chatter": chatter}[sys.argv[1]])
+works = {"done": lambda: print("done"), "refuse": refuse, "doubt": doubt, "write": write, "wait": wait, "chatter": chatter}
+run_tool(works[sys.argv[1]])
 """
 
 
@@ -31,6 +35,7 @@ run_tool({"done": lambda: print("done"), "refuse": refuse, "write": write, "wait
     [
         ("done", 0, "done\n", ""),
         ("refuse", 2, "", "error: a.csv: column force_N is missing\n"),
+        ("doubt", 3, "", "error: a.csv: the force has the wrong sign\n"),
         ("write", 2, "", "error: /nowhere/out.json: No such file or directory\n"),
     ],
 )

@@ -39,8 +39,11 @@ def run_on_cluster(
     """
     if not re.fullmatch(r"(\w+://)?[^\s/]+:\d+", scheduler):
         raise InputError(f"--scheduler {scheduler}: expected the address of a dask scheduler, such as tcp://host:8786")
-    from distributed import Client, as_completed
-    from distributed.scheduler import KilledWorker
+    try:
+        from distributed import Client, as_completed
+        from distributed.scheduler import KilledWorker
+    except ImportError:
+        raise InputError("--scheduler: the library of the cluster is not installed; run: pip install distributed") from None
 
     try:
         client: Any = Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)

@@ -10,6 +10,7 @@ from typing import Any
 import jsonschema
 
 from mrd_base import InputError
+from mrd_base.version import VERSION
 from mrd_runs import Run
 
 
@@ -92,12 +93,6 @@ def finite_or_none(value: float) -> float | None:
 
 
 def versions(*others: str) -> dict[str, str]:
-    """Return the versions of this package, of its numerical libraries, and of ``others``."""
-    return {name: _version(name) for name in ("mrd_identification", "numpy", "scipy", "numba", *others)}
-
-
-def _version(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return "unknown"
+    """Return the versions of this software, of its numerical libraries, and of ``others``."""
+    libraries = ("numpy", "scipy", "numba", *others)
+    return {"mrd_identification": VERSION, **{name: metadata.version(name) for name in libraries}}

@@ -294,7 +294,7 @@ class Bag:
         return [self.types.deserialize_cdr(message, entry.message_type) for message in entry.messages]
 
 
-def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Bag:
+def read_bag(path: str | Path, topics: Collection[str] | None = None, most: int | None = None) -> Bag:
     """Read a bag folder, an ``.mcap`` or a ``.db3`` file.
 
     An MCAP file whose writer was killed is read up to its end.
@@ -305,6 +305,8 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Bag:
         Folder or file.
     topics : collection of str, optional
         Last parts of the names of the topics to read (``samples`` selects ``/bench/samples``); all topics by default.
+    most : int, optional
+        Number of messages to keep of each topic, the first ones; all by default.
 
     Raises
     ------
@@ -313,7 +315,7 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None) -> Bag:
     """
     path = Path(path)
     files, metadata = find_storage(path)
-    content = _Content(topics, metadata is not None and metadata.compresses_messages)
+    content = _Content(topics, metadata is not None and metadata.compresses_messages, most)
     closed = metadata is None or not metadata.recovered
     for file in files:
         closed &= _read_file(file, content, metadata)
@@ -360,8 +362,8 @@ def find_storage(path: Path) -> tuple[list[Path], Metadata | None]:
 class _Content:
     """What has been read of a bag."""
 
-    def __init__(self, wanted: Collection[str] | None, decompresses: bool) -> None:
-        self._wanted, self._decompresses = wanted, decompresses
+    def __init__(self, wanted: Collection[str] | None, decompresses: bool, most: int | None) -> None:
+        self._wanted, self._decompresses, self._most = wanted, decompresses, most
         self.size = 0
         self.topics: dict[str, RecordedTopic] = {}
         self.definitions: dict[str, Schema] = {}
@@ -376,6 +378,8 @@ class _Content:
 
     def add_message(self, topic: RecordedTopic, message: Message) -> None:
         """Add a message; raise ValueError where it cannot be decompressed."""
+        if len(topic.messages) == self._most:
+            return
         data = decompress_message(message.data) if self._decompresses else message.data
         self.size += len(data) + _OVERHEAD
         topic.stamps.append(message.stamp)
@@ -411,15 +415,13 @@ def _read_file(file: Path, content: _Content, metadata: Metadata | None) -> bool
     if not closed and metadata is not None:
         raise InputError(
             f"{file}: was closed and has lost its end since (metadata.yaml describes a complete bag); "
-            f"take another copy, or save what is left with `ros2 run mrd_runs recover`"
+            f"take another copy, or save what is left with `mrd recover`"
         )
     return closed
 
 
 def _unreadable(file: Path, problem: str) -> InputError:
-    return InputError(
-        f"{file}: cannot be read as a bag ({problem}); `ros2 run mrd_runs recover` saves what is left of a damaged one"
-    )
+    return InputError(f"{file}: cannot be read as a bag ({problem}); `mrd recover` saves what is left of a damaged one")
 
 
 def _sort(topic: RecordedTopic) -> None:

@@ -1,6 +1,7 @@
 """Importing: a recording in a file of another format becomes a bag."""
 
 import shutil
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,9 +11,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.bag import BagWriter
 from mrd_runs.definitions import SAMPLES_TYPE
-from mrd_runs.formats import file_format
 from mrd_runs.formats.bag_file import IMPORTED_COLUMNS
-from mrd_runs.run import Run
 from mrd_runs.run_info import format_run_info
 
 Array = NDArray[np.float64]
@@ -24,8 +23,8 @@ _BLOCK = 20
 _END_OF_STAMPS = 2.0**31
 
 
-def import_run(run: Run, path: Path) -> None:
-    """Write the file from which a run was read as a bag.
+def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, path: Path) -> None:
+    """Write columns as `make_run` takes them as a bag.
 
     The samples go into blocks on the topic ``samples``, as the DAQ sends them, so that the bag can be replayed. Blocks have
     equally spaced samples, without velocity and temperature. Topics ``imported/time_s`` and so on therefore hold these
@@ -33,8 +32,11 @@ def import_run(run: Run, path: Path) -> None:
 
     Parameters
     ----------
-    run : Run
-        Read from a file.
+    columns : mapping of str to ndarray (n,)
+    notes : sequence of str
+        Facts about the recording.
+    source : Path
+        File that the columns are from.
     path : Path
         Folder of the bag; it must not exist.
 
@@ -43,14 +45,12 @@ def import_run(run: Run, path: Path) -> None:
     InputError
         When the folder exists, or the recording is longer than ROS stamps reach (68 years). No file is left behind then.
     """
-    source = Path(run.info["source"])
-    columns = file_format(source).read(source).columns
     stamps = _stamps(columns["time_s"], source)
     new_folders = [folder for folder in path.parents if not folder.exists()]
     writer = BagWriter(path)
     try:
         with writer:
-            info = format_run_info(started="", imported_from=source.name, notes=list(run.info["notes"]))
+            info = format_run_info(started="", imported_from=source.name, notes=list(notes))
             _write(writer, columns, stamps, info)
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)
@@ -60,19 +60,18 @@ def import_run(run: Run, path: Path) -> None:
         raise
 
 
-def bag_folders(runs: list[Run], folder: Path) -> list[Path]:
-    """Return the folders of the bags to write, one for each run.
+def bag_folder(name: str, folder: Path) -> Path:
+    """Return the folder of the bag of a run.
 
     Raises
     ------
     InputError
-        When one of them exists.
+        When it exists.
     """
-    paths = [folder / run.name.replace("/", "-") for run in runs]
-    for path in paths:
-        if path.exists():
-            raise InputError(f"{path}: exists already and is not overwritten; give another --output or remove it")
-    return paths
+    path = folder / name.replace("/", "-")
+    if path.exists():
+        raise InputError(f"{path}: exists already and is not overwritten; give another --output or remove it")
+    return path
 
 
 def _stamps(time: Array, source: Path) -> NDArray[np.int64]:
@@ -84,7 +83,7 @@ def _stamps(time: Array, source: Path) -> NDArray[np.int64]:
     return np.round(time * 1e9).astype(np.int64)
 
 
-def _write(writer: BagWriter, columns: dict[str, Array], stamps: NDArray[np.int64], run_info: str) -> None:
+def _write(writer: BagWriter, columns: Mapping[str, Array], stamps: NDArray[np.int64], run_info: str) -> None:
     types = writer.types.types
     block_type, array_type = types[SAMPLES_TYPE], types["std_msgs/msg/Float64MultiArray"]
     header, stamp_type = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]

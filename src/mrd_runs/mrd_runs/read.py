@@ -42,7 +42,7 @@ def read_run(path: str | Path) -> Run:
     """
     path = Path(path)
     recording = file_format(path).read(path)
-    info = {**recording.info, "source": str(path), "checksum": _checksum(recording.columns)}
+    info = {**recording.info, "source": str(path), "checksum": checksum(recording.columns)}
     name = path.resolve().name if path.is_dir() else path.stem
     return make_run(name, recording.columns, info, where=str(path), place=recording.place)
 
@@ -61,18 +61,18 @@ def read_runs(paths: Iterable[str | Path]) -> list[Run]:
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
                 raise InputError(f"{path}: is the same recording as {earlier.info['source']}; give each recording once")
-        runs.append(replace(run, name=_unique_name(run.name, path, {earlier.name for earlier in runs})))
+        runs.append(replace(run, name=unique_name(run.name, path, {earlier.name for earlier in runs})))
     return runs
 
 
-def _unique_name(name: str, path: str | Path, used: set[str]) -> str:
+def unique_name(name: str, path: str | Path, used: set[str]) -> str:
     """Return the name of a run, with that of its folder and a number where needed."""
     longer = f"{Path(path).resolve().parent.name}/{name}"
     candidates = itertools.chain([name, longer], (f"{longer}-{number}" for number in itertools.count(2)))
     return next(candidate for candidate in candidates if candidate not in used)
 
 
-def _checksum(columns: Mapping[str, Array]) -> str:
+def checksum(columns: Mapping[str, Array]) -> str:
     """Return a checksum of the samples, the same for a CSV file and for the bag made of it."""
     digest = hashlib.sha256()
     for name in ("time_s", "position_m", "current_A", "force_N"):

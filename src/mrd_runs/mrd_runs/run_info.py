@@ -9,18 +9,19 @@ from typing import Any
 
 import yaml
 
+from mrd_base.version import VERSION
 from mrd_runs.bag import Bag
 from mrd_runs.text import one_line
 
-_PACKAGES = ("mrd_runs", "numpy", "rosbags")
+_LIBRARIES = ("numpy", "rosbags")
 # Characters of an experiment in which its name is looked for; the parser takes some seconds for them.
 _LONGEST_EXPERIMENT = 2**18
 
 
 def format_run_info(**facts: Any) -> str:
     """Return the JSON text of a ``run_info`` message: the facts, the start date and the versions of the software."""
-    versions = {"python": platform.python_version(), "ros": os.environ.get("ROS_DISTRO", "none")}
-    for package in _PACKAGES:
+    versions = {"mrd_runs": VERSION, "python": platform.python_version(), "ros": os.environ.get("ROS_DISTRO", "none")}
+    for package in _LIBRARIES:
         versions[package] = importlib.metadata.version(package)
     started = datetime.now(UTC).isoformat(timespec="seconds")
     return json.dumps({"schema": 1, "started": started, "versions": versions, **facts}, allow_nan=False)

@@ -12,7 +12,7 @@ import pytest
 from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.bag import FLUSH_PERIOD, SYNC_PERIOD, BagWriter, read_bag
-from mrd_runs.bag_import import import_run
+from mrd_runs.bag_import import write_bag
 from mrd_runs.definitions import SAMPLES_TYPE
 
 
@@ -141,9 +141,8 @@ def test_full_disk_when_the_bag_is_closed(tmp_path: Path, columns, fill_bag, mon
 
 
 @pytest.mark.parametrize("folder", ["/proc", "/dev/null"])
-def test_folder_that_cannot_be_written_is_named(folder: str, tmp_path: Path, columns, write_csv) -> None:
-    run = read_run(write_csv(tmp_path / "run.csv", columns))
-    for work in (lambda path: BagWriter(path), lambda path: import_run(run, path)):
+def test_folder_that_cannot_be_written_is_named(folder: str, columns) -> None:
+    for work in (lambda path: BagWriter(path), lambda path: write_bag(columns, [], Path("run.csv"), path)):
         with pytest.raises(InputError, match=rf"^{folder}/x/run: cannot be made \(.*; \d+ MB free in /"):
             work(Path(folder, "x/run"))
 

@@ -10,7 +10,7 @@ from mrd_base import InputError
 from mrd_base.table import read_csv
 from mrd_runs import read_run
 from mrd_runs.bag import BagWriter
-from mrd_runs.bag_import import import_run
+from mrd_runs.bag_import import write_bag
 from mrd_runs.cli import export_csv
 from mrd_runs.csv_export import export_csv as export
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
@@ -33,7 +33,7 @@ def test_imported_and_exported_file_is_the_same(tmp_path: Path, columns, write_c
     columns["temperature_C"] = np.linspace(20, 30, 1000)
     columns["time_s"] = 5.1 + np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 1000))
     source = write_csv(tmp_path / "run.csv", columns)
-    import_run(read_run(source), tmp_path / "bag")
+    write_bag(columns, [], source, tmp_path / "bag")
     export(tmp_path / "bag", tmp_path / "again.csv")
     old, new = (read_csv(path, list(columns)).columns for path in (source, tmp_path / "again.csv"))
     for name in columns:

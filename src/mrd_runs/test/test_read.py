@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
-from mrd_runs.bag_import import import_run
+from mrd_runs.bag_import import write_bag
 
 
 def test_csv_is_read_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -162,7 +162,7 @@ def test_names_are_unique_and_the_same_recording_is_refused(tmp_path: Path, make
 def test_csv_and_the_bag_made_of_it_are_the_same_recording(tmp_path: Path, make_columns, write_csv) -> None:
     columns = make_columns() | {"time_s": 12.5 + np.cumsum(np.random.default_rng(0).uniform(0.5e-3, 1.5e-3, 1000))}
     file = write_csv(tmp_path / "run.csv", columns)
-    import_run(read_run(file), tmp_path / "bag")
+    write_bag(columns, [], file, tmp_path / "bag")
     with pytest.raises(InputError, match=r"bag: is the same recording as .*run.csv"):
         read_runs([file, tmp_path / "bag"])
     other = columns | {"force_N": np.nextafter(columns["force_N"], np.inf)}
@@ -182,3 +182,16 @@ def test_all_measured_data_are_readable(measured: list[Path]) -> None:
         assert np.isfinite(run.velocity).all()
         assert 0.005 < np.abs(run.velocity).max() < 1
     assert len({run.name for run in runs}) == len(measured)
+
+
+def test_files_of_other_programs_are_sent_to_the_import(tmp_path: Path, columns, write_csv) -> None:
+    (tmp_path / "a.csv").write_text("Zeit;Weg;Kraft\n0;1;2\n")
+    with pytest.raises(InputError, match=r"`mrd import` reads tables of other programs\)$"):
+        read_run(tmp_path / "a.csv")
+    (tmp_path / "a.xlsx").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"unknown kind of file; .* \(`mrd import` makes bags of other recordings\)$"):
+        read_run(tmp_path / "a.xlsx")
+    text = write_csv(tmp_path / "b.csv", columns).read_text()
+    (tmp_path / "b.csv").write_text(text.replace("0.001,", "0.001s,", 1))
+    with pytest.raises(InputError, match=r"line 3: time_s is '0.001s', expected a number$"):
+        read_run(tmp_path / "b.csv")

@@ -1,4 +1,4 @@
-"""The tools `info` and `import_csv`."""
+"""The tools `info` and `import`."""
 
 import subprocess
 import sys
@@ -11,8 +11,8 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import make_run, read_run
-from mrd_runs.bag_import import import_run
-from mrd_runs.cli import import_csv, info
+from mrd_runs.bag_import import write_bag
+from mrd_runs.cli import import_, info
 from mrd_runs.summary import count_reversals, summarise
 
 
@@ -27,7 +27,7 @@ def tool(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     def run(name: str, *arguments: object) -> Result:
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
         try:
-            {"import_csv": import_csv.main, "info": info.main}[name]()
+            {"import": import_.main, "info": info.main}[name]()
         except SystemExit as end:
             return Result(int(end.code or 0), *capsys.readouterr())
         return Result(0, *capsys.readouterr())
@@ -36,10 +36,7 @@ def tool(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_executables_run_as_processes(tmp_path: Path) -> None:
-    for name, arguments in (
-        ("import_csv", [tmp_path / "absent.csv", "--output", tmp_path]),
-        ("info", [tmp_path / "absent"]),
-    ):
+    for name, arguments in (("import", [tmp_path / "absent.csv", "--output", tmp_path]), ("info", [tmp_path / "absent"])):
         process = subprocess.run(["ros2", "run", "mrd_runs", name, *map(str, arguments)], capture_output=True, text=True)
         assert (process.returncode, process.stdout, process.stderr.count("\n")) == (2, "", 1)
 
@@ -51,7 +48,7 @@ def test_imported_csv_reads_sample_for_sample(tool, tmp_path: Path, make_columns
     uneven["velocity_mps"] = np.gradient(uneven["position_m"], uneven["time_s"])
     plain = {key: value for key, value in make_columns(990, seed=2).items() if key != "acceleration_mps2"}
     files = [write_csv(tmp_path / "uneven.csv", uneven), write_csv(tmp_path / "plain.csv", plain)]
-    result = tool("import_csv", *files, "--output", tmp_path / "bags")
+    result = tool("import", *files, "--output", tmp_path / "bags")
     assert (result.returncode, result.stderr) == (0, "")
     for file in files:
         there, back = read_run(file), read_run(tmp_path / "bags" / file.stem)
@@ -63,14 +60,14 @@ def test_imported_csv_reads_sample_for_sample(tool, tmp_path: Path, make_columns
 def test_import_overwrites_nothing_and_leaves_no_part_behind(tool, tmp_path: Path, columns, write_csv) -> None:
     good = write_csv(tmp_path / "good.csv", columns)
     (tmp_path / "bad.csv").write_text("time_s\n1\n")
-    result = tool("import_csv", good, tmp_path / "bad.csv", "--output", tmp_path / "bags")
+    result = tool("import", good, tmp_path / "bad.csv", "--output", tmp_path / "bags")
     assert result.returncode == 2
     assert result.stderr.startswith("error: ")
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "bags").exists()
-    assert tool("import_csv", good, "--output", tmp_path / "bags").returncode == 0
+    assert tool("import", good, "--output", tmp_path / "bags").returncode == 0
     before = (tmp_path / "bags/good/good.mcap").read_bytes()
-    again = tool("import_csv", good, "--output", tmp_path / "bags")
+    again = tool("import", good, "--output", tmp_path / "bags")
     assert again.returncode == 2
     assert "exists already" in again.stderr
     assert (tmp_path / "bags/good/good.mcap").read_bytes() == before
@@ -79,38 +76,32 @@ def test_import_overwrites_nothing_and_leaves_no_part_behind(tool, tmp_path: Pat
 @pytest.mark.parametrize("start", [-5.0, 2.0**31 - 0.5, 1e11])
 def test_times_without_a_ros_stamp_are_read_back(tmp_path: Path, columns, write_csv, start: float) -> None:
     file = write_csv(tmp_path / "run.csv", columns | {"time_s": start + columns["time_s"]})
-    import_run(read_run(file), tmp_path / "bags/run")
+    write_bag(columns | {"time_s": start + columns["time_s"]}, [], file, tmp_path / "bags/run")
     np.testing.assert_array_equal(read_run(tmp_path / "bags/run").time, read_run(file).time)
 
 
-@pytest.mark.parametrize("failing", ["format_run_info", "file_format"])
+@pytest.mark.parametrize("failing", ["format_run_info", "_write"])
 def test_failed_import_leaves_nothing_behind(tmp_path: Path, columns, write_csv, monkeypatch, failing: str) -> None:
     def fail(*_: object, **__: object) -> None:
         raise InputError("no")
 
-    run = read_run(write_csv(tmp_path / "run.csv", columns))
     monkeypatch.setattr(f"mrd_runs.bag_import.{failing}", fail)
     with pytest.raises(InputError, match="no"):
-        import_run(run, tmp_path / "new/bags/run")
-    assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
+        write_bag(columns, [], Path("run.csv"), tmp_path / "new/bags/run")
+    assert not list(tmp_path.iterdir())
 
 
 def test_recording_longer_than_stamps_reach(tmp_path: Path, columns, write_csv) -> None:
     columns["time_s"][-1] = 1e11
-    run = read_run(write_csv(tmp_path / "run.csv", columns))
     with pytest.raises(InputError, match=r"run.csv: is 1e\+11 s long"):
-        import_run(run, tmp_path / "bags/run")
+        write_bag(columns, [], Path("run.csv"), tmp_path / "bags/run")
     assert not (tmp_path / "bags").exists()
 
 
-def test_folders_are_not_imported(tool, tmp_path: Path, columns, fill_bag) -> None:
-    fill_bag(tmp_path / "run", columns).close()
-    assert tool("import_csv", tmp_path / "run", "--output", tmp_path / "bags").stderr.endswith(
-        "run: is a bag or a folder; expected a CSV file\n"
-    )
-    assert tool("import_csv", tmp_path, "--output", tmp_path / "bags").stderr.endswith(
-        f"{tmp_path}: is a bag or a folder; expected a CSV file\n"
-    )
+def test_folders_without_a_bag_are_not_imported(tool, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    result = tool("import", tmp_path / "empty", "--output", tmp_path / "bags")
+    assert result.stderr.endswith("empty: is a folder without an .mcap or .db3 file; expected a bag\n")
 
 
 def test_info_shows_the_summary(tool, tmp_path: Path, columns, fill_bag) -> None:

@@ -34,7 +34,7 @@ FAULTS = {
 class DamperConfig:
     """The damper under test."""
 
-    model: str = quantity("bouc_wen", "", "id of a damper model (ros2 run mrd_sim models)")
+    model: str = quantity("bouc_wen", "", "id of a damper model (mrd models)")
     parameters: str = quantity(
         "{yield_force: 80.0, yield_force_per_A: 900.0, yield_travel: 0.000125, viscous: 900.0, viscous_per_A: 2500.0, "
         "stiffness: 1500.0, offset: -45.0}",
@@ -42,9 +42,7 @@ class DamperConfig:
         "YAML text, name: value in SI; those not named keep the model's default",
     )
     laws: str = quantity("", "", "current law of all coefficients, or COEFFICIENT=LAW,...; empty: the model's own")
-    effects: str = quantity(
-        "", "", "YAML text, {effect: {parameter: value}} in SI, of the effects that act (ros2 run mrd_sim effects)"
-    )
+    effects: str = quantity("", "", "YAML text, {effect: {parameter: value}} in SI, of the effects that act (mrd effects)")
     effects_folder: str = quantity("", "", "folder with effects of your own, one a file; empty for none")
     stroke: float = quantity(0.055, "mm", "distance between its ends, where the rod stops", lower=1e-3, upper=1)
 

@@ -490,7 +490,7 @@ def test_lagged_current_follows_an_exponential():
 
 
 def test_wrong_names_and_values_are_one_line():
-    with pytest.raises(InputError, match=r"unknown model bouc_wenn \(known: linear_viscous, bingham"):
+    with pytest.raises(InputError, match=r"unknown model bouc_wenn; did you mean bouc_wen\? \(known: linear"):
         find_model("bouc_wenn")
     with pytest.raises(InputError, match="unknown parameter alpha"):
         find_model("bouc_wen").vector({"alpha": 1.0})

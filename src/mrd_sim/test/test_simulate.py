@@ -198,7 +198,7 @@ def test_the_tool_refuses_bad_input_in_one_line(tmp_path):
     command = ["ros2", "run", "mrd_sim", "simulate", str(experiment), "--output", str(tmp_path / "out.csv")]
     refused = subprocess.run([*command, "--model", "binghm"], capture_output=True, text=True)
     assert refused.returncode == 2
-    assert refused.stderr.startswith("error: unknown model binghm (known: ")
+    assert refused.stderr.startswith("error: unknown model binghm; did you mean bingham? (known: ")
     assert refused.stderr.count("\n") == 1
 
 

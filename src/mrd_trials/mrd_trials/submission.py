@@ -6,11 +6,11 @@ import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_base.version import VERSION
 from mrd_diagnosis import Diagnosis, Interval, diagnose
 from mrd_runs import Run
 from mrd_trials.records import Explanation, GapBin, IntervalEnds, Submission
@@ -48,7 +48,7 @@ def installed_diagnoser(seed: int = 0) -> Diagnoser:
     """Return the diagnoser that is installed here."""
     roots = {name: Path(_origin(name)).parent for name in DIAGNOSIS_PACKAGES}
     code, catalogue = _hash_sources(list(roots.values())), _hash_sources([roots["mrd_sim"] / "effects"])
-    return Diagnoser(version("mrd_diagnosis"), code, catalogue, seed)
+    return Diagnoser(VERSION, code, catalogue, seed)
 
 
 def reserve_folder(diagnoser: Diagnoser, output: Path) -> None:

@@ -8,7 +8,14 @@ from rich.table import Column, Table
 from tqdm import tqdm
 
 from mrd_base import run_tool
-from mrd_identification.cli.options import add_method_arguments, add_run_arguments, read_arguments_runs, read_method
+from mrd_identification.cli.options import (
+    add_anyway,
+    add_method_arguments,
+    add_run_arguments,
+    look_at_runs,
+    read_arguments_runs,
+    read_method,
+)
 from mrd_identification.compare import compare, parse_row
 from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
 from mrd_identification.json_file import make_folder
@@ -26,9 +33,8 @@ def main() -> None:
 def work() -> None:
     """Read the arguments, compare, write the files, print the ranking."""
     parser = argparse.ArgumentParser(
-        prog="compare",
         description="Fit damper models to recordings and rank them by their error on held-out runs; "
-        "writes compare.json, compare.md, compare.html and a folder with fit.json for each model.",
+        "writes compare.json, compare.md, compare.html and a folder with fit.json for each model."
     )
     add_run_arguments(parser)
     parser.add_argument(
@@ -38,10 +44,12 @@ def work() -> None:
         help="models, each optionally with a current law and effects, or +auto for selected ones (default: all)",
     )
     add_method_arguments(parser, one_model=False)
+    add_anyway(parser)
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the results")
     arguments = parser.parse_args()
     method = read_method(arguments)
     runs, held_out = read_arguments_runs(arguments)
+    look_at_runs([*runs, *held_out], arguments.anyway)
     models = arguments.models.split(",")
     make_folder(arguments.output)
     for name in models:

@@ -14,7 +14,7 @@ def main() -> None:
 def work() -> None:
     """Read the arguments, export, print what was written."""
     parser = argparse.ArgumentParser(
-        prog="export", description="Write a fitted model as self-contained C source or as an FMI 2.0 co-simulation FMU."
+        description="Write a fitted model as self-contained C source or as an FMI 2.0 co-simulation FMU."
     )
     parser.add_argument("fit", metavar="FIT.json", help="file that identify wrote")
     parser.add_argument("--output", required=True, metavar="FILE.c|FILE.fmu", help="new file; its ending selects C or FMU")

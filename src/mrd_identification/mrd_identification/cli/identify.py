@@ -7,7 +7,14 @@ import sys
 from tqdm import tqdm
 
 from mrd_base import run_tool
-from mrd_identification.cli.options import add_method_arguments, add_run_arguments, read_arguments_runs, read_method
+from mrd_identification.cli.options import (
+    add_anyway,
+    add_method_arguments,
+    add_run_arguments,
+    look_at_runs,
+    read_arguments_runs,
+    read_method,
+)
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
@@ -23,17 +30,18 @@ def main() -> None:
 def work() -> None:
     """Read the arguments, identify, write the files, print the result."""
     parser = argparse.ArgumentParser(
-        prog="identify",
-        description="Identify a damper model from recordings by NSGA-II and least squares; writes fit.json and fit.html.",
+        description="Identify a damper model from recordings by NSGA-II and least squares; writes fit.json and fit.html."
     )
     add_run_arguments(parser)
     parser.add_argument("--model", required=True, help=f"one of {', '.join(MODELS)}")
     add_method_arguments(parser)
+    add_anyway(parser)
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for fit.json and fit.html")
     arguments = parser.parse_args()
     method = read_method(arguments)
     find_model(arguments.model, method.laws, method.given_effects)
     runs, held_out = read_arguments_runs(arguments)
+    look_at_runs([*runs, *held_out], arguments.anyway)
     folder = make_folder(arguments.output)
     total = method.total_generations
     with tqdm(total=total, desc="identifying", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:

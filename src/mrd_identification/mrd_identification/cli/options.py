@@ -2,16 +2,18 @@
 
 import argparse
 import itertools
+import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import get_args
 
-from mrd_base import InputError
+from mrd_base import FaultError, InputError
 from mrd_identification.low_pass import GRAMMAR, with_force_filter
 from mrd_identification.method import Method, parse_method
 from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
+from mrd_runs.faults import find_faults
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS
 
@@ -48,7 +50,7 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         action="append",
         default=[],
         metavar="EFFECT",
-        help="identify an effect with the model (ros2 run mrd_sim effects lists them); may be repeated; "
+        help="identify an effect with the model (mrd effects lists them); may be repeated; "
         "auto adds effects one after the other while runs that are left out are predicted better",
     )
     add_effects_folder(parser)
@@ -139,3 +141,25 @@ def with_force_filters(runs: Sequence[Run], options: Sequence[str]) -> list[Run]
         for place in places:
             filtered[place] = with_force_filter(filtered[place], word)
     return filtered
+
+
+def add_anyway(parser: argparse.ArgumentParser) -> None:
+    """Add the option that fits recordings although they look faulty."""
+    parser.add_argument(
+        "--anyway", action="store_true", help="fit the runs even if the sign or the unit of their force looks wrong"
+    )
+
+
+def look_at_runs(runs: Sequence[Run], anyway: bool) -> None:
+    """Look at runs before they are fitted.
+
+    Raises
+    ------
+    FaultError
+        When the sign or the unit of their force is wrong, unless they are to be fitted ``anyway``.
+    """
+    faults = find_faults(runs)
+    if faults and not anyway:
+        raise FaultError(f"{'; '.join(faults)}; or fit them as they are with --anyway")
+    for fault in faults:
+        print(f"warning: {fault}", file=sys.stderr)

@@ -8,7 +8,7 @@ from mrd_runs.csv_export import export_csv
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="export_csv", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder, .mcap or .db3 file")
     parser.add_argument("--output", type=Path, metavar="FILE", help="CSV file of the samples; by default beside BAG")
     arguments = parser.parse_args()

@@ -12,7 +12,7 @@ from mrd_runs.summary import summarise
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="info", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap, .db3 or CSV file")
     arguments = parser.parse_args()
     run_tool(lambda: _show(arguments.runs))

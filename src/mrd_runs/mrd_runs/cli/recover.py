@@ -8,7 +8,7 @@ from mrd_runs.recovery import recover_bag, recovered_path
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="recover", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="bag folder, .mcap or .db3 file, in any state")
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="folder for the new bags, NAME_recovered; by default that of each BAG"

@@ -26,7 +26,7 @@ def file_format(path: Path) -> FileFormat:
     for entry in FORMATS:
         if entry.folders if path.is_dir() else path.suffix.lower() in entry.suffixes:
             return entry
-    raise InputError(f"{path}: unknown kind of file; expected {expected}")
+    raise InputError(f"{path}: unknown kind of file; expected {expected} (`mrd import` makes bags of other recordings)")
 
 
 __all__ = ["BAG", "CSV", "FORMATS", "FileFormat", "Recording", "file_format"]

@@ -64,7 +64,10 @@ def samples_topic(bag: Bag, where: str) -> str:
     if not candidates:
         topics = [f"{name} ({topic.message_type})" for name, topic in sorted(bag.topics.items())]
         present = one_line(", ".join(topics)) if topics else "none"
-        raise InputError(f"{where}: holds no topic of type {SAMPLES_TYPE}; topics in it: {present}")
+        raise InputError(
+            f"{where}: holds no topic of type {SAMPLES_TYPE}; topics in it: {present} "
+            "(`mrd import` reads bags of other benches)"
+        )
     named_samples = [name for name in candidates if name.rsplit("/", 1)[-1] == "samples"]
     if len(named_samples or candidates) > 1:
         raise InputError(f"{where}: holds several topics of samples ({one_line(', '.join(candidates))}); expected one")

@@ -22,16 +22,23 @@ _MAY_END_LINE = _ENDS_LINE | np.isin(np.arange(256), list(b"\v\f\x1c\x1d\x1e\x85
 
 def read_csv_file(path: Path) -> Recording:
     """Read a CSV file with the columns `REQUIRED` and any of `OPTIONAL`."""
-    _check_bounds(path)
+    check_bounds(path)
     try:
         table = read_csv(path, REQUIRED, OPTIONAL)
     except InputError as error:  # it may quote the file, which may hold anything
-        raise InputError(printable(str(error))) from None
+        hint = "" if _has_own_header(path) else " (`mrd import` reads tables of other programs)"
+        raise InputError(f"{printable(str(error))}{hint}") from None
     notes = [f"columns ignored: {', '.join(table.ignored)}"] if table.ignored else []
     return Recording(table.columns, {"format": "csv", "notes": notes, "lost": 0, "recovered": False}, table.place)
 
 
-def _check_bounds(path: Path) -> None:
+def _has_own_header(path: Path) -> bool:
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        header = next((line for line in stream if line.strip()), "")
+    return all(name in header for name in REQUIRED)
+
+
+def check_bounds(path: Path) -> None:
     """Refuse a file that would take much more memory than any recording."""
     size = lines = unfinished = 0  # bytes, lines, and bytes of the line that has not ended yet
     try:

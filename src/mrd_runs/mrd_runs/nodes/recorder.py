@@ -286,7 +286,7 @@ class Recorder(BenchNode[RecorderSettings]):
     def close(self) -> None:
         failure = self._close_bag()
         if failure:
-            self.get_logger().error(f"{failure}; `ros2 run mrd_runs recover` completes the bag")
+            self.get_logger().error(f"{failure}; `mrd recover` completes the bag")
         self._ending.set()
         self._wait_over.wake()
         self._request_thread.join()

@@ -64,7 +64,7 @@ class Replay(BenchNode[ReplaySettings]):
     def _load(self) -> list[tuple[int, str, bytes]]:
         """Return the log time, topic and bytes of all messages, in the order of their log times."""
         if self.config.bag.endswith(".csv"):
-            raise InputError(f"{self.config.bag}: is a CSV file, expected a bag; make one with import_csv")
+            raise InputError(f"{self.config.bag}: is a CSV file, expected a bag; make one with `mrd import`")
         bag = read_bag(self.config.bag, self.config.topics)
         streams: list[list[tuple[int, str, bytes]]] = []
         for name in self.config.topics:

@@ -63,6 +63,4 @@ def read_metadata(folder: Path) -> Metadata | None:
     except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(
-            f"{path}: is not the metadata of a bag ({one_line(error)}); `ros2 run mrd_runs recover` makes it anew"
-        ) from None
+        raise InputError(f"{path}: is not the metadata of a bag ({one_line(error)}); `mrd recover` makes it anew") from None

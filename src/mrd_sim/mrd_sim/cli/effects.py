@@ -21,7 +21,7 @@ def main() -> None:
 def work() -> None:
     """Print the catalogue, or one effect with its parameters."""
     parser = argparse.ArgumentParser(
-        prog="effects", description="List the effects that may act with a damper model, or show one with its parameters."
+        description="List the effects that may act with a damper model, or show one with its parameters."
     )
     parser.add_argument("effect", nargs="?", help=f"one of {', '.join(EFFECTS)}")
     add_effects_folder(parser)
@@ -36,7 +36,7 @@ def work() -> None:
     console = Console()
     if chosen is None:
         console.print(table())
-        console.print("One with its parameters: ros2 run mrd_sim effects EFFECT")
+        console.print("One with its parameters: mrd effects EFFECT")
         return
     console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
     for clause in clauses(chosen.equation):

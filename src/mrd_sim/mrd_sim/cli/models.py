@@ -18,7 +18,7 @@ def main() -> None:
 
 def work() -> None:
     """Print the catalogue, or one model with its parameters."""
-    parser = argparse.ArgumentParser(prog="models", description="List the damper models, or show one with its parameters.")
+    parser = argparse.ArgumentParser(description="List the damper models, or show one with its parameters.")
     parser.add_argument("model", nargs="?", help=f"one of {', '.join(MODELS)}")
     parser.add_argument(
         "--markdown", action="store_true", help="print the page of the documentation, or the model's section of it"
@@ -31,7 +31,7 @@ def work() -> None:
     console = Console()
     if model is None:
         console.print(catalogue())
-        console.print("One with its parameters and current laws: ros2 run mrd_sim models MODEL")
+        console.print("One with its parameters and current laws: mrd models MODEL")
         return
     console.print(f"{model.title} ({model.id})", highlight=False, style="bold")
     for clause in clauses(model.equation):

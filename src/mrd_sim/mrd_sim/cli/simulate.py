@@ -48,8 +48,7 @@ def work() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="simulate",
-        description="Simulate a damper along an experiment's setpoints or a recorded motion and current; write a CSV file.",
+        description="Simulate a damper along an experiment's setpoints or a recorded motion and current; write a CSV file."
     )
     parser.add_argument("input", metavar="EXPERIMENT.yaml|RUN", help="experiment, or bag, .mcap, .db3 or CSV")
     damper = parser.add_mutually_exclusive_group(required=True)
@@ -64,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="EFFECT.PARAMETER=VALUE",
-        help="effect that acts with the model (ros2 run mrd_sim effects), in SI; may be repeated",
+        help="effect that acts with the model (mrd effects), in SI; may be repeated",
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
     add_effects_folder(parser)

@@ -5,6 +5,7 @@ from importlib import import_module
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_base.config import unknown_key
 from mrd_sim.effects.effect import STAGES, Effect, Stage
 from mrd_sim.effects.loading import read_effects
 
@@ -57,7 +58,7 @@ def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
     """
     for name in names:
         if name not in EFFECTS:
-            raise InputError(f"unknown effect {name} (known: {', '.join(EFFECTS)})")
+            raise InputError(f"unknown effect {unknown_key(name, EFFECTS)}")
         if list(names).count(name) > 1:
             raise InputError(f"effect {name} is named twice, expected once")
     return tuple(effect for name, effect in EFFECTS.items() if name in names)

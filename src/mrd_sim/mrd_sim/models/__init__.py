@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 
 from mrd_base import InputError
+from mrd_base.config import unknown_key
 from mrd_sim.effects import find_effects
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.model import DamperModel, SeriesSolutions
@@ -42,7 +43,7 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
         For an unknown model, law, coefficient or effect; lists the known ones.
     """
     if name not in MODELS:
-        raise InputError(f"unknown model {name} (known: {', '.join(MODELS)})")
+        raise InputError(f"unknown model {unknown_key(name, MODELS)}")
     model = MODELS[name].with_laws(laws) if laws else MODELS[name]
     return model.with_effects(find_effects(effects)) if effects else model
 

@@ -17,7 +17,7 @@ _MOST_POINTS = 20_000
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="preview", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "experiment",
         nargs="?",

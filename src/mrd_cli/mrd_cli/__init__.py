@@ -1,0 +1,1 @@
+"""The command ``mrd``: all tools that need no ROS, under one name."""

@@ -1,0 +1,59 @@
+"""Identification and comparison look at the recordings before they fit them."""
+
+import sys
+from dataclasses import replace
+
+import pytest
+
+from mrd_identification.cli import compare, identify
+from mrd_runs import read_run
+from mrd_sim.simulate import write_csv
+
+
+@pytest.fixture
+def tool(monkeypatch, capsys, tmp_path):
+    def run(module, *arguments):
+        output = ["--output", str(tmp_path / "out")]
+        monkeypatch.setattr(sys, "argv", ["tool", *arguments, "--population", "8", "--generations", "2", *output])
+        try:
+            module.main()
+        except SystemExit as end:
+            return end.code, *capsys.readouterr()
+        return 0, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def flipped(recorded, tmp_path):
+    """The recorded runs with the sign of the force turned."""
+    paths = []
+    for path in recorded:
+        run = read_run(path)
+        paths.append(str(tmp_path / f"{run.name}_flipped.csv"))
+        write_csv(replace(run, force=-run.force), paths[-1])
+    return paths
+
+
+@pytest.mark.parametrize(("module", "models"), [(identify, ["--model", "bingham"]), (compare, ["--models", "bingham"])])
+def test_a_wrong_sign_is_one_line_before_any_fit(tool, flipped, tmp_path, module, models):
+    code, text, error = tool(module, *flipped, *models)
+    assert (code, text, error.count("\n")) == (3, "", 1)
+    assert error.startswith("error: all 3 runs: the damper drives the rod, expected that it resists: ")
+    assert error.endswith("or fit them as they are with --anyway\n")
+    assert not list(tmp_path.glob("out/**/fit.json"))
+
+
+def test_a_wrong_sign_can_be_fitted_anyway(tool, flipped, tmp_path):
+    code, _, error = tool(identify, *flipped, "--model", "bingham", "--anyway", "--no-profile")
+    assert code == 0
+    assert error.startswith("warning: all 3 runs: the damper drives the rod")
+    assert (tmp_path / "out/fit.json").exists()
+
+
+def test_kilonewtons_are_named(tool, recorded, tmp_path):
+    run = read_run(recorded[0])
+    write_csv(replace(run, force=1e-3 * run.force), str(tmp_path / "kilo.csv"))
+    code, _, error = tool(identify, str(tmp_path / "kilo.csv"), "--model", "bingham")
+    assert (code, error.count("\n")) == (3, 1)
+    assert "kilo: the force spans less than 5 N while the rod moves: is it in kN or V?" in error

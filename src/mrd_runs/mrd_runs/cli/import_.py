@@ -1,0 +1,117 @@
+"""Make bags of recordings of other benches and programs, in SI units."""
+
+import argparse
+import shutil
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from mrd_base import InputError, run_tool
+from mrd_runs import make_run
+from mrd_runs.bag_import import bag_folder, write_bag
+from mrd_runs.faults import find_faults
+from mrd_runs.importing import Mapped, read_foreign
+from mrd_runs.importing.units import COLUMNS, check_quantity
+from mrd_runs.read import checksum, unique_name
+
+
+def main() -> None:
+    """Entry point of ``mrd import``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Read the arguments, and make a bag of each file; no bag is left when one of them cannot be made."""
+    arguments = _parser().parse_args()
+    mapped = Mapped(
+        _pairs(arguments.map, "--map"),
+        _pairs(arguments.topics, "--topics"),
+        _pairs(arguments.units, "--units"),
+        tuple(check_quantity(name, "--flip") for name in arguments.flip),
+        arguments.current,
+        arguments.rate,
+    )
+    if mapped.rate is not None and not 0 < mapped.rate < 1e7:
+        raise InputError(f"--rate is {mapped.rate:g}, expected a sample rate in Hz")
+    written: list[Path] = []
+    new = [folder for folder in (arguments.output, *arguments.output.parents) if not folder.exists()]
+    try:
+        _import(arguments.files, mapped, arguments.output, written)
+    except BaseException:
+        for path in written:
+            shutil.rmtree(path, ignore_errors=True)
+        with suppress(OSError):  # a folder that holds something else stays
+            for folder in new:
+                folder.rmdir()
+        raise
+
+
+def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[Path]) -> None:
+    known: dict[str, Path] = {}
+    names: set[str] = set()
+    for file in files:
+        recording = read_foreign(file, mapped)
+        digest = checksum(recording.columns)
+        if digest in known:
+            raise InputError(f"{file}: is the same recording as {known[digest]}; give each recording once")
+        name = unique_name(file.resolve().name if file.is_dir() else file.stem, file, names)
+        run = make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
+        path = bag_folder(name, output)
+        written.append(path)
+        write_bag(recording.columns, run.info["notes"], file, path)
+        known[digest] = file
+        names.add(name)
+        print(f"{path}: {len(run)} samples, {run.duration:.6g} s at {run.rate:.6g} Hz")
+        for note in run.info["notes"]:
+            print(f"  {note}")
+        for fault in find_faults([run]):
+            print(f"warning: {fault}", file=sys.stderr)
+
+
+def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
+    """Return QUANTITY=TEXT arguments as a mapping."""
+    pairs = {}
+    for text in texts:
+        quantity, sign, value = text.partition("=")
+        if not (sign and value):
+            raise InputError(f"{option}: {text} is no pair, expected QUANTITY=... with one of {', '.join(COLUMNS)}")
+        if check_quantity(quantity, option) in pairs:
+            raise InputError(f"{option}: {quantity} is given twice, expected once")
+        pairs[quantity] = value
+    return pairs
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="Delimiter, decimal sign, lines above the table, names and units of columns are found where the "
+        "file tells them; else the answer is a mapping to start from. docs/own_data.md explains more.",
+    )
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="text of any dialect, .xlsx, .mat, .h5, .tdms; a bag folder, .mcap or .db3",
+    )
+    parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the bags")
+    parser.add_argument(
+        "--map", nargs="+", default=[], metavar="QUANTITY=COLUMN", help=f"columns by their names: {', '.join(COLUMNS)}"
+    )
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="QUANTITY=/TOPIC.FIELD", help="numbers in the messages of a bag"
+    )
+    parser.add_argument(
+        "--units", nargs="+", default=[], metavar="QUANTITY=UNIT", help='or what one unit of the file is: force="200 N"'
+    )
+    parser.add_argument(
+        "--flip", nargs="+", default=[], metavar="QUANTITY", help="turn the sign; force > 0 resists extension"
+    )
+    parser.add_argument("--current", type=float, metavar="A", help="constant coil current, where there is none")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of files without time; resample a bag to it")
+    return parser
+
+
+if __name__ == "__main__":
+    main()

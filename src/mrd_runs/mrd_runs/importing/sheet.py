@@ -1,0 +1,104 @@
+"""Tables in Excel workbooks."""
+
+import datetime
+import zipfile
+from array import array
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_runs.importing.extras import load_extra
+from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, locate_table
+from mrd_runs.text import one_line
+
+Array = NDArray[np.float64]
+
+_MOST_COLUMNS = 256
+_LARGEST_PART = 2**30  # bytes of a part of the workbook when unpacked
+
+
+def read_sheet_table(path: Path) -> Table:
+    """Find the sheet of a workbook that holds the longest table of numbers.
+
+    Raises
+    ------
+    InputError
+        When openpyxl is not installed, or the file is no workbook, or holds no rows of numbers.
+    """
+    openpyxl = load_extra("openpyxl", "openpyxl", "xlsx", path)
+    try:
+        with zipfile.ZipFile(path) as parts:
+            largest = max((part.file_size for part in parts.infolist()), default=0)
+        if largest > _LARGEST_PART:
+            raise InputError(f"{path}: unpacks to more than {_LARGEST_PART >> 20} MiB; export it as text")
+        workbook = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        tables = {name: _locate(workbook[name]) for name in (sheet.title for sheet in workbook.worksheets)}
+    except InputError:
+        raise
+    except Exception as error:  # openpyxl and the parsers below it raise many kinds
+        raise InputError(f"{path}: cannot be read as an Excel workbook ({one_line(error)})") from None
+    found = {name: table for name, table in tables.items() if table}
+    if not found:
+        raise InputError(f"{path}: none of its sheets holds rows of at least two numbers; expected a table of samples")
+    name = max(found, key=lambda key: found[key].rows)
+    table = found[name]
+    return Table(
+        table.columns,
+        lambda names: _read_columns(workbook[name], table, names, path),
+        f"sheet {one_line(name)}, numbers from row {table.first + 1}",
+        lambda index: f"row {next(islice(_numbered(workbook[name], table), index, None))[0]}",
+    )
+
+
+def _rows(sheet: Any) -> Iterator[list[Cell]]:
+    sheet.reset_dimensions()  # some writers state too small a size
+    for row in sheet.iter_rows(max_col=_MOST_COLUMNS, values_only=True):
+        yield [_cell(value) for value in row]
+
+
+def _locate(sheet: Any) -> Located | None:
+    rows = list(islice(_rows(sheet), LONGEST_HEAD))
+    width = max((len(row) for row in rows), default=0)
+    rows = [row + [None] * (width - len(row)) for row in rows]
+    return locate_table(rows, lambda index, _: rows[index])
+
+
+def _numbered(sheet: Any, table: Located) -> Iterator[tuple[int, list[Cell]]]:
+    """Yield number and cells of each row of the table that is not blank."""
+    for number, row in enumerate(_rows(sheet), 1):
+        if number > table.first and any(cell is not None for cell in row):
+            yield number, row
+
+
+def _read_columns(sheet: Any, table: Located, names: Sequence[str], path: Path) -> dict[str, Array]:
+    indices = [[column.name for column in table.columns].index(name) for name in names]
+    values = array("d")
+    for number, row in _numbered(sheet, table):
+        for name, index in zip(names, indices, strict=True):
+            cell = row[index] if index < len(row) else None
+            if not isinstance(cell, float):
+                found = "nothing" if cell is None else one_line(repr(cell))
+                raise InputError(f"{path}: row {number}: {one_line(name)} is {found}, expected a number")
+            values.append(cell)
+    numbers = np.frombuffer(values).reshape(-1, len(names))
+    return {name: numbers[:, i].copy() for i, name in enumerate(names)}
+
+
+def _cell(value: object) -> Cell:
+    """Return a cell as a number, a text, or None; times as seconds."""
+    if isinstance(value, bool) or value is None:
+        return None
+    if isinstance(value, int | float):
+        return float(value)
+    if isinstance(value, datetime.timedelta):
+        return value.total_seconds()
+    if isinstance(value, datetime.datetime):
+        return value.replace(tzinfo=datetime.UTC).timestamp()
+    if isinstance(value, datetime.time):
+        return value.hour * 3600 + value.minute * 60 + value.second + 1e-6 * value.microsecond
+    return str(value).strip() or None

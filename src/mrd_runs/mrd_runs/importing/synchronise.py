@@ -1,0 +1,110 @@
+"""Series that were recorded each on its own time, put onto one."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+
+Array = NDArray[np.float64]
+Series = tuple[Array, Array]
+
+_MOTION = ("position", "velocity", "acceleration", "force")
+_SLOW = 3.0
+"""Intervals of the common time within one of a series, from which that series is held: it is that of a command."""
+_MOST_SAMPLES = 10**7
+
+
+def synchronise(series: Mapping[str, Series], rate: float | None, where: str) -> tuple[dict[str, Array], list[str]]:
+    """Put series onto the time that all of them cover.
+
+    The samples are those of the slowest of position, velocity, acceleration and force, so that none of them gets values that
+    nobody measured; or evenly spaced ones, where a rate is given. A series that is faster is averaged between the midpoints
+    of the samples: interpolation would alias its noise. One that is as fast is interpolated linearly. A current or a
+    temperature that is much slower keeps its last value.
+
+    Parameters
+    ----------
+    series : mapping of str to (ndarray (m,), ndarray (m,))
+        Increasing times in s, and values, by quantity.
+    rate : float, optional
+        In Hz.
+    where : str
+        Prefix of error messages.
+
+    Returns
+    -------
+    columns : dict of str to ndarray (n,)
+        By quantity, with ``time``, which begins at 0.
+    notes : list of str
+        What was done with each series.
+
+    Raises
+    ------
+    InputError
+        When the series have no time in common.
+    """
+    intervals = {name: float(np.median(np.diff(time))) if len(time) > 1 else np.inf for name, (time, _) in series.items()}
+    slowest = max((name for name in _MOTION if name in series), key=intervals.__getitem__)
+    moving = [series[name][0] for name in _MOTION if name in series]
+    begin, end = max(time[0] for time in moving), min(time[-1] for time in moving)
+    if not begin < end:
+        spans = ", ".join(f"{name} {time[0] - begin:.6g} to {time[-1] - begin:.6g} s" for name, (time, _) in series.items())
+        raise InputError(f"{where}: the topics have no time in common ({spans}); expected one recording of all")
+    if rate is not None:
+        if (end - begin) * rate > _MOST_SAMPLES:
+            raise InputError(f"{where}: {end - begin:.6g} s at {rate:g} Hz are more than {_MOST_SAMPLES} samples")
+        common = begin + np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
+        origin = f"at {rate:g} Hz, evenly spaced"
+    else:
+        common = series[slowest][0]
+        common = common[(common >= begin) & (common <= end)]
+        origin = f"those of the {slowest}, {1 / intervals[slowest]:.4g} Hz, the slowest of motion and force"
+    if len(common) < 2:
+        raise InputError(f"{where}: the topics have {len(common)} samples in common; expected one recording of all")
+    step = float(np.median(np.diff(common)))
+    columns, notes = {"time": common - common[0]}, []
+    done: dict[str, list[str]] = {}
+    for name, (time, values) in series.items():
+        if len(time) == len(common) and np.array_equal(time, common):
+            columns[name] = values
+            continue
+        if name not in _MOTION and intervals[name] > _SLOW * step:
+            columns[name], how = _held(time, values, common), "keeps its last value"
+        elif intervals[name] < step / 1.5:
+            columns[name], how = _averaged(time, values, common), "is averaged between them"
+        else:
+            columns[name], how = np.interp(common, time, values), "is interpolated linearly"
+        done.setdefault(how, []).append(name)
+    notes = [f"the samples are {origin}" + "".join(f"; {' and '.join(names)} {how}" for how, names in done.items())]
+    gap = float(np.diff(common).max())
+    if gap > 5 * step:
+        notes.append(f"the longest gap between two samples is {gap:.3g} s, {gap / step:.0f} times the usual one")
+    return columns, notes if done or rate is not None or gap > 5 * step else []
+
+
+def _held(time: Array, values: Array, common: Array) -> Array:
+    return np.asarray(values[np.maximum(np.searchsorted(time, common, "right") - 1, 0)])
+
+
+def _averaged(time: Array, values: Array, common: Array) -> Array:
+    """Average a series, linear between its samples, from midpoint to midpoint of the common time."""
+    edges = np.concatenate([common[:1], 0.5 * (common[1:] + common[:-1]), common[-1:]])
+    integral = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
+    # Between two samples the integral is a parabola.
+    index = np.clip(np.searchsorted(time, edges, "right") - 1, 0, len(time) - 2)
+    since = edges - time[index]
+    slope = (values[index + 1] - values[index]) / (time[index + 1] - time[index])
+    at_edges = integral[index] + since * (values[index] + 0.5 * slope * since)
+    return np.asarray(np.diff(at_edges) / np.diff(edges))
+
+
+def increasing(time: Array, values: Sequence[float] | Array) -> tuple[Array, Array, int]:
+    """Sort a series by its time and drop samples of equal time; return how many were out of order or dropped, as well."""
+    values = np.asarray(values, np.float64)
+    wrong = int(np.count_nonzero(np.diff(time) <= 0))
+    if wrong:
+        time, first = np.unique(time, return_index=True)
+        values = values[first]
+    return time, values, wrong
