@@ -9,7 +9,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -152,7 +152,7 @@ class BarrierClock(BenchClock):
     def join(
         self,
         publishers: Mapping[str, Callable[[], int]] | None = None,
-        subscriptions: Mapping[str, tuple[Inbox, Callable[[], int]]] | None = None,
+        subscriptions: Sequence[tuple[str, Inbox, Callable[[], int]]] = (),
         *,
         share_core: bool = False,
     ) -> None:
@@ -162,22 +162,21 @@ class BarrierClock(BenchClock):
         ----------
         publishers : mapping
             Channels on which the process sends, each with a callable that counts those who receive.
-        subscriptions : mapping
-            Channels on which it receives, each with its inbox and a callable that counts those who send.
+        subscriptions : sequence
+            Channels on which it receives, each with an inbox and a callable that counts those who send.
         share_core : bool
             Whether the process moves to the processor core of the other nodes once time begins. They mostly work one after
             the other, and to wake a process on another core takes longer than most of their work.
         """
         self._share_core = share_core
-        subscriptions = subscriptions or {}
         with self._lock:
             self._count_of_subscribers = publishers or {}
-            self._count_of_publishers = {channel: count for channel, (_, count) in subscriptions.items()}
-            self._inboxes = [inbox for inbox, _ in subscriptions.values()]
+            self._count_of_publishers = {channel: count for channel, _, count in subscriptions}
+            self._inboxes = [inbox for _, inbox, _ in subscriptions]
             self._seen = [0] * len(self._inboxes)
             for channel in self._count_of_subscribers:
                 self._index(channel)
-            hello = {"name": self._name, "sends": self._channels, "receives": list(subscriptions)}
+            hello = {"name": self._name, "sends": self._channels, "receives": [channel for channel, _, _ in subscriptions]}
             self._send(Packet.HELLO + json.dumps(hello).encode())
             self._changed.update(range(len(self._sent)))
             self.release()

@@ -154,7 +154,7 @@ def test_time_stands_until_messages_have_been_processed_in_the_order_of_the_inst
     inbox = Inbox(lambda sent: received.append((sent, receiver.now())), delay=0.02)
     timer = sender.timer(0.05, lambda: inbox.send(sender, sender.now()))
     sender.join({"channel": lambda: 1})
-    receiver.join(None, {"channel": (inbox, lambda: 1)})
+    receiver.join(None, [("channel", inbox, lambda: 1)])
     until(lambda: len(received) >= 20)
     timer.cancel()
     assert [sent for sent, _ in received[:20]] == pytest.approx([0.05 * k for k in range(1, 21)])
