@@ -198,7 +198,7 @@ def test_what_cannot_be_done_refuses_the_experiment(peers: FakePeers, broken: di
 
 
 def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
-    assert peers.supervisor.control() == "the rod follows the topic setpoint"
+    assert peers.supervisor.control() == f"the rod follows setpoints that carry lease {peers.supervisor.mode.lease}"
     assert peers.supervisor.mode.current is Mode.CONTROL
     assert peers.servo.enabled
     assert run(peers).message == "the bench is in mode control (control); call stop first"
