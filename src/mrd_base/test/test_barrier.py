@@ -244,6 +244,27 @@ def test_a_dead_participant_is_named_and_time_goes_on_without_it(make_bench, end
         other.communicate()
 
 
+def test_a_participant_that_was_left_behind_follows_the_time_of_the_bench(make_bench):
+    bench = make_bench("one", "other", pace=50.0)
+    one = bench.clock("one")
+    program = OTHER + "    print(clock.now(), flush=True)\n"
+    other = subprocess.Popen([sys.executable, "-c", program, str(bench.path)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout.readline() == "joined\n"
+        other.send_signal(signal.SIGSTOP)
+        until(lambda: bench.reports, timeout=5.0)
+        now = one.now()
+        until(lambda: one.now() > now + 20.0)
+        other.send_signal(signal.SIGCONT)
+        begin, deadline = one.now(), time.monotonic() + 10.0
+        while float(other.stdout.readline()) < begin + 100.0:
+            assert time.monotonic() < deadline
+        assert one.now() > begin + 100.0
+    finally:
+        other.kill()
+        other.communicate()
+
+
 def test_without_an_owner_time_goes_on_as_on_the_wall_so_that_watchdogs_act(make_bench):
     bench = make_bench("one")
     one = bench.clock("one", join=False)
