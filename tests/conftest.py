@@ -101,7 +101,7 @@ class WholeBench:
         return max(stamps, default=begun) - begun
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def whole_bench() -> type[WholeBench]:
     """A bench that the test starts itself."""
     return WholeBench
