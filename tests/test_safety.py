@@ -68,10 +68,17 @@ def reset(bench: Any) -> None:
 def publish(bench: Any, qos: QoSProfile) -> None:
     """Press the button as any client does, once ROS has connected it."""
     publisher = bench.client.node.create_publisher(Bool, "emergency_stop", qos)
-    # Servo, DAQ, generator and supervisor.
-    assert bench.client.spin(lambda: publisher.get_subscription_count() >= 4, 10), "nobody hears this publisher"
+    # Servo, DAQ, generator and supervisor subscribe reliably and best effort, the recorder reliably.
+    heard = 4 if qos is SENSOR else 9
+    assert bench.client.spin(lambda: publisher.get_subscription_count() == heard, 10), "not everybody hears this publisher"
     bench.pressed = bench.clock.now()
-    publisher.publish(Bool(data=True))
+    # The nodes may not know a new publisher yet. To one that sends best effort, nobody says what was lost.
+    for _ in range(10 if qos is SENSOR else 1):
+        publisher.publish(Bool(data=True))
+        bench.client.spin(lambda: False, 0.02)
+    # As long as `ros2 topic pub --once` stays.
+    bench.client.spin(lambda: False, 0.1)
+    bench.client.node.destroy_publisher(publisher)
 
 
 # Watchdogs
@@ -148,10 +155,10 @@ def test_the_tool_stops_everything_at_once_when_a_node_dies(victim: str, tmp_pat
         assert time.monotonic() - begin < 20
     assert tool.returncode == 1
     assert f"error: {victim} ended with status -9" in errors
-    # What braked the rod is recorded.
     run = read_run(tmp_path / "out/bag")
-    last = run.position[run.time > run.time[-1] - 0.1]
-    assert np.ptp(last.reshape(-1)[: len(last) // 10 * 10].reshape(-1, 10).mean(axis=1)) < 2e-4
+    if victim != "daq":  # the rest of the braking is recorded, too
+        last = run.position[-100:].reshape(-1, 10).mean(axis=1)
+        assert np.ptp(last) < 2e-4
 
 
 # The emergency stop

@@ -25,6 +25,8 @@ LINE = "motor line"
 _START_TIMEOUT = 180.0
 # Wall time in s after which an announced message counts as lost.
 _LOST_AFTER = 10.0
+# The same where its number has come already: either it came early, or that was a message of somebody else on the channel.
+_STRANGER_WAIT = 0.01
 # Wall time in s for ROS to match publishers and subscriptions of a new participant.
 _MATCHING_TIMEOUT = 30.0
 # Wall time in s between two looks for messages of others than participants.
@@ -371,12 +373,16 @@ class BarrierClock(BenchClock):
                 timer.callback()
 
     def _receive(self, index: int, last: int) -> None:
-        """Process the messages of a channel up to a number."""
-        begin = time.monotonic()
-        while self._seen[index] < last:
+        """Process the messages of a channel up to a number, and at least the one that was announced."""
+        begin, taken = time.monotonic(), False
+        while self._seen[index] < last or not taken:
             if self._take(index, last):
+                taken = True
                 continue
-            if time.monotonic() - begin > _LOST_AFTER:
+            waited = time.monotonic() - begin
+            if self._seen[index] >= last and waited > _STRANGER_WAIT:
+                return
+            if waited > _LOST_AFTER:
                 self.on_loss(f"{last - self._seen[index]} announced messages did not come within {_LOST_AFTER:g} s")
                 self._seen[index] = last
                 return

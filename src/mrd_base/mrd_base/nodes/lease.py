@@ -7,24 +7,21 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from mrd_base.lease import Lease, LeaseWatch, Mode
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, BenchNode, seconds
+from mrd_base.nodes.bench_node import COMMAND, BenchNode, seconds
 from mrd_interfaces import msg
 
 # Bench time in s between two looks at the age of the lease.
 _CHECK_PERIOD = 0.01
 # Bench time in s between two warnings of refused setpoints.
 _WARNING_PERIOD = 1.0
-# Together, these hear every publisher as reliably as it sends; latched messages also when they were sent before.
-_ANY_PUBLISHER = (
-    LATCHED,
-    QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE),
-    QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE),
-)
+# Who subscribes reliably hears reliable publishers, latched or not, without loss; but never those that send best effort.
+RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+_BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
 def hear_emergency_stop(node: BenchNode[Any], callback: Callable[[Bool], None]) -> None:
-    """Hear ``emergency_stop`` from every publisher, whatever its quality of service; a message comes up to three times."""
-    for qos in _ANY_PUBLISHER:
+    """Hear ``emergency_stop`` from every publisher, whatever its quality of service; a message may come twice."""
+    for qos in (RELIABLE, _BEST_EFFORT):
         node.create_subscription(Bool, "emergency_stop", callback, qos)
 
 

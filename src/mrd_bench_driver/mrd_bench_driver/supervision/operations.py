@@ -128,8 +128,9 @@ class BenchOperations:
     # Conditions
 
     def require_ready(self) -> None:
-        """Wait until all nodes are present; refuse unless the bench is idle."""
+        """Wait until all nodes are present and know that the bench is idle; refuse unless it is."""
         self._mode.require_idle()
+        self._clock.sleep(_LEASE_DELAY)
         self._peers.require(("servo", "daq", "generator", "recorder"), self._config.discovery_timeout, self._interruption)
 
     def require_ready_to_move(self) -> None:
@@ -165,12 +166,11 @@ class BenchOperations:
 
     def load(self, experiment: str) -> LoadedExperiment:
         """Let the generator plan an experiment. Nothing moves."""
+        loads = self._monitor.loads
         response = self._call("load_experiment", _PLANNING_TIMEOUT, experiment=experiment)
         # The state of an earlier experiment must not be taken for the state of this one.
-        self._wait_until(
-            lambda: self._monitor.experiment_state == "loaded", _EFFECT_TIMEOUT, "generator: did not announce `loaded`"
-        )
-        self._loads = self._monitor.loads
+        self._wait_until(lambda: self._monitor.loads > loads, _EFFECT_TIMEOUT, "generator: did not announce `loaded`")
+        self._loads = loads + 1
         return LoadedExperiment(response.duration, response.rate)
 
     def start_experiment(self) -> None:
@@ -208,7 +208,6 @@ class BenchOperations:
     def _require_undisturbed(self, begin: float) -> None:
         servo = self._servo()
         if servo.time > begin and not servo.enabled:
-            self._interruption()  # a trip is the better reason
             raise RefusedError(
                 f"servo: somebody stopped the rod during the run ({servo.message or 'by servo/stop or /enable'})"
             )
@@ -335,6 +334,7 @@ class BenchOperations:
 
     def reset_faults(self) -> None:
         """Reset servo and DAQ once their data are healthy and the rod stands."""
+        self._clock.sleep(_LEASE_DELAY)
         trip = self._first_trip(RESET_INTERLOCKS)
         if trip is not None and trip.interlock == STALE_SAMPLES:
             # The reset restarts a converter that failed.

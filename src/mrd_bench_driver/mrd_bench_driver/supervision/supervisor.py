@@ -231,6 +231,9 @@ class Supervisor:
             outcome = run_experiment(bench, request, progress)
         finally:
             self.mode.leave("the experiment ended")
+        # A stop may have reached another node first, whose end of the run was noticed before its reason.
+        if self.mode.current is Mode.FAULT and self.mode.reason not in outcome.message:
+            outcome = dataclasses.replace(outcome, success=False, message=f"{self.mode.reason}; {outcome.message}")
         # An interlock names what fell silent. Whether only the machine was too slow, it cannot know.
         problem = self._punctuality.problem()
         return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome

@@ -12,12 +12,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool
 
 from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
-from mrd_base.nodes.lease import LeaseFollower
+from mrd_base.nodes.lease import RELIABLE, LeaseFollower
 from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, free_space
@@ -75,7 +76,7 @@ class Recorder(BenchNode[RecorderSettings]):
         self._record("setpoint", Setpoint)
         self._calibration = self._record("calibration", Calibration, latched=True)
         self._record("bench_state", BenchState, latched=True)
-        self._record("emergency_stop", Bool, latched=True)
+        self._record("emergency_stop", Bool, latched=True, qos=RELIABLE)
         self._run_info = self.resolve_topic_name("run_info")
         self.create_timer(FLUSH_PERIOD, self._flush)
         self._publish_state("idle")
@@ -89,7 +90,7 @@ class Recorder(BenchNode[RecorderSettings]):
         self._request_thread = threading.Thread(target=self._serve_requests, name="requests", daemon=True)
         self._request_thread.start()
 
-    def _record(self, name: str, message_type: Any, latched: bool = False) -> str:
+    def _record(self, name: str, message_type: Any, latched: bool = False, qos: QoSProfile | None = None) -> str:
         """Subscribe to a topic, as serialised bytes, and return its full name."""
 
         def on_message(cdr: bytes) -> None:
@@ -98,7 +99,8 @@ class Recorder(BenchNode[RecorderSettings]):
                     self._latched[topic] = cdr
                 self._write(topic, cdr)
 
-        subscription = self.create_subscription(message_type, name, on_message, LATCHED if latched else RECORDED, raw=True)
+        qos = qos or (LATCHED if latched else RECORDED)
+        subscription = self.create_subscription(message_type, name, on_message, qos, raw=True)
         topic: str = subscription.topic_name
         self._types[topic] = (type_name(message_type), latched)
         return topic
