@@ -209,7 +209,7 @@ class BenchOperations:
         servo = self._servo()
         if servo.time > begin and not servo.enabled:
             raise RefusedError(
-                f"servo: somebody stopped the rod during the run ({servo.message or 'by servo/stop or /enable'})"
+                f"servo: somebody stopped the rod during the run ({servo.message or 'by servo/stop or servo/enable'})"
             )
         if abs(self._monitor.sample_period * self._rate - 1) > 1e-6:
             raise RefusedError(f"daq: somebody changed the sample rate to {1 / self._monitor.sample_period:g} Hz")
