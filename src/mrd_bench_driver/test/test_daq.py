@@ -281,6 +281,18 @@ def test_the_coil_is_off_when_the_supervisor_falls_silent(terminals: Terminals) 
     assert "the supervisor test has been silent for " in graph.log("daq")
 
 
+def test_a_lease_of_nonsense_ends_nothing(terminals: Terminals) -> None:
+    graph = terminals.graph
+    terminals.drive(0.5, 2.5)
+    stranger = graph.node.create_publisher(Lease, "lease", COMMAND)
+    graph.until(stranger.get_subscription_count)
+    for mode in (5, 255):
+        stranger.publish(Lease(holder="nobody", mode=mode, since=float("nan"), number=2**64 - 1))
+    graph.during(0.2)
+    assert "a lease of nobody is refused: its mode is 5, expected 0 to 4" in graph.log("daq")
+    terminals.drive(0.5, 2.5)
+
+
 def test_a_button_at_the_daq_works_without_anybody_else(terminals: Terminals) -> None:
     graph = terminals.graph
     states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)

@@ -637,14 +637,16 @@ def test_node_homes_follows_and_lets_go(fake):
         setpoints = node.create_publisher(msg.Setpoint, "setpoint", COMMAND)
         stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         leases = node.create_publisher(msg.Lease, "lease", COMMAND)
-        mode = msg.BenchState.IDLE
+        mode: int | None = msg.BenchState.IDLE
 
         def renew() -> None:
+            if mode is None:
+                return
             number = 7 if mode == msg.BenchState.IDENTIFICATION else 0
             leases.publish(stamped(msg.Lease, holder="test", mode=mode, number=number))
 
-        def enter(new: int) -> None:
-            """Change the mode of the bench, and let the servo hear it."""
+        def enter(new: int | None) -> None:
+            """Change the mode of the bench, and let the servo hear it; None renews the lease no more."""
             nonlocal mode
             mode = new
             until = time.monotonic() + 0.1
@@ -713,6 +715,12 @@ def test_node_homes_follows_and_lets_go(fake):
         # A stop ends the lease: nobody goes on with it as if nothing had happened.
         assert call(Trigger, "servo/stop").success
         assert call(SetBool, "servo/enable", data=True).message.startswith("a stop has ended the lease")
+        # Without a supervisor, the servo stops by itself, and latches.
+        enter(None)
+        spin(lambda: states[-1].stopped)
+        assert states[-1].message.startswith("the supervisor test has been silent for 1")
+        enter(msg.BenchState.IDENTIFICATION)
+        assert "latched (the supervisor test has been silent" in call(SetBool, "servo/enable", data=True).message
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=5) == 0
         assert fake.motor.log[-2:] == ["X", "OFF"]

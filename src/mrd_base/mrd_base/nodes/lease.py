@@ -45,6 +45,9 @@ class LeaseFollower(LeaseWatch):
         node.create_bench_timer(_CHECK_PERIOD, self.check)
 
     def _on_lease(self, message: msg.Lease) -> None:
+        if message.mode not in list(Mode):
+            self._warn(f"a lease of {message.holder} is refused: its mode is {message.mode}, expected 0 to {max(Mode)}")
+            return
         self.check()  # a new supervisor must not hide the loss of the one before
         before = self.lease.mode
         lease = Lease(seconds(message.header.stamp), message.holder, message.since, Mode(message.mode), int(message.number))
