@@ -719,8 +719,8 @@ def test_node_homes_follows_and_lets_go(fake):
         enter(None)
         spin(lambda: states[-1].stopped)
         assert states[-1].message.startswith("the supervisor test has been silent for 1")
-        enter(msg.BenchState.IDENTIFICATION)
-        assert "latched (the supervisor test has been silent" in call(SetBool, "servo/enable", data=True).message
+        enter(msg.BenchState.HOMING)
+        assert "latched (the supervisor test has been silent" in call(Trigger, "servo/home").message
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=5) == 0
         assert fake.motor.log[-2:] == ["X", "OFF"]

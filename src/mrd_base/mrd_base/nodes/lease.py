@@ -46,7 +46,7 @@ class LeaseFollower(LeaseWatch):
 
     def _on_lease(self, message: msg.Lease) -> None:
         if message.mode not in list(Mode):
-            self._warn(f"a lease of {message.holder} is refused: its mode is {message.mode}, expected 0 to {max(Mode)}")
+            self._warn(f"a lease of {message.holder} is refused: its mode is {message.mode}, expected 0 to {int(max(Mode))}")
             return
         self.check()  # a new supervisor must not hide the loss of the one before
         before = self.lease.mode
