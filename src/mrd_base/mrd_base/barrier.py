@@ -154,12 +154,13 @@ class Barrier:
 
     def close(self) -> None:
         """Release the participants, for whom time goes on as on the wall."""
+        # The file of the time is the first to go: by its lock, participants tell that the owner has ended.
+        time_file(self._path).unlink(missing_ok=True)
+        self._time_file.close()
         for connection in [*(participant.connection for participant in self._participants.values()), self._listener]:
             connection.close()
         self._selector.close()
-        for file in (self._path, time_file(self._path)):
-            file.unlink(missing_ok=True)
-        self._time_file.close()
+        self._path.unlink(missing_ok=True)
 
     # Packets
 

@@ -1,6 +1,7 @@
 """The clock of a process that takes part in a simulated bench (docs/simulated_bench.md)."""
 
 import contextlib
+import fcntl
 import json
 import math
 import mmap
@@ -9,7 +10,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,10 +25,14 @@ LINE = "motor line"
 _START_TIMEOUT = 180.0
 # Wall time in s after which an announced message counts as lost.
 _LOST_AFTER = 10.0
+# The same where its number has come already: either it came early, or that was a message of somebody else on the channel.
+_STRANGER_WAIT = 0.01
 # Wall time in s for ROS to match publishers and subscriptions of a new participant.
 _MATCHING_TIMEOUT = 30.0
 # Wall time in s between two looks for messages of others than participants.
 _OUTSIDERS_INTERVAL = 0.05
+# Wall time in s in which an owner that ends has closed all of its files.
+_END_OF_OWNER = 0.05
 # Bench times in s that differ by less are one instant: a double holds the time since 1970 to 0.2 us only.
 INSTANT = 1e-5
 
@@ -113,7 +118,8 @@ class BarrierClock(BenchClock):
 
     The process is at work as long as one of its threads is `busy`, and while it processes what came with a grant of the
     owner: first messages, then timers, then threads whose waits end. Afterwards it reports when it next has something to do.
-    If the owner of the time is lost, time goes on as on the wall, so that the node's own watchdogs act.
+    If the owner of the time is lost, time goes on as on the wall, so that the node's own watchdogs act. A process that the
+    owner has left behind, because it was stopped, follows the owner's time from then on.
 
     Parameters
     ----------
@@ -126,7 +132,8 @@ class BarrierClock(BenchClock):
     def __init__(self, path: str | Path, name: str) -> None:
         self._name = name
         self._time: memoryview[float]
-        self._socket, self._time = _connect(Path(path))
+        self._path = Path(path)
+        self._socket, self._time = _connect(self._path)
         self._origin = math.floor(self._time[0])
         self._lock = threading.RLock()
         self._thread_state = threading.local()
@@ -141,6 +148,7 @@ class BarrierClock(BenchClock):
         self._inboxes: list[Inbox] = []
         self._seen: list[int] = []
         self._last_look = 0.0
+        self._left_behind = False  # whether the owner of the time goes on without this process
         self._alone: float | None = None  # difference of bench time and wall time once the owner of the time is lost
         self._thread = threading.Thread(target=self._serve, name="bench time", daemon=True)
         self._count_of_subscribers: Mapping[str, Callable[[], int]] = {}
@@ -152,7 +160,7 @@ class BarrierClock(BenchClock):
     def join(
         self,
         publishers: Mapping[str, Callable[[], int]] | None = None,
-        subscriptions: Mapping[str, tuple[Inbox, Callable[[], int]]] | None = None,
+        subscriptions: Sequence[tuple[str, Inbox, Callable[[], int]]] = (),
         *,
         share_core: bool = False,
     ) -> None:
@@ -162,22 +170,21 @@ class BarrierClock(BenchClock):
         ----------
         publishers : mapping
             Channels on which the process sends, each with a callable that counts those who receive.
-        subscriptions : mapping
-            Channels on which it receives, each with its inbox and a callable that counts those who send.
+        subscriptions : sequence
+            Channels on which it receives, each with an inbox and a callable that counts those who send.
         share_core : bool
             Whether the process moves to the processor core of the other nodes once time begins. They mostly work one after
             the other, and to wake a process on another core takes longer than most of their work.
         """
         self._share_core = share_core
-        subscriptions = subscriptions or {}
         with self._lock:
             self._count_of_subscribers = publishers or {}
-            self._count_of_publishers = {channel: count for channel, (_, count) in subscriptions.items()}
-            self._inboxes = [inbox for inbox, _ in subscriptions.values()]
+            self._count_of_publishers = {channel: count for channel, _, count in subscriptions}
+            self._inboxes = [inbox for _, inbox, _ in subscriptions]
             self._seen = [0] * len(self._inboxes)
             for channel in self._count_of_subscribers:
                 self._index(channel)
-            hello = {"name": self._name, "sends": self._channels, "receives": list(subscriptions)}
+            hello = {"name": self._name, "sends": self._channels, "receives": [channel for channel, _, _ in subscriptions]}
             self._send(Packet.HELLO + json.dumps(hello).encode())
             self._changed.update(range(len(self._sent)))
             self.release()
@@ -298,12 +305,13 @@ class BarrierClock(BenchClock):
         with self._lock:
             if waiter.woken or until <= self.now():
                 return
-            if self._alone is None:
+            attended = not self._left_behind
+            if attended:
                 self._waiting[waiter] = until, line
                 self.release()
-        if self._alone is None:
+        if attended:
             waiter.gate.acquire()
-        if self._alone is not None:  # the waiter's own end has not come perhaps
+        if self._left_behind:  # the waiter's own end has not come perhaps
             while not waiter.woken and not line and self.now() < until:
                 time.sleep(1e-3)
 
@@ -365,12 +373,16 @@ class BarrierClock(BenchClock):
                 timer.callback()
 
     def _receive(self, index: int, last: int) -> None:
-        """Process the messages of a channel up to a number."""
-        begin = time.monotonic()
-        while self._seen[index] < last:
+        """Process the messages of a channel up to a number, and at least the one that was announced."""
+        begin, taken = time.monotonic(), False
+        while self._seen[index] < last or not taken:
             if self._take(index, last):
+                taken = True
                 continue
-            if time.monotonic() - begin > _LOST_AFTER:
+            waited = time.monotonic() - begin
+            if self._seen[index] >= last and waited > _STRANGER_WAIT:
+                return
+            if waited > _LOST_AFTER:
                 self.on_loss(f"{last - self._seen[index]} announced messages did not come within {_LOST_AFTER:g} s")
                 self._seen[index] = last
                 return
@@ -418,16 +430,33 @@ class BarrierClock(BenchClock):
         self._send(Packet.MATCHED)
 
     def _go_on_alone(self) -> None:
-        """Let time pass as on the wall after the owner of the time was lost."""
+        """Go on without the owner's grants: by its time as long as it lives, then as on the wall."""
         with self._lock:
-            self._alone = self._time[0] - time.monotonic()
+            self._left_behind = True
             for waiter in list(self._waiting):
                 self._wake(waiter)
-        self.on_loss("the owner of the bench time is lost; time goes on as on the wall")
+        time.sleep(_END_OF_OWNER)
+        if _has_owner(self._path):
+            self.on_loss("the bench has gone on without this process, which stood still")
         while not self._left:
+            if self._alone is None and not _has_owner(self._path):
+                self._alone = self._time[0] - time.monotonic()
+                self.on_loss("the owner of the bench time is lost; time goes on as on the wall")
             self._look_for_outsiders()
             self._call_timers(self.now())
             time.sleep(5e-3)
+
+
+def _has_owner(path: Path) -> bool:
+    """Whether a process owns the time with this socket: it holds a lock on the file of the time."""
+    try:
+        with time_file(path).open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _connect(path: Path) -> tuple[socket.socket, "memoryview[float]"]:

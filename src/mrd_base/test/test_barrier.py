@@ -154,7 +154,7 @@ def test_time_stands_until_messages_have_been_processed_in_the_order_of_the_inst
     inbox = Inbox(lambda sent: received.append((sent, receiver.now())), delay=0.02)
     timer = sender.timer(0.05, lambda: inbox.send(sender, sender.now()))
     sender.join({"channel": lambda: 1})
-    receiver.join(None, {"channel": (inbox, lambda: 1)})
+    receiver.join(None, [("channel", inbox, lambda: 1)])
     until(lambda: len(received) >= 20)
     timer.cancel()
     assert [sent for sent, _ in received[:20]] == pytest.approx([0.05 * k for k in range(1, 21)])
@@ -240,6 +240,27 @@ def test_a_dead_participant_is_named_and_time_goes_on_without_it(make_bench, end
         assert bench.reports == [f"other {reason}; the bench goes on without it"]
         now = one.now()
         until(lambda: one.now() > now + 1.0)
+    finally:
+        other.kill()
+        other.communicate()
+
+
+def test_a_participant_that_was_left_behind_follows_the_time_of_the_bench(make_bench):
+    bench = make_bench("one", "other", pace=50.0)
+    one = bench.clock("one")
+    program = OTHER + "    print(clock.now(), flush=True)\n"
+    other = subprocess.Popen([sys.executable, "-c", program, str(bench.path)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert other.stdout.readline() == "joined\n"
+        other.send_signal(signal.SIGSTOP)
+        until(lambda: bench.reports, timeout=5.0)
+        now = one.now()
+        until(lambda: one.now() > now + 20.0)
+        other.send_signal(signal.SIGCONT)
+        begin, deadline = one.now(), time.monotonic() + 10.0
+        while float(other.stdout.readline()) < begin + 100.0:
+            assert time.monotonic() < deadline
+        assert one.now() > begin + 100.0
     finally:
         other.kill()
         other.communicate()

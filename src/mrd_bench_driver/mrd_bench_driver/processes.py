@@ -34,6 +34,10 @@ def clock_of(port: Path) -> Path:
 class ProcessDiedError(Exception):
     """A process of the bench ended by itself. The message holds the last lines of its log."""
 
+    def __init__(self, name: str, message: str) -> None:
+        super().__init__(message)
+        self.name = name
+
 
 @dataclass(frozen=True)
 class ProcessSpec:
@@ -153,7 +157,16 @@ class BenchProcesses:
         self.close()
 
     def start(self, name: str) -> "subprocess.Popen[bytes]":
-        """Start a process, or restart one that was stopped."""
+        """Start a process, or restart one that was stopped; raise `InputError` if its log cannot be written."""
+        try:
+            return self._start(name)
+        except OSError as error:
+            raise InputError(
+                f"{self._logs}: the logs cannot be written there ({error.strerror or error}); choose another --output "
+                "or make room"
+            ) from error
+
+    def _start(self, name: str) -> "subprocess.Popen[bytes]":
         spec = self.specs[name]
         program = find_executable(spec.package, name)
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -193,7 +206,7 @@ class BenchProcesses:
             if status == 2 and lines:
                 raise InputError(f"{name}: {lines[-1].removeprefix('error: ')}")
             output = "".join(f"\n  {line}" for line in lines) or " nothing"
-            raise ProcessDiedError(f"{name} ended with status {status}; its log {self.log(name)} ends with{output}")
+            raise ProcessDiedError(name, f"{name} ended with status {status}; its log {self.log(name)} ends with{output}")
 
     def stop(self, *names: str) -> None:
         """End processes together: SIGTERM, then SIGKILL to those that still run after the grace period."""

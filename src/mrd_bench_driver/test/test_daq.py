@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, seconds
-from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibration, Setpoint
+from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, BenchState, Calibration, Lease, Setpoint
 
 pytestmark = pytest.mark.realtime
 
@@ -34,7 +35,10 @@ class Terminals:
         self.samples: list[BenchSamples] = graph.subscribe("samples", BenchSamples, RECORDED)
         self.calibration: list[Calibration] = graph.subscribe("calibration", Calibration, LATCHED)
         self.output: list[AnalogOutput] = graph.subscribe("analog_output", AnalogOutput, LATCHED)
-        publishers = (self.analog_input, self._setpoint, self.emergency_stop)
+        self._lease = graph.node.create_publisher(Lease, "lease", COMMAND)
+        self.mode: int | None = BenchState.IDLE  # of the lease; None: it is not renewed
+        graph.node.create_timer(0.02, self._renew)
+        publishers = (self.analog_input, self._setpoint, self.emergency_stop, self._lease)
         self.ready = lambda: (
             all(publisher.get_subscription_count() for publisher in publishers) and self.calibration and self.output
         )
@@ -55,8 +59,24 @@ class Terminals:
             self.analog_input.publish(message)
         self.sequence += BLOCK
 
-    def setpoint(self, current: float, age: float = 0.0) -> None:
-        message = Setpoint(coil_current=current)
+    def _renew(self) -> None:
+        if self.mode is not None:
+            lease = Lease(holder="test", mode=self.mode, number=7 if self.mode == BenchState.IDENTIFICATION else 0)
+            time = self.graph.clock.now()
+            lease.header.stamp.sec, lease.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
+            self._lease.publish(lease)
+
+    def enter(self, mode: int) -> None:
+        """Change the mode of the bench, and let the DAQ hear it."""
+        self.mode = mode
+        self.graph.during(0.1)
+
+    def reset_fault(self) -> Any:
+        self.enter(BenchState.IDLE)
+        return self.graph.call("daq/reset_fault", Trigger)
+
+    def setpoint(self, current: float, age: float = 0.0, lease: int = 7) -> None:
+        message = Setpoint(coil_current=current, lease=lease)
         time = self.graph.clock.now() - age
         message.header.stamp.sec, message.header.stamp.nanosec = int(time), int(time % 1 * 1e9)
         self._setpoint.publish(message)
@@ -70,6 +90,8 @@ class Terminals:
 
     def drive(self, current: float, volts: float) -> None:
         """Stream a current until its voltage is on the output."""
+        if self.mode != BenchState.IDENTIFICATION:
+            self.enter(BenchState.IDENTIFICATION)
 
         def arrived() -> bool:
             self.setpoint(current)
@@ -101,7 +123,7 @@ def shared_terminals(shared_graph: Any) -> Terminals:
 def terminals(shared_terminals: Terminals) -> Terminals:
     """The terminals of the DAQ that tests share, without a fault and with its averaging started again."""
     graph = shared_terminals.graph
-    assert graph.call("daq/reset_fault", Trigger).success
+    assert shared_terminals.reset_fault().success
     assert shared_terminals.set_rate(1000.0).successful
     graph.until(lambda: shared_terminals.volts() == 0.0 and shared_terminals.calibration[-1].rate == 1000.0)
     shared_terminals.sequence, shared_terminals.begin = 0, graph.clock.now()
@@ -188,7 +210,7 @@ def test_the_emergency_stop_latches_until_reset_fault(terminals: Terminals) -> N
         terminals.setpoint(0.5)
         graph.during(0.02)
     assert all(output.coil_command == 0.0 for output in terminals.output[stopped:])
-    assert graph.call("daq/reset_fault", Trigger).success
+    assert terminals.reset_fault().success
     terminals.drive(0.5, 2.5)
 
 
@@ -219,9 +241,67 @@ def test_a_tare_needs_rest(graph: Any, own_terminals: Terminals) -> None:
         terminals.send(position=0.4)
     graph.until(lambda: len(terminals.samples) == 51)
     assert terminals.samples[-1].coil_current[-1] == pytest.approx(0.0, abs=1e-9)
+    terminals.mode = BenchState.HOMING  # in which a tare is allowed, unlike in a run
+    graph.until(lambda: graph.call("daq/tare", Trigger).success)
+    terminals.mode = BenchState.IDENTIFICATION
     graph.node.create_timer(0.02, lambda: terminals.setpoint(0.5))
     graph.until(lambda: terminals.volts() != 0.0)
-    assert "the coil is driven" in graph.call("daq/tare", Trigger).message
+    assert "the bench is in mode identification; call stop of test first" in graph.call("daq/tare", Trigger).message
+
+
+def test_current_flows_only_under_the_lease(terminals: Terminals) -> None:
+    graph = terminals.graph
+    for mode, number in ((BenchState.IDLE, 7), (BenchState.IDLE, 0), (BenchState.HOMING, 0), (BenchState.IDENTIFICATION, 6)):
+        terminals.enter(mode)
+        for _ in range(60 if mode == BenchState.IDENTIFICATION else 5):  # one warning per second
+            terminals.setpoint(0.5, lease=number)
+            graph.during(0.02)
+        assert terminals.volts() == 0.0, (mode, number)
+    assert "it carries lease 6, not 7; publishers of setpoint: " in graph.log("daq")
+    terminals.drive(0.5, 2.5)
+    refused = terminals.set_rate(500.0)
+    assert (refused.successful, refused.reason) == (False, "the bench is in mode identification; call stop of test first")
+    refused = graph.call("daq/reset_fault", Trigger)
+    assert (refused.success, refused.message) == (False, "daq: the bench is in mode identification; call stop of test first")
+
+
+def test_the_coil_is_off_when_the_supervisor_falls_silent(terminals: Terminals) -> None:
+    graph = terminals.graph
+    terminals.drive(0.5, 2.5)
+    terminals.mode = None
+    silent = graph.clock.now()
+    graph.node.create_timer(0.02, lambda: terminals.setpoint(0.5))
+    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    assert seconds(terminals.output[-1].header.stamp) - silent < 0.3
+    # The stop is latched, whoever comes back.
+    outputs = len(terminals.output)
+    terminals.enter(BenchState.IDENTIFICATION)
+    graph.during(0.2)
+    assert len(terminals.output) == outputs
+    assert "the supervisor test has been silent for " in graph.log("daq")
+
+
+def test_a_lease_of_nonsense_ends_nothing(terminals: Terminals) -> None:
+    graph = terminals.graph
+    terminals.drive(0.5, 2.5)
+    stranger = graph.node.create_publisher(Lease, "lease", COMMAND)
+    graph.until(stranger.get_subscription_count)
+    for mode in (5, 255):
+        stranger.publish(Lease(holder="nobody", mode=mode, since=float("nan"), number=2**64 - 1))
+    graph.during(0.2)
+    assert "a lease of nobody is refused: its mode is 5, expected 0 to 4" in graph.log("daq")
+    terminals.drive(0.5, 2.5)
+
+
+def test_a_button_at_the_daq_works_without_anybody_else(terminals: Terminals) -> None:
+    graph = terminals.graph
+    states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
+    terminals.drive(0.5, 2.5)
+    assert graph.call("daq/emergency_stop", Trigger).success
+    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    graph.until(lambda: states and states[-1].message == "emergency stop by its service; call reset_fault")
+    assert terminals.reset_fault().success
+    graph.until(lambda: states[-1].level == DiagnosticStatus.OK)
 
 
 def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(terminals: Terminals) -> None:
@@ -236,7 +316,7 @@ def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(terminals:
         graph.during(0.02)
     assert not terminals.samples
     assert terminals.volts() == 0.0
-    assert graph.call("daq/reset_fault", Trigger).success
+    assert terminals.reset_fault().success
     for _ in range(4):
         terminals.send()
     graph.until(lambda: terminals.samples)

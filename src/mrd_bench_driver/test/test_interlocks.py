@@ -107,7 +107,7 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
         ({"sample_age": math.inf}, "no sample came, limit 140 ms"),
         ({"servo_fault": True, "servo_message": "motor: over-temperature"}, "motor: over-temperature"),
         ({"servo_fault": True}, "the motor or its driver stopped"),
-        ({"servo_stopped": True, "servo_message": "emergency stop"}, "its emergency stop is latched"),
+        ({"servo_stopped": True, "servo_message": "emergency stop"}, "emergency stop"),
         ({"current": -0.2}, "-0.200 A through the coil, allowed -0.100 to 1.100 A"),
     ],
 )

@@ -151,7 +151,7 @@ def test_a_machine_that_is_too_slow_is_named_before_and_after_a_run(
     assert "; this machine is too slow: 1 of 4 cycles came more than 500 ms late, the worst " in outcome.message
     assert peers.supervisor.reset_fault()
 
-    delays = iter([0.6])
+    delays = iter([0.0, 0.6])  # the first sleep is for the other nodes to hear that the bench is idle
     monkeypatch.setattr(peers.clock, "sleep", lambda duration: time.sleep(duration + next(delays, 0.0)))
     peers.calls.clear()
     outcome = run(peers)
@@ -198,7 +198,7 @@ def test_what_cannot_be_done_refuses_the_experiment(peers: FakePeers, broken: di
 
 
 def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
-    assert peers.supervisor.control() == "the rod follows the topic setpoint"
+    assert peers.supervisor.control() == f"the rod follows setpoints that carry lease {peers.supervisor.mode.lease}"
     assert peers.supervisor.mode.current is Mode.CONTROL
     assert peers.servo.enabled
     assert run(peers).message == "the bench is in mode control (control); call stop first"
@@ -267,3 +267,57 @@ def test_a_bag_without_a_name_goes_into_the_configured_folder(peers: FakePeers) 
         peers.supervisor.run_experiment(experiment, "", 3, lambda *_progress: None, never_cancelled)
         assert Path(bags[-1]).parent == Path("runs").resolve()
         assert Path(bags[-1]).name.startswith(f"{name}-")
+
+
+def test_a_supervisor_that_was_stalled_blames_itself(peers: FakePeers, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time goes on by 3 s, in which this process neither received nor checked anything."""
+    now = peers.clock.now
+
+    def freeze() -> None:
+        monkeypatch.setattr(peers.clock, "now", lambda: now() + 3.0)
+
+    peers.effects["start_experiment"] = freeze
+    outcome = run(peers)
+    assert not outcome.success
+    assert outcome.message.startswith("the supervisor was stalled for 3.")
+    assert peers.emergency_stops[0]
+    assert peers.supervisor.mode.current is Mode.FAULT
+
+
+def test_a_daq_that_stops_by_itself_stops_the_run(peers: FakePeers) -> None:
+    def press() -> None:
+        peers.supervisor.monitor.daq_problem = "emergency stop by its service; call reset_fault"
+
+    peers.effects["start_experiment"] = press
+    outcome = run(peers)
+    assert outcome.message.startswith("interlock daq fault: emergency stop by its service; call reset_fault")
+    assert peers.supervisor.mode.current is Mode.FAULT
+    with pytest.raises(RefusedError, match="still in fault after the reset"):
+        peers.supervisor.reset_fault()
+    peers.effects["daq/reset_fault"] = lambda: setattr(peers.supervisor.monitor, "daq_problem", "")
+    assert peers.supervisor.reset_fault().startswith("reset; ")
+
+
+@pytest.mark.parametrize(
+    ("disturb", "line"),
+    [
+        (lambda peers: setattr(peers, "rate", 500.0), "daq: somebody changed the sample rate to 500 Hz"),
+        (
+            lambda peers: setattr(peers, "servo", dataclasses.replace(peers.servo, enabled=False)),
+            "servo: somebody stopped the rod during the run (by servo/stop or servo/enable)",
+        ),
+    ],
+)
+def test_whatever_spoils_a_run_ends_it(peers: FakePeers, disturb: Callable[[FakePeers], None], line: str) -> None:
+    peers.effects["start_experiment"] = lambda: disturb(peers)
+    outcome = run(peers)
+    assert not outcome.success
+    assert outcome.message == line
+    assert peers.supervisor.mode.current is Mode.IDLE
+
+
+def test_an_experiment_that_somebody_else_loaded_is_not_run(peers: FakePeers) -> None:
+    peers.effects["start_recording"] = lambda: peers.supervisor.monitor.add_experiment_state("loaded", peers.clock.now())
+    outcome = run(peers)
+    assert outcome.message.startswith("generator: somebody has loaded another experiment")
+    assert "start_experiment" not in peers.calls

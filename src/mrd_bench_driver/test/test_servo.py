@@ -636,6 +636,23 @@ def test_node_homes_follows_and_lets_go(fake):
         samples = node.create_publisher(msg.BenchSamples, "samples", RECORDED)
         setpoints = node.create_publisher(msg.Setpoint, "setpoint", COMMAND)
         stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
+        leases = node.create_publisher(msg.Lease, "lease", COMMAND)
+        mode: int | None = msg.BenchState.IDLE
+
+        def renew() -> None:
+            if mode is None:
+                return
+            number = 7 if mode == msg.BenchState.IDENTIFICATION else 0
+            leases.publish(stamped(msg.Lease, holder="test", mode=mode, number=number))
+
+        def enter(new: int | None) -> None:
+            """Change the mode of the bench, and let the servo hear it; None renews the lease no more."""
+            nonlocal mode
+            mode = new
+            until = time.monotonic() + 0.1
+            spin(lambda: time.monotonic() > until)
+
+        node.create_timer(0.02, renew)
 
         def spin(condition, publish=lambda: None, limit: float = 10.0):
             end = time.monotonic() + limit
@@ -666,14 +683,21 @@ def test_node_homes_follows_and_lets_go(fake):
             position = UNITS.metres(fake.motor.position - (0 if homed else origin))
             samples.publish(stamped(msg.BenchSamples, sample_period=0.001, position=[position] * 10))
 
+        enter(msg.BenchState.IDLE)
+        refused = call(Trigger, "servo/home")
+        assert (refused.success, refused.message[:27]) == (False, "the bench is in mode idle; ")
+        enter(msg.BenchState.HOMING)
         assert call(Trigger, "servo/home").success
         spin(lambda: states[-1].homed, lvdt)
+        enter(msg.BenchState.IDENTIFICATION)
         assert abs(states[-1].position) < 0.05 * MM
         begin = clock.now()
 
         def follow() -> None:
             t = clock.now() - begin
-            setpoints.publish(stamped(msg.Setpoint, position=1e-3 * (1 - math.cos(6 * t)), velocity=6e-3 * math.sin(6 * t)))
+            position, velocity = 1e-3 * (1 - math.cos(6 * t)), 6e-3 * math.sin(6 * t)
+            setpoints.publish(stamped(msg.Setpoint, position=position, velocity=velocity, lease=7))
+            setpoints.publish(stamped(msg.Setpoint, position=-0.01, lease=6))  # of somebody else
 
         spin(lambda: states[-1].position > 1.5 * MM, follow)
         assert states[-1].moving
@@ -682,9 +706,21 @@ def test_node_homes_follows_and_lets_go(fake):
         spin(lambda: states[-1].stopped and not states[-1].moving)
         assert "S" in fake.motor.log
         assert not call(SetBool, "servo/enable", data=True).success
+        assert not call(Trigger, "servo/reset_fault").success  # not in a run
+        enter(msg.BenchState.FAULT)
         assert call(Trigger, "servo/reset_fault").success
+        enter(msg.BenchState.IDENTIFICATION)
         assert call(SetBool, "servo/enable", data=True).success
         spin(lambda: states[-1].enabled)
+        # A stop ends the lease: nobody goes on with it as if nothing had happened.
+        assert call(Trigger, "servo/stop").success
+        assert call(SetBool, "servo/enable", data=True).message.startswith("a stop has ended the lease")
+        # Without a supervisor, the servo stops by itself, and latches.
+        enter(None)
+        spin(lambda: states[-1].stopped)
+        assert states[-1].message.startswith("the supervisor test has been silent for 1")
+        enter(msg.BenchState.HOMING)
+        assert "latched (the supervisor test has been silent" in call(Trigger, "servo/home").message
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=5) == 0
         assert fake.motor.log[-2:] == ["X", "OFF"]

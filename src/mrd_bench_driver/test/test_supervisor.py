@@ -488,7 +488,7 @@ def test_a_supervisor_that_is_ended_stops_the_bench_first(graph: Any, start: Cal
 def test_a_stop_that_another_supervisor_left_is_seen(fakes: Fakes) -> None:
     fakes.servo.stopped = True
     fakes.graph.until(lambda: fakes.mode() == BenchState.FAULT)
-    assert fakes.states[-1].message == "the servo's emergency stop is latched; call reset_fault"
+    assert fakes.states[-1].message == "servo: its emergency stop is latched; call reset_fault"
 
 
 def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(fakes: Fakes, tmp_path: Any) -> None:

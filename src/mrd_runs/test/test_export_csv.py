@@ -49,7 +49,7 @@ def test_what_was_commanded_is_on_the_same_time(tmp_path: Path, columns, make_bl
             at = round((1.7e9 + first / 1000 + 0.25) * 1e9)
             header = TYPES["std_msgs/msg/Header"](TYPES["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9), "")
             writer.write_message(
-                "/bench/setpoint", first, TYPES["mrd_interfaces/msg/Setpoint"](header, first / 7, 2.0, 3.0, 0.4)
+                "/bench/setpoint", first, TYPES["mrd_interfaces/msg/Setpoint"](header, first / 7, 2.0, 3.0, 0.4, 7)
             )
     paths = export(tmp_path / "run", tmp_path / "out.csv")
     assert paths == {tmp_path / "out.csv": 1000, tmp_path / "out.setpoint.csv": 50}

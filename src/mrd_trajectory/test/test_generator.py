@@ -167,9 +167,10 @@ def test_abort_and_emergency_stop_end_the_setpoints(bench, start_generator):
 
 
 def test_a_latched_emergency_stop_prevents_the_start(bench, start_generator):
-    bench.stop.publish(Bool(data=True))  # before the generator lives: latched
     start_generator()
     assert bench.call("load_experiment", experiment=TEXT).success
+    bench.until(bench.stop.get_subscription_count)
+    bench.stop.publish(Bool(data=True))
     bench.during(0.3)
     refused = bench.call("start_experiment")
     assert not refused.success

@@ -34,7 +34,8 @@ from mrd_base.config import from_mapping, to_mapping, unknown_key, yaml_key
 from mrd_base.errors import InputError
 
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-COMMAND = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+# Messages of somebody else must not push those of the commander out of the queue before they are refused.
+COMMAND = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 RECORDED = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 
 # Sections of bench.yaml that stand under /** and so reach every node, also one that does not use them.
@@ -105,6 +106,8 @@ class BenchNode(Node, Generic[C]):
         Configuration at start, in SI units.
     bench : BenchClock
         Clock of bench time, by which the node stamps and times everything.
+    ending : InputError or None
+        Why the process is to end after the present callback, with one line and status 2; nodes set it.
 
     Notes
     -----
@@ -117,6 +120,7 @@ class BenchNode(Node, Generic[C]):
     def __init__(self, name: str, config_type: type[C]) -> None:
         self.bench = BenchClock()
         self.callback_lock = threading.RLock()
+        self.ending: InputError | None = None
         self._announcing: list[Publisher] = []
         self._inboxes: dict[Subscription, _Inbox] = {}
         super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
@@ -251,10 +255,10 @@ class BenchNode(Node, Generic[C]):
         if isinstance(self.bench, BarrierClock):
             self.bench.join(
                 {publisher.topic_name: publisher.get_subscription_count for publisher in self._announcing},
-                {
-                    subscription.topic_name: (inbox, subscription.get_publisher_count)
+                [
+                    (subscription.topic_name, inbox, subscription.get_publisher_count)
                     for subscription, inbox in self._inboxes.items()
-                },
+                ],
                 share_core=True,
             )
 
@@ -319,6 +323,8 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
         node_executor.add_node(node)
         while not stopping:
             node_executor.spin_once(timeout_sec=0.1)
+            if node.ending is not None:
+                raise node.ending
             if isinstance(node.bench, BarrierClock) and node.bench.error is not None:
                 raise node.bench.error
     except InputError as error:

@@ -18,6 +18,9 @@ class DaqConfig:
     rate: float = quantity(1000.0, "Hz", "rate of the samples, means of hardware_rate/rate readings", lower=25, upper=2000)
     block: float = quantity(0.02, "ms", "length of the samples in one message, at least one sample", lower=0.001, upper=0.05)
     setpoint_timeout: float = quantity(0.1, "ms", "age of a setpoint at which the coil goes to 0 A", lower=0.01, upper=1)
+    lease_timeout: float = quantity(
+        0.15, "ms", "silence of the supervisor from which the DAQ stops by itself", lower=0.06, upper=1
+    )
     tare_duration: float = quantity(1.0, "s", "length of the readings that a tare averages", lower=0.05, upper=60)
     channels: ChannelMap = ChannelMap()
     coil: CoilOutput = CoilOutput()

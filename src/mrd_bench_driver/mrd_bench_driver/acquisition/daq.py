@@ -30,8 +30,8 @@ class Daq:
         Receives each block of averages, in the reading thread.
     on_calibration : callable
         Called when `channels`, `rate` or `tare_time` have changed.
-    on_fault : callable
-        Receives the message of a new fault.
+    on_problem : callable
+        Receives the fault or the reason of a latched stop when there is a new one, and "" after `reset_fault`.
 
     Attributes
     ----------
@@ -50,10 +50,10 @@ class Daq:
         backend: Backend,
         on_block: Callable[[VoltBlock], None],
         on_calibration: Callable[[], None],
-        on_fault: Callable[[str], None],
+        on_problem: Callable[[str], None],
     ) -> None:
         self._config, self._clock, self._backend = config, clock, backend
-        self._on_block, self._on_calibration, self._on_fault = on_block, on_calibration, on_fault
+        self._on_block, self._on_calibration, self._on_problem = on_block, on_calibration, on_problem
         self._lock = threading.RLock()
         self.channels: ChannelMap = config.channels
         self.rate = config.rate
@@ -65,7 +65,7 @@ class Daq:
         self._clipped = np.zeros(len(UNITS), np.int64)
         self._lost_before = 0  # readings lost at earlier sample rates
 
-        self._emergency_stopped = False
+        self._emergency_stop = ""  # reason of the latched stop
         self._fault = ""
         self._refused = ""  # why the latest refused setpoint was refused
         self._setpoint_time = -math.inf
@@ -82,7 +82,7 @@ class Daq:
 
     def close(self) -> None:
         """Set the coil output to 0 V, stop reading, and close the backend."""
-        self._emergency_stopped = True
+        self._emergency_stop = "the node ends"
         with contextlib.suppress(Exception):
             self._backend.write(0.0)
         self._closing.set()
@@ -155,7 +155,7 @@ class Daq:
         self._setpoint_time = min(time, now)
         if not math.isfinite(current):
             self._refused = f"a setpoint asked for {current} A"
-        if not self._emergency_stopped and not self._fault:
+        if not self._emergency_stop and not self._fault:
             self._write(coil_voltage(current, self._config.coil, self._config.limits))
 
     def check_setpoint_age(self) -> None:
@@ -163,10 +163,13 @@ class Daq:
         if self._volts != 0 and self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
             self._write(0.0)
 
-    def emergency_stop(self) -> None:
-        """Set the coil output to 0 V until `reset_fault`."""
-        self._emergency_stopped = True
+    def emergency_stop(self, reason: str = "emergency stop") -> None:
+        """Set the coil output to 0 V until `reset_fault`; the first reason stays."""
+        new = not self._emergency_stop
+        self._emergency_stop = self._emergency_stop or reason
         self._write(0.0)
+        if new:
+            self._on_problem(self.problem)
 
     def _write(self, volts: float) -> None:
         try:
@@ -182,7 +185,7 @@ class Daq:
             if self._fault:
                 return
             self._fault = message
-        self._on_fault(message)
+        self._on_problem(message)
         with contextlib.suppress(AcquisitionError):
             self._backend.write(0.0)
         self._volts = 0.0
@@ -197,12 +200,16 @@ class Daq:
             self._paused.clear()
             self._fault = ""
             self._resume.set()
-        self._refused = ""
-        self._emergency_stopped = False
+        self._refused = self._emergency_stop = ""
+        self._on_problem("")
+
+    @property
+    def problem(self) -> str:
+        """The fault, or the reason of a latched stop, or ""."""
+        return self._fault or (f"{self._emergency_stop}; call reset_fault" if self._emergency_stop else "")
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or the latched stop, and counts of lost and clipped readings and the latest refused setpoint."""
-        problem = self._fault or ("the emergency stop is latched; call reset_fault" if self._emergency_stopped else "")
         values: dict[str, Any] = {
             "device": self._backend.product,
             "rate_hz": self.rate,
@@ -210,4 +217,4 @@ class Daq:
             "lost_readings": self._lost_before + self._averager.lost,
             "refused": self._refused,
         }
-        return problem, values | dict(zip((f"clipped_{name}" for name in UNITS), self._clipped.tolist(), strict=True))
+        return self.problem, values | dict(zip((f"clipped_{name}" for name in UNITS), self._clipped.tolist(), strict=True))

@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import os
+import re
 import signal
 import sys
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base import InputError, run_tool
-from mrd_bench_driver.nodes.bench_client import BenchClient
+from mrd_base.domain import claim_domain
+from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
 from mrd_trajectory.plan import plan
@@ -89,7 +91,17 @@ def main() -> None:
     parser.add_argument(
         "--plant", type=Path, help="parameters of the simulated plant (default: plant.yaml in the folder of --bench)"
     )
-    parser.add_argument("--simulated", action="store_true", help="simulate the plant, including motor and converter")
+    parser.add_argument(
+        "--simulated",
+        action="store_true",
+        help="simulate the plant, including motor and converter; without ROS_DOMAIN_ID, in a ROS domain of its own",
+    )
+    parser.add_argument(
+        "--namespace",
+        default="bench",
+        metavar="NAME",
+        help="ROS namespace of the bench (default: bench); two benches in one ROS domain need different ones",
+    )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of bags and logs (default: runs/NAME-TIME)")
     parser.add_argument(
         "--pace",
@@ -108,6 +120,8 @@ def main() -> None:
         parser.error(f"--pace is {arguments.pace:g}, expected > 0")
     if not 0 <= arguments.seed < 2**31:
         parser.error(f"--seed is {arguments.seed}, expected a whole number from 0 to 2147483647")
+    if not re.fullmatch(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", arguments.namespace):
+        parser.error(f"--namespace is {arguments.namespace}, expected a name such as bench, or names with / between them")
     run_tool(lambda: _work(arguments))
 
 
@@ -115,9 +129,15 @@ def _work(arguments: argparse.Namespace) -> None:
     session = _prepare(arguments)
     port = session.logs / "motor"
     specs = bench_processes(arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed)
+    namespace = "/" + arguments.namespace.strip("/")
+    if arguments.simulated and "ROS_DOMAIN_ID" not in os.environ:
+        # A simulated bench that shared a domain with a real one might command it.
+        claim_domain()
+    else:
+        require_free_namespace(namespace)
     signals = SignalCounter()
     try:
-        with BenchProcesses(specs, session.logs) as processes:
+        with BenchProcesses(specs, session.logs, namespace=namespace) as processes:
 
             def watch() -> None:
                 signals.check()
@@ -128,7 +148,8 @@ def _work(arguments: argparse.Namespace) -> None:
                 client.wait_until_up(set(processes.specs))
                 if not session.experiments:
                     print(
-                        f"the bench is up in namespace {processes.namespace}; logs: {session.logs}; end it by Ctrl-C",
+                        f"the bench is up in namespace {processes.namespace} of ROS domain "
+                        f"{os.environ.get('ROS_DOMAIN_ID', '0')}; logs: {session.logs}; end it by Ctrl-C",
                         flush=True,
                     )
                     client.let_time_pass()

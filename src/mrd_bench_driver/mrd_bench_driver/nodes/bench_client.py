@@ -13,9 +13,12 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Bool
 
 from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
+from mrd_base.nodes.bench_node import LATCHED
+from mrd_bench_driver.processes import ProcessDiedError
 from mrd_interfaces.action import RunExperiment, RunSet
 
 # Wall time in s for all nodes to come up; the first start after an installation compiles for some 20 s, or longer on a busy
@@ -26,12 +29,40 @@ ACCEPT_TIMEOUT = 30.0
 # Wall time in s for a cancelled experiment to end; it includes the time in which the recorder may close its bag.
 CANCEL_TIMEOUT = 90.0
 
+# Wall time in s for rod and recording to end after a node has died: without its supervisor, only for the rod to stand; else
+# also for the supervisor to end the run.
+_REST_TIMEOUT, _END_TIMEOUT = 1.0, 5.0
+# Wall time in s in which ROS finds the nodes of another bench.
+_DISCOVERY_TIME = 1.5
+# Nodes of which a namespace has one of each.
+_UNIQUE = {"servo", "daq", "recorder", "generator", "supervisor", "plant"}
+
 # Receives the feedback messages of an action.
 Feedback = Callable[[Any], None]
 
 
 def ignore_feedback(_feedback: Any) -> None:
     """Do nothing with a feedback."""
+
+
+def require_free_namespace(namespace: str) -> None:
+    """Raise `InputError` if a bench is up in a namespace of this ROS domain: two benches would command each other."""
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    node = Node(f"bench_check_{os.getpid()}", context=context, start_parameter_services=False, enable_rosout=False)
+    deadline = time.monotonic() + _DISCOVERY_TIME
+    found: list[str] = []
+    while not found and time.monotonic() < deadline:
+        time.sleep(0.05)
+        names = node.get_node_names_and_namespaces()
+        found = sorted(name for name, its_namespace in names if its_namespace == namespace and name in _UNIQUE)
+    node.destroy_node()
+    context.try_shutdown()
+    if found:
+        raise InputError(
+            f"namespace {namespace} of ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} is occupied by another bench "
+            f"({', '.join(found)}); end that one, or choose another --namespace or ROS_DOMAIN_ID"
+        )
 
 
 class BenchClient:
@@ -66,6 +97,7 @@ class BenchClient:
         self.time = BenchClock()
         self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
         self._run_set = ActionClient(self.node, RunSet, "run_set")
+        self._emergency_stop = self.node.create_publisher(Bool, "emergency_stop", LATCHED)
         self._nodes_up: set[str] = set()
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
@@ -133,7 +165,7 @@ class BenchClient:
         """Run an experiment, given by the text of its file, and return the result of the action.
 
         If ``watch`` raises an exception meanwhile, the experiment is cancelled, and its end is awaited before the exception
-        is raised on.
+        is raised on. If it tells by `ProcessDiedError` that a node has died, everything is stopped at once.
         """
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
         return self._run(self._run_experiment, goal, feedback)
@@ -155,6 +187,11 @@ class BenchClient:
         ended = handle.get_result_async()
         try:
             self.spin(ended.done, float("inf"))
+        except ProcessDiedError as died:
+            # Nobody waits for the dead: neither for a supervisor that ends no goal, nor for one that calls a dead node.
+            self._emergency_stop.publish(Bool(data=True))
+            self.spin(ended.done, _REST_TIMEOUT if died.name == "supervisor" else _END_TIMEOUT, watch=False)
+            raise
         except BaseException:
             handle.cancel_goal_async()
             self.spin(ended.done, CANCEL_TIMEOUT, watch=False)

@@ -4,11 +4,13 @@ import array
 from typing import Any, ClassVar
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from mrd_base import InputError
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_bench_driver.acquisition import ConverterSettings, Simulated, VoltBlock, make_backend
 from mrd_bench_driver.acquisition.channels import UNITS, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
@@ -17,7 +19,11 @@ from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibrat
 
 
 class DaqNode(BenchNode[DaqConfig]):
-    """Publishes ``samples`` and ``calibration``; follows the coil current of ``setpoint``."""
+    """Publishes ``samples`` and ``calibration``; follows the coil current of ``setpoint``.
+
+    Current flows only under the supervisor's lease, and none once the lease is no longer renewed. ``daq_state`` tells at
+    once when the DAQ has stopped.
+    """
 
     dynamic: ClassVar[frozenset[str]] = frozenset({"rate_hz"})
 
@@ -26,15 +32,11 @@ class DaqNode(BenchNode[DaqConfig]):
         config = self.config
         self._samples = self.create_publisher(BenchSamples, "samples", RECORDED)
         self._calibration = self.create_publisher(Calibration, "calibration", LATCHED)
+        self._state = self.create_publisher(DiagnosticStatus, "daq_state", LATCHED)
         wiring = ConverterSettings(config.device, config.channels, config.coil, config.hardware_rate, config.block)
         self._backend = make_backend(config.backend, wiring, self.bench)
         self._daq = Daq(
-            config,
-            self.bench,
-            self._backend,
-            self._publish_block,
-            self._publish_calibration,
-            lambda message: self.get_logger().error(message),
+            config, self.bench, self._backend, self._publish_block, self._publish_calibration, self._publish_state
         )
         if isinstance(self._backend, Simulated):
             self._output = self.create_publisher(AnalogOutput, "analog_output", LATCHED)
@@ -42,11 +44,14 @@ class DaqNode(BenchNode[DaqConfig]):
             self.create_subscription(AnalogInput, "analog_input", self._on_analog_input, RECORDED)
         self._backend.open()
         self._publish_calibration()
+        self._publish_state("")
 
-        self.accept_parameter("rate_hz", config.rate, self._daq.set_rate)
+        self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop)
+        self.accept_parameter("rate_hz", config.rate, self._set_rate)
         self.create_service(Trigger, "daq/tare", self._on_tare)
         self.create_service(Trigger, "daq/reset_fault", self._on_reset_fault)
-        self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
+        self.create_service(Trigger, "daq/emergency_stop", self._on_emergency_stop_service)
+        hear_emergency_stop(self, self._on_emergency_stop)
         self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND)
         self.create_bench_timer(0.2 * config.setpoint_timeout, self._daq.check_setpoint_age)
         self._daq.start()
@@ -85,15 +90,40 @@ class DaqNode(BenchNode[DaqConfig]):
         message.header.stamp = self.stamp()
         self._output.publish(message)
 
+    def _publish_state(self, problem: str) -> None:
+        """Tell everyone whether the DAQ works, or why it has stopped."""
+        if problem:
+            self.get_logger().error(problem)
+        level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK
+        name = f"{self.get_fully_qualified_name().lstrip('/')}: outputs"
+        self._state.publish(DiagnosticStatus(level=level, name=name, message=problem or "ok"))
+
+    def _set_rate(self, rate: Any) -> None:
+        self._require_no_run()
+        self._daq.set_rate(rate)
+
+    def _require_no_run(self) -> None:
+        if reason := self._lease.reason_not_to_change(self.bench.now()):
+            raise InputError(reason)
+
     def _on_setpoint(self, setpoint: Setpoint) -> None:
+        if not self._lease.permits(setpoint):
+            return
         self._daq.set_coil_current(setpoint.coil_current, seconds(setpoint.header.stamp))
 
     def _on_emergency_stop(self, message: Bool) -> None:
         if message.data:
             self._daq.emergency_stop()
 
+    def _on_emergency_stop_service(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._daq.emergency_stop("emergency stop by its service")
+        response.success, response.message = True, "latched; call reset_fault"
+        return response
+
     def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
+            if self._lease.lease.number:
+                self._require_no_run()
             response.message, response.success = self._daq.tare(), True
         except InputError as error:
             response.message = str(error)
@@ -101,6 +131,7 @@ class DaqNode(BenchNode[DaqConfig]):
 
     def _on_reset_fault(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
+            self._require_no_run()
             self._daq.reset_fault()
             response.success = True
         except InputError as error:
@@ -109,7 +140,8 @@ class DaqNode(BenchNode[DaqConfig]):
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the state of the DAQ."""
-        return self._daq.health()
+        problem, values = self._daq.health()
+        return problem, values | {"refused": self._lease.refused or values["refused"]}
 
     def close(self) -> None:
         """Set the coil output to 0 V, first and last."""

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.lease import Mode
+from mrd_base.nodes.bench_node import COMMAND, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_bench_driver.servo.communication import ServoCommunication
 from mrd_bench_driver.servo.config import ServoConfig
 from mrd_bench_driver.servo.controller import Response
@@ -19,39 +20,77 @@ from mrd_interfaces import msg
 
 
 class ServoNode(BenchNode[ServoConfig]):
-    """Follows ``setpoint``; publishes ``servo_state`` and ``joint_states``."""
+    """Follows ``setpoint``; publishes ``servo_state`` and ``joint_states``.
+
+    It moves the rod only under the supervisor's lease, and stops it by itself when the lease is no longer renewed. Anyone
+    may stop it.
+    """
 
     def __init__(self) -> None:
         super().__init__("servo", ServoConfig)
         self._published = ServoStatus()
         self._communication = ServoCommunication(self.config, self.bench, self._publish)
-        self._controller = controller = self._communication.controller
+        self._controller = self._communication.controller
         self._state = self.create_publisher(msg.ServoState, "servo_state", RECORDED)
         self._joint = self.create_publisher(JointState, "joint_states", RECORDED)
         self.create_subscription(msg.Setpoint, "setpoint", self._on_setpoint, COMMAND)
         self.create_subscription(msg.BenchSamples, "samples", self._on_samples, RECORDED)
-        self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
-        now = self.bench.now
+        self._lease = LeaseFollower(self, self.config.lease_timeout, self._emergency_stop)
+        hear_emergency_stop(self, self._on_emergency_stop)
         services: dict[str, tuple[Any, Callable[[Any], Response]]] = {
-            "servo/enable": (SetBool, lambda request: controller.enable(request.data, now())),
-            "servo/home": (Trigger, lambda _request: controller.home(now())),
-            "servo/stop": (Trigger, lambda _request: controller.stop()),
-            "servo/reset_fault": (Trigger, lambda _request: controller.reset_fault(now())),
+            "servo/enable": (SetBool, lambda request: self._enable() if request.data else self._disable()),
+            "servo/home": (Trigger, lambda _request: self._home()),
+            "servo/stop": (Trigger, lambda _request: self._halt()),
+            "servo/emergency_stop": (Trigger, lambda _request: self._emergency_stop("emergency stop by its service")),
+            "servo/reset_fault": (Trigger, lambda _request: self._reset_fault()),
         }
         for name, (service_type, work) in services.items():
             self.create_service(service_type, name, _service_callback(work))
         self._communication.start()
 
+    # Commands
+
     def _on_setpoint(self, message: Any) -> None:
+        if not self._lease.permits(message):
+            return
         setpoint = RodSetpoint(seconds(message.header.stamp), message.position, message.velocity, message.acceleration)
         self._controller.follow(setpoint, self.bench.now())
 
     def _on_samples(self, message: Any) -> None:
         self._controller.add_samples(seconds(message.header.stamp), message.sample_period, message.position)
 
+    def _enable(self) -> Response:
+        now = self.bench.now()
+        reason = self._lease.reason_not_to_move(now)
+        return Response(False, reason) if reason else self._controller.enable(True, now)
+
+    def _home(self) -> Response:
+        now = self.bench.now()
+        reason = self._lease.reason_not_to_move(now)
+        if not reason and self._lease.lease.mode is not Mode.HOMING:
+            reason = f"the bench is in mode {self._lease.lease.mode}; call stop first"
+        return Response(False, reason) if reason else self._controller.home(now)
+
+    def _disable(self) -> Response:
+        self._lease.revoke()
+        return self._controller.enable(False, self.bench.now())
+
+    def _halt(self) -> Response:
+        self._lease.revoke()
+        return self._controller.stop()
+
+    def _reset_fault(self) -> Response:
+        now = self.bench.now()
+        reason = self._lease.reason_not_to_change(now)
+        return Response(False, reason) if reason else self._controller.reset_fault(now)
+
     def _on_emergency_stop(self, message: Any) -> None:
         if message.data:
-            self._controller.emergency_stop(self.bench.now())
+            self._emergency_stop("emergency stop")
+
+    def _emergency_stop(self, reason: str) -> Response:
+        self._controller.emergency_stop(self.bench.now(), reason)
+        return Response(True, "latched; call reset_fault")
 
     def _publish(self, status: ServoStatus) -> None:
         """Publish a status. Only the thread of the serial line calls this, so that only it uses these publishers."""
@@ -74,7 +113,8 @@ class ServoNode(BenchNode[ServoConfig]):
         status = controller.status(self.bench.now())
         problem = status.message or ("" if status.connected else "looking for the motor")
         counters = {name: getattr(controller, name) for name in ("missed_replies", "ignored_setpoints")}
-        return problem, dataclasses.asdict(status) | {"period_s": controller.period} | counters
+        values = {"period_s": controller.period, "refused": self._lease.refused}
+        return problem, dataclasses.asdict(status) | values | counters
 
     def close(self) -> None:
         """Bring the rod to rest and switch the drive off."""

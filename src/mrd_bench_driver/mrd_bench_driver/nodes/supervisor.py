@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import math
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +19,9 @@ from rclpy.node import Node
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
+from mrd_base import InputError
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.lease import hear_emergency_stop
 from mrd_bench_driver.nodes.peer_clients import PeerClients
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
@@ -28,11 +32,13 @@ from mrd_bench_driver.supervision.procedure import RunOutcome, SetOutcome
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.supervisor import Supervisor
 from mrd_interfaces.action import RunExperiment, RunSet
-from mrd_interfaces.msg import BenchSamples, BenchState, Recording, ServoState, Setpoint
+from mrd_interfaces.msg import BenchSamples, BenchState, Lease, Recording, ServoState, Setpoint
 
 _STATUS_FIELDS = [field.name for field in dataclasses.fields(ServoStatus) if field.name != "time"]
 # Threads for requests: one runs a procedure, the others refuse, cancel and stop.
 _REQUEST_THREADS = 8
+# Bench time in s between two renewals of the lease.
+_RENEWAL = 0.04
 # Wall time in s for running actions to end when the node closes.
 _CLOSE_TIMEOUT = 2.0
 
@@ -48,6 +54,9 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._peers = PeerClients(self)
         self._state = self.create_publisher(BenchState, "bench_state", LATCHED)
         self._emergency_stop = self.create_publisher(Bool, "emergency_stop", LATCHED)
+        self._lease = self.create_publisher(Lease, "lease", COMMAND)
+        self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
+        self._renewed = -math.inf
         self._supervisor = Supervisor(
             self.config,
             self.bench,
@@ -55,14 +64,16 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             self._publish_state,
             lambda stop: self._emergency_stop.publish(Bool(data=stop)),
         )
-        self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
+        hear_emergency_stop(self, self._on_emergency_stop)
+        self.create_subscription(Lease, "lease", self._on_lease, COMMAND)
         self.create_subscription(BenchSamples, "samples", self._on_samples, RECORDED)
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, RECORDED)
         self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND, raw=True)
         self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
         self.create_subscription(DiagnosticStatus, "recorder_state", self._on_recorder_state, LATCHED)
+        self.create_subscription(DiagnosticStatus, "daq_state", self._on_daq_state, LATCHED)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop_service)
-        self.create_bench_timer(self.config.check, self._supervisor.tick)
+        self.create_bench_timer(self.config.check, self._tick)
 
         self._active_goals: list[ServerGoalHandle] = []
         self._request_node = Node("supervisor_requests", start_parameter_services=False, enable_rosout=False)
@@ -125,6 +136,28 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         state = next((value.value for value in status.values if value.key == "state"), "")
         self._supervisor.monitor.add_recorder_state(state, status.message if status.level == DiagnosticStatus.ERROR else "")
 
+    def _on_daq_state(self, status: DiagnosticStatus) -> None:
+        self._supervisor.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""
+        self._supervisor.check_interlocks()
+
+    def _on_lease(self, lease: Lease) -> None:
+        # Of two supervisors that start together, exactly one is the later one.
+        if lease.holder != self._holder and (lease.since, lease.holder) < (self._since, self._holder):
+            self.ending = InputError(
+                f"{lease.holder} supervises this bench already; stop it, or give this one another namespace or domain"
+            )
+
+    def _tick(self) -> None:
+        """Check the interlocks and, as long as they are checked, renew the lease."""
+        self._supervisor.tick()
+        now = self.bench.now()
+        if now - self._renewed > _RENEWAL - self.config.check / 2:
+            self._renewed = now
+            mode = self._supervisor.mode
+            lease = Lease(holder=self._holder, since=self._since, mode=int(mode.current), number=mode.lease)
+            lease.header.stamp = self.stamp(now)
+            self._lease.publish(lease)
+
     def _on_emergency_stop(self, message: Bool) -> None:
         # False has no effect: only reset_fault releases the stop. In a fault, this message may be our own.
         if message.data and self._supervisor.mode.current is not Mode.FAULT:
@@ -139,6 +172,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         message = BenchState(mode=int(mode), message=reason)
         message.header.stamp = self.stamp()
         self._state.publish(message)
+        self._renewed = -math.inf  # the next cycle tells servo and DAQ
         if mode is Mode.FAULT:
             self.get_logger().error(f"{reason}; stopped")
 

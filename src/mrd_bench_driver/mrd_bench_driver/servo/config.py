@@ -21,6 +21,9 @@ class ServoConfig:
     position_gain: float = quantity(10.0, doc="speed added per following error, in 1/s", lower=0, upper=50)
     setpoint_timeout: float = quantity(0.13, "ms", "age of the last setpoint at which the rod stops", lower=0.02, upper=1)
     feedback_timeout: float = quantity(0.13, "ms", "age of the last position at which a motion stops", lower=0.02, upper=1)
+    lease_timeout: float = quantity(
+        0.15, "ms", "silence of the supervisor from which the servo stops by itself", lower=0.06, upper=1
+    )
     following_error_limit: float = quantity(0.003, "mm", "largest following error", lower=1e-4, upper=0.05)
     start_distance: float = quantity(
         0.001, "mm", "largest distance from the rod to the first setpoint", lower=1e-5, upper=0.05

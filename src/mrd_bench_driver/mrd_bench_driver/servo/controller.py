@@ -115,7 +115,8 @@ class ServoController:
         self._activity = Activity.NOTHING
         self._setpoint = RodSetpoint(-math.inf, 0.0, 0.0, 0.0)
         self._homing: Homing | None = None
-        self._connected = self._homed = self._emergency_stopped = False
+        self._connected = self._homed = False
+        self._emergency_stop = ""  # reason of the latched stop
         self._in_step = False  # whether replies are known to match their queries
         self._drive_on = self._armed = False  # armed: setpoints are followed
         self._fault = self._note = ""
@@ -185,10 +186,10 @@ class ServoController:
             self._stop(b"X\r")
             return Response(True, "stopped; enable to go on")
 
-    def emergency_stop(self, now: float) -> None:
-        """Stop abruptly and switch the drive off. The stop is latched until `reset_fault`."""
+    def emergency_stop(self, now: float, reason: str = "emergency stop") -> None:
+        """Stop abruptly and switch the drive off. The stop is latched until `reset_fault`; the first reason stays."""
         with self._lock:
-            self._emergency_stopped = True
+            self._emergency_stop = self._emergency_stop or reason
             self._stop(b"S\r")
             self._release_requested = now
 
@@ -202,8 +203,8 @@ class ServoController:
             if self._homed and abs(self._rod.position) > self._travel_limit:
                 command, self._homed = b"OFF SLD ZS\r", False
             self._stop(command)
-            self._drive_on, self._release_requested, self._emergency_stopped = False, None, False
-            self._fault = self._note = ""
+            self._drive_on, self._release_requested = False, None
+            self._fault = self._note = self._emergency_stop = ""
             self._values.pop(STATUS_0, None)
             self._values.pop(STATUS_1, None)
             self._switched = now
@@ -223,7 +224,7 @@ class ServoController:
         with self._lock:
             motor = self._motor_status
             voltage, temperature = self._values.get(BUS_VOLTAGE), self._values.get(TEMPERATURE)
-            stopped = "emergency stop; reset_fault clears it" if self._emergency_stopped else ""
+            stopped = f"{self._emergency_stop}; reset_fault clears it" if self._emergency_stop else ""
             return ServoStatus(
                 time=self._rod.time if self._connected else now,
                 position=self._rod.position,
@@ -237,7 +238,7 @@ class ServoController:
                 homed=self._homed,
                 moving=self._connected and (motor.moving or abs(self._rod.velocity) > STANDSTILL_SPEED),
                 fault=bool(self._fault),
-                stopped=self._emergency_stopped,
+                stopped=bool(self._emergency_stop),
                 message=self._fault or stopped or self._note,
             )
 
@@ -345,8 +346,8 @@ class ServoController:
     def _reason_not_ready(self) -> str:
         if not self._connected:
             return f"the motor is not connected ({self._note or 'still looking for it'})"
-        if self._emergency_stopped:
-            return "the emergency stop is latched; reset_fault clears it"
+        if self._emergency_stop:
+            return f"the emergency stop is latched ({self._emergency_stop}); reset_fault clears it"
         return f"{self._fault}; reset_fault clears it" if self._fault else ""
 
     def _enqueue(self, command: bytes, urgent: bool = False) -> None:

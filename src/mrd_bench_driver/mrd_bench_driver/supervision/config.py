@@ -16,6 +16,9 @@ class SupervisorConfig:
     tare: bool = quantity(True, doc="whether every experiment begins with a tare of the channels marked for it")
     check: float = quantity(0.01, "ms", "time between two checks of the interlocks", lower=0.001, upper=0.02)
     late: float = quantity(0.04, "ms", "delay of a cycle that shows that the machine is too slow", lower=0.005, upper=1)
+    stall: float = quantity(
+        0.1, "ms", "pause of the supervisor after which it trips, and names itself as the cause", lower=0.04, upper=1
+    )
     runs: str = quantity("runs", doc="folder of the bags whose goal names none")
     discovery_timeout: float = quantity(10.0, "s", "wall time to wait for the other nodes", lower=0.1, upper=120)
     answer_timeout: float = quantity(5.0, "s", "wall time to wait for a response", lower=0.1, upper=120)

@@ -40,6 +40,11 @@ def _stale(name: str, age: float, limit: float, remedy: str) -> str:
     return f"{finding}, limit {1e3 * limit:.0f} ms; {remedy}"
 
 
+def check_daq(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -> str:
+    """Trip if the DAQ has stopped for a fault or an emergency stop."""
+    return now.daq_problem
+
+
 def check_samples(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
     """Trip if the DAQ has fallen silent."""
     return _stale("sample", now.sample_age, tolerances.samples_stale, "check the daq and its converter")
@@ -57,7 +62,7 @@ def check_servo_fault(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -
     """Trip if the motor or its driver stopped for a fault or an emergency stop."""
     if now.servo.fault:
         return now.servo.message or "the motor or its driver stopped"
-    return "its emergency stop is latched" if now.servo.stopped else ""
+    return (now.servo.message or "its emergency stop is latched") if now.servo.stopped else ""
 
 
 def check_setpoint(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
@@ -135,8 +140,10 @@ Interlocks = Mapping[str, Callable[[Snapshot, Limits, Tolerances], str]]
 
 STALE_SAMPLES, LOST_SERVO = "stale samples", "lost servo"
 
-# The sources of the data are checked first: once they are silent, their last values mean nothing.
+# The sources of the data are checked first: once they are silent, their last values mean nothing. What they say comes before
+# their silence.
 INTERLOCKS: Interlocks = {
+    "daq fault": check_daq,
     STALE_SAMPLES: check_samples,
     LOST_SERVO: check_servo_connection,
     "servo fault": check_servo_fault,

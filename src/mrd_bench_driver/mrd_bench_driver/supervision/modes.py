@@ -1,29 +1,11 @@
-"""The modes of the bench and the permitted transitions between them."""
+"""The permitted transitions between the modes of the bench."""
 
+import itertools
 import threading
 from collections.abc import Callable
-from enum import IntEnum
 
+from mrd_base.lease import Mode
 from mrd_bench_driver.supervision.errors import RefusedError, TrippedError
-
-
-class Mode(IntEnum):
-    """Mode of the bench, numbered as in the message BenchState."""
-
-    IDLE = 0
-    HOMING = 1
-    IDENTIFICATION = 2
-    CONTROL = 3
-    FAULT = 4
-
-    @property
-    def may_move(self) -> bool:
-        """Whether the rod may move, so that the interlocks are checked."""
-        return self in (Mode.HOMING, Mode.IDENTIFICATION, Mode.CONTROL)
-
-    def __str__(self) -> str:
-        return self.name.lower()
-
 
 # A fault may come at any time. It ends in idle only, so that nothing moves on by itself afterwards.
 TRANSITIONS: dict[Mode, frozenset[Mode]] = {
@@ -42,14 +24,24 @@ class BenchMode:
     ----------
     on_change : callable
         Receives mode and reason at the start and after every change, in the order of the changes.
+    new_number : callable, optional
+        Returns a number that no lease has had.
+
+    Attributes
+    ----------
+    current, reason : Mode, str
+    lease : int
+        Number of the lease that the mode grants for setpoints; 0 where nobody may send any.
     """
 
-    def __init__(self, on_change: Callable[[Mode, str], None]) -> None:
+    def __init__(self, on_change: Callable[[Mode, str], None], new_number: Callable[[], int] | None = None) -> None:
         self._lock = threading.RLock()
         self._on_change = on_change
+        self._new_number = new_number or itertools.count(1).__next__
         self._set(Mode.IDLE, "started")
 
     def _set(self, mode: Mode, reason: str) -> None:
+        self.lease = self._new_number() if mode.takes_setpoints else 0
         self.current, self.reason = mode, reason
         self._on_change(mode, reason)
 
@@ -95,3 +87,6 @@ class BenchMode:
         """Raise `TrippedError` in a fault."""
         if self.current is Mode.FAULT:
             raise TrippedError(self.reason)
+
+
+__all__ = ["TRANSITIONS", "BenchMode", "Mode"]

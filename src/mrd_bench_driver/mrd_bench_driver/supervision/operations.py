@@ -47,6 +47,8 @@ _RESET_TIMEOUT = 10.0
 _PROGRESS_INTERVAL = 0.2
 # Bench time in s between two looks, while the recorder waits for rest, at whether it is still there.
 _REST_INTERVAL = 0.5
+# Bench time in s for all nodes to hear of a new mode, which the lease carries.
+_LEASE_DELAY = 0.05
 # Time by which an experiment may exceed its duration: bench time in s, and share of the duration.
 _OVERTIME = (3.0, 0.02)
 
@@ -121,12 +123,14 @@ class BenchOperations:
     ) -> None:
         self._config, self._clock, self._peers = config, clock, peers
         self._monitor, self._mode, self._interruption = monitor, mode, interruption
+        self._rate, self._loads, self._lease = math.nan, 0, 0
 
     # Conditions
 
     def require_ready(self) -> None:
-        """Wait until all nodes are present; refuse unless the bench is idle."""
+        """Wait until all nodes are present and know that the bench is idle; refuse unless it is."""
         self._mode.require_idle()
+        self._clock.sleep(_LEASE_DELAY)
         self._peers.require(("servo", "daq", "generator", "recorder"), self._config.discovery_timeout, self._interruption)
 
     def require_ready_to_move(self) -> None:
@@ -162,21 +166,23 @@ class BenchOperations:
 
     def load(self, experiment: str) -> LoadedExperiment:
         """Let the generator plan an experiment. Nothing moves."""
+        loads = self._monitor.loads
         response = self._call("load_experiment", _PLANNING_TIMEOUT, experiment=experiment)
         # The state of an earlier experiment must not be taken for the state of this one.
-        self._wait_until(
-            lambda: self._monitor.experiment_state == "loaded", _EFFECT_TIMEOUT, "generator: did not announce `loaded`"
-        )
+        self._wait_until(lambda: self._monitor.loads > loads, _EFFECT_TIMEOUT, "generator: did not announce `loaded`")
+        self._loads = loads + 1
         return LoadedExperiment(response.duration, response.rate)
 
     def start_experiment(self) -> None:
         """Start the setpoints of the loaded experiment."""
+        if self._monitor.loads != self._loads:
+            raise RefusedError("generator: somebody has loaded another experiment meanwhile; run this one again")
         self._call("start_experiment")
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
         """Wait for the end of the experiment and report its progress in s.
 
-        Refuse if it ends otherwise or is late, or if the recording fails.
+        Refuse if it ends otherwise or is late, if somebody stops the rod or changes the rate, or if the recording fails.
         """
         clock, monitor = self._clock, self._monitor
         begin = clock.now()
@@ -185,6 +191,7 @@ class BenchOperations:
         while monitor.experiment_state != "done":
             self._interruption()
             elapsed = clock.now() - begin
+            self._require_undisturbed(begin)
             if monitor.experiment_state == "aborted":
                 raise RefusedError("the generator aborted the experiment; look at its log")
             if monitor.recording_problem:
@@ -196,6 +203,16 @@ class BenchOperations:
                 reported = time.monotonic()
                 progress(min(elapsed, duration))
             clock.sleep_step(0.02)
+        self._require_undisturbed(begin)
+
+    def _require_undisturbed(self, begin: float) -> None:
+        servo = self._servo()
+        if servo.time > begin and not servo.enabled:
+            raise RefusedError(
+                f"servo: somebody stopped the rod during the run ({servo.message or 'by servo/stop or servo/enable'})"
+            )
+        if abs(self._monitor.sample_period * self._rate - 1) > 1e-6:
+            raise RefusedError(f"daq: somebody changed the sample rate to {1 / self._monitor.sample_period:g} Hz")
 
     def await_last_samples(self) -> None:
         """Wait until the samples of the present instant have arrived."""
@@ -214,6 +231,7 @@ class BenchOperations:
 
     def set_sample_rate(self, rate: float) -> None:
         """Set the sample rate in Hz; wait until samples come at this rate and the servo is healthy."""
+        self._rate = rate
         self._peers.set_sample_rate(rate, self._config.answer_timeout, self._interruption)
         self._wait_until(
             lambda: abs(self._monitor.sample_period * rate - 1) < 1e-6,
@@ -240,7 +258,10 @@ class BenchOperations:
 
     def start_recording(self, request: RunRequest) -> None:
         """Open the bag."""
-        self._call("start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed)
+        self._lease = self._mode.lease
+        self._call(
+            "start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed, lease=self._lease
+        )
 
     def stop_recording(self) -> BagSummary:
         """Close the bag and count its samples. The recorder waits until rod and coil are at rest, in bench time."""
@@ -252,15 +273,17 @@ class BenchOperations:
             if monitor.recorder_state == "stopping" and clock.now() < latest:
                 monitor.recorder_changed.wait(clock.now() + _REST_INTERVAL)
 
-        response = self._peers.call("stop_recording", self._config.close_timeout, let_rod_rest, may_fail=True)
+        timeout = self._config.close_timeout
+        response = self._peers.call("stop_recording", timeout, let_rod_rest, may_fail=True, lease=self._lease)
         problem = "" if response.success else response.message
         return BagSummary(response.bag, response.samples, response.lost, response.duration, problem)
 
     # The rod
 
-    def enter(self, mode: Mode) -> None:
-        """Change the mode. If the rod may move in it, the interlocks are checked from now on."""
-        self._mode.enter(mode, "run_experiment")
+    def enter(self, mode: Mode, reason: str = "run_experiment") -> None:
+        """Change to a mode in which the rod may move and the interlocks are checked; wait until all have heard of it."""
+        self._mode.enter(mode, reason)
+        self._clock.sleep(_LEASE_DELAY)
 
     def centre(self, *, always: bool = False) -> None:
         """Home the rod, unless it is homed and stands at mid-stroke."""
@@ -274,10 +297,13 @@ class BenchOperations:
             begin = self._clock.now()
             timeout = self._config.home_timeout
             self._wait_until(
-                lambda: self._servo().time > begin and centred(),
+                lambda: self._servo().time > begin and (centred() or not self._servo().enabled),
                 timeout,
                 lambda: f"servo: not homed within {timeout:g} s; the rod stands at {1e3 * self._servo().position:.2f} mm",
             )
+            self._interruption()
+            if not centred():
+                raise RefusedError("servo: somebody stopped the homing")
 
     def enable(self) -> None:
         """Switch the drive on."""
@@ -308,6 +334,7 @@ class BenchOperations:
 
     def reset_faults(self) -> None:
         """Reset servo and DAQ once their data are healthy and the rod stands."""
+        self._clock.sleep(_LEASE_DELAY)
         trip = self._first_trip(RESET_INTERLOCKS)
         if trip is not None and trip.interlock == STALE_SAMPLES:
             # The reset restarts a converter that failed.
@@ -323,9 +350,9 @@ class BenchOperations:
         self._call("servo/reset_fault", _RESET_TIMEOUT)
         self._call("daq/reset_fault", _RESET_TIMEOUT)
         self._wait_until(
-            lambda: not (self._servo().stopped or self._servo().fault),
+            lambda: not (self._servo().stopped or self._servo().fault or self._monitor.daq_problem),
             _EFFECT_TIMEOUT,
-            "servo: still in fault after its reset; look at its message",
+            "servo or daq: still in fault after the reset; look at their messages",
         )
 
     # Internals

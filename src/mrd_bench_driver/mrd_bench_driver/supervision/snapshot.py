@@ -32,6 +32,8 @@ class Snapshot:
     servo : ServoStatus
     setpoint_age : float
         Age in s of the latest setpoint while an experiment runs, else 0.
+    daq_problem : str
+        Why the DAQ has stopped, or "".
     """
 
     sample_age: float = math.inf
@@ -42,6 +44,7 @@ class Snapshot:
     servo_age: float = math.inf
     servo: ServoStatus = ServoStatus()
     setpoint_age: float = 0.0
+    daq_problem: str = ""
 
 
 class BenchMonitor:
@@ -55,6 +58,10 @@ class BenchMonitor:
         Latest status of the servo.
     experiment_state : str
         Latest state of the experiment: loaded, running, done or aborted.
+    loads : int
+        How often an experiment was loaded.
+    daq_problem : str
+        Why the DAQ has stopped, or "".
     recorder_state, recording_problem : str
         Latest state of the recorder: idle, recording, stopping or failed; and why the recording has failed, or "".
     recorder_changed : Waiter
@@ -66,6 +73,8 @@ class BenchMonitor:
         self.sample_period = math.nan
         self.servo: ServoStatus | None = None
         self.experiment_state = ""
+        self.loads = 0
+        self.daq_problem = ""
         self.recorder_state = self.recording_problem = ""
         self.recorder_changed = clock.waiter()
         self._setpoint_time = -math.inf
@@ -100,6 +109,7 @@ class BenchMonitor:
     def add_experiment_state(self, state: str, now: float) -> None:
         """Note a state of the experiment. Its first setpoint may come after it, so the age of setpoints counts from now."""
         self._setpoint_time = max(self._setpoint_time, now)
+        self.loads += state == "loaded"
         self.experiment_state = state
 
     def add_recorder_state(self, state: str, problem: str) -> None:
@@ -117,6 +127,7 @@ class BenchMonitor:
             servo_age=math.inf if servo is None else now - servo.time,
             servo=servo or ServoStatus(),
             setpoint_age=now - self._setpoint_time if running else 0.0,
+            daq_problem=self.daq_problem,
         )
 
 

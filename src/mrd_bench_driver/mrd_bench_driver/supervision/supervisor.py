@@ -62,14 +62,18 @@ class Supervisor:
         self._lock = threading.Lock()
         self._stop_requested = threading.Event()
         self._punctuality = Punctuality(config.late)
+        self._checked = clock.now()
         self.monitor = BenchMonitor(clock)
-        self.mode = BenchMode(on_mode)
+        # The time in microseconds is unique, also among supervisors that follow each other.
+        self.mode = BenchMode(on_mode, lambda: int(1e6 * clock.now()))
         self.procedure = ""
 
     # Interlocks and the emergency stop
 
     def check_interlocks(self) -> None:
         """Stop the bench if an interlock trips while the rod may move."""
+        self._check_stall()
+        self._checked = self._clock.now()
         mode, servo = self.mode.current, self.monitor.servo
         if mode.may_move:
             interlocks = HOMING_INTERLOCKS if mode is Mode.HOMING else INTERLOCKS
@@ -77,9 +81,21 @@ class Supervisor:
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
                 self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
-        elif mode is Mode.IDLE and servo is not None and servo.stopped and not self.procedure:
-            # The stop is older than this process.
-            self.emergency_stop("the servo's emergency stop is latched; call reset_fault")
+        elif mode is Mode.IDLE and not self.procedure:
+            # The stop is older than this process, or somebody has pressed the button of one node.
+            if servo is not None and servo.stopped:
+                self.emergency_stop(f"servo: {servo.message or 'its emergency stop is latched; call reset_fault'}")
+            elif self.monitor.daq_problem:
+                self.emergency_stop(f"daq: {self.monitor.daq_problem}")
+
+    def _check_stall(self) -> None:
+        """Trip after a pause of this process. What fell silent in its own absence is not to blame."""
+        pause = self._clock.now() - self._checked
+        if pause > self._config.stall and self.mode.current.may_move:
+            self.emergency_stop(
+                f"the supervisor was stalled for {pause:.2f} s and did not watch; look for what stopped it or keeps this "
+                "machine busy"
+            )
 
     def emergency_stop(self, reason: str) -> None:
         """Stop everything at once. The stop is latched until `reset_fault`; the reason of the first stop stays."""
@@ -99,7 +115,7 @@ class Supervisor:
             bench = self._operations()
             bench.require_ready_to_move()
             with self._halt_on_failure(bench):
-                self.mode.enter(Mode.HOMING, "home")
+                bench.enter(Mode.HOMING, "home")
                 bench.centre(always=True)
             bench.halt()
             self.mode.leave("homed")
@@ -111,11 +127,11 @@ class Supervisor:
             bench = self._operations()
             bench.require_ready_to_move()
             with self._halt_on_failure(bench):
-                self.mode.enter(Mode.HOMING, "control")
+                bench.enter(Mode.HOMING, "control")
                 bench.centre()
-                self.mode.enter(Mode.CONTROL, "control")
+                bench.enter(Mode.CONTROL, "control")
                 bench.enable()
-        return "the rod follows the topic setpoint"
+        return f"the rod follows setpoints that carry lease {self.mode.lease}"
 
     def stop(self) -> str:
         """Stop whatever runs; return the message of success."""
@@ -186,6 +202,7 @@ class Supervisor:
         return BenchOperations(self._config, self._clock, self._peers, self.monitor, self.mode, interruption)
 
     def _raise_if_interrupted(self) -> None:
+        self._check_stall()
         self.mode.require_no_fault()
         if self._stop_requested.is_set():
             raise CancelledError
@@ -214,6 +231,9 @@ class Supervisor:
             outcome = run_experiment(bench, request, progress)
         finally:
             self.mode.leave("the experiment ended")
+        # A stop may have reached another node first, whose end of the run was noticed before its reason.
+        if self.mode.current is Mode.FAULT and self.mode.reason not in outcome.message:
+            outcome = dataclasses.replace(outcome, success=False, message=f"{self.mode.reason}; {outcome.message}")
         # An interlock names what fell silent. Whether only the machine was too slow, it cannot know.
         problem = self._punctuality.problem()
         return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome

@@ -12,11 +12,13 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool
 
 from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.lease import RELIABLE, LeaseFollower
 from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, free_space
@@ -47,8 +49,9 @@ class Recorder(BenchNode[RecorderSettings]):
 
     Topics are served by the executor of this node. Requests are served one after the other by a second node in a thread of
     its own, because stop_recording waits until rod and coil are at rest while the recording goes on. The topic
-    ``recorder_state`` tells at once when a recording fails. On a simulated bench, time stands still during a request, except
-    while stop_recording waits for rest; who calls it lets time pass while ``recorder_state`` is ``stopping``.
+    ``recorder_state`` tells at once when a recording fails. While a supervisor watches, nobody else ends the recording of
+    its run. On a simulated bench, time stands still during a request, except while stop_recording waits for rest; who calls
+    it lets time pass while ``recorder_state`` is ``stopping``.
     """
 
     def __init__(self) -> None:
@@ -58,6 +61,8 @@ class Recorder(BenchNode[RecorderSettings]):
         self._failure = ""
         self._last_samples = 0.0
         self._rest: RestMonitor | None = None
+        self._lease = LeaseFollower(self, self.config.stale, lambda _reason: None)
+        self._run_lease = 0  # number of the lease of the run that is recorded; 0 for a recording by hand
         self._requested = 0.0  # bench time of the latest request
         self._end = math.inf  # bench time from which on nothing is written
         self._wait_over = self.bench.waiter()  # woken when the wait for rest is over
@@ -71,7 +76,7 @@ class Recorder(BenchNode[RecorderSettings]):
         self._record("setpoint", Setpoint)
         self._calibration = self._record("calibration", Calibration, latched=True)
         self._record("bench_state", BenchState, latched=True)
-        self._record("emergency_stop", Bool, latched=True)
+        self._record("emergency_stop", Bool, latched=True, qos=RELIABLE)
         self._run_info = self.resolve_topic_name("run_info")
         self.create_timer(FLUSH_PERIOD, self._flush)
         self._publish_state("idle")
@@ -85,7 +90,7 @@ class Recorder(BenchNode[RecorderSettings]):
         self._request_thread = threading.Thread(target=self._serve_requests, name="requests", daemon=True)
         self._request_thread.start()
 
-    def _record(self, name: str, message_type: Any, latched: bool = False) -> str:
+    def _record(self, name: str, message_type: Any, latched: bool = False, qos: QoSProfile | None = None) -> str:
         """Subscribe to a topic, as serialised bytes, and return its full name."""
 
         def on_message(cdr: bytes) -> None:
@@ -94,7 +99,8 @@ class Recorder(BenchNode[RecorderSettings]):
                     self._latched[topic] = cdr
                 self._write(topic, cdr)
 
-        subscription = self.create_subscription(message_type, name, on_message, LATCHED if latched else RECORDED, raw=True)
+        qos = qos or (LATCHED if latched else RECORDED)
+        subscription = self.create_subscription(message_type, name, on_message, qos, raw=True)
         topic: str = subscription.topic_name
         self._types[topic] = (type_name(message_type), latched)
         return topic
@@ -195,6 +201,7 @@ class Recorder(BenchNode[RecorderSettings]):
                 writer.write(topic, self._now(), cdr)
             writer.flush()
             self._writer, self._failure = writer, ""
+            self._run_lease = int(request.lease)
             self._last_samples = self._requested = self.bench.now()
             self._end = math.inf
             self._publish_state("recording")
@@ -203,7 +210,12 @@ class Recorder(BenchNode[RecorderSettings]):
 
     # Stop
 
-    def _stop(self, _request: StopRecording.Request, response: StopRecording.Response) -> StopRecording.Response:
+    def _stop(self, request: StopRecording.Request, response: StopRecording.Response) -> StopRecording.Response:
+        recorded = self._run_lease if self._writer is not None else 0
+        if recorded not in (0, request.lease) and self._lease.is_valid(self.bench.now()):
+            response.success = False
+            response.message = f"records a run of {self._lease.lease.holder}; call its stop"
+            return response
         with self.bench.busy():
             return self._close_and_count(response)
 

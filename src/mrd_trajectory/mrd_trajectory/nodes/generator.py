@@ -6,7 +6,9 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from mrd_base import InputError
+from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, BenchNode, run_node
+from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_interfaces.msg import Setpoint
 from mrd_interfaces.srv import LoadExperiment
 from mrd_trajectory.experiment import parse_experiment
@@ -18,7 +20,8 @@ class Generator(BenchNode[GeneratorSettings]):
     """Publishes the setpoints of an experiment once after it was loaded and started.
 
     The rod must be at rest at mid-stroke when an experiment starts; the client that starts it is responsible for that. When
-    the setpoints end early, the servo brings the rod to rest.
+    the setpoints end early, the servo brings the rod to rest. The setpoints carry the number of the lease that the
+    supervisor has granted for an experiment; without one, nobody follows them.
     """
 
     def __init__(self) -> None:
@@ -30,7 +33,9 @@ class Generator(BenchNode[GeneratorSettings]):
         self._stopped = False
         self._setpoints = self.create_publisher(Setpoint, "setpoint", COMMAND)
         self._states = self.create_publisher(String, "experiment_state", LATCHED)
-        self.create_subscription(Bool, "emergency_stop", self._on_emergency_stop, LATCHED)
+        hear_emergency_stop(self, self._on_emergency_stop)
+        self._lease = LeaseFollower(self, self.config.stall, lambda _reason: None)
+        self._number = 0  # of the lease under which the experiment was started
         self.create_service(LoadExperiment, "load_experiment", self._load)
         self.create_service(Trigger, "start_experiment", self._start_experiment)
         self.create_service(Trigger, "abort_experiment", self._abort)
@@ -68,6 +73,8 @@ class Generator(BenchNode[GeneratorSettings]):
             response.message = f"no experiment is loaded ({self._state}); call load_experiment first"
         else:
             self._start = self._last = self.bench.now()
+            lease = self._lease.lease
+            self._number = lease.number if lease.mode is Mode.IDENTIFICATION else 0
             self._timer.reset()
             self._enter("running")
             self._publish(self._start)
@@ -91,7 +98,9 @@ class Generator(BenchNode[GeneratorSettings]):
         if self._state != "running":  # the timer was already due when the run ended
             return
         now = self.bench.now()
-        if now - self._last > self.config.stall:
+        if self._number and self._lease.lease.number != self._number:
+            self._enter("aborted", "the supervisor's lease has ended")
+        elif now - self._last > self.config.stall:
             # The servo has stopped the rod in the meantime. The present setpoint of the plan would make it jump.
             self._enter("aborted", f"no setpoint for {now - self._last:.3g} s; the machine is too busy")
         else:
@@ -107,6 +116,7 @@ class Generator(BenchNode[GeneratorSettings]):
             velocity=float(setpoint.velocity),
             acceleration=float(setpoint.acceleration),
             coil_current=float(setpoint.current),
+            lease=self._number,
         )
         message.header.stamp = self.stamp(now)
         self._setpoints.publish(message)

@@ -1,0 +1,134 @@
+"""The lease: the supervisor's leave to move rod and coil, which it renews as long as it watches (docs/safety.md).
+
+One message serves as heartbeat and as ownership. Servo and DAQ move nothing without a lease, stop by themselves when it is
+no longer renewed, and follow only setpoints that carry its number.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+
+class Mode(IntEnum):
+    """Mode of the bench, numbered as in the message BenchState."""
+
+    IDLE = 0
+    HOMING = 1
+    IDENTIFICATION = 2
+    CONTROL = 3
+    FAULT = 4
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the rod may move, so that the interlocks are checked."""
+        return self in (Mode.HOMING, Mode.IDENTIFICATION, Mode.CONTROL)
+
+    @property
+    def takes_setpoints(self) -> bool:
+        """Whether rod and coil follow setpoints."""
+        return self in (Mode.IDENTIFICATION, Mode.CONTROL)
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True)
+class Lease:
+    """A lease, as the supervisor renews it.
+
+    Attributes
+    ----------
+    time : float
+        Bench time in s of the renewal.
+    holder : str
+        The supervisor.
+    since : float
+        Bench time in s at which the supervisor started.
+    mode : Mode
+        Mode of the bench.
+    number : int
+        What setpoints must carry; 0 where nobody may send any.
+    """
+
+    time: float = -math.inf
+    holder: str = ""
+    since: float = math.inf
+    mode: Mode = Mode.IDLE
+    number: int = 0
+
+
+class LeaseWatch:
+    """What a node knows of the lease. Its methods return at once.
+
+    Parameters
+    ----------
+    timeout : float
+        Age in s from which a lease is void.
+
+    Attributes
+    ----------
+    lease : Lease
+        Latest renewal by the holder.
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self.lease = Lease()
+        self._granted = self._revoked = 0  # latest number; and number of a lease that a stop has ended
+
+    def renew(self, lease: Lease, now: float) -> str:
+        """Take a renewal; return why it is refused, or "".
+
+        While a lease is valid, nobody else can take it.
+        """
+        if self.is_valid(now) and lease.holder != self.lease.holder:
+            return f"the lease of {lease.holder} is refused: {self.lease.holder} holds the bench; stop one of them"
+        # A message that was under way for long is no sign of life, nor is a stamp from the future.
+        if now - lease.time <= self._timeout:
+            self.lease = replace(lease, time=min(lease.time, now))
+            self._granted = lease.number or self._granted
+        return ""
+
+    def was_granted(self, number: int) -> bool:
+        """Whether a number is that of the latest lease, which may have ended."""
+        return number == self._granted != 0
+
+    def revoke(self) -> None:
+        """Follow the setpoints of the present lease no more: somebody has asked for a stop."""
+        self._revoked = self.lease.number
+
+    def is_valid(self, now: float) -> bool:
+        """Whether the holder has renewed the lease lately."""
+        return now - self.lease.time <= self._timeout
+
+    def reason_not_to_move(self, now: float) -> str:
+        """Return why the rod must not be moved, or ""."""
+        if not self.is_valid(now):
+            return "no supervisor watches; start one, then call its home, control or run_experiment"
+        if not self.lease.mode.may_move:
+            return f"the bench is in mode {self.lease.mode}; call home, control or run_experiment of {self.lease.holder}"
+        if self.lease.number and self.lease.number == self._revoked:
+            return "a stop has ended the lease; let the supervisor's procedure end, then begin anew"
+        return ""
+
+    def reason_not_to_follow(self, number: int, now: float) -> str:
+        """Return why a setpoint with this number must not be followed, or ""."""
+        if reason := self.reason_not_to_move(now):
+            return reason
+        if not self.lease.mode.takes_setpoints:
+            return f"the bench is in mode {self.lease.mode}"
+        return "" if number == self.lease.number else f"it carries lease {number}, not {self.lease.number}"
+
+    def reason_not_to_change(self, now: float) -> str:
+        """Return why nothing may be changed that would spoil a run, or ""."""
+        if self.is_valid(now) and self.lease.mode.may_move:
+            return f"the bench is in mode {self.lease.mode}; call stop of {self.lease.holder} first"
+        return ""
+
+    def is_lost(self, now: float) -> bool:
+        """Whether the supervisor has fallen silent while rod or coil may move."""
+        return self.lease.mode.may_move and not self.is_valid(now)
+
+    def forget(self) -> None:
+        """Note that a lost lease has been answered by a stop."""
+        self.lease = Lease()

@@ -1,0 +1,82 @@
+"""How nodes hear the two topics of the safety concept (docs/safety.md): ``lease`` and ``emergency_stop``."""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from mrd_base.lease import Lease, LeaseWatch, Mode
+from mrd_base.nodes.bench_node import COMMAND, BenchNode, seconds
+from mrd_interfaces import msg
+
+# Bench time in s between two looks at the age of the lease.
+_CHECK_PERIOD = 0.01
+# Bench time in s between two warnings of refused setpoints.
+_WARNING_PERIOD = 1.0
+# Who subscribes reliably hears reliable publishers, latched or not, without loss; but never those that send best effort.
+RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+_BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+
+
+def hear_emergency_stop(node: BenchNode[Any], callback: Callable[[Bool], None]) -> None:
+    """Hear ``emergency_stop`` from every publisher, whatever its quality of service; a message may come twice."""
+    for qos in (RELIABLE, _BEST_EFFORT):
+        node.create_subscription(Bool, "emergency_stop", callback, qos)
+
+
+class LeaseFollower(LeaseWatch):
+    """Follows the topic ``lease`` for a node.
+
+    Parameters
+    ----------
+    timeout : float
+        Age in s from which the lease is void.
+    stop : callable
+        Stops what the node moves when the supervisor has fallen silent or stopped the bench; receives the reason.
+    """
+
+    def __init__(self, node: BenchNode[Any], timeout: float, stop: Callable[[str], object]) -> None:
+        super().__init__(timeout)
+        self._node, self._stop = node, stop
+        self._warned = -_WARNING_PERIOD
+        self.refused = ""
+        node.create_subscription(msg.Lease, "lease", self._on_lease, COMMAND)
+        node.create_bench_timer(_CHECK_PERIOD, self.check)
+
+    def _on_lease(self, message: msg.Lease) -> None:
+        if message.mode not in list(Mode):
+            self._warn(f"a lease of {message.holder} is refused: its mode is {message.mode}, expected 0 to {int(max(Mode))}")
+            return
+        self.check()  # a new supervisor must not hide the loss of the one before
+        before = self.lease.mode
+        lease = Lease(seconds(message.header.stamp), message.holder, message.since, Mode(message.mode), int(message.number))
+        if refusal := self.renew(lease, self._node.bench.now()):
+            self._warn(refusal)
+        elif before.may_move and self.lease.mode is Mode.FAULT:
+            # The message on emergency_stop may be lost; the lease is renewed.
+            self._stop("the supervisor has stopped the bench")
+
+    def check(self) -> None:
+        """Stop if the supervisor has fallen silent while rod or coil may move."""
+        now = self._node.bench.now()
+        if self.is_lost(now):
+            silence, holder = now - self.lease.time, self.lease.holder
+            self.forget()
+            self._stop(f"the supervisor {holder} has been silent for {1e3 * silence:.0f} ms; look at its log")
+
+    def permits(self, setpoint: msg.Setpoint) -> bool:
+        """Whether a setpoint is to be followed; name the publishers of one that comes from somebody else."""
+        number = int(setpoint.lease)
+        reason = self.reason_not_to_follow(number, self._node.bench.now())
+        if reason and not self.was_granted(number):
+            topics = self._node.get_publishers_info_by_topic("setpoint")
+            names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in topics})
+            self._warn(f"a setpoint is refused: {reason}; publishers of setpoint: {', '.join(names)}")
+        return not reason
+
+    def _warn(self, refusal: str) -> None:
+        self.refused = refusal
+        if (now := self._node.bench.now()) - self._warned > _WARNING_PERIOD:
+            self._warned = now
+            self._node.get_logger().warning(refusal)

@@ -1,0 +1,80 @@
+"""Who may move rod and coil, and when the lease is void."""
+
+import dataclasses
+
+from mrd_base.lease import Lease, LeaseWatch, Mode
+
+OWN = Lease(100.0, "one", 90.0, Mode.IDENTIFICATION, 7)
+
+
+def watch(lease: Lease = OWN) -> LeaseWatch:
+    watch = LeaseWatch(0.15)
+    assert watch.renew(lease, lease.time) == ""
+    return watch
+
+
+def test_nobody_moves_anything_without_a_lease() -> None:
+    lease = LeaseWatch(0.15)
+    assert lease.reason_not_to_move(100.0).startswith("no supervisor watches")
+    assert lease.reason_not_to_follow(0, 100.0)
+    assert not lease.is_lost(100.0), "nothing moved"
+    assert not lease.reason_not_to_change(100.0)
+
+
+def test_each_mode_permits_what_it_needs() -> None:
+    may_move = {mode for mode in Mode if not watch(dataclasses.replace(OWN, mode=mode)).reason_not_to_move(100.0)}
+    assert may_move == {Mode.HOMING, Mode.IDENTIFICATION, Mode.CONTROL}
+    may_follow = {mode for mode in Mode if not watch(dataclasses.replace(OWN, mode=mode)).reason_not_to_follow(7, 100.0)}
+    assert may_follow == {Mode.IDENTIFICATION, Mode.CONTROL}
+    may_change = {mode for mode in Mode if not watch(dataclasses.replace(OWN, mode=mode)).reason_not_to_change(100.0)}
+    assert may_change == {Mode.IDLE, Mode.FAULT}
+
+
+def test_setpoints_need_the_number_of_the_lease() -> None:
+    lease = watch()
+    assert lease.reason_not_to_follow(7, 100.0) == ""
+    assert lease.reason_not_to_follow(0, 100.0) == "it carries lease 0, not 7"
+    assert [lease.was_granted(number) for number in (7, 0, 6)] == [True, False, False]
+    # Those that were under way when the lease ended are no stranger's.
+    lease.renew(dataclasses.replace(OWN, time=100.04, mode=Mode.IDLE, number=0), 100.04)
+    assert lease.reason_not_to_follow(7, 100.04) == "the bench is in mode idle; call home, control or run_experiment of one"
+    assert lease.was_granted(7)
+
+
+def test_a_lease_is_void_once_it_is_not_renewed() -> None:
+    lease = watch()
+    assert not lease.is_lost(100.149)
+    assert lease.is_lost(100.151)
+    assert lease.reason_not_to_move(100.151).startswith("no supervisor watches")
+    lease.forget()
+    assert not lease.is_lost(100.2), "it is answered once"
+    # A supervisor that falls silent on an idle bench stops nothing.
+    assert not watch(dataclasses.replace(OWN, mode=Mode.IDLE)).is_lost(200.0)
+
+
+def test_neither_old_nor_future_stamps_renew_it() -> None:
+    lease = watch()
+    lease.renew(dataclasses.replace(OWN, time=100.01), 100.2)
+    assert lease.is_lost(100.2)
+    lease.renew(dataclasses.replace(OWN, time=1e9), 100.3)
+    assert not lease.is_lost(100.4)
+    assert lease.is_lost(100.5)
+
+
+def test_a_second_supervisor_does_not_take_it() -> None:
+    lease = watch()
+    other = Lease(100.05, "two", 99.0, Mode.CONTROL, 8)
+    assert lease.renew(other, 100.05) == "the lease of two is refused: one holds the bench; stop one of them"
+    assert lease.lease.holder == "one"
+    assert lease.renew(dataclasses.replace(other, time=100.3), 100.3) == ""
+    assert lease.lease.holder == "two"
+
+
+def test_a_stop_ends_the_lease_but_not_the_next_one() -> None:
+    lease = watch()
+    lease.revoke()
+    assert lease.reason_not_to_follow(7, 100.0).startswith("a stop has ended the lease")
+    lease.renew(dataclasses.replace(OWN, time=100.04), 100.04)
+    assert lease.reason_not_to_move(100.04).startswith("a stop has ended the lease")
+    lease.renew(dataclasses.replace(OWN, time=100.08, number=8), 100.08)
+    assert lease.reason_not_to_follow(8, 100.08) == ""

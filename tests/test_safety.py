@@ -1,0 +1,369 @@
+"""The safety concept on the whole bench: who may move rod and coil, who stops them, what happens without a supervisor."""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
+from mrd_interfaces.msg import AnalogOutput, BenchSamples, BenchState, Setpoint
+from mrd_interfaces.srv import StopRecording
+from mrd_runs import read_run
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(180)]
+
+LONG = """
+name: long
+duration_s: 30.0
+rate_hz: 500.0
+rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
+coil: {waveform: constant, level_mA: 100.0}
+"""
+SHORT = LONG.replace("duration_s: 30.0", "duration_s: 3.0")
+
+ORDINARY = QoSProfile(depth=10)
+SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+
+
+@pytest.fixture(scope="module")
+def shared_bench(whole_bench: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One bench for the tests that leave it as they found it."""
+    with whole_bench(tmp_path_factory.mktemp("bench")) as bench:
+        bench.output = bench.subscribe("analog_output", AnalogOutput, LATCHED)
+        bench.mode = bench.subscribe("bench_state", BenchState, LATCHED)
+        yield bench
+
+
+def service(bench: Any, name: str, kind: Any = Trigger, **fields: Any) -> Any:
+    client = bench.client.node.create_client(kind, name)
+    assert bench.client.spin(client.service_is_ready, 10), f"no service {name}"
+    response = bench.call(client, kind.Request(**fields))
+    client.destroy()
+    return response
+
+
+def result_of(bench: Any, ended: Any) -> Any:
+    assert bench.client.spin(ended.done, 90, watch=False)
+    return ended.result().result
+
+
+def reset(bench: Any) -> None:
+    response = service(bench, "reset_fault")
+    assert response.success, response.message
+    assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.IDLE, 10)
+
+
+def publish(bench: Any, qos: QoSProfile) -> None:
+    """Press the button as any client does, once ROS has connected it."""
+    publisher = bench.client.node.create_publisher(Bool, "emergency_stop", qos)
+    # Servo, DAQ, generator and supervisor subscribe reliably and best effort, the recorder reliably.
+    heard = 4 if qos is SENSOR else 9
+    assert bench.client.spin(lambda: publisher.get_subscription_count() == heard, 10), "not everybody hears this publisher"
+    bench.pressed = bench.clock.now()
+    # The nodes may not know a new publisher yet. To one that sends best effort, nobody says what was lost.
+    for _ in range(10 if qos is SENSOR else 1):
+        publisher.publish(Bool(data=True))
+        bench.client.spin(lambda: False, 0.02)
+    # As long as `ros2 topic pub --once` stays.
+    bench.client.spin(lambda: False, 0.1)
+    bench.client.node.destroy_publisher(publisher)
+
+
+# Watchdogs
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
+def test_without_its_supervisor_the_bench_stops_by_itself(bench: Any, end: signal.Signals, tmp_path: Path) -> None:
+    output = bench.subscribe("analog_output", AnalogOutput, LATCHED)
+    samples = bench.subscribe("samples", BenchSamples, RECORDED)
+    ended = bench.run_at_speed(LONG, tmp_path / "bag")
+    supervisor = bench.processes.running["supervisor"]
+    with bench.clock.busy():
+        begun = bench.clock.now()
+        assert output[-1].coil_command > 0
+        supervisor.send_signal(end)
+        if end is signal.SIGKILL:
+            supervisor.wait()
+            del bench.processes.running["supervisor"]
+    stopped = bench.time_to_rest(begun)
+    off = seconds(output[-1].header.stamp) - begun
+    print(f"supervisor {end.name}: the rod stood after {1e3 * stopped:.0f} ms, the coil was off after {1e3 * off:.0f} ms")
+    assert 0 < stopped < 0.2
+    assert output[-1].coil_command == 0
+    assert 0 < off < 0.2
+    assert np.abs(np.mean(samples[-1].coil_current)) < 0.02
+    assert bench.servo[-1].stopped
+    assert "has been silent for" in bench.servo[-1].message
+    # Nothing moves until somebody resets it, and then not without a supervisor.
+    assert "no supervisor watches" in service(bench, "servo/enable", SetBool, data=True).message
+    assert "no supervisor watches" in service(bench, "servo/home").message
+    if end is signal.SIGKILL:
+        bench.processes.start("supervisor")
+        modes = bench.subscribe("bench_state", BenchState, LATCHED)
+        assert bench.client.spin(lambda: modes and modes[-1].mode == BenchState.FAULT, 60)
+        assert "has been silent for" in modes[-1].message
+        return
+    supervisor.send_signal(signal.SIGCONT)
+    result = result_of(bench, ended)
+    assert result.message.startswith("the supervisor was stalled for "), result.message
+    assert not result.success
+    assert len(read_run(tmp_path / "bag")) == result.samples > 100
+
+
+def find_node(tool: "subprocess.Popen[str]", name: str) -> psutil.Process:
+    (found,) = [
+        child for child in psutil.Process(tool.pid).children(recursive=True) if f"/{name}" in " ".join(child.cmdline()[:3])
+    ]
+    return found
+
+
+@pytest.mark.parametrize("victim", ["supervisor", "daq"])
+def test_the_tool_stops_everything_at_once_when_a_node_dies(victim: str, tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text(LONG)
+    command = [
+        "ros2",
+        "run",
+        "mrd_bench_driver",
+        "bench",
+        tmp_path / "long.yaml",
+        "--simulated",
+        "--output",
+        tmp_path / "out",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as tool:
+        deadline = time.monotonic() + 90
+        while sum(file.stat().st_size for file in tmp_path.glob("out/bag/*.mcap")) < 60_000:
+            assert tool.poll() is None, tool.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        find_node(tool, victim).kill()
+        begin = time.monotonic()
+        _, errors = tool.communicate(timeout=60)
+        print(f"{victim}: bench ended after {time.monotonic() - begin:.1f} s")
+        assert time.monotonic() - begin < 20
+    assert tool.returncode == 1
+    assert f"error: {victim} ended with status -9" in errors
+    run = read_run(tmp_path / "out/bag")
+    if victim != "daq":  # the rest of the braking is recorded, too
+        last = run.position[-100:].reshape(-1, 10).mean(axis=1)
+        assert np.ptp(last) < 2e-4
+
+
+# The emergency stop
+
+BUTTONS: dict[str, Callable[[Any], Any]] = {
+    "an ordinary publisher": lambda bench: publish(bench, ORDINARY),
+    "a best-effort publisher": lambda bench: publish(bench, SENSOR),
+    "a latched publisher": lambda bench: publish(bench, LATCHED),
+    "the service of the servo": lambda bench: service(bench, "servo/emergency_stop"),
+    "the service of the DAQ": lambda bench: service(bench, "daq/emergency_stop"),
+    "the service of the supervisor": lambda bench: service(bench, "emergency_stop"),
+}
+
+
+@pytest.mark.parametrize("button", BUTTONS)
+def test_everybodys_emergency_stop_stops_rod_and_coil_and_latches(button: str, shared_bench: Any, tmp_path: Path) -> None:
+    bench = shared_bench
+    ended = bench.run_at_speed(LONG, tmp_path / "bag")
+    bench.pressed = bench.clock.now()
+    BUTTONS[button](bench)
+    result = result_of(bench, ended)
+    assert not result.success
+    assert "emergency stop" in result.message
+    assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.FAULT and bench.servo[-1].stopped, 10)
+    assert bench.output[-1].coil_command == 0
+    # How long the message was under way on the wall's clock counts, too: nobody announces it to the time of the bench.
+    print(f"{button}: the rod stood after {1e3 * bench.time_to_rest(bench.pressed, 0.1):.0f} ms")
+    again = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
+    assert "call reset_fault" in again.message
+    assert not service(bench, "servo/home").success
+    reset(bench)
+
+
+# Ownership
+
+
+def test_an_idle_bench_obeys_nobody(shared_bench: Any) -> None:
+    bench = shared_bench
+    bench.truth.clear()
+    outputs = len(bench.output)
+    stranger = bench.client.node.create_publisher(Setpoint, "setpoint", ORDINARY)
+    assert bench.client.spin(lambda: stranger.get_subscription_count() >= 2, 10)
+    for _ in range(50):
+        message = Setpoint(position=0.01, velocity=0.05, coil_current=1.0)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * bench.clock.now()), 10**9)
+        stranger.publish(message)
+        bench.client.spin(lambda: False, 0.02)
+    assert all(output.coil_command == 0 for output in bench.output[outputs - 1 :])
+    refusals = {"servo/enable": (SetBool, {"data": True}), "servo/home": (Trigger, {})}
+    for name, (kind, fields) in refusals.items():
+        response = service(bench, name, kind, **fields)
+        assert not response.success
+        assert "the bench is in mode idle; call home, control or run_experiment of /bench/supervisor" in response.message
+    assert all(abs(state.velocity[0]) < 2e-3 for state in bench.truth)
+    log = bench.processes.log("daq").read_text()
+    assert "a setpoint is refused: the bench is in mode idle; " in log
+    assert f"/bench/{bench.client.node.get_name()}" in log
+    bench.client.node.destroy_publisher(stranger)
+
+
+class Answer:
+    """An answer in the form of a Trigger's."""
+
+    def __init__(self, success: bool, message: str) -> None:
+        self.success, self.message = success, message
+
+
+def set_rate(bench: Any) -> Answer:
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=100.0)
+    (result,) = service(
+        bench, "daq/set_parameters", SetParameters, parameters=[Parameter(name="rate_hz", value=value)]
+    ).results
+    return Answer(result.successful, result.reason)
+
+
+def test_a_run_goes_on_undisturbed_by_what_would_spoil_it(shared_bench: Any, tmp_path: Path) -> None:
+    bench = shared_bench
+    ended = bench.run_at_speed(LONG.replace("30.0", "12.0"), tmp_path / "bag")
+    stranger = bench.client.node.create_publisher(Setpoint, "setpoint", ORDINARY)
+    assert bench.client.spin(lambda: stranger.get_subscription_count() >= 2, 10)
+    attempts: dict[str, Callable[[], Any]] = {
+        "servo/reset_fault": lambda: service(bench, "servo/reset_fault"),
+        "daq/reset_fault": lambda: service(bench, "daq/reset_fault"),
+        "daq/tare": lambda: service(bench, "daq/tare"),
+        "rate_hz": lambda: set_rate(bench),
+        "stop_recording": lambda: service(bench, "stop_recording", StopRecording),
+        "servo/home": lambda: service(bench, "servo/home"),
+        "home": lambda: service(bench, "home"),
+        "reset_fault": lambda: service(bench, "reset_fault"),
+        "control": lambda: service(bench, "control", SetBool, data=True),
+    }
+    for name, attempt in attempts.items():
+        answer = attempt()
+        assert not answer.success, name
+        assert answer.message, name
+        message = Setpoint(position=0.01, coil_current=1.0)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * bench.clock.now()), 10**9)
+        stranger.publish(message)
+    result = result_of(bench, ended)
+    assert result.success, result.message
+    assert result.lost == 0
+    run = read_run(tmp_path / "bag")
+    assert run.rate == 500.0
+    assert np.abs(run.position).max() < 0.0085
+    assert np.percentile(run.current, 99) < 0.2
+    assert "it carries lease 0, not " in bench.processes.log("servo").read_text()
+    bench.client.node.destroy_publisher(stranger)
+
+
+STOPS = {
+    "servo/stop": lambda bench: service(bench, "servo/stop"),
+    "servo/enable": lambda bench: service(bench, "servo/enable", SetBool, data=False),
+    "abort_experiment": lambda bench: service(bench, "abort_experiment"),
+    "stop": lambda bench: service(bench, "stop"),
+}
+
+
+@pytest.mark.parametrize("way", STOPS)
+def test_a_stop_always_stops_and_the_result_says_so(way: str, shared_bench: Any, tmp_path: Path) -> None:
+    bench = shared_bench
+    ended = bench.run_at_speed(LONG, tmp_path / "bag")
+    assert STOPS[way](bench).success
+    called = bench.clock.now()
+    if way.startswith("servo"):
+        # Nor does whoever switches it on again hide that it stood.
+        assert not service(bench, "servo/enable", SetBool, data=True).success
+    result = result_of(bench, ended)
+    assert bench.time_to_rest(called, 0.5) < 0.2
+    assert not result.success
+    expected = {"abort_experiment": "the generator aborted the experiment", "stop": "cancelled"}
+    assert result.message.startswith(expected.get(way, "servo: somebody stopped the rod during the run")), result.message
+    assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.IDLE, 10)
+    assert len(read_run(tmp_path / "bag")) == result.samples
+
+
+def test_a_stop_ends_the_homing(shared_bench: Any, tmp_path: Path) -> None:
+    bench = shared_bench
+    home = bench.client.node.create_client(Trigger, "home")
+    assert bench.client.spin(home.service_is_ready, 10)
+    homing = home.call_async(Trigger.Request())
+    assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.HOMING, 10)
+    bench.client.spin(lambda: False, 0.3)
+    assert service(bench, "servo/stop").success
+    assert bench.client.spin(homing.done, 20)
+    assert homing.result().message == "servo: somebody stopped the homing"
+    home.destroy()
+    result = bench.client.run_experiment(SHORT, tmp_path / "bag", 0)
+    assert result.success, result.message
+
+
+# Two of them
+
+
+def test_a_second_supervisor_ends_and_disturbs_nothing(shared_bench: Any, tmp_path: Path) -> None:
+    bench = shared_bench
+    supervisor = bench.processes.running["supervisor"]
+    bench.processes.log("supervisor").rename(tmp_path / "first.log")
+    ended = bench.run_at_speed(SHORT.replace("3.0", "12.0"), tmp_path / "bag")
+    second = bench.processes.start("supervisor")
+    bench.processes.running["supervisor"] = supervisor
+    assert bench.client.spin(lambda: second.poll() is not None, 60), "it goes on"
+    assert second.returncode == 2
+    assert "/bench/supervisor (process " in bench.processes.log("supervisor").read_text()
+    assert "supervises this bench already" in bench.processes.log("supervisor").read_text()
+    result = result_of(bench, ended)
+    assert result.success, result.message
+    assert supervisor.poll() is None
+
+
+def bench_tool(folder: Path, *options: str, **environment: str) -> "subprocess.Popen[str]":
+    variables = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"} | environment
+    command = ["ros2", "run", "mrd_bench_driver", "bench", "--simulated", "--output", folder, *options]
+    return subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_an_occupied_namespace_is_refused(shared_bench: Any, tmp_path: Path) -> None:
+    assert shared_bench.mode
+    tool = bench_tool(tmp_path / "out", ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
+    _, errors = tool.communicate(timeout=60)
+    assert tool.returncode == 2
+    assert errors.startswith(f"error: namespace /bench of ROS domain {os.environ['ROS_DOMAIN_ID']} is occupied by another")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("separation", ["domain", "namespace"])
+def test_two_benches_do_not_meet(separation: str, shared_bench: Any, tmp_path: Path) -> None:
+    """The second one records a run; the first one notices nothing."""
+    (tmp_path / "short.yaml").write_text(SHORT)
+    modes = len(shared_bench.mode)
+    options = [str(tmp_path / "short.yaml")]
+    if separation == "namespace":
+        tool = bench_tool(tmp_path / "out", *options, "--namespace", "two", ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"])
+    else:
+        tool = bench_tool(tmp_path / "out", *options)
+    while tool.poll() is None:
+        shared_bench.client.spin(lambda: False, 0.2)
+    output, errors = tool.communicate(timeout=60)
+    assert not errors, errors
+    assert output.endswith(" 0 lost\n")
+    assert len(shared_bench.mode) == modes
+
+
+def test_a_log_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    tool = bench_tool(tmp_path / "file/out")
+    _, errors = tool.communicate(timeout=60)
+    assert tool.returncode == 2
+    assert errors.startswith(f"error: {tmp_path}/file/out/log: the logs cannot be written there (Not a directory); ")
