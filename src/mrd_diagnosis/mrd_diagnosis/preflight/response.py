@@ -151,10 +151,13 @@ def force_response(run: Run) -> Response:
     explained = min(float(each[physical].min()) for each in (errors, *lags))
     # Slowly sampled, a periodic motion has too few harmonics to tell a filter from other terms.
     fast = 1 / interval >= LOWEST_RATE_FOR_FILTERS
-    filtered, low_pass = min(_filters(spectra), key=lambda pair: pair[0]) if fast else (np.inf, LowPass("none", np.inf))
+    tried = sorted(_filters(spectra), key=lambda pair: pair[0]) if fast else []
+    filtered = tried[0][0] if fast else np.inf
     unfiltered = min(explained, float(errors.min()))
     if unfiltered > SURE_FILTER * filtered and unfiltered > filtered + LEAST_IMPROVEMENT:
-        return Response(low_pass=_refined(spectra, low_pass))
+        # The cut-offs that were tried lie too far apart to tell the kinds from one another.
+        best_of_kinds = {low_pass.kind: low_pass for _, low_pass in reversed(tried)}.values()
+        return Response(low_pass=min((_refined(spectra, each) for each in best_of_kinds), key=lambda pair: pair[0])[1])
     best = int(errors.argmin())
     sure = not physical[best] and explained > SURE_DELAY * errors[best]
     if not sure or errors[best] > LEAST_ERROR_OF_CURRENT:
@@ -258,15 +261,15 @@ def _filters(spectra: _Spectra) -> Iterator[tuple[float, LowPass]]:
             yield float(errors[best]), LowPass(kind, float(cutoff), float(DELAYS_OF_FILTERS[best]))
 
 
-def _refined(spectra: _Spectra, low_pass: LowPass) -> LowPass:
-    """Search the cut-off and the delay of a filter more finely."""
+def _refined(spectra: _Spectra, low_pass: LowPass) -> tuple[float, LowPass]:
+    """Search the cut-off and the delay of a filter more finely; return its error as well."""
     delays = low_pass.delay + 1e-3 * np.arange(-10, 11, dtype=np.float64)
     found = []
     for factor in np.geomspace(1 / 1.35, 1.35, 25):
         candidate = replace(low_pass, cutoff=float(factor * low_pass.cutoff))
         errors = _errors(spectra, candidate, delays)
         found.append((float(errors.min()), replace(candidate, delay=float(delays[errors.argmin()]))))
-    return min(found, key=lambda pair: pair[0])[1]
+    return min(found, key=lambda pair: pair[0])
 
 
 def _shift_against_current(run: Run, explained: float) -> Response:
