@@ -100,6 +100,10 @@ def test_friction_that_falls_before_the_motion_turns_is_no_processing(model):
     assert processing_of(measured("slow", model=model, duration=15.0)) == Processing()
 
 
+def test_a_force_without_sharp_reversals_is_no_processing():
+    assert processing_of(measured("switched", model="polynomial", seed=1, duration=10.0)) == Processing()
+
+
 def test_an_end_stop_is_no_processing():
     rod, coil = EXPERIMENTS["slow"]
     text = f"name: slow\nduration_s: 15\nrate_hz: 500\nrod: {rod}\ncoil: {coil}\n"

@@ -57,6 +57,8 @@ DELAYS_OF_FILTERS: Array = 1e-2 * np.arange(-12, 26, dtype=np.float64)
 """Further delays in s that are tried with filters."""
 CUTOFFS: Array = np.asarray(np.geomspace(0.5, 40.0, 16), np.float64)
 """Cut-off frequencies in Hz that are tried."""
+HIGHEST_CUTOFF = 25.0
+"""Hz, above which what looks like a filter may be an error of the sum of terms."""
 PHYSICAL_DELAYS = (-0.015, 0.06)
 """s. Skew of the channels and moving mass advance the force by some milliseconds; a converter that reads one channel after
 the other delays it by up to 50 ms, and force sensors by about 10 ms."""
@@ -255,7 +257,7 @@ def _errors(spectra: _Spectra, low_pass: LowPass, delays: Array = DELAYS) -> Arr
 def _filters(spectra: _Spectra) -> Iterator[tuple[float, LowPass]]:
     """Yield the error of each filter at its best delay."""
     for kind in KINDS:
-        for cutoff in CUTOFFS[(SLOWEST_SENSOR if kind == "first_order" else np.inf) > CUTOFFS]:
+        for cutoff in CUTOFFS[(SLOWEST_SENSOR if kind == "first_order" else HIGHEST_CUTOFF) > CUTOFFS]:
             errors = _errors(spectra, LowPass(kind, float(cutoff)), DELAYS_OF_FILTERS)
             best = int(errors.argmin())
             yield float(errors[best]), LowPass(kind, float(cutoff), float(DELAYS_OF_FILTERS[best]))
