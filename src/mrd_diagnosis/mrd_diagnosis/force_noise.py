@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from scipy.spatial import cKDTree
 
 from mrd_diagnosis.repetition import repeating_period, runs_repeat
+from mrd_identification.low_pass import known_force_filter
 from mrd_identification.recording import Recording
 from mrd_runs.signals.current import normal_deviation
 
@@ -67,9 +68,12 @@ def force_noise_variance(
     if period and len(residuals[index]) > 2 * period * recording.run.rate:
         return _variance_from_periods(recording, residuals[index], propagated[index], period), "periods"
     residual = without_offset_and_gain(residuals[index], recording.force)
+    # Behind a filter, only samples at twice the cut-off have nearly independent noise, and a spectrum that shows it.
+    low_pass = known_force_filter(recording.run)
+    stride = max(1, int(recording.run.rate / (2 * low_pass.cutoff))) if low_pass else 1
+    from_spectrum = _variance_from_spectrum(residual[::stride], propagated[index][::stride])
     # Errors of the model add to both estimates, so the smaller one is nearer to the truth.
-    variance = min(_variance_from_spectrum(residual, propagated[index]), _variance_from_similar_states(recording, residual))
-    return variance, "residual"
+    return min(from_spectrum, _variance_from_similar_states(recording, residual, INDEPENDENT_AFTER * stride)), "residual"
 
 
 def without_offset_and_gain(residual: Array, force: Array) -> Array:
@@ -110,7 +114,7 @@ def _variance_of_difference(difference: Array, propagated: Array) -> float:
     return max(normal_deviation(difference[calm]) ** 2 - float(np.mean(propagated[calm])), 0.0)
 
 
-def _variance_from_similar_states(recording: Recording, residual: Array) -> float:
+def _variance_from_similar_states(recording: Recording, residual: Array, independent_after: int) -> float:
     """Return half the variance of the residual's difference between samples of most similar motion and current.
 
     What a model lacks mostly depends on the state, so that it cancels (Stefánsson, Končar and Jones 1997).
@@ -129,9 +133,9 @@ def _variance_from_similar_states(recording: Recording, residual: Array) -> floa
     scales = [spread if spread > 1e-9 * np.abs(f).max() else np.inf for f, spread in zip(features, spreads, strict=True)]
     states = np.stack([f / scale for f, scale in zip(features, scales, strict=True)], axis=1)[recording.counted]
     compared = np.unique(np.linspace(0, len(states) - 1, COMPARED_SAMPLES).astype(int))
-    distance, neighbours = cKDTree(states).query(states[compared], k=min(3 * INDEPENDENT_AFTER, len(states)))
+    distance, neighbours = cKDTree(states).query(states[compared], k=min(3 * independent_after, len(states)))
     # The noise of neighbours in time may not be independent.
-    independent = np.abs(neighbours - compared[:, None]) > INDEPENDENT_AFTER
+    independent = np.abs(neighbours - compared[:, None]) > independent_after
     first = np.argmax(independent, axis=1)
     rows = np.flatnonzero(independent.any(axis=1))
     if len(rows) < LEAST_COMPARED:

@@ -100,6 +100,10 @@ def test_friction_that_falls_before_the_motion_turns_is_no_processing(model):
     assert processing_of(measured("slow", model=model, duration=15.0)) == Processing()
 
 
+def test_a_force_without_sharp_reversals_is_no_processing():
+    assert processing_of(measured("switched", model="polynomial", seed=1, duration=10.0)) == Processing()
+
+
 def test_an_end_stop_is_no_processing():
     rod, coil = EXPERIMENTS["slow"]
     text = f"name: slow\nduration_s: 15\nrate_hz: 500\nrod: {rod}\ncoil: {coil}\n"
@@ -190,7 +194,7 @@ def test_a_low_pass_filter_of_the_force(name, corner, order, causal):
     expected = {2: ("second_order", "zero_phase"), 4: ("fourth_order", "zero_phase_fourth_order")}
     assert low_pass.kind == expected[order][not causal]
     assert low_pass.cutoff == pytest.approx(corner, rel=0.1)
-    assert abs(low_pass.delay) < 0.02
+    assert abs(low_pass.delay) < 0.05 / corner
 
 
 @examples
@@ -258,9 +262,13 @@ def test_a_finding_of_a_filter():
     assert "1.48 Hz" in finding.text
 
 
-@pytest.mark.parametrize("kind", ["first_order", "second_order", "zero_phase", "moving_average"])
+@pytest.mark.parametrize(
+    "kind", ["first_order", "second_order", "fourth_order", "zero_phase", "zero_phase_fourth_order", "moving_average"]
+)
 def test_filters_fall_by_3_db_at_their_cutoff(kind):
-    assert abs(LowPass(kind, 7.0).response(np.array([7.0]))[0]) == pytest.approx(np.sqrt(0.5), rel=1e-3)
+    # A zero-phase filter does so in each of its two runs.
+    expected = 0.5 if kind.startswith("zero_phase") else np.sqrt(0.5)
+    assert abs(LowPass(kind, 7.0).response(np.array([7.0]))[0]) == pytest.approx(expected, rel=1e-3)
     assert moving_average(0.3).window == pytest.approx(0.3)
 
 

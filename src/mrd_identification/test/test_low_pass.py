@@ -1,7 +1,9 @@
 """A low-pass filter that the recorded force has passed is part of what is fitted."""
 
+import os
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +11,12 @@ import pytest
 from mrd_base import InputError
 from mrd_identification import Method, identify
 from mrd_identification.cli.identify import main
+from mrd_identification.fit import evaluate_model
+from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.low_pass import filter_notes, known_force_filter, parse_low_pass, with_force_filter
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording
-from mrd_runs import Run
+from mrd_runs import Run, read_run, read_runs
 from mrd_sim.damper import Damper
 from mrd_sim.models import find_model
 from mrd_sim.simulate import simulate_run
@@ -84,6 +88,22 @@ def test_only_the_held_out_run_may_be_filtered():
         for each in (filtered, with_force_filter(filtered, "average:0.15"))
     ]
     assert errors[1] < 0.02 < 0.2 < errors[0]
+
+
+def test_the_error_on_the_filtered_earthquake_halves_with_its_filter():
+    folder = Path(os.environ.get("MRD_DATA", Path(__file__).resolve().parents[4] / "shared/data")) / "utfsm"
+    if not folder.exists():
+        pytest.skip("no measured runs; name their folder by MRD_DATA")
+    sines = read_runs(sorted(folder.glob("sine_25mm_0.*hz_0.*A.csv"))[::2])
+    quake = read_run(folder / "quake_0.6A_prefiltered.csv")
+    problem, _ = make_problem(find_model("bouc_wen"), [prepare_recording(run) for run in sines])
+    theta, _ = fit_least_squares(problem, problem.theta(np.full(len(problem.free), 0.3)))
+    plain, filtered = (
+        evaluate_model(problem.model, theta, [prepare_recording(run)])[0].metrics.nrmse
+        for run in (quake, with_force_filter(quake, "average:0.3"))
+    )
+    assert plain > 0.5
+    assert filtered < 0.65 * plain
 
 
 def test_derivatives_pass_the_filter():

@@ -57,6 +57,8 @@ DELAYS_OF_FILTERS: Array = 1e-2 * np.arange(-12, 26, dtype=np.float64)
 """Further delays in s that are tried with filters."""
 CUTOFFS: Array = np.asarray(np.geomspace(0.5, 40.0, 16), np.float64)
 """Cut-off frequencies in Hz that are tried."""
+HIGHEST_CUTOFF = 25.0
+"""Hz, above which what looks like a filter may be an error of the sum of terms."""
 PHYSICAL_DELAYS = (-0.015, 0.06)
 """s. Skew of the channels and moving mass advance the force by some milliseconds; a converter that reads one channel after
 the other delays it by up to 50 ms, and force sensors by about 10 ms."""
@@ -151,10 +153,13 @@ def force_response(run: Run) -> Response:
     explained = min(float(each[physical].min()) for each in (errors, *lags))
     # Slowly sampled, a periodic motion has too few harmonics to tell a filter from other terms.
     fast = 1 / interval >= LOWEST_RATE_FOR_FILTERS
-    filtered, low_pass = min(_filters(spectra), key=lambda pair: pair[0]) if fast else (np.inf, LowPass("none", np.inf))
+    tried = sorted(_filters(spectra), key=lambda pair: pair[0]) if fast else []
+    filtered = tried[0][0] if fast else np.inf
     unfiltered = min(explained, float(errors.min()))
     if unfiltered > SURE_FILTER * filtered and unfiltered > filtered + LEAST_IMPROVEMENT:
-        return Response(low_pass=_refined(spectra, low_pass))
+        # The cut-offs that were tried lie too far apart to tell the kinds from one another.
+        best_of_kinds = {low_pass.kind: low_pass for _, low_pass in reversed(tried)}.values()
+        return Response(low_pass=min((_refined(spectra, each) for each in best_of_kinds), key=lambda pair: pair[0])[1])
     best = int(errors.argmin())
     sure = not physical[best] and explained > SURE_DELAY * errors[best]
     if not sure or errors[best] > LEAST_ERROR_OF_CURRENT:
@@ -252,21 +257,21 @@ def _errors(spectra: _Spectra, low_pass: LowPass, delays: Array = DELAYS) -> Arr
 def _filters(spectra: _Spectra) -> Iterator[tuple[float, LowPass]]:
     """Yield the error of each filter at its best delay."""
     for kind in KINDS:
-        for cutoff in CUTOFFS[(SLOWEST_SENSOR if kind == "first_order" else np.inf) > CUTOFFS]:
+        for cutoff in CUTOFFS[(SLOWEST_SENSOR if kind == "first_order" else HIGHEST_CUTOFF) > CUTOFFS]:
             errors = _errors(spectra, LowPass(kind, float(cutoff)), DELAYS_OF_FILTERS)
             best = int(errors.argmin())
             yield float(errors[best]), LowPass(kind, float(cutoff), float(DELAYS_OF_FILTERS[best]))
 
 
-def _refined(spectra: _Spectra, low_pass: LowPass) -> LowPass:
-    """Search the cut-off and the delay of a filter more finely."""
+def _refined(spectra: _Spectra, low_pass: LowPass) -> tuple[float, LowPass]:
+    """Search the cut-off and the delay of a filter more finely; return its error as well."""
     delays = low_pass.delay + 1e-3 * np.arange(-10, 11, dtype=np.float64)
     found = []
     for factor in np.geomspace(1 / 1.35, 1.35, 25):
         candidate = replace(low_pass, cutoff=float(factor * low_pass.cutoff))
         errors = _errors(spectra, candidate, delays)
         found.append((float(errors.min()), replace(candidate, delay=float(delays[errors.argmin()]))))
-    return min(found, key=lambda pair: pair[0])[1]
+    return min(found, key=lambda pair: pair[0])
 
 
 def _shift_against_current(run: Run, explained: float) -> Response:
