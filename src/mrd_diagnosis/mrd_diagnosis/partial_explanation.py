@@ -102,11 +102,13 @@ def explain_in_part(
     of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, others, beside.null_gains, rng)
     causes, values = causes | of_form_causes, values | explained.values
     if form is not alone:
-        # What the best form contains and the user's model does not tells the two apart.
+        # What the best form contains and the user's model does not tells the two apart. The best form may do so in part
+        # only: its linear spring takes the place of most of a gas spring.
         best_cost = explained.held_out_cost
         explained = _with_effects(weighting, alone, list(causes), values)
-        lacked = [effect for effect in contained if not contains(alone.problem.model, effect)]
-        of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, (), beside.null_gains, rng)
+        lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
+        lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
+        of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, [form], beside.null_gains, rng)
         causes, values = causes | of_form_causes, values | explained.values
     free_form, _ = with_form_remainder(weighting, alone)
     freed = _cost_beside(free_form.remainder, weighting, explained)
