@@ -248,10 +248,10 @@ def test_a_dead_participant_is_named_and_time_goes_on_without_it(make_bench, end
 def test_a_participant_that_was_left_behind_follows_the_time_of_the_bench(make_bench):
     bench = make_bench("one", "other", pace=50.0)
     one = bench.clock("one")
-    program = OTHER + "    print(clock.now(), flush=True)\n"
+    program = OTHER + "        print(clock.now(), flush=True)\n"
     other = subprocess.Popen([sys.executable, "-c", program, str(bench.path)], stdout=subprocess.PIPE, text=True)
     try:
-        assert other.stdout.readline() == "joined\n"
+        assert other.stdout.readline() == "at work\n"
         other.send_signal(signal.SIGSTOP)
         until(lambda: bench.reports, timeout=5.0)
         now = one.now()
