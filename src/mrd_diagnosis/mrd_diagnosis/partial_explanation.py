@@ -86,7 +86,7 @@ def explain_in_part(
     weighting = comparison.weighting
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
-    forms = _weighted_forms([alone, *other_models])
+    forms = _weighted_forms(alone, other_models)
     form, others = forms[0][0], [other for other, _ in forms[1:]]
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
@@ -158,13 +158,18 @@ def stacking_weights(refits: Sequence[Refit]) -> Array:
     return np.asarray(weights / weights.sum())
 
 
-def _weighted_forms(refits: Sequence[Refit]) -> list[tuple[Refit, float]]:
+def _weighted_forms(own: Refit, others: Sequence[Refit]) -> list[tuple[Refit, float]]:
     """Return the damper models that count most with their weights; first the one that predicts best.
 
-    Of refits of one model with more or less freedom, the best counts.
+    Of refits of one model with more or less freedom, the best counts. The user's ``own`` model is kept where another one is
+    hardly better.
     """
+
+    def cost(refitted: Refit) -> float:
+        return refitted.held_out_cost * (1.0 - THRESHOLDS.formula_error * (refitted is own))
+
     best_by_model: dict[str, Refit] = {}
-    for refitted in sorted(refits, key=lambda refitted: refitted.held_out_cost):
+    for refitted in sorted([own, *others], key=cost):
         best_by_model.setdefault(refitted.problem.model.id, refitted)
     forms = list(best_by_model.values())
     weights = stacking_weights(forms)
