@@ -304,7 +304,9 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
         if not fits:
             break
         fit = min(fits, key=lambda fit: fit.refit.held_out_cost)
-        if best.held_out_cost - fit.refit.held_out_cost < THRESHOLDS.least_share_next * (best.held_out_cost - reachable):
+        # What closes less of the gap than a formula may be wrong by is no cause.
+        needed = max(THRESHOLDS.least_share_next * (best.held_out_cost - reachable), THRESHOLDS.formula_error * gap)
+        if best.held_out_cost - fit.refit.held_out_cost < needed:
             break
         best = fit.refit
         chain.append((fit.effects[-1], best))
