@@ -1,4 +1,4 @@
-"""Known errors put into the recordings of measured dampers: the diagnosis names them, and not in the untouched recordings."""
+"""Known errors put into recordings of measured dampers: the diagnosis names them, and not in the untouched recordings."""
 
 import os
 from dataclasses import replace
