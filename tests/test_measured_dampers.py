@@ -10,7 +10,7 @@ import pytest
 from mrd_diagnosis import diagnose
 from mrd_runs import read_runs
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 
 def measured(pattern):
