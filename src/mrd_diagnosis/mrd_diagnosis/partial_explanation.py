@@ -110,8 +110,8 @@ def explain_in_part(
         lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
         of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, [form], beside.null_gains, rng)
         causes, values = causes | of_form_causes, values | explained.values
-    free_form, _ = with_form_remainder(weighting, alone)
-    freed = _cost_beside(free_form.remainder, weighting, explained)
+    remainder = beside.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder
+    freed = _cost_beside(remainder, weighting, explained)
     progress(0.9)
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
