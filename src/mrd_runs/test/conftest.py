@@ -1,6 +1,8 @@
 """Runs and bags to test with."""
 
 import os
+import shlex
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 from mrd_base import InputError
 from mrd_runs import Run, read_run
 from mrd_runs.bag import BagWriter
+from mrd_runs.cli import import_
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
 
 RATE = 1000
@@ -124,3 +127,22 @@ def measured() -> list[Path]:
     files = sorted(Path(given).glob("*/*.csv"))
     assert files, f"no measured data in {given}"
     return files
+
+
+@pytest.fixture
+def import_tool(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Callable[..., tuple[int, str, str]]:
+    """Run `mrd import` with arguments as typed, in the folder of the test."""
+
+    def run(line: str) -> tuple[int, str, str]:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["import", *shlex.split(line)])
+        code = 0
+        try:
+            import_.main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+        return code, *capsys.readouterr()
+
+    return run

@@ -1,10 +1,8 @@
 """Recordings of other benches and programs: each format, made by its own library, becomes a bag with the same values."""
 
 import datetime
-import shlex
 import sys
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -16,7 +14,6 @@ from nptdms import ChannelObject, RootObject, TdmsWriter
 
 from mrd_base import InputError
 from mrd_runs import read_run
-from mrd_runs.cli import import_
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.integration import integrate_velocity
 
@@ -27,25 +24,6 @@ POSITION = 0.01 * np.sin(ANGLE)  # m
 VELOCITY = 0.01 * 2 * np.pi * 1.5 * np.cos(ANGLE)
 FORCE = 200 * np.tanh(20 * VELOCITY) + 800 * VELOCITY
 CURRENT = 0.2 + 0.1 * np.sin(0.3 * ANGLE)
-
-
-@pytest.fixture
-def tool(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Callable[..., tuple[int, str, str]]:
-    """Run `mrd import` with arguments as typed, in the folder of the test."""
-
-    def run(line: str) -> tuple[int, str, str]:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["import", *shlex.split(line)])
-        code = 0
-        try:
-            import_.main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def german(path: Path, encoding: str = "utf-8") -> Path:
@@ -66,9 +44,9 @@ def check(bag: Path, current: object = 0.5) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
-def test_german_text_is_understood_by_itself(tool, tmp_path: Path, encoding: str) -> None:
+def test_german_text_is_understood_by_itself(import_tool, tmp_path: Path, encoding: str) -> None:
     german(tmp_path / "a.txt", encoding)
-    code, text, error = tool("a.txt --current 0.5 --output bags")
+    code, text, error = import_tool("a.txt --current 0.5 --output bags")
     assert (code, error) == (0, "")
     check(tmp_path / "bags/a")
     assert "semicolons between the columns, decimal comma, numbers from line 6 (4 lines above)" in text
@@ -76,36 +54,36 @@ def test_german_text_is_understood_by_itself(tool, tmp_path: Path, encoding: str
     assert "current of 0.5 A as given" in read_run(tmp_path / "bags/a").info["notes"]
 
 
-def test_the_mapping_that_is_asked_for_is_named_and_does(tool, tmp_path: Path) -> None:
+def test_the_mapping_that_is_asked_for_is_named_and_does(import_tool, tmp_path: Path) -> None:
     text = german(tmp_path / "a.txt").read_text().replace("Weg [mm]", "Kanal 2").replace("Kraft [kN]", "Kanal 3")
     (tmp_path / "a.txt").write_text(text)
-    code, _, error = tool("a.txt --output bags")
+    code, _, error = import_tool("a.txt --output bags")
     assert code == 2
     assert error == (
         "error: a.txt: the columns (Time [ms], Kanal 2, Kanal 3) do not tell the position and the force and the current; "
         "say so with what is right of: --map time='Time [ms]' position='Kanal 2' force='Kanal 3' --current 0\n"
     )
     mapping = error.partition("right of: ")[2].strip().replace("--current 0", "--current 0.5")
-    assert tool(f"a.txt {mapping} --units position=mm force=kN --output bags")[0] == 0
+    assert import_tool(f"a.txt {mapping} --units position=mm force=kN --output bags")[0] == 0
     check(tmp_path / "bags/a")
 
 
-def test_units_that_are_not_told_are_asked_for(tool, tmp_path: Path) -> None:
+def test_units_that_are_not_told_are_asked_for(import_tool, tmp_path: Path) -> None:
     text = german(tmp_path / "a.txt").read_text().replace("Weg [mm]", "Weg").replace("Kraft [kN]", "Kraft [V]")
     (tmp_path / "a.txt").write_text(text)
-    code, _, error = tool("a.txt --current 0 --output bags")
+    code, _, error = import_tool("a.txt --current 0 --output bags")
     assert code == 2
     assert "the force is in V, expected N, kN" in error
     assert '--units force="NUMBER UNIT"' in error
-    code, _, error = tool('a.txt --current 0 --units force="1000 N" --output bags')
+    code, _, error = import_tool('a.txt --current 0 --units force="1000 N" --output bags')
     assert "position_m spans 20, expected at most 0.5 m peak to peak; is it in mm?" in error
-    assert tool('a.txt --current 0.5 --units force="1000 N" position=mm --output bags')[0] == 0
+    assert import_tool('a.txt --current 0.5 --units force="1000 N" position=mm --output bags')[0] == 0
     check(tmp_path / "bags/a")
 
 
-def test_a_sign_is_turned(tool, tmp_path: Path) -> None:
+def test_a_sign_is_turned(import_tool, tmp_path: Path) -> None:
     german(tmp_path / "a.txt")
-    code, text, _ = tool("a.txt --current 0.5 --flip force --output bags")
+    code, text, _ = import_tool("a.txt --current 0.5 --flip force --output bags")
     assert code == 0
     assert "the sign of the force was turned" in text
     np.testing.assert_allclose(read_run(tmp_path / "bags/a").force, -FORCE, atol=2e-5)
@@ -126,30 +104,32 @@ def test_a_sign_is_turned(tool, tmp_path: Path) -> None:
         ("--topics force=/f.data", "--topics is for bags; name the columns of this file with --map"),
     ],
 )
-def test_wrong_options_are_one_line(tool, tmp_path: Path, arguments: str, line: str) -> None:
+def test_wrong_options_are_one_line(import_tool, tmp_path: Path, arguments: str, line: str) -> None:
     german(tmp_path / "a.txt")
-    code, text, error = tool(f"a.txt --current 0 {arguments} --output bags")
+    code, text, error = import_tool(f"a.txt --current 0 {arguments} --output bags")
     assert (code, text, error.count("\n")) == (2, "", 1)
     assert line in error
     assert not (tmp_path / "bags").exists()
 
 
-def test_a_bad_cell_is_named_with_its_line(tool, tmp_path: Path) -> None:
+def test_a_bad_cell_is_named_with_its_line(import_tool, tmp_path: Path) -> None:
     lines = german(tmp_path / "a.txt").read_text().split("\n")
     lines[700] = lines[700].rpartition(";")[0] + ";Überlast"
     (tmp_path / "a.txt").write_text("\n".join(lines))
-    assert "a.txt: line 701: Kraft [kN] is 'Überlast', expected a number" in tool("a.txt --current 0 --output bags")[2]
+    assert (
+        "a.txt: line 701: Kraft [kN] is 'Überlast', expected a number" in import_tool("a.txt --current 0 --output bags")[2]
+    )
 
 
-def test_bags_of_other_files_are_not_left_behind_when_one_fails(tool, tmp_path: Path) -> None:
+def test_bags_of_other_files_are_not_left_behind_when_one_fails(import_tool, tmp_path: Path) -> None:
     german(tmp_path / "a.txt")
     (tmp_path / "b.txt").write_text("nothing\n")
-    code, _, error = tool("a.txt b.txt --current 0 --output deep/bags")
+    code, _, error = import_tool("a.txt b.txt --current 0 --output deep/bags")
     assert (code, error) == (2, "error: b.txt: holds no rows of at least two numbers; expected a table of samples\n")
     assert not (tmp_path / "deep").exists()
 
 
-def test_a_workbook(tool, tmp_path: Path) -> None:
+def test_a_workbook(import_tool, tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     book.active.title = "Notizen"
     book.active.append(["Prüfling", 7])
@@ -161,13 +141,13 @@ def test_a_workbook(tool, tmp_path: Path) -> None:
     for row in zip(1e3 * TIME, 1e3 * POSITION, 1e-3 * FORCE, strict=True):
         sheet.append([*row, None])
     book.save(tmp_path / "a.xlsx")
-    code, text, error = tool("a.xlsx --current 0.5 --output bags")
+    code, text, error = import_tool("a.xlsx --current 0.5 --output bags")
     assert (code, error) == (0, "")
     assert "sheet Daten, numbers from row 5" in text
     check(tmp_path / "bags/a")
     sheet["C503"] = "n/a"
     book.save(tmp_path / "b.xlsx")
-    assert "b.xlsx: row 503: Dämpferkraft is 'n/a', expected a number" in tool("b.xlsx --current 0 --output bags")[2]
+    assert "b.xlsx: row 503: Dämpferkraft is 'n/a', expected a number" in import_tool("b.xlsx --current 0 --output bags")[2]
 
 
 def test_times_of_day_in_a_workbook(tmp_path: Path) -> None:
@@ -182,26 +162,26 @@ def test_times_of_day_in_a_workbook(tmp_path: Path) -> None:
     np.testing.assert_allclose(columns["time_s"] - columns["time_s"][0], TIME, atol=1e-3)
 
 
-def test_matlab_vectors_structures_and_matrices(tool, tmp_path: Path) -> None:
+def test_matlab_vectors_structures_and_matrices(import_tool, tmp_path: Path) -> None:
     scipy.io.savemat(
         tmp_path / "a.mat", {"t": TIME, "x": POSITION[:, None], "F": FORCE[None, :], "fs": 500.0, "note": "text"}
     )
     log = {"time": TIME, "signals": {"position": POSITION, "force": FORCE, "current": np.full(COUNT, 0.5)}}
     scipy.io.savemat(tmp_path / "b.mat", {"log": log})
     scipy.io.savemat(tmp_path / "c.mat", {"data": np.column_stack([TIME, POSITION, FORCE])})
-    assert tool("a.mat --current 0.5 --output bags")[0] == 0
-    assert tool("b.mat --output bags")[0] == 0
+    assert import_tool("a.mat --current 0.5 --output bags")[0] == 0
+    assert import_tool("b.mat --output bags")[0] == 0
     check(tmp_path / "bags/a")
     check(tmp_path / "bags/b")
-    code, _, error = tool("c.mat --current 0.5 --output bags")
+    code, _, error = import_tool("c.mat --current 0.5 --output bags")
     assert code == 2
     mapping = error.partition("right of: ")[2].strip()
     assert mapping == "--map time='data(1)' position='data(2)' force='data(3)'"
-    assert tool(f"c.mat --current 0.5 {mapping} --output bags")[0] == 0
+    assert import_tool(f"c.mat --current 0.5 {mapping} --output bags")[0] == 0
     check(tmp_path / "bags/c")
 
 
-def test_hdf5_and_matlab_7_3(tool, tmp_path: Path) -> None:
+def test_hdf5_and_matlab_7_3(import_tool, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         run = file.create_group("run")
         for name, values, unit in (("time", 1e3 * TIME, "ms"), ("displacement", 1e3 * POSITION, "mm"), ("load", FORCE, "N")):
@@ -219,12 +199,12 @@ def test_hdf5_and_matlab_7_3(tool, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "c.hdf5", "w") as file:
         file["data"] = rows
     for name in ("a.h5", "b.mat", "c.hdf5"):
-        code, _, error = tool(f"{name} --current 0.5 --output bags")
+        code, _, error = import_tool(f"{name} --current 0.5 --output bags")
         assert (code, error) == (0, "")
         check(tmp_path / "bags" / name[0])
 
 
-def test_tdms_with_times_and_with_waveforms(tool, tmp_path: Path) -> None:
+def test_tdms_with_times_and_with_waveforms(import_tool, tmp_path: Path) -> None:
     wave = {"wf_increment": 1 / RATE, "wf_start_offset": 0.0}
     with TdmsWriter(tmp_path / "a.tdms") as writer:
         channels = [
@@ -240,15 +220,15 @@ def test_tdms_with_times_and_with_waveforms(tool, tmp_path: Path) -> None:
         )
         writer.write_segment([ChannelObject("B", "setpoint", POSITION)])
     for name in ("a", "b"):
-        code, _, error = tool(f"{name}.tdms --current 0.5 --output bags")
+        code, _, error = import_tool(f"{name}.tdms --current 0.5 --output bags")
         assert (code, error) == (0, "")
         check(tmp_path / "bags" / name)
 
 
 @pytest.mark.parametrize("name", ["a.xlsx", "a.mat", "a.h5", "a.tdms", "a.mcap", "a.db3", "a.txt"])
-def test_damaged_files_are_one_line(tool, tmp_path: Path, name: str) -> None:
+def test_damaged_files_are_one_line(import_tool, tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"\x89HDF\r\n\x1a\n" if name == "a.h5" else b"TDSmPK\3\4\0nonsense" * 50)
-    code, text, error = tool(f"{name} --current 0 --output bags")
+    code, text, error = import_tool(f"{name} --current 0 --output bags")
     assert (code, text, error.count("\n")) == (2, "", 1)
     assert error.startswith(f"error: {name}: ")
 
@@ -258,22 +238,22 @@ def test_damaged_files_are_one_line(tool, tmp_path: Path, name: str) -> None:
     [("a.xlsx", "openpyxl", "openpyxl", "xlsx"), ("a.h5", "h5py", "h5py", "hdf5"), ("a.tdms", "nptdms", "npTDMS", "tdms")],
 )
 def test_a_library_that_is_missing_is_named_with_its_extra(
-    tool, tmp_path: Path, monkeypatch, name: str, module: str, package: str, extra: str
+    import_tool, tmp_path: Path, monkeypatch, name: str, module: str, package: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     (tmp_path / name).write_bytes(b"x")
-    error = tool(f"{name} --output bags")[2]
+    error = import_tool(f"{name} --output bags")[2]
     assert error == (
         f"error: {name}: this format needs the package {package}; run: pip install {package} (or, in the folder of this "
         f"software, pip install '.[{extra}]')\n"
     )
 
 
-def test_a_file_without_time_needs_its_rate(tool, tmp_path: Path) -> None:
+def test_a_file_without_time_needs_its_rate(import_tool, tmp_path: Path) -> None:
     table = np.column_stack([POSITION, FORCE])
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="position [m],force [N]", comments="")
-    assert "--rate HZ" in tool("a.csv --current 0.5 --output bags")[2]
-    assert tool("a.csv --current 0.5 --rate 500 --output bags")[0] == 0
+    assert "--rate HZ" in import_tool("a.csv --current 0.5 --output bags")[2]
+    assert import_tool("a.csv --current 0.5 --rate 500 --output bags")[0] == 0
     check(tmp_path / "bags/a")
 
 
@@ -293,20 +273,20 @@ def test_times_of_day_in_text(tmp_path: Path, stamp: str, decimal: str) -> None:
     np.testing.assert_allclose(columns["position_m"], POSITION, atol=1e-9)
 
 
-def test_a_sign_that_looks_wrong_is_named(tool, tmp_path: Path) -> None:
+def test_a_sign_that_looks_wrong_is_named(import_tool, tmp_path: Path) -> None:
     np.savetxt(tmp_path / "a.csv", np.column_stack([TIME, POSITION, -FORCE]), delimiter=",", header="t,x,F", comments="")
-    code, _, error = tool("a.csv --current 0 --output bags")
+    code, _, error = import_tool("a.csv --current 0 --output bags")
     assert code == 0
     assert error.startswith("warning: a: the damper drives the rod, expected that it resists")
-    assert tool("a.csv --current 0 --flip force --output turned")[::2] == (0, "")
+    assert import_tool("a.csv --current 0 --flip force --output turned")[::2] == (0, "")
 
 
 @pytest.mark.parametrize("bias", [0.0, 2e-3])
-def test_velocity_only_is_integrated_without_drift(tool, tmp_path: Path, bias: float) -> None:
+def test_velocity_only_is_integrated_without_drift(import_tool, tmp_path: Path, bias: float) -> None:
     noise = np.random.default_rng(1).normal(0, 1e-3, COUNT)
     table = np.column_stack([TIME, VELOCITY + bias + noise, FORCE])
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="time [s],velocity [m/s],force [N]", comments="")
-    code, text, _ = tool("a.csv --current 0.5 --output bags")
+    code, text, _ = import_tool("a.csv --current 0.5 --output bags")
     assert code == 0
     assert "there is no position: it is the integral of the velocity, with its middle at zero; a drift of" in text
     run = read_run(tmp_path / "bags/a")

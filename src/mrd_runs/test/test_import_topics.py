@@ -1,8 +1,6 @@
 """Bags of other benches, SQLite and MCAP: numbers of their topics become a run on one time."""
 
-import shlex
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from mrd_base import InputError
 from mrd_runs import read_run
-from mrd_runs.cli import import_
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.synchronise import synchronise
 
@@ -75,30 +72,13 @@ def bench(force_rate: float = 500.0, offset: float = 0.0003) -> dict[str, tuple[
     }
 
 
-@pytest.fixture
-def tool(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> Callable[[str], tuple[int, str, str]]:
-    def run(line: str) -> tuple[int, str, str]:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["import", *shlex.split(line)])
-        code = 0
-        try:
-            import_.main()
-        except SystemExit as end:
-            code = int(end.code or 0)
-        return code, *capsys.readouterr()
-
-    return run
-
-
 MAPPING = "position='/joint_states.position[rod]' force=/ft.wrench.force.z current=/coil.data"
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_joint_states_wrenches_and_floats_become_a_run(tool, tmp_path: Path, plugin: StoragePlugin) -> None:
+def test_joint_states_wrenches_and_floats_become_a_run(import_tool, tmp_path: Path, plugin: StoragePlugin) -> None:
     write_bag(tmp_path / "a", plugin, bench())
-    code, text, error = tool(f"a --topics {MAPPING} --output bags")
+    code, text, error = import_tool(f"a --topics {MAPPING} --output bags")
     assert (code, error) == (0, "")
     assert "the samples are those of the position, 250 Hz, the slowest of motion and force" in text
     assert "force is averaged between them; current keeps its last value" in text
@@ -113,15 +93,15 @@ def test_joint_states_wrenches_and_floats_become_a_run(tool, tmp_path: Path, plu
     assert run.current[np.searchsorted(time, 1.51)] == 0.3
 
 
-def test_a_bag_without_topics_named_is_answered_with_a_mapping_that_does(tool, tmp_path: Path) -> None:
+def test_a_bag_without_topics_named_is_answered_with_a_mapping_that_does(import_tool, tmp_path: Path) -> None:
     write_bag(tmp_path / "a", StoragePlugin.MCAP, bench())
-    code, _, error = tool("a --output bags")
+    code, _, error = import_tool("a --output bags")
     assert code == 2
     assert error.startswith("error: a: is a bag of another bench (/joint_states.position[arm], ")
     assert error.count("\n") == 1
     mapping = error.partition("right of: ")[2].strip()
     assert mapping == f"--topics {MAPPING}"
-    assert tool(f"a {mapping} --output bags")[0] == 0
+    assert import_tool(f"a {mapping} --output bags")[0] == 0
 
 
 def test_large_messages_of_other_topics_are_not_kept(tmp_path: Path, monkeypatch) -> None:
@@ -157,17 +137,17 @@ def test_large_messages_of_other_topics_are_not_kept(tmp_path: Path, monkeypatch
         ("position=nonsense force=/ft.wrench.force.z", "nonsense is no number of a topic; expected /TOPIC.FIELD"),
     ],
 )
-def test_what_is_not_there_is_named(tool, tmp_path: Path, topics: str, line: str) -> None:
+def test_what_is_not_there_is_named(import_tool, tmp_path: Path, topics: str, line: str) -> None:
     write_bag(tmp_path / "a", StoragePlugin.MCAP, bench())
-    code, text, error = tool(f"a --topics {topics} --current 0 --output bags")
+    code, text, error = import_tool(f"a --topics {topics} --current 0 --output bags")
     assert (code, text, error.count("\n")) == (2, "", 1)
     assert line in error
 
 
-def test_velocity_of_a_joint_is_integrated(tool, tmp_path: Path) -> None:
+def test_velocity_of_a_joint_is_integrated(import_tool, tmp_path: Path) -> None:
     write_bag(tmp_path / "a", StoragePlugin.SQLITE3, bench(force_rate=250.0, offset=0.0))
     topics = "velocity=/joint_states.velocity[rod] force=/ft.wrench.force.z"
-    code, text, _ = tool(f"a --topics {topics} --current 0 --output bags")
+    code, text, _ = import_tool(f"a --topics {topics} --current 0 --output bags")
     assert code == 0
     assert "it is the integral of the velocity" in text
     assert "the samples are" not in text  # both topics have the same times: nothing was resampled
@@ -204,9 +184,11 @@ def test_messages_out_of_order_are_sorted(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.columns["force_N"], force(time), atol=2.0)
 
 
-def test_bags_of_this_bench_need_no_import(tool, tmp_path: Path, columns, fill_bag) -> None:
+def test_bags_of_this_bench_need_no_import(import_tool, tmp_path: Path, columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", columns).close()
-    assert tool("run --output bags")[2] == "error: run: is a bag of this bench already; every tool reads it as it is\n"
+    assert (
+        import_tool("run --output bags")[2] == "error: run: is a bag of this bench already; every tool reads it as it is\n"
+    )
 
 
 def test_averages_keep_the_integral_and_remove_what_would_alias() -> None:
