@@ -8,6 +8,10 @@ import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+# Bench time in s for which a stop of an idle bench is remembered, because the lease of a procedure that has just begun may
+# still be under way. Supervisors leave more than this between two procedures.
+_STOP_MEMORY = 0.04
+
 
 class Mode(IntEnum):
     """Mode of the bench, numbered as in the message BenchState."""
@@ -74,7 +78,9 @@ class LeaseWatch:
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self.lease = Lease()
-        self._granted = self._revoked = 0  # latest number; and number of a lease that a stop has ended
+        self._granted = 0  # latest number
+        self._stopped = -math.inf  # bench time in s of the latest stop
+        self._revoked = False  # whether a stop has ended the lease
 
     def renew(self, lease: Lease, now: float) -> str:
         """Take a renewal; return why it is refused, or "".
@@ -85,6 +91,8 @@ class LeaseWatch:
             return f"the lease of {lease.holder} is refused: {self.lease.holder} holds the bench; stop one of them"
         # A message that was under way for long is no sign of life, nor is a stamp from the future.
         if now - lease.time <= self._timeout:
+            begins = lease.mode.may_move and not self.lease.mode.may_move
+            self._revoked = lease.mode.may_move and (self._revoked or (begins and now - self._stopped < _STOP_MEMORY))
             self.lease = replace(lease, time=min(lease.time, now))
             self._granted = lease.number or self._granted
         return ""
@@ -93,9 +101,9 @@ class LeaseWatch:
         """Whether a number is that of the latest lease, which may have ended."""
         return number == self._granted != 0
 
-    def revoke(self) -> None:
-        """Follow the setpoints of the present lease no more: somebody has asked for a stop."""
-        self._revoked = self.lease.number
+    def revoke(self, now: float) -> None:
+        """Permit no motion until the present procedure has ended: somebody has asked for a stop."""
+        self._stopped, self._revoked = now, self.lease.mode.may_move
 
     def is_valid(self, now: float) -> bool:
         """Whether the holder has renewed the lease lately."""
@@ -107,8 +115,8 @@ class LeaseWatch:
             return "no supervisor watches; start one, then call its home, control or run_experiment"
         if not self.lease.mode.may_move:
             return f"the bench is in mode {self.lease.mode}; call home, control or run_experiment of {self.lease.holder}"
-        if self.lease.number and self.lease.number == self._revoked:
-            return "a stop has ended the lease; let the supervisor's procedure end, then begin anew"
+        if self._revoked:
+            return "somebody called a stop; let the supervisor's procedure end, then begin anew"
         return ""
 
     def reason_not_to_follow(self, number: int, now: float) -> str:
@@ -130,5 +138,5 @@ class LeaseWatch:
         return self.lease.mode.may_move and not self.is_valid(now)
 
     def forget(self) -> None:
-        """Note that a lost lease has been answered by a stop."""
-        self.lease = Lease()
+        """Note that a lost lease has been answered by a stop, which is latched."""
+        self.lease, self._revoked = Lease(), False

@@ -70,11 +70,36 @@ def test_a_second_supervisor_does_not_take_it() -> None:
     assert lease.lease.holder == "two"
 
 
-def test_a_stop_ends_the_lease_but_not_the_next_one() -> None:
+def test_a_stop_holds_until_the_procedure_ends() -> None:
     lease = watch()
-    lease.revoke()
-    assert lease.reason_not_to_follow(7, 100.0).startswith("a stop has ended the lease")
+    lease.revoke(100.0)
+    assert lease.reason_not_to_follow(7, 100.0).startswith("somebody called a stop")
+    # Neither a renewal nor the next step of the same procedure takes it back.
     lease.renew(dataclasses.replace(OWN, time=100.04), 100.04)
-    assert lease.reason_not_to_move(100.04).startswith("a stop has ended the lease")
+    assert lease.reason_not_to_move(100.04).startswith("somebody called a stop")
     lease.renew(dataclasses.replace(OWN, time=100.08, number=8), 100.08)
-    assert lease.reason_not_to_follow(8, 100.08) == ""
+    assert lease.reason_not_to_follow(8, 100.08).startswith("somebody called a stop")
+    lease.renew(dataclasses.replace(OWN, time=100.12, mode=Mode.IDLE, number=0), 100.12)
+    lease.renew(dataclasses.replace(OWN, time=100.16, number=9), 100.16)
+    assert lease.reason_not_to_follow(9, 100.16) == ""
+
+
+def test_a_stop_before_the_homing_begins_is_not_lost() -> None:
+    """The bench is in mode homing, which has no number, and the supervisor has not yet asked the servo to home."""
+    lease = watch(dataclasses.replace(OWN, mode=Mode.HOMING, number=0))
+    lease.revoke(100.0)
+    assert lease.reason_not_to_move(100.0).startswith("somebody called a stop")
+
+
+def test_a_stop_of_an_idle_bench_holds_for_a_procedure_whose_lease_is_under_way() -> None:
+    idle = dataclasses.replace(OWN, mode=Mode.IDLE, number=0)
+    lease = watch(idle)
+    lease.revoke(100.0)
+    lease.renew(dataclasses.replace(OWN, time=100.03), 100.03)
+    assert lease.reason_not_to_move(100.03).startswith("somebody called a stop")
+    lease.renew(dataclasses.replace(OWN, time=100.07), 100.07)
+    assert lease.reason_not_to_move(100.07).startswith("somebody called a stop")
+    lease.renew(dataclasses.replace(idle, time=100.1), 100.1)
+    lease.revoke(100.1)
+    lease.renew(dataclasses.replace(OWN, time=100.15), 100.15)
+    assert lease.reason_not_to_move(100.15) == ""

@@ -36,7 +36,7 @@ class FakePeers:
         self.emergency_stops: list[bool] = []
         config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1, late=late)
         self.supervisor = Supervisor(
-            config, self.clock, self, lambda mode, reason: self.modes.append((mode, reason)), self._on_emergency_stop
+            config, self.clock, self, lambda mode: self.modes.append((mode.current, mode.reason)), self._on_emergency_stop
         )
         self.publish()
 

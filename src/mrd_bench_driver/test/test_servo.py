@@ -407,6 +407,35 @@ def test_emergency_stop_latches(homed):
     assert homed.status.homed
 
 
+@pytest.mark.parametrize("begin", ["home", "enable"])
+def test_a_stop_before_the_drive_is_switched_on_is_no_fault(begin):
+    """The command that switches the drive on still waits to be sent when the stop comes."""
+    bench = SimulatedServo(position=4 * MM)
+    bench.run(0.2)
+    assert (bench.servo.home(bench.now) if begin == "home" else bench.servo.enable(True, bench.now)).success
+    assert bench.servo.stop().success
+    bench.run(0.3)
+    assert bench.motor.off
+    assert bench.status.message == ""
+    assert bench.servo.home(bench.now).success
+    bench.run(4.0)
+    assert bench.status.homed, bench.status
+
+
+def test_a_stop_at_any_instant_of_the_homing_is_no_fault():
+    """Among them is the instant at which the origin waits to be sent."""
+    for duration in np.arange(0.0, 0.6, 0.005):
+        bench = SimulatedServo(position=4 * MM)
+        assert bench.servo.home(bench.now).success
+        bench.run(duration)
+        bench.servo.tick(bench.now)
+        assert bench.servo.stop().success
+        travel = bench.rod
+        bench.run(0.3)
+        assert abs(bench.rod - travel) < 1 * MM
+        assert bench.status.message == "", duration
+
+
 def test_motor_faults_are_named_and_reset(homed):
     homed.motor.faults, homed.motor.off = 1 << 6, True
     homed.run(0.2)
@@ -714,7 +743,7 @@ def test_node_homes_follows_and_lets_go(fake):
         spin(lambda: states[-1].enabled)
         # A stop ends the lease: nobody goes on with it as if nothing had happened.
         assert call(Trigger, "servo/stop").success
-        assert call(SetBool, "servo/enable", data=True).message.startswith("a stop has ended the lease")
+        assert call(SetBool, "servo/enable", data=True).message.startswith("somebody called a stop")
         # Without a supervisor, the servo stops by itself, and latches.
         enter(None)
         spin(lambda: states[-1].stopped)

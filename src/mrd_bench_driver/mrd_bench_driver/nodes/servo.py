@@ -72,11 +72,11 @@ class ServoNode(BenchNode[ServoConfig]):
         return Response(False, reason) if reason else self._controller.home(now)
 
     def _disable(self) -> Response:
-        self._lease.revoke()
+        self._lease.revoke(self.bench.now())
         return self._controller.enable(False, self.bench.now())
 
     def _halt(self) -> Response:
-        self._lease.revoke()
+        self._lease.revoke(self.bench.now())
         return self._controller.stop()
 
     def _reset_fault(self) -> Response:

@@ -26,7 +26,7 @@ from mrd_bench_driver.nodes.peer_clients import PeerClients
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
-from mrd_bench_driver.supervision.modes import Mode
+from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.operations import BagSummary
 from mrd_bench_driver.supervision.procedure import RunOutcome, SetOutcome
 from mrd_bench_driver.supervision.run_requests import RunRequest
@@ -56,13 +56,9 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._emergency_stop = self.create_publisher(Bool, "emergency_stop", LATCHED)
         self._lease = self.create_publisher(Lease, "lease", COMMAND)
         self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
-        self._renewed = -math.inf
+        self._renewed, self._lease_lock = -math.inf, threading.Lock()
         self._supervisor = Supervisor(
-            self.config,
-            self.bench,
-            self._peers,
-            self._publish_state,
-            lambda stop: self._emergency_stop.publish(Bool(data=stop)),
+            self.config, self.bench, self._peers, self._announce, lambda stop: self._emergency_stop.publish(Bool(data=stop))
         )
         hear_emergency_stop(self, self._on_emergency_stop)
         self.create_subscription(Lease, "lease", self._on_lease, COMMAND)
@@ -152,10 +148,14 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.tick()
         now = self.bench.now()
         if now - self._renewed > _RENEWAL - self.config.check / 2:
-            self._renewed = now
-            mode = self._supervisor.mode
+            self._renew_lease(self._supervisor.mode)
+
+    def _renew_lease(self, mode: BenchMode) -> None:
+        # Mode and number are read under the lock, so that no renewal with an earlier mode comes after a change.
+        with self._lease_lock:
+            self._renewed = self.bench.now()
             lease = Lease(holder=self._holder, since=self._since, mode=int(mode.current), number=mode.lease)
-            lease.header.stamp = self.stamp(now)
+            lease.header.stamp = self.stamp(self._renewed)
             self._lease.publish(lease)
 
     def _on_emergency_stop(self, message: Bool) -> None:
@@ -168,13 +168,14 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         response.success, response.message = True, "latched; call reset_fault"
         return response
 
-    def _publish_state(self, mode: Mode, reason: str) -> None:
-        message = BenchState(mode=int(mode), message=reason)
+    def _announce(self, mode: BenchMode) -> None:
+        # Servo and DAQ hear of the mode first: whoever reads the state and calls a stop means this mode.
+        self._renew_lease(mode)
+        message = BenchState(mode=int(mode.current), message=mode.reason)
         message.header.stamp = self.stamp()
         self._state.publish(message)
-        self._renewed = -math.inf  # the next cycle tells servo and DAQ
-        if mode is Mode.FAULT:
-            self.get_logger().error(f"{reason}; stopped")
+        if mode.current is Mode.FAULT:
+            self.get_logger().error(f"{mode.reason}; stopped")
 
     # Actions
 

@@ -51,6 +51,8 @@ _RELEASE_SPEED = 5e-3
 _RELEASE_WAIT = (0.05, 0.3)
 # Age in s of a switching command below which the status words may still show the state before it.
 _STATUS_DELAY = 0.05
+# Begin of the command that switches the drive on.
+_SWITCH_ON = b"MP "
 # Ticks between two accelerations on a line too slow for one in each tick; a garbled one is corrected this soon.
 _ACCELERATION_INTERVAL = 25
 # Longest tick in s that counts in the mean; a longer one is a pause of the machine.
@@ -359,9 +361,11 @@ class ServoController:
             self._wake_up()
 
     def _stop(self, command: bytes) -> None:
-        """Send a stop before anything else, and discard the commands that wait: they were requested before the stop."""
-        self._queue = [entry for entry in self._queue if entry[0] == 0]
-        heapq.heapify(self._queue)
+        """Send a stop before anything else. A drive that waits to be switched on stays off: this was requested before."""
+        kept = [entry for entry in self._queue if not entry[2].startswith(_SWITCH_ON)]
+        if len(kept) < len(self._queue):
+            heapq.heapify(kept)
+            self._queue, self._drive_on = kept, False
         self._enqueue(command, urgent=True)
         self._armed, self._activity = False, Activity.NOTHING
         self._rod.set_command(None)
@@ -382,7 +386,7 @@ class ServoController:
             return
         position = self._units.counts(self._rod.position)
         acceleration = self._units.adt(self._horizon.braking_acceleration(self.config.limits.speed))
-        self._enqueue(b"MP " + encode_move(position, self._units.vt(_RELEASE_SPEED), acceleration))
+        self._enqueue(_SWITCH_ON + encode_move(position, self._units.vt(_RELEASE_SPEED), acceleration))
         self._drive_on, self._switched = True, now
 
     def _check_timeouts(self, now: float) -> None:

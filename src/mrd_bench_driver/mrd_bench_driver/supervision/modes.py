@@ -23,7 +23,7 @@ class BenchMode:
     Parameters
     ----------
     on_change : callable
-        Receives mode and reason at the start and after every change, in the order of the changes.
+        Receives this object at the start and after every change, in the order of the changes.
     new_number : callable, optional
         Returns a number that no lease has had.
 
@@ -34,7 +34,7 @@ class BenchMode:
         Number of the lease that the mode grants for setpoints; 0 where nobody may send any.
     """
 
-    def __init__(self, on_change: Callable[[Mode, str], None], new_number: Callable[[], int] | None = None) -> None:
+    def __init__(self, on_change: Callable[["BenchMode"], None], new_number: Callable[[], int] | None = None) -> None:
         self._lock = threading.RLock()
         self._on_change = on_change
         self._new_number = new_number or itertools.count(1).__next__
@@ -43,7 +43,7 @@ class BenchMode:
     def _set(self, mode: Mode, reason: str) -> None:
         self.lease = self._new_number() if mode.takes_setpoints else 0
         self.current, self.reason = mode, reason
-        self._on_change(mode, reason)
+        self._on_change(self)
 
     def enter(self, mode: Mode, reason: str) -> None:
         """Change to another mode.

@@ -35,7 +35,7 @@ class Supervisor:
     Parameters
     ----------
     on_mode : callable
-        Receives every mode with its reason.
+        Receives `mode` at the start and after every change.
     send_emergency_stop : callable
         Sends the emergency stop to all nodes (True), or its release (False).
 
@@ -54,7 +54,7 @@ class Supervisor:
         config: SupervisorConfig,
         clock: BenchClock,
         peers: Peers,
-        on_mode: Callable[[Mode, str], None],
+        on_mode: Callable[[BenchMode], None],
         send_emergency_stop: Callable[[bool], None],
     ) -> None:
         self._config, self._clock, self._peers = config, clock, peers
