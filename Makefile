@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench trials lock clean
+.PHONY: help build demo test lint bench faults trials lock clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
 TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
@@ -21,6 +21,11 @@ test: build lint  ## check style and types, then run all tests but the slow ones
 
 lint: build  ## check style (ruff) and types (mypy)
 	@. ./env.sh; ruff format --check --quiet; ruff check; mypy $(addprefix -p ,$(TYPED))
+
+# MOMENTS: random moments at which each node is killed, terminated and stopped.
+MOMENTS ?= 3
+faults: build  ## break everything that can break, and print what the bench does, three times in a row
+	@. ./env.sh; PYTHONPATH="tests:$$PYTHONPATH" python -m faults --times 3 --moments $(MOMENTS)
 
 bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done

@@ -19,13 +19,38 @@ from mrd_sim.supply import CoilSupply
 
 Array = NDArray[np.float64]
 
+MOTOR_FAULTS = {
+    "reset": "the motor's supply fails for an instant, which resets its registers and the baud rate to 9600",
+    "overheat": "the motor's board is at 95 degC, and cool again afterwards",
+    "low_voltage": "the motor's supply sags to 12 V",
+    "touch_limit": "the positive travel-limit switch is open; without effect where motor.limit_switches is false",
+    "stuck_encoder": "the encoder goes on reading the same position",
+    "slip": "the pinion slips on its shaft: the rod moves half as far as the motor",
+    "jam": "the rod is held in place",
+}
+CONVERTER_FAULTS = {
+    "freeze_daq": "no analog samples come",
+    "lose_daq": "the converter is gone",
+    "drop_blocks": "every third block of analog samples is lost",
+    "swap_channels": "the plugs of LVDT and load cell are exchanged",
+    "saturate_position": "the LVDT reads the end of its terminal's range",
+    "saturate_force": "the load cell reads the end of its terminal's range",
+    "saturate_current": "the current sensor reads the end of its terminal's range",
+    "disconnect_position": "the LVDT is unplugged: its terminal reads 0 V",
+    "disconnect_force": "the load cell is unplugged: its terminal reads 0 V",
+    "disconnect_current": "the current sensor is unplugged: its terminal reads 0 V",
+}
+COIL_FAULTS = {
+    "open_coil": "the cable of the coil is broken",
+    "short_coil": "the cable of the coil is shorted behind the sensor: what the supply can give flows, but not in the coil",
+}
 FAULTS = {
     "": "no fault",
     **LINE_FAULTS,
     "unplug": "the serial line is pulled, and plugged in again afterwards",
-    "reset": "the motor's supply fails for an instant, which resets its registers and the baud rate to 9600",
-    "jam": "the rod is held in place",
-    "freeze_daq": "no analog samples come",
+    **MOTOR_FAULTS,
+    **CONVERTER_FAULTS,
+    **COIL_FAULTS,
 }
 """Faults that can be set on purpose, with what they do. A fault acts as long as it is set."""
 
@@ -176,6 +201,7 @@ class Plant:
         self._start = start
         self._sequence = 0
         self._current = 0.0
+        self._slipped = 0.0  # m by which the rod has stayed behind the motor
         self._volts = 0.0
         self._commands: list[tuple[float, float]] = []
         self._fault = ""
@@ -197,8 +223,13 @@ class Plant:
         if fault == "reset" and self._fault != "reset":
             self.motor.advance(time)
             self.motor.power_cycle(time)
-        self.motor.faults = {fault} & LINE_FAULTS.keys()
-        self.motor.axis.jammed = fault == "jam"
+        motor, axis = self.motor, self.motor.axis
+        motor.faults = {fault} & LINE_FAULTS.keys()
+        motor.limit_touched = fault == "touch_limit"
+        axis.jammed, axis.encoder_stuck = fault == "jam", fault == "stuck_encoder"
+        axis.supply_voltage = 12.0 if fault == "low_voltage" else self.config.motor.supply_voltage
+        if "overheat" in (fault, self._fault):
+            axis.temperature = 95.0 if fault == "overheat" else self.config.motor.ambient
         self._fault = fault
 
     def command_coil(self, volts: float, time: float) -> None:
@@ -221,10 +252,17 @@ class Plant:
         # Drive: the motor's trajectories become motion of the rod.
         self.motor.advance(self.time + samples / config.hardware_rate)
         position, velocity, acceleration, stop_force = self.motor.take_motion(count)
+        position, velocity, acceleration = self._behind_pinion(dt, position, velocity, acceleration)
 
         # Magnetics: the control voltage becomes coil current.
-        current = config.supply.advance(dt, self._control_voltage(count), self._current)
+        volts = self._control_voltage(count)
+        current = config.supply.advance(dt, volts, self._current)
+        if self._fault in COIL_FAULTS:
+            current = np.zeros(count)
         self._current = float(current[-1])
+        measured_current = current
+        if self._fault == "short_coil":
+            measured_current = np.where(config.supply.target(volts) > 0.0, config.supply.current_limit, 0.0)
 
         # Fluid: motion and current become damper force. The damper's effects act in here, those of sensing on `measured`.
         force, measured = self.damper.forces(dt, position, velocity, acceleration, current)
@@ -236,7 +274,8 @@ class Plant:
 
         # Sensing: everything becomes volts at the converter's terminals.
         supply = np.full(count, config.sensors.current.supply)
-        voltage = self._sensors.read(np.stack([position, measured, current, supply, acceleration]))
+        voltage = self._sensors.read(np.stack([position, measured, measured_current, supply, acceleration]))
+        self._disturb(voltage)
 
         first = self._sequence
         self._sequence += samples
@@ -252,6 +291,25 @@ class Plant:
             force=force,
             current=current,
         )
+
+    def _behind_pinion(self, dt: float, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array, Array]:
+        """Return the motion of the rod for that of the motor; they differ once the pinion has slipped."""
+        if self._fault != "slip":
+            return position - self._slipped, velocity, acceleration
+        slipped = self._slipped + np.cumsum(0.5 * velocity) * dt
+        self._slipped = float(slipped[-1])
+        return position - slipped, 0.5 * velocity, 0.5 * acceleration
+
+    def _disturb(self, voltage: Array) -> None:
+        """Change the readings (channels, n) as the present fault of the converter or its wiring does."""
+        names = [entry.name for entry in fields(self.config.sensors)]
+        kind, _, name = self._fault.partition("_")
+        if self._fault == "swap_channels":
+            wired = [names.index("position"), names.index("force")]
+            voltage[wired] = voltage[wired[::-1]]
+        elif kind in ("saturate", "disconnect"):
+            end = getattr(self.config.sensors, name).converter_range
+            voltage[names.index(name)] = end if kind == "saturate" else 0.0
 
     def _control_voltage(self, count: int) -> Array:
         """Return the volts on the coil supply's input over the next block; past commands act from its start."""

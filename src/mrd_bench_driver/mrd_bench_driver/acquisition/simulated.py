@@ -33,6 +33,8 @@ class Simulated:
     def _to_block(
         self, sequence: int, time: float, sample_period: float, inputs: Sequence[str], volts: NDArray[np.float64]
     ) -> VoltBlock | AcquisitionError:
+        if not inputs:
+            return AcquisitionError("the converter is gone; check its cable and power, then call reset_fault")
         missing = [name for name in self._inputs if name not in inputs]
         if missing:
             return AcquisitionError(

@@ -55,6 +55,7 @@ class MotorConfig:
     supply_resistance: float = quantity(0.2, "ohm", "of supply and cable", lower=0, upper=10)
     winding_resistance: float = quantity(0.3, "ohm", "of the windings", lower=0.01, upper=10)
     ambient: float = quantity(25.0, "degC", "temperature of the room", lower=-40, upper=80)
+    limit_switches: bool = quantity(False, "", "whether travel-limit switches are wired to the motor's inputs")
 
     @property
     def lead(self) -> float:
@@ -72,6 +73,7 @@ class _Settings(NamedTuple):
 
     mode: int
     jammed: bool
+    encoder_stuck: bool
     lead: float
     stiffness: float
     damping: float
@@ -110,6 +112,8 @@ class _State(NamedTuple):
     """N of the motor at the rod."""
     heat: float = 0.0
     """Force squared, integrated over the run, in N² s."""
+    encoder_offset: float = 0.0
+    """Counts by which the encoder is beyond the position; it grows while the encoder is stuck."""
 
 
 @njit(cache=True, nogil=True)
@@ -124,8 +128,9 @@ def _run(state: _State, settings: _Settings, plan: Array, motion: Array) -> tupl
         # With the drive off, the friction of gearbox and rack carries what the damper still pushes.
         load = 0.0 if settings.mode == OFF else lagged_load
         position, velocity, acceleration, stop_force = _move(state, settings, force - load, dt)
+        offset = state.encoder_offset + (state.position - position if settings.encoder_stuck else 0.0)
         # Whole counts, so that the velocity report carries the encoder's steps, filtered, as that of the real motor does.
-        counts = math.floor(position) - math.floor(state.position)
+        counts = math.floor(position + offset) - math.floor(state.position + state.encoder_offset)
         counts = counts + (state.counts - counts) * _VELOCITY_FILTER
         heat = state.heat + force * force * dt
         motion[0, k] = position * settings.lead
@@ -133,10 +138,12 @@ def _run(state: _State, settings: _Settings, plan: Array, motion: Array) -> tupl
         motion[2, k] = acceleration * settings.lead
         motion[3, k] = stop_force
         done = k + 1
-        commanded, commanded_velocity, segment, left = position, velocity, state.segment, state.left
+        commanded, commanded_velocity, segment, left = position + offset, velocity, state.segment, state.left
         if settings.mode == SERVO:
             commanded, commanded_velocity, segment, left = _generate(state, settings.target, plan, dt)
-        state = _State(commanded, commanded_velocity, position, velocity, lagged_load, counts, segment, left, force, heat)
+        state = _State(
+            commanded, commanded_velocity, position, velocity, lagged_load, counts, segment, left, force, heat, offset
+        )
         fault = _fault(state, settings)
         if fault != 0:
             break
@@ -151,8 +158,10 @@ def _motor_force(state: _State, settings: _Settings) -> float:
     """
     rod_speed = state.velocity * settings.lead
     if settings.mode == SERVO:
-        position_error = state.commanded - state.position
-        velocity_error = settings.feed_forward * state.commanded_velocity - state.velocity
+        # The loop knows the rod by the encoder only.
+        position_error = state.commanded - state.position - state.encoder_offset
+        measured_velocity = 0.0 if settings.encoder_stuck else state.velocity
+        velocity_error = settings.feed_forward * state.commanded_velocity - measured_velocity
         demand = settings.inertia * settings.lead * (settings.stiffness * position_error + settings.damping * velocity_error)
         demand = min(demand, settings.brake * (settings.free_speed - rod_speed))
         demand = max(demand, settings.brake * (-settings.free_speed - rod_speed))
@@ -210,13 +219,14 @@ def _generate(state: _State, target: float, plan: Array, dt: float) -> tuple[flo
 @njit(cache=True, nogil=True)
 def _fault(state: _State, settings: _Settings) -> int:
     """Return the fault that trips in this state, 0 for none."""
-    if settings.mode == SERVO and abs(state.commanded - state.position) > settings.following_limit:
+    encoder = state.position + state.encoder_offset
+    if settings.mode == SERVO and abs(state.commanded - encoder) > settings.following_limit:
         return FOLLOWING_ERROR
-    if state.position > settings.upper_limit and state.velocity > 0.0:
+    if encoder > settings.upper_limit and state.velocity > 0.0:
         return UPPER_LIMIT
-    if state.position < settings.lower_limit and state.velocity < 0.0:
+    if encoder < settings.lower_limit and state.velocity < 0.0:
         return LOWER_LIMIT
-    if settings.mode != OFF and abs(state.velocity) > settings.speed_limit:
+    if settings.mode != OFF and not settings.encoder_stuck and abs(state.velocity) > settings.speed_limit:
         return OVERSPEED
     return 0
 
@@ -238,6 +248,10 @@ class ServoAxis:
         N, with which the damper resists extension; the plant sets it.
     jammed : bool
         Whether something holds the rod.
+    encoder_stuck : bool
+        Whether the encoder goes on reading the same position.
+    supply_voltage : float
+        V of the motor supply without load.
     following_limit, upper_limit, lower_limit, speed_limit : float
         Counts and counts/s at which a fault trips; inf for none.
     pwm_limit : float
@@ -247,7 +261,8 @@ class ServoAxis:
     def __init__(self, config: MotorConfig, position: float, stroke: float) -> None:
         self.config = config
         self.load = 0.0
-        self.jammed = False
+        self.jammed = self.encoder_stuck = False
+        self.supply_voltage = config.supply_voltage
         self.following_limit = 1000.0
         self.upper_limit = math.inf
         self.lower_limit = -math.inf
@@ -270,8 +285,8 @@ class ServoAxis:
 
     @property
     def position(self) -> float:
-        """Actual position in counts from mid-stroke."""
-        return self._state.position
+        """Position by the encoder in counts from mid-stroke."""
+        return self._state.position + self._state.encoder_offset
 
     @property
     def commanded(self) -> float:
@@ -316,7 +331,7 @@ class ServoAxis:
         """Voltage in V: that of the supply less the drop over its resistance, and more while braking feeds power back."""
         power = self._force * self._state.velocity * self.config.lead
         power += self.current**2 * self.config.winding_resistance
-        nominal = self.config.supply_voltage
+        nominal = self.supply_voltage
         return nominal - self.config.supply_resistance * power / max(nominal, 1.0)
 
     @property
@@ -375,6 +390,7 @@ class ServoAxis:
         return _Settings(
             mode=self._mode,
             jammed=self.jammed,
+            encoder_stuck=self.encoder_stuck,
             lead=config.lead,
             stiffness=omega**2,
             damping=damping,
@@ -419,7 +435,7 @@ class ServoAxis:
         if self._mode != SERVO:
             self._mode = SERVO
             state = self._state
-            self._state = state._replace(commanded=state.position, commanded_velocity=state.velocity)
+            self._state = state._replace(commanded=self.position, commanded_velocity=state.velocity)
 
     def _follow(self, plan: Array, target: float) -> None:
         self._plan = plan

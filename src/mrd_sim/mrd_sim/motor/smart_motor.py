@@ -33,6 +33,8 @@ LINE_FAULTS = {
     "late_reply": "each reply comes 300 ms late",
     "garbage": "random bytes come instead of each reply",
     "silence": "the motor does not reply",
+    "duplicate_reply": "each reply comes twice",
+    "swap_replies": "each reply comes after the next one",
 }
 
 _SCALE = 65536.0  # velocity and acceleration units per count/sample and count/sample²
@@ -115,8 +117,8 @@ class _Registers:
     soft_limit_faults: bool = True
     plus_input: bool = True
     minus_input: bool = True
-    """Travel-limit inputs act until EIGN makes them plain inputs. Unconnected, as on this bench, they read as active."""
-    latched: int = 1 << _HISTORICAL_PLUS | 1 << _HISTORICAL_MINUS
+    """Travel-limit inputs act until EIGN makes them plain inputs. Unconnected they read as active."""
+    latched: int = 0
     """Latched bits of status word 0."""
     latched_soft: int = 0
     """Latched bits of status word 1."""
@@ -153,6 +155,8 @@ class SmartMotor:
         Rod, motor and servo loop.
     faults : set of str
         Present faults of the line, keys of `LINE_FAULTS`.
+    limit_touched : bool
+        Whether the rod has opened the positive travel-limit switch.
     """
 
     def __init__(
@@ -161,6 +165,8 @@ class SmartMotor:
         self.config = config
         self.axis = ServoAxis(config, position, stroke)
         self.faults: set[str] = set()
+        self.limit_touched = False
+        self._held_back = b""  # a reply that waits for the next one
         self._start = start
         self._samples = 0
         self._random = np.random.default_rng(seed)
@@ -242,6 +248,20 @@ class SmartMotor:
         self._command = bytearray()
         self.axis.off()
         self._apply_limits()
+        self._check_switches()
+
+    @property
+    def _plus_active(self) -> bool:
+        return self._r.plus_input and (self.limit_touched or not self.config.limit_switches)
+
+    @property
+    def _minus_active(self) -> bool:
+        return self._r.minus_input and not self.config.limit_switches
+
+    def _check_switches(self) -> None:
+        for bit, active in ((_HISTORICAL_PLUS, self._plus_active), (_HISTORICAL_MINUS, self._minus_active)):
+            if active and not self._r.latched >> bit & 1:
+                self._trip(bit)
 
     def _take_byte(self, byte: int, time: float) -> None:
         r = self._r
@@ -290,6 +310,10 @@ class SmartMotor:
             half = len(data) // 2
             self._send(data[:half], leaves)
             leaves, data = max(self._line_out, leaves) + 0.05, data[half:]
+        if "duplicate_reply" in self.faults:
+            data += data
+        if "swap_replies" in self.faults:
+            data, self._held_back = (data + self._held_back, b"") if self._held_back else (b"", data)
         self._send(data, leaves)
 
     # Motion.
@@ -320,6 +344,7 @@ class SmartMotor:
                 self._trip(None)
             else:
                 self.axis.brake(self._acceleration(r.deceleration))
+        self._check_switches()
         if self.axis.temperature > r.temperature_limit and not r.latched >> _HOT & 1:
             self._trip(_HOT)
         if not 18.0 <= self.axis.bus_voltage <= 60.0 and not r.latched >> _BUS & 1:
@@ -393,8 +418,8 @@ class SmartMotor:
                 8: axis.temperature > r.temperature_limit,
                 10: r.plus_input,
                 11: r.minus_input,
-                _PLUS: r.plus_input,
-                _MINUS: r.minus_input,
+                _PLUS: self._plus_active,
+                _MINUS: self._minus_active,
             }
         elif number == 1:
             word = r.latched_soft
@@ -418,7 +443,9 @@ class SmartMotor:
         mask = 1 << bit
         if word == 0:
             still_hot = bit == _HOT and self.axis.temperature > r.temperature_limit - 5
-            still_active = (bit == _HISTORICAL_PLUS and r.plus_input) or (bit == _HISTORICAL_MINUS and r.minus_input)
+            still_active = (bit == _HISTORICAL_PLUS and self._plus_active) or (
+                bit == _HISTORICAL_MINUS and self._minus_active
+            )
             stuck = bit == _POSITION_ERROR and r.generator_stuck
             if not (still_hot or still_active or stuck):
                 r.latched &= ~mask
@@ -534,10 +561,9 @@ class SmartMotor:
         self._apply_limits()
 
     def _enable_input(self, **which: bool) -> None:
-        """Make a travel-limit input act. It is not connected, so its limit trips at once."""
+        """Make a travel-limit input act. Where no switch is wired, its limit trips at once."""
         self._set(**which)
-        self._r.latched |= 1 << (_HISTORICAL_PLUS if "plus_input" in which else _HISTORICAL_MINUS)
-        self._off()
+        self._check_switches()
 
     def _decelerate(self) -> None:
         self.axis.brake(self._acceleration(self._r.deceleration))

@@ -36,11 +36,12 @@ class PlantNode(BenchNode[PlantConfig]):
         self.port = MotorSerialPort(self.plant.motor, self.config.port_link)
         self._time_topic = self.create_publisher(Clock, "/clock", 1)
         self._analog_input = self.create_publisher(AnalogInput, "analog_input", RECORDED)
-        # True values, which no real bench has; tests read them.
+        # True values, which no real bench has; tests read them. The effort of the rod is the force, that of the coil the current.
         self._true_state = self.create_publisher(JointState, "plant/true_state", 10)
         self.create_subscription(AnalogOutput, "analog_output", self._on_analog_output, LATCHED)
         self.accept_parameter("fault", "", self._set_fault)
         self._set_fault(self.config.fault)
+        self._published_blocks = 0
         self._closing = threading.Event()
         self._stepper = threading.Thread(target=self._run, name="plant", daemon=True)
         self._stepper.start()
@@ -102,20 +103,23 @@ class PlantNode(BenchNode[PlantConfig]):
         return True
 
     def _publish(self, block: Block) -> None:
-        if self.plant.fault != "freeze_daq":
+        fault = self.plant.fault
+        self._published_blocks += 1
+        if fault != "freeze_daq" and (fault != "drop_blocks" or self._published_blocks % 3):
+            gone = fault == "lose_daq"
             message = AnalogInput(
                 sample_period=block.sample_period,
                 sequence=block.sequence,
-                channels=block.channels,
-                voltage=array.array("d", block.voltage.tobytes()),
+                channels=[] if gone else block.channels,
+                voltage=array.array("d", b"" if gone else block.voltage.tobytes()),
             )
             message.header.stamp = self.stamp(block.time)
             self._analog_input.publish(message)
         state = JointState(
-            name=["rod"],
-            position=[float(block.position[-1])],
-            velocity=[float(block.velocity[-1])],
-            effort=[float(block.force[-1])],
+            name=["rod", "coil"],
+            position=[float(block.position[-1]), 0.0],
+            velocity=[float(block.velocity[-1]), 0.0],
+            effort=[float(block.force[-1]), float(block.current[-1])],
         )
         state.header.stamp = self.stamp(self.plant.time)
         self._true_state.publish(state)

@@ -1,0 +1,318 @@
+"""What a fault is, what is expected of the bench, and the one way in which its reaction is measured.
+
+A fault is injected while the rod moves at 50 mm/s with 100 mA in the coil, or at a random moment of the whole procedure.
+Motion and current are the true ones of the simulated plant, every 20 ms; all times are bench times.
+"""
+
+import dataclasses
+import os
+import random
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.action import ActionClient
+from std_srvs.srv import SetBool, Trigger
+from whole_bench import WholeBench
+
+from mrd_base.nodes.bench_node import LATCHED, seconds
+from mrd_interfaces.action import RunExperiment
+from mrd_interfaces.msg import BenchState
+from mrd_runs.bag import read_bag
+from mrd_runs.blocks import decode_blocks
+
+LONG = """
+name: long
+duration_s: 30.0
+rate_hz: 500.0
+rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
+coil: {waveform: constant, level_mA: 100.0}
+"""
+SHORT = LONG.replace("duration_s: 30.0", "duration_s: 4.0")
+
+MOVES, FLOWS, STANDS = 2e-3, 0.02, 2e-4
+"""m/s and A above which rod and coil are not at rest; m by which a rod that stands may be displaced."""
+_MOMENTS = 8.0
+"""Bench time in s from the goal within which random moments lie: homing, tare, and some seconds of the run."""
+
+
+class Ending(Enum):
+    """How a run ends after a fault."""
+
+    LATCHED = "stops until reset"
+    ENDED = "the run ends"
+    COMPLAINS = "the result says so"
+    COMPLETE = "goes on"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A row of the campaign.
+
+    Attributes
+    ----------
+    name : str
+    inject : callable
+        Breaks something on a `Bench`; may return what was said to whoever did it.
+    cause : str
+        Regular expression of what the result must say; "" for nothing.
+    ending : Ending
+    told : str or None
+        Regular expression of what ``/diagnostics`` must say, by default the cause; "" where it need not.
+    rest, coil : float or None
+        Longest time in s until the rod stands and the coil is without current; None where software cannot do it.
+    repair : callable
+        Mends it again.
+    at_random : bool
+        Whether it is injected at a random moment of the procedure instead of at full speed.
+    recorded : bool
+        Whether the recording must go on until the rod stands.
+    """
+
+    name: str
+    inject: Callable[["Bench"], str | None]
+    cause: str
+    ending: Ending = Ending.LATCHED
+    told: str | None = None
+    rest: float | None = 0.2
+    coil: float | None = 0.2
+    repair: Callable[["Bench"], None] = lambda bench: bench.set_fault("")
+    at_random: bool = False
+    recorded: bool = True
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """What the bench did: times in s until rod and coil were at rest, what it said, and what is wrong with that."""
+
+    rest: float
+    coil: float
+    said: str
+    recording: str
+    failures: tuple[str, ...] = ()
+
+
+class Bench(WholeBench):
+    """A bench with limit switches that one fault after the other is tried on."""
+
+    def __init__(self, folder: Path, seed: int, **environment: str) -> None:
+        wired = {"servo": {"limit_switches": True}, "plant": {"motor.limit_switches": True}}
+        self.slow_disk = folder / "slow disk"
+        """Where this file is, disks are slow."""
+        python = os.pathsep.join(filter(None, [str(Path(__file__).parent / "slow_disk"), os.environ.get("PYTHONPATH")]))
+        environment |= {"PYTHONPATH": python, "MRD_SLOW_DISK": str(self.slow_disk)}
+        super().__init__(folder / "bench", wired, **environment)
+        self.folder = folder
+        self.random = random.Random(seed)
+        self.bag = folder
+        self.told: list[str] = []
+        self.background: list[Any] = []
+        """Processes that a fault has started."""
+
+    def __enter__(self) -> "Bench":
+        super().__enter__()
+        self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
+        self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        self.run = ActionClient(self.client.node, RunExperiment, "run_experiment")
+        assert self.client.spin(self.run.server_is_ready, 30)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.end_background()
+        self.run.destroy()
+        super().__exit__(*error)
+
+    def end_background(self) -> None:
+        for process in self.background:
+            process.kill()
+            process.wait()
+        self.background.clear()
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            # The plant says which fault is injected.
+            if status.level != DiagnosticStatus.OK and not status.name.endswith("plant: state"):
+                self.told.append(f"{status.name}: {status.message}")
+            elif status.name.endswith("daq: state"):
+                self.told += [f"{value.key} {value.value}" for value in status.values if value.key == "lost_readings"]
+
+    def service(self, name: str, kind: Any = Trigger, timeout: float = 30.0, **fields: Any) -> Any:
+        client = self.client.node.create_client(kind, name)
+        assert self.client.spin(client.service_is_ready, 10, watch=False), f"no service {name}"
+        response = self.call(client, kind.Request(**fields), timeout)
+        client.destroy()
+        return response
+
+    def send(self, experiment: str) -> Any:
+        """Send an experiment; return the future of its result."""
+        accepted = self.run.send_goal_async(RunExperiment.Goal(experiment=experiment, bag=str(self.bag)))
+        assert self.client.spin(accepted.done, 30)
+        return accepted.result().get_result_async()
+
+    def restart(self, name: str) -> None:
+        """Start a node that has ended, or was stopped by a signal."""
+        if name in self.processes.running:
+            self.processes.kill(name)
+        self.processes.start(name)
+
+    def reset(self) -> str:
+        """Reset the bench; return why this fails, or ""."""
+        message, deadline = "", time.monotonic() + 60
+        while time.monotonic() < deadline:
+            try:
+                response = self.service("reset_fault")
+            except AssertionError as error:
+                message = str(error)
+                continue
+            message = response.message
+            if response.success:
+                idle = self.client.spin(lambda: self.modes[-1].mode == BenchState.IDLE, 10)
+                return "" if idle else f"mode {self.modes[-1].mode} after the reset"
+            self.client.spin(lambda: False, 0.3, watch=False)
+        return f"not reset: {message}"
+
+    def advance(self, duration: float) -> None:
+        """Let bench time pass."""
+        end = self.clock.now() + duration
+        self.client.spin(lambda: bool(self.truth) and seconds(self.truth[-1].header.stamp) > end, 30, watch=False)
+
+    def last_time(self, begun: float, what: Callable[[Any], bool]) -> float:
+        """Return how long after a bench time something true of the plant has last been so, in s."""
+        return max((seconds(state.header.stamp) - begun for state in self.truth if what(state)), default=0.0)
+
+
+def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
+    """Inject a fault, measure what happens, mend it, and reset the bench."""
+    bench.bag = bench.folder / f"bag{number}"
+    bench.truth.clear()
+    experiment = SHORT if fault.ending in (Ending.COMPLETE, Ending.COMPLAINS) else LONG
+    if fault.at_random:
+        ended = bench.send(experiment)
+        bench.advance(bench.random.uniform(0.0, _MOMENTS))
+    else:
+        ended = bench.run_at_speed(experiment, bench.bag)
+    with bench.clock.busy():
+        begun = bench.clock.now()
+        bench.told.clear()
+        answer = fault.inject(bench) or ""
+    ends = bench.client.spin(lambda: ended.done() or _is_gone(bench, "supervisor"), 120, watch=False)
+    bench.advance(max(0.0, begun + 1.0 - bench.clock.now()))
+    rest = bench.last_time(begun, lambda state: abs(state.velocity[0]) > MOVES)
+    coil = bench.last_time(begun, lambda state: state.effort[1] > FLOWS)
+    result = ended.result().result if ended.done() else None
+    said = answer or (result.message if result is not None else bench.servo[-1].message)
+    told = fault.cause if fault.told is None else fault.told
+    heard = bench.client.spin(lambda: any(re.search(told, line) for line in bench.told), 6, watch=False)
+
+    failures: list[str] = []
+
+    def require(holds: bool, problem: str) -> None:
+        if not holds:
+            failures.append(problem)
+
+    require(ends, "the run does not end")
+    require(not fault.cause or re.search(fault.cause, said) is not None, f"the result is {said!r}")
+    require(heard, f"/diagnostics says {sorted(set(bench.told))}")
+    succeeded = result is not None and result.success
+    require(succeeded == (fault.ending is Ending.COMPLETE), f"success is {succeeded}")
+    stops = fault.ending in (Ending.LATCHED, Ending.ENDED)
+    if stops:
+        require(fault.rest is None or rest <= fault.rest, f"the rod stands after {1e3 * rest:.0f} ms")
+        require(fault.coil is None or coil <= fault.coil, f"the coil is off after {1e3 * coil:.0f} ms")
+    recording, problem = _look_at_bag(bench, begun, rest if stops else 0.0, fault)
+    require(not problem, problem)
+    if fault.ending is Ending.LATCHED:
+        failures += _try_to_move(bench)
+    fault.repair(bench)
+    bench.end_background()
+    if problem := bench.reset():
+        failures.append(problem)
+    return Reaction(rest, coil, said, recording, tuple(failures))
+
+
+def _is_gone(bench: Bench, name: str) -> bool:
+    """Whether a process has ended or was stopped by a signal."""
+    process = bench.processes.running.get(name)
+    if process is None or process.poll() is not None:
+        return True
+    return Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0] in "Tt"
+
+
+def _look_at_bag(bench: Bench, begun: float, rest: float, fault: Fault) -> tuple[str, str]:
+    """Return until when the bag goes, and what is wrong with it."""
+    if not bench.bag.exists():
+        return "none", "" if fault.at_random or not fault.recorded else "nothing was recorded"
+    try:
+        bag = read_bag(bench.bag, {"samples"})
+        (topic,) = (entry for entry in bag.topics.values() if entry.messages)
+        blocks = decode_blocks(topic.messages, bag.types)
+    except ValueError as error:
+        empty = fault.at_random and "samples" in str(error)
+        return "empty", "" if empty else f"the bag cannot be read: {error}"
+    last = float(1e-9 * blocks.stamp[-1] + blocks.period[-1] * (blocks.count[-1] - 1)) - begun
+    missing = fault.recorded and last < rest + 0.3 and last > -0.05
+    return f"{last:+.2f} s", f"the recording ends at {last:+.2f} s" if missing else ""
+
+
+def _try_to_move(bench: Bench) -> list[str]:
+    """Ask for motion of a bench that has stopped; return what it did wrongly."""
+    failures = []
+    bench.truth.clear()
+    bench.advance(0.2)
+    here = bench.truth[-1].position[0]
+    attempts: dict[str, tuple[Any, dict[str, Any]]] = {
+        "servo/home": (Trigger, {}),
+        "servo/enable": (SetBool, {"data": True}),
+        "home": (Trigger, {}),
+    }
+    for name, (kind, fields) in attempts.items():
+        try:
+            if bench.service(name, kind, **fields).success:
+                failures.append(f"{name} was accepted before the reset")
+        except AssertionError:
+            pass  # nobody is there to be asked
+    bench.advance(0.5)
+    moved = float(np.ptp([state.position[0] for state in bench.truth] + [here]))
+    return [*failures, f"the rod moved by {1e3 * moved:.2f} mm before the reset"] if moved > STANDS else failures
+
+
+def worst(reactions: list[Reaction]) -> Reaction:
+    """Return the longest times of several reactions and all that was wrong."""
+    last = reactions[-1]
+    return dataclasses.replace(
+        last,
+        rest=max(reaction.rest for reaction in reactions),
+        coil=max(reaction.coil for reaction in reactions),
+        failures=tuple(dict.fromkeys(failure for reaction in reactions for failure in reaction.failures)),
+    )
+
+
+def table(rows: list[tuple[Fault, list[Reaction]]]) -> str:
+    """Return the table of the campaign in Markdown."""
+    lines = [
+        "| fault | times | expected | rod at rest after, ms | coil off after, ms | named as | bag ends | |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for fault, reactions in rows:
+        reaction = worst(reactions)
+        stops = fault.ending in (Ending.LATCHED, Ending.ENDED)
+
+        def shown(value: float, limit: float | None, stops: bool = stops) -> str:
+            if not stops:
+                return ""
+            return f"{1e3 * value:.0f}" if limit is not None else "hardware"
+
+        said = reaction.said.replace("|", "/").replace(str(fault), "")
+        said = re.sub(r"/[^ ,;:()]*/(bag\d*)", r"\1", said)
+        said = said if len(said) < 120 else said[:117] + "..."
+        cells = [fault.name, str(len(reactions)), fault.ending.value, shown(reaction.rest, fault.rest)]
+        cells += [shown(reaction.coil, fault.coil), said, reaction.recording]
+        cells.append("; ".join(reaction.failures).replace("|", "/") or "ok")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)

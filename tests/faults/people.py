@@ -1,0 +1,107 @@
+"""Stops that somebody asks for, and commands of strangers, none of which may spoil a run."""
+
+import os
+import subprocess
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from faults.campaign import Bench, Ending, Fault
+from mrd_base.nodes.bench_node import LATCHED
+from mrd_interfaces.msg import Setpoint
+from mrd_interfaces.srv import StopRecording
+
+_ORDINARY = QoSProfile(depth=10)
+_SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+
+
+def _press(qos: QoSProfile, count: int) -> Callable[[Bench], None]:
+    def inject(bench: Bench) -> None:
+        publisher = bench.client.node.create_publisher(Bool, "emergency_stop", qos)
+        assert bench.client.spin(lambda: publisher.get_subscription_count() >= 4, 10)
+        for _ in range(count):
+            publisher.publish(Bool(data=True))
+            time.sleep(0.05)
+        time.sleep(0.3)  # nobody announces a person's message to the bench time
+        bench.client.node.destroy_publisher(publisher)
+
+    return inject
+
+
+def _call(name: str, kind: Any = Trigger, **fields: Any) -> Callable[[Bench], None]:
+    def inject(bench: Bench) -> None:
+        assert bench.service(name, kind, **fields).success
+
+    return inject
+
+
+def _is_refused(name: str, kind: Any = Trigger, **fields: Any) -> Callable[[Bench], str]:
+    def inject(bench: Bench) -> str:
+        response = bench.service(name, kind, **fields)
+        assert not response.success, f"{name} was accepted"
+        return response.message
+
+    return inject
+
+
+def _send_setpoints(bench: Bench) -> None:
+    stranger = bench.client.node.create_publisher(Setpoint, "setpoint", _ORDINARY)
+    assert bench.client.spin(lambda: stranger.get_subscription_count() >= 2, 10)
+    for _ in range(20):
+        message = Setpoint(position=0.01, velocity=0.05, coil_current=1.0)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * bench.clock.now()), 10**9)
+        stranger.publish(message)
+        time.sleep(0.01)
+    bench.client.node.destroy_publisher(stranger)
+
+
+def _start_second_supervisor(bench: Bench) -> None:
+    first = bench.processes.running["supervisor"]
+    bench.background.append(bench.processes.start("supervisor"))
+    bench.processes.running["supervisor"] = first
+
+
+def _start_second_bench(bench: Bench) -> str:
+    command = ["ros2", "run", "mrd_bench_driver", "bench", "--simulated", "--output", str(bench.folder / "second")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, env=dict(os.environ))
+    assert done.returncode == 2, done.stderr
+    return done.stderr.strip()
+
+
+_STOPPED = "servo: somebody stopped the rod during the run"
+
+FAULTS = (
+    Fault("emergency stop: ordinary publisher", _press(_ORDINARY, 1), "emergency stop"),
+    Fault("emergency stop: best-effort publisher", _press(_SENSOR, 5), "emergency stop"),
+    Fault("emergency stop: latched publisher", _press(LATCHED, 1), "emergency stop"),
+    Fault("emergency stop: service of the servo", _call("servo/emergency_stop"), "emergency stop by its service"),
+    Fault("emergency stop: service of the DAQ", _call("daq/emergency_stop"), "emergency stop by its service"),
+    Fault("emergency stop: service of the supervisor", _call("emergency_stop"), "emergency stop by the service"),
+    Fault("servo/stop", _call("servo/stop"), _STOPPED, Ending.ENDED, told=""),
+    Fault("servo/enable false", _call("servo/enable", SetBool, data=False), _STOPPED, Ending.ENDED, told=""),
+    Fault("abort_experiment", _call("abort_experiment"), "the generator aborted", Ending.ENDED, told=""),
+    Fault("stop", _call("stop"), "cancelled", Ending.ENDED, told=""),
+    Fault("setpoints of a stranger", _send_setpoints, "", Ending.COMPLETE, told="it carries lease 0|"),
+    *(
+        Fault(
+            f"{name} in a run",
+            _is_refused(name, kind, **fields),
+            "mode identification|busy|records a run",
+            Ending.COMPLETE,
+            told="",
+        )
+        for name, kind, fields in (
+            ("daq/reset_fault", Trigger, {}),
+            ("daq/tare", Trigger, {}),
+            ("servo/reset_fault", Trigger, {}),
+            ("servo/home", Trigger, {}),
+            ("stop_recording", StopRecording, {}),
+        )
+    ),
+    Fault("second supervisor", _start_second_supervisor, "", Ending.COMPLETE, told=""),
+    Fault("second bench in the namespace", _start_second_bench, "is occupied by another bench", Ending.COMPLETE, told=""),
+)

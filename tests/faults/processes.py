@@ -1,0 +1,53 @@
+"""Nodes that are killed, terminated or stopped, at random moments of the whole procedure."""
+
+import signal
+from collections.abc import Callable
+
+from faults.campaign import Bench, Fault
+
+# What the bench says of each node, at whatever moment of the procedure it falls silent.
+_CAUSES = {
+    "servo": "servo|the motor does not answer",
+    "daq": "daq|sample",
+    "recorder": "recorder|recording",
+    "generator": "generator|setpoint|experiment",
+    "supervisor": "supervisor",
+}
+# Bench time in s in which the rod stands. A recorder that is gone is no danger: the run ends as by `stop`.
+_REST = {"recorder": 1.0}
+
+
+def _send(name: str, number: signal.Signals) -> Callable[[Bench], None]:
+    def inject(bench: Bench) -> None:
+        process = bench.processes.running[name]
+        process.send_signal(number)
+        if number is not signal.SIGSTOP:
+            process.wait(20)
+            del bench.processes.running[name]
+
+    return inject
+
+
+def _restart(name: str) -> Callable[[Bench], None]:
+    def repair(bench: Bench) -> None:
+        bench.restart(name)
+
+    return repair
+
+
+FAULTS = tuple(
+    Fault(
+        f"{name}: {number.name}",
+        _send(name, number),
+        cause,
+        told="",
+        rest=_REST.get(name, 0.2),
+        # A converter keeps its last voltage when its process is gone: the enable of the supply must fall off.
+        coil=None if name == "daq" and number is not signal.SIGTERM else _REST.get(name, 0.2),
+        repair=_restart(name),
+        at_random=True,
+        recorded=name not in ("daq", "recorder", "supervisor"),
+    )
+    for name, cause in _CAUSES.items()
+    for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
+)
