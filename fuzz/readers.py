@@ -1,8 +1,9 @@
-"""Feed damaged and hostile files to the readers of recordings: each gives a run or one clear line, soon, in little memory.
+"""Feed damaged and hostile input to everything that reads: each gives a result or one clear line, soon, in little memory.
 
-Every input is a file of the corpus, changed at a few places: bits, bytes, numbers that state sizes, pieces that are doubled,
-dropped or taken from another file. An input that reaches lines of the readers that none before it has reached is changed
-further. The corpus in fuzz/corpus is written by `python fuzz/readers.py --make-corpus`.
+Read are recordings (csv, mcap, db3, yaml, recover), replies of the motor, experiments, goals, bench.yaml, and JSON files. Every
+input is a file of the corpus, changed at a few places: bits, bytes, numbers that state sizes, pieces that are doubled, dropped
+or taken from another file. An input that reaches lines of the readers that none before it has reached is changed further.
+The recordings in fuzz/corpus are written by `python fuzz/readers.py --make-corpus`.
 """
 
 import argparse
@@ -23,10 +24,15 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+from bench_inputs import bench_readers
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 import mrd_base
+import mrd_bench_driver
+import mrd_diagnosis
+import mrd_identification
 import mrd_runs
+import mrd_trajectory
 from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
@@ -35,8 +41,12 @@ from mrd_runs.run_info import format_run_info
 from mrd_runs.summary import summarise
 
 CORPUS = Path(__file__).parent / "corpus"
-TARGETS = ("csv", "mcap", "db3", "yaml", "recover")
-SOURCES = tuple(str(Path(package.__file__ or "").parent) for package in (mrd_base, mrd_runs))
+TARGETS = (
+    *("csv", "mcap", "db3", "yaml", "recover"),
+    *("replies", "experiment", "goal", "bench", "fit", "gap_report", "run_info"),
+)
+PACKAGES = (mrd_base, mrd_runs, mrd_trajectory, mrd_bench_driver, mrd_identification, mrd_diagnosis)
+SOURCES = tuple(str(Path(package.__file__ or "").parent) for package in PACKAGES)
 
 LONGEST = 5.0  # s for an input
 LARGEST = 2**30  # bytes of memory beyond those before the first input
@@ -68,6 +78,18 @@ TOKENS += [
     b"uint8[] ",
     b"string ",
     b"\x28\xb5\x2f\xfd",
+]
+TOKENS += [
+    b"8000\r",
+    b"-2147483648\r",
+    b"65535\r",
+    b"null",
+    b"1e400",
+    b"-1",
+    b'{"a":' * 50,
+    b": ",
+    b"file: /dev/zero",
+    b"3600.0",
 ]
 
 
@@ -178,6 +200,7 @@ def readers(folder: Path) -> dict[str, Callable[[bytes], object]]:
         "db3": read("any.db3"),
         "yaml": read_folder,
         "recover": recover,
+        **bench_readers(folder),
     }
 
 
@@ -255,7 +278,7 @@ def fuzz(target: str, count: int, seconds: float, seed: int, failures: Path) -> 
     """Read changed inputs, print what was found, and return the number of failures."""
     rng, coverage = random.Random(f"{target} {seed}"), Coverage()
     suffix = {"recover": "mcap"}.get(target, target)
-    kept = [file.read_bytes() for file in sorted(CORPUS.glob(f"*.{suffix}"))]
+    kept = [file.read_bytes() for file in sorted([*CORPUS.glob(f"*.{suffix}"), *CORPUS.glob(f"{target}/*")])]
     found: dict[str, int] = {}
     outcomes = {"read": 0, "refused": 0}
     with tempfile.TemporaryDirectory() as scratch:
@@ -293,7 +316,7 @@ def fuzz(target: str, count: int, seconds: float, seed: int, failures: Path) -> 
                 kept.append(content)
         elapsed = time.monotonic() - begin
     print(
-        f"{target:8s} {done} inputs in {elapsed:.0f} s, {outcomes['read']} read, {len(kept)} kept, "
+        f"{target:10s} {done} inputs in {elapsed:.0f} s, {outcomes['read']} read, {len(kept)} kept, "
         f"{len(coverage.seen)} steps reached, {(peak_memory() - memory) >> 20} MiB more memory, "
         f"{sum(found.values())} failures of {len(found)} kinds",
         flush=True,

@@ -65,6 +65,8 @@ def read_json(path: str | Path, package: str, name: str, version: str) -> Any:
         if schema != version:
             raise InputError(f"{path}: its schema is {str(schema)[:40]}, expected a {name}.json of {version}")
         jsonschema.validate(content, read_schema(package, name))
+    except InputError:
+        raise
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:
