@@ -1,8 +1,8 @@
 """Feed damaged and hostile input to everything that reads: each gives a result or one clear line, soon, in little memory.
 
-Read are recordings (csv, mcap, db3, yaml, recover), replies of the motor, experiments, goals, bench.yaml, and JSON files. Every
-input is a file of the corpus, changed at a few places: bits, bytes, numbers that state sizes, pieces that are doubled, dropped
-or taken from another file. An input that reaches lines of the readers that none before it has reached is changed further.
+Read are recordings (csv, mcap, db3, yaml, recover), replies of the motor, experiments, goals, bench.yaml, and JSON files.
+Every input is a file of the corpus, changed at a few places: bits, bytes, numbers that state sizes, pieces that are doubled,
+dropped or taken from another file. An input that reaches lines of the readers that none before it has reached is changed on.
 The recordings in fuzz/corpus are written by `python fuzz/readers.py --make-corpus`.
 """
 

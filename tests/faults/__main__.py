@@ -68,10 +68,8 @@ def main() -> None:
         failed += bad
         print(table(rows))
         count = sum(len(reactions) for _, reactions in rows)
-        print(
-            f"\n{k + 1} of {arguments.times}: {count} runs in {time.monotonic() - begin:.0f} s, {bad} of {len(rows)} faults beyond their limits\n",
-            flush=True,
-        )
+        print(f"\n{k + 1} of {arguments.times}: {count} runs in {time.monotonic() - begin:.0f} s,", end=" ")
+        print(f"{bad} of {len(rows)} faults beyond their limits\n", flush=True)
     sys.exit(1 if failed else 0)
 
 

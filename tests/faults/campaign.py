@@ -184,7 +184,7 @@ class Bench(WholeBench):
 
     def last_time(self, begun: float, what: Callable[[Any], bool]) -> float:
         """Return how long after a bench time something true of the plant has last been so, in s."""
-        return max((seconds(state.header.stamp) - begun for state in self.truth if what(state)), default=0.0)
+        return max((0.0, *(seconds(state.header.stamp) - begun for state in self.truth if what(state))))
 
 
 def measure(fault: Fault, bench: Bench, number: int) -> Reaction:

@@ -8,18 +8,12 @@ _SENSORS = "LVDT and encoder disagree"
 FAULTS = (
     Fault("converter: hangs", in_plant("freeze_daq"), "stale samples", recorded=False),
     Fault("converter: gone", in_plant("lose_daq"), "the converter is gone", recorded=False),
-    Fault(
-        "converter: blocks are lost",
-        in_plant("drop_blocks"),
-        "samples are missing|missing",
-        Ending.COMPLAINS,
-        told="lost_readings [1-9]",
-    ),
-    Fault("LVDT: saturated", in_plant("saturate_position"), "ai0 .position. reads the end of its range"),
-    Fault("load cell: saturated", in_plant("saturate_force"), "ai1 .force. reads the end of its range"),
-    Fault("current sensor: saturated", in_plant("saturate_current"), "ai2 .coil_current. reads the end of its range"),
+    Fault("converter: blocks are lost", in_plant("drop_blocks"), "missing", Ending.COMPLAINS, told="lost_readings [1-9]"),
+    Fault("LVDT: saturated", in_plant("saturate_position"), r"ai0 \(position\) reads the end of its range"),
+    Fault("load cell: saturated", in_plant("saturate_force"), r"ai1 \(force\) reads the end of its range"),
+    Fault("current sensor: saturated", in_plant("saturate_current"), r"ai2 \(coil_current\) reads the end of its range"),
     Fault("LVDT: unplugged", in_plant("disconnect_position"), _SENSORS),
-    Fault("current sensor: unplugged", in_plant("disconnect_current"), "A through the coil"),
+    Fault("current sensor: unplugged", in_plant("disconnect_current"), "the coil current is"),
     Fault("load cell: unplugged", in_plant("disconnect_force"), "", Ending.COMPLETE),
     Fault("LVDT and load cell exchanged", in_plant("swap_channels"), _SENSORS),
 )

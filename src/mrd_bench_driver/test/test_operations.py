@@ -31,7 +31,7 @@ class FakePeers:
         self.absent: tuple[str, ...] = ()
         self.clock = BenchClock()
         self.servo = ServoStatus(position=0.0, connected=True)
-        self.force, self.rate, self.state = 0.0, 100.0, ""
+        self.force, self.rate, self.state, self.recorder = 0.0, 100.0, "", "idle"
         self.modes: list[tuple[Mode, str]] = []
         self.emergency_stops: list[bool] = []
         config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1, late=late)
@@ -44,7 +44,8 @@ class FakePeers:
         now, ones = self.clock.now(), np.ones(10)
         monitor = self.supervisor.monitor
         monitor.add_samples(now - 9 / self.rate, 1 / self.rate, 0 * ones, self.force * ones, 0 * ones)
-        monitor.servo = dataclasses.replace(self.servo, time=now)
+        monitor.add_servo_status(dataclasses.replace(self.servo, time=now))
+        monitor.add_recorder_state(self.recorder, "", now)
         if self.state != monitor.experiment_state:
             monitor.add_experiment_state(self.state, now)
         self.supervisor.check_interlocks()
@@ -76,6 +77,7 @@ class FakePeers:
         self.servo = dataclasses.replace(self.servo, **changes.get(service, {}))
         states = {"load_experiment": "loaded", "start_experiment": "running", "abort_experiment": "aborted"}
         self.state = states.get(service, self.state)
+        self.recorder = {"start_recording": "recording", "stop_recording": "idle"}.get(service, self.recorder)
         self.effects.get(service, lambda: None)()
         return SimpleNamespace(
             success=True, message="", duration=0.5, rate=1000.0, bag=fields.get("bag", "/tmp/bag"), samples=500, lost=0

@@ -48,7 +48,7 @@ def test_a_gap_in_the_samples_gives_no_speed_and_an_empty_block_nothing() -> Non
 
 def test_the_servo_is_as_old_as_its_status() -> None:
     monitor = BenchMonitor(BenchClock())
-    monitor.servo = ServoStatus(time=10.0, position=0.002, connected=True)
+    monitor.add_servo_status(ServoStatus(time=10.0, position=0.002, connected=True))
     snapshot = monitor.snapshot(10.05, follows_experiment=False)
     assert snapshot.servo_age == pytest.approx(0.05)
     assert snapshot.servo is monitor.servo

@@ -87,6 +87,7 @@ class Fakes:
         self.bag = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
         self.refusals: dict[str, str] = {}  # message of each service that refuses
         self.remaining = 0
+        self.recorder_said = "idle", ""
 
     def reset(self) -> None:
         """Bring the bench to idle, as it is after the start of the supervisor."""
@@ -161,13 +162,16 @@ class Fakes:
 
     def _start_recording(self, request: Any, _response: Any) -> None:
         self.bag["bag"] = request.bag
+        self.tell_recorder_state("recording")
 
     def tell_recorder_state(self, state: str, problem: str = "") -> None:
+        self.recorder_said = state, problem
         level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK
         values = [KeyValue(key="state", value=state)]
         self.recorder_state.publish(DiagnosticStatus(level=level, message=problem or state, values=values))
 
     def _stop_recording(self, _request: Any, response: Any) -> None:
+        self.tell_recorder_state("idle")
         for name, value in self.bag.items():
             setattr(response, name, value)
 
@@ -178,6 +182,7 @@ class Fakes:
     def _tick(self) -> None:
         now = self.graph.clock.now()
         self.ticks += 1
+        self.tell_recorder_state(*self.recorder_said)
         if self.sampling:
             count = max(1, round(0.02 * self.rate))
             columns = {"position": self.position, "force": self.force, "coil_current": self.current, "acceleration": 0.0}

@@ -1,4 +1,4 @@
-"""Python imports this in the nodes of the fault campaign: while a file is there, `fsync` takes a second, as on a slow disk."""
+"""Python imports this in the nodes of the fault campaign: while a file is there, `fsync` takes a second."""
 
 import os
 import time

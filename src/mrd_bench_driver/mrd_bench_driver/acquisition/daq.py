@@ -12,7 +12,7 @@ import numpy as np
 from mrd_base import BenchClock, InputError
 from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
 from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock
-from mrd_bench_driver.acquisition.channels import UNITS, ChannelMap, coil_voltage, count_clipped, tare
+from mrd_bench_driver.acquisition.channels import UNITS, ChannelMap, coil_voltage, count_clipped, tare, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
 
 # Wall time in s for the reading thread to notice a fault or the end; a read returns within this time.
@@ -70,6 +70,8 @@ class Daq:
         self._refused = ""  # why the latest refused setpoint was refused
         self._setpoint_time = -math.inf
         self._volts = 0.0  # on the coil output
+        self._commands: collections.deque[tuple[float, float]] = collections.deque([(-math.inf, 0.0)])  # times and A
+        self._at_end: list[str] = []  # quantities whose latest readings were at the end of their range
 
         self._closing = threading.Event()
         self._paused = threading.Event()  # the reading thread has noticed a fault
@@ -114,7 +116,9 @@ class Daq:
 
     def _process(self, block: VoltBlock) -> None:
         with self._lock:
-            self._clipped += count_clipped(block.volts, self.channels)
+            clipped = count_clipped(block.volts, self.channels)
+            self._clipped += clipped
+            self._at_end = [name for name, count in zip(UNITS, clipped, strict=True) if count > 1]
             self._recent.append(block)
             self._recent_count += block.volts.shape[1]
             needed = self._config.tare_duration * self._config.hardware_rate
@@ -122,6 +126,36 @@ class Daq:
                 self._recent_count -= self._recent.popleft().volts.shape[1]
             for averages in self._averager.push(block):
                 self._on_block(averages)
+
+    def check_inputs(self, block: VoltBlock) -> None:
+        """Stop where the inputs that protect the bench cannot be right; call it with each block while rod and coil may move.
+
+        A position, force or current at the end of its range is none. A coil current that does not follow its command, by
+        more than `coil_tolerance` from all that was commanded within `coil_response`, shows a broken coil or supply.
+        """
+        for name in self._at_end:
+            if name != "acceleration":  # an accelerometer may be overdriven without danger
+                channel = getattr(self.channels, name)
+                self.emergency_stop(
+                    f"{channel.input} ({name}) reads the end of its range, ±{channel.range:g} V; check the sensor, its "
+                    "supply and wiring"
+                )
+        current = float(to_si(block.volts, self.channels)[list(UNITS).index("coil_current")].mean())
+        lowest, highest = self._commanded_since(block.time - self._config.coil_response)
+        tolerance = self._config.coil_tolerance + 0.1 * highest
+        if not lowest - tolerance <= current <= highest + tolerance:
+            commanded = f"{lowest:.2f} A" if lowest == highest else f"{lowest:.2f} to {highest:.2f} A"
+            self.emergency_stop(
+                f"the coil current is {current:.2f} A, commanded {commanded}; check coil, cable, supply and sensor"
+            )
+
+    def _commanded_since(self, time: float) -> tuple[float, float]:
+        """Return the lowest and the highest coil current in A commanded since a bench time."""
+        with self._lock:
+            while len(self._commands) > 1 and self._commands[1][0] <= time:
+                self._commands.popleft()
+            currents = [current for _, current in self._commands]
+        return min(currents), max(currents)
 
     def set_rate(self, rate: Any) -> None:
         """Set the sample rate in Hz; raise InputError unless it divides the rate of the converter."""
@@ -156,7 +190,9 @@ class Daq:
         if not math.isfinite(current):
             self._refused = f"a setpoint asked for {current} A"
         if not self._emergency_stop and not self._fault:
-            self._write(coil_voltage(current, self._config.coil, self._config.limits))
+            limits = self._config.limits
+            allowed = min(max(current, limits.current_min), limits.current_max) if math.isfinite(current) else 0.0
+            self._write(coil_voltage(current, self._config.coil, limits), allowed)
 
     def check_setpoint_age(self) -> None:
         """Set the coil output to 0 V if no setpoint has come for too long."""
@@ -171,10 +207,13 @@ class Daq:
         if new:
             self._on_problem(self.problem)
 
-    def _write(self, volts: float) -> None:
+    def _write(self, volts: float, current: float = 0.0) -> None:
         try:
             self._backend.write(volts)
             self._volts = volts
+            with self._lock:
+                if current != self._commands[-1][1]:
+                    self._commands.append((self._clock.now(), current))
         except AcquisitionError as error:
             self._fail(str(error))
 

@@ -20,6 +20,7 @@ class Simulated:
         self._wiring, self._clock = wiring, clock
         self._inputs = [channel.input for _, channel in wiring.channels.items()]
         self._volts = math.nan  # on the coil output
+        self._failed = False
         self._processing = False  # whether the block that was read last may still be processed
         self._blocks: queue.SimpleQueue[VoltBlock | AcquisitionError] = queue.SimpleQueue()
 
@@ -27,6 +28,8 @@ class Simulated:
         self, sequence: int, time: float, sample_period: float, inputs: Sequence[str], volts: NDArray[np.float64]
     ) -> None:
         """Add a block from the plant: ``volts`` (n · inputs,), input after input."""
+        if self._failed:
+            return  # nobody reads
         self._clock.hold()
         self._blocks.put(self._to_block(sequence, time, sample_period, inputs, volts))
 
@@ -54,9 +57,8 @@ class Simulated:
 
     def open(self) -> None:
         """Discard earlier blocks and set the coil output to 0 V."""
-        while not self._blocks.empty():
-            self._blocks.get()
-            self._clock.release()
+        self._discard()
+        self._failed = False
         self._volts = math.nan
         self.write(0.0)
 
@@ -69,10 +71,18 @@ class Simulated:
             block = self._blocks.get(timeout=0.1)
         except queue.Empty:
             return None
-        self._processing = True
         if isinstance(block, AcquisitionError):
+            self._failed = True
+            self._clock.release()
+            self._discard()
             raise block
+        self._processing = True
         return block
+
+    def _discard(self) -> None:
+        while not self._blocks.empty():
+            self._blocks.get()
+            self._clock.release()
 
     def write(self, volts: float) -> None:
         """Send a coil voltage to the plant, which keeps it."""

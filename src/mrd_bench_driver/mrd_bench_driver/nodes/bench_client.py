@@ -33,7 +33,7 @@ CANCEL_TIMEOUT = 90.0
 # also for the supervisor to end the run.
 _REST_TIMEOUT, _END_TIMEOUT = 1.0, 5.0
 # Wall time in s in which ROS finds the nodes of another bench.
-_DISCOVERY_TIME = 1.5
+_DISCOVERY_TIME = 5.0
 # Nodes of which a namespace has one of each.
 _UNIQUE = {"servo", "daq", "recorder", "generator", "supervisor", "plant"}
 

@@ -57,6 +57,8 @@ class DaqNode(BenchNode[DaqConfig]):
         self._daq.start()
 
     def _publish_block(self, block: VoltBlock) -> None:
+        if self._lease.lease.mode.takes_setpoints:
+            self._daq.check_inputs(block)
         message = BenchSamples(sample_period=1 / self._daq.rate, sequence=block.sequence)
         message.header.stamp = self.stamp(block.time)
         for name, values in zip(UNITS, to_si(block.volts, self._daq.channels), strict=True):

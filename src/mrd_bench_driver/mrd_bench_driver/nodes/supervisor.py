@@ -62,12 +62,13 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         )
         hear_emergency_stop(self, self._on_emergency_stop)
         self.create_subscription(Lease, "lease", self._on_lease, COMMAND)
-        self.create_subscription(BenchSamples, "samples", self._on_samples, RECORDED)
+        # First what servo and DAQ say, then what they measure: a cause comes before its consequences.
+        self.create_subscription(DiagnosticStatus, "daq_state", self._on_daq_state, LATCHED)
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, RECORDED)
+        self.create_subscription(BenchSamples, "samples", self._on_samples, RECORDED)
         self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND, raw=True)
         self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
         self.create_subscription(DiagnosticStatus, "recorder_state", self._on_recorder_state, LATCHED)
-        self.create_subscription(DiagnosticStatus, "daq_state", self._on_daq_state, LATCHED)
         self.create_service(Trigger, "emergency_stop", self._on_emergency_stop_service)
         self.create_bench_timer(self.config.check, self._tick)
 
@@ -119,7 +120,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
 
     def _on_servo_state(self, state: ServoState) -> None:
         fields = {name: getattr(state, name) for name in _STATUS_FIELDS}
-        self._supervisor.monitor.servo = ServoStatus(seconds(state.header.stamp), **fields)
+        self._supervisor.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
         self._supervisor.check_interlocks()
 
     def _on_setpoint(self, _cdr: bytes) -> None:
@@ -130,7 +131,8 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
 
     def _on_recorder_state(self, status: DiagnosticStatus) -> None:
         state = next((value.value for value in status.values if value.key == "state"), "")
-        self._supervisor.monitor.add_recorder_state(state, status.message if status.level == DiagnosticStatus.ERROR else "")
+        problem = status.message if status.level == DiagnosticStatus.ERROR else ""
+        self._supervisor.monitor.add_recorder_state(state, problem, self.bench.now())
 
     def _on_daq_state(self, status: DiagnosticStatus) -> None:
         self._supervisor.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""

@@ -120,6 +120,7 @@ class ServoController:
         self._connected = self._homed = False
         self._emergency_stop = ""  # reason of the latched stop
         self._in_step = False  # whether replies are known to match their queries
+        self._suspect: Query | None = None  # a status word that shows a fault, and is read again before it is believed
         self._drive_on = self._armed = False  # armed: setpoints are followed
         self._fault = self._note = ""
         self._values: dict[Query, int] = {}  # latest reply to each query
@@ -251,11 +252,14 @@ class ServoController:
         with self._lock:
             self._units, self._baud_rate = motor.units, baud_rate
             self._schedule = plan_streaming(baud_rate, motor.units, self.config.limits, self.config.rate)
-            self._connected, self._in_step = True, True
-            self._homed = self._homed and decode_status(*motor.words).soft_limits
+            self._connected, self._in_step, self._suspect = True, True, None
+            was_homed, self._homed = self._homed, self._homed and decode_status(*motor.words).soft_limits
             self._rod.reset(now, motor.units.metres(motor.position))
             self._queue.clear()
             self._drive_on, self._release_requested, self._note = False, None, ""
+            if was_homed and not self._homed:
+                self._note = "the motor was reset; check its supply, then home again"
+                self._fault = f"{self._fault}; {self._note}" if self._fault else ""
             self._values.clear()
             self._switched = now
             self._mean_tick, self._last_tick = 1 / self._schedule.rate, math.nan
@@ -317,7 +321,7 @@ class ServoController:
                 else:
                     self._values[query] = value
                     if query in (STATUS_0, STATUS_1):
-                        self._check_motor_status(batch.time)
+                        self._check_motor_status(query, batch.time)
 
     def replies_missed(self) -> None:
         """Note that replies of a batch are missing or wrong. The next batch checks whether replies match their queries."""
@@ -474,6 +478,8 @@ class ServoController:
             return (FIRMWARE, RESOLUTION)
         if self._homing is not None and self._homing.phase is Phase.ORIGIN:
             return (POSITION, STATUS_1)
+        if self._suspect is not None:
+            return (POSITION, self._suspect)
         if self._ticks % self._schedule.status_interval:
             return (POSITION,)
         self._rotation = (self._rotation + 1) % len(_ROTATION)
@@ -499,11 +505,17 @@ class ServoController:
                 f"{1e3 * self.config.following_error_limit:g} mm; look for a jammed rod, too fast a setpoint or a slow line"
             )
 
-    def _check_motor_status(self, queried: float) -> None:
+    def _check_motor_status(self, query: Query, queried: float) -> None:
         motor = self._motor_status
+        settled = STATUS_0 in self._values and queried >= self._switched + _STATUS_DELAY
+        if ((motor.faults and not self._fault) or (settled and self._drive_on and motor.off)) and self._suspect is None:
+            # A reply to another query may look like a fault. The motor stops by itself; so there is time to ask again.
+            self._suspect, self._in_step = query, False
+            return
+        self._suspect = None
         if motor.faults and not self._fault:
             self._fail("motor: " + "; ".join(motor.faults))
-        if STATUS_0 not in self._values or queried < self._switched + _STATUS_DELAY:
+        if not settled:
             return
         if self._drive_on and motor.off:
             self._drive_on = False

@@ -19,6 +19,7 @@ class Tolerances:
     overspeed: float = quantity(1.25, doc="measured speed, as a multiple of limits.speed", lower=1, upper=3)
     current: float = quantity(0.1, "A", "measured coil current beyond limits.current", lower=0, upper=2)
     following_error: float = quantity(0.005, "mm", "setpoint minus rod position", lower=1e-5, upper=0.1)
+    position_difference: float = quantity(0.002, "mm", "LVDT minus encoder of a homed rod", lower=1e-4, upper=0.1)
     samples_stale: float = quantity(0.14, "ms", "age of the latest sample", lower=0.08, upper=1)
     servo_stale: float = quantity(0.15, "ms", "age of the latest servo_state", lower=0.02, upper=1)
     setpoint_stale: float = quantity(0.15, "ms", "age of the latest setpoint of an experiment", lower=0.02, upper=1)
@@ -33,9 +34,14 @@ class Trip:
 
 
 def _stale(name: str, age: float, limit: float, remedy: str) -> str:
-    # An age of nan is stale, too.
-    if age <= limit:
+    # An age of nan is stale, too, and so is one in the future: it would hide for how long its source is silent.
+    if abs(age) <= limit:
         return ""
+    if age < 0:
+        return (
+            f"the latest {name} lies {-age:.3g} s in the future, limit {1e3 * limit:.0f} ms; the machine's clock was set "
+            "after one node and before another was started: restart the bench"
+        )
     finding = f"the latest {name} is {1e3 * age:.0f} ms old" if age < math.inf else f"no {name} came"
     return f"{finding}, limit {1e3 * limit:.0f} ms; {remedy}"
 
@@ -68,6 +74,18 @@ def check_servo_fault(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -
 def check_setpoint(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
     """Trip if the generator has fallen silent during an experiment."""
     return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, "check the generator")
+
+
+def check_position_sensors(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if LVDT and encoder of a homed rod disagree: one of them is wrong, or the pinion has slipped."""
+    limit = tolerances.position_difference
+    # Without a position of the encoder at the time of the samples, the difference is nan.
+    if not abs(now.position_difference) > limit:
+        return ""
+    return (
+        f"LVDT and encoder disagree by {1e3 * now.position_difference:.2f} mm, limit ±{1e3 * limit:g} mm; check the LVDT's "
+        "wiring, the encoder, and whether the pinion slips, then home again"
+    )
 
 
 def check_stroke(now: Snapshot, limits: Limits, _tolerances: Tolerances) -> str:
@@ -141,13 +159,14 @@ Interlocks = Mapping[str, Callable[[Snapshot, Limits, Tolerances], str]]
 STALE_SAMPLES, LOST_SERVO = "stale samples", "lost servo"
 
 # The sources of the data are checked first: once they are silent, their last values mean nothing. What they say comes before
-# their silence.
+# their silence. Next come the sensors that can be compared: what a broken one reads is no speed or stroke.
 INTERLOCKS: Interlocks = {
     "daq fault": check_daq,
     STALE_SAMPLES: check_samples,
     LOST_SERVO: check_servo_connection,
     "servo fault": check_servo_fault,
     "stale setpoint": check_setpoint,
+    "position sensors": check_position_sensors,
     "stroke": check_stroke,
     "speed": check_speed,
     "force": check_force,
@@ -155,8 +174,12 @@ INTERLOCKS: Interlocks = {
     "current": check_current,
 }
 
-# Homing brings the rod back from wherever it stands, so that it may begin beyond the limit of the stroke.
-HOMING_INTERLOCKS: Interlocks = {**INTERLOCKS, "stroke": check_lvdt_range}
+# Homing brings the rod back from wherever it stands, so that it may begin beyond the limit of the stroke, and sets the encoder
+# by the LVDT, with a comparison of its own.
+HOMING_INTERLOCKS: Interlocks = {
+    **{name: check for name, check in INTERLOCKS.items() if check is not check_position_sensors},
+    "stroke": check_lvdt_range,
+}
 
 # Conditions for the reset of a fault. A fault of the servo is reset together with the others.
 RESET_INTERLOCKS: Interlocks = {name: INTERLOCKS[name] for name in (STALE_SAMPLES, LOST_SERVO, "speed", "force", "current")}

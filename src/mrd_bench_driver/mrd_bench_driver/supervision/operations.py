@@ -49,6 +49,8 @@ _PROGRESS_INTERVAL = 0.2
 _REST_INTERVAL = 0.5
 # Bench time in s for all nodes to hear of a new mode, which the lease carries.
 _LEASE_DELAY = 0.05
+# Bench time in s after which a silent recorder ends a run. It is no danger, and may have to wait for a disk.
+_RECORDER_SILENCE = 0.8
 # Time by which an experiment may exceed its duration: bench time in s, and share of the duration.
 _OVERTIME = (3.0, 0.02)
 
@@ -194,8 +196,7 @@ class BenchOperations:
             self._require_undisturbed(begin)
             if monitor.experiment_state == "aborted":
                 raise RefusedError("the generator aborted the experiment; look at its log")
-            if monitor.recording_problem:
-                raise RefusedError(monitor.recording_problem)
+            self._require_recording()
             if elapsed > latest:
                 raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the generator")
             if time.monotonic() - reported > _PROGRESS_INTERVAL:
@@ -204,6 +205,16 @@ class BenchOperations:
                 progress(min(elapsed, duration))
             clock.sleep_step(0.02)
         self._require_undisturbed(begin)
+
+    def _require_recording(self) -> None:
+        monitor = self._monitor
+        if monitor.recording_problem:
+            raise RefusedError(monitor.recording_problem)
+        silence = self._clock.now() - monitor.recorder_time
+        if silence > _RECORDER_SILENCE:
+            raise RefusedError(f"recorder: has been silent for {silence:.2f} s; look at its log")
+        if monitor.recorder_state != "recording":
+            raise RefusedError("recorder: the recording ended during the run; look at its log")
 
     def _require_undisturbed(self, begin: float) -> None:
         servo = self._servo()
@@ -262,6 +273,9 @@ class BenchOperations:
         self._call(
             "start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed, lease=self._lease
         )
+        self._wait_until(
+            lambda: self._monitor.recorder_state == "recording", _EFFECT_TIMEOUT, "recorder: did not announce `recording`"
+        )
 
     def stop_recording(self) -> BagSummary:
         """Close the bag and count its samples. The recorder waits until rod and coil are at rest, in bench time."""
@@ -286,11 +300,13 @@ class BenchOperations:
         self._clock.sleep(_LEASE_DELAY)
 
     def centre(self, *, always: bool = False) -> None:
-        """Home the rod, unless it is homed and stands at mid-stroke."""
+        """Home the rod, unless it is homed, by the LVDT as well, and stands at mid-stroke."""
 
         def centred() -> bool:
             servo = self._servo()
-            return servo.homed and abs(servo.position) < CENTRE_TOLERANCE
+            difference = self._snapshot().position_difference  # nan until both have been heard
+            agree = not abs(difference) > self._config.interlocks.position_difference
+            return servo.homed and abs(servo.position) < CENTRE_TOLERANCE and agree
 
         if always or not centred():
             self._call("servo/home")

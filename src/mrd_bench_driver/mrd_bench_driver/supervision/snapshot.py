@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,8 @@ from mrd_bench_driver.servo.status import ServoStatus
 
 # Longest time in s between two blocks of samples whose means give a speed.
 _MAX_BLOCK_DISTANCE = 0.5
+# Number of positions by the encoder that are kept to compare them with the LVDT, whose samples come later.
+_TRACK_LENGTH = 64
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,8 @@ class Snapshot:
         Age in s of the latest sample.
     position, force : float
         Value with the largest magnitude in the latest block of samples, in m and N.
+    position_difference : float
+        LVDT minus encoder in m, mean over the latest block; nan while the rod is not homed.
     speed, current : float
         Speed of the rod in m/s between the means of the last two blocks, and mean coil current in A of the latest block.
     servo_age : float
@@ -39,6 +44,7 @@ class Snapshot:
     sample_age: float = math.inf
     position: float = math.nan
     force: float = math.nan
+    position_difference: float = math.nan
     speed: float = math.nan
     current: float = math.nan
     servo_age: float = math.inf
@@ -64,18 +70,22 @@ class BenchMonitor:
         Why the DAQ has stopped, or "".
     recorder_state, recording_problem : str
         Latest state of the recorder: idle, recording, stopping or failed; and why the recording has failed, or "".
+    recorder_time : float
+        When it was last heard of.
     recorder_changed : Waiter
-        Woken by every state of the recorder.
+        Woken when the state of the recorder changes.
     """
 
     def __init__(self, clock: BenchClock) -> None:
         self.sample_time = -math.inf
         self.sample_period = math.nan
         self.servo: ServoStatus | None = None
+        self._track: deque[tuple[float, float]] = deque(maxlen=_TRACK_LENGTH)  # times and positions by the encoder
         self.experiment_state = ""
         self.loads = 0
         self.daq_problem = ""
         self.recorder_state = self.recording_problem = ""
+        self.recorder_time = -math.inf
         self.recorder_changed = clock.waiter()
         self._setpoint_time = -math.inf
         self._block_mean = (-math.inf, math.nan)  # time and mean position in m of the latest block
@@ -100,7 +110,24 @@ class BenchMonitor:
             force=_largest_magnitude(force),
             speed=(mean - last_mean) / elapsed if 0 < elapsed < _MAX_BLOCK_DISTANCE else math.nan,
             current=float(np.mean(current)),
+            position_difference=self._position_difference(time + period * np.arange(count), position),
         )
+
+    def _position_difference(self, times: NDArray[Any], position: NDArray[Any]) -> float:
+        """Return by how much the LVDT is beyond the encoder in m, where its position is known; nan if nowhere."""
+        if not self._track:
+            return math.nan
+        track_times, track = np.array(self._track).T
+        known = (times >= track_times[0]) & (times <= track_times[-1])
+        return float(np.mean((position - np.interp(times, track_times, track))[known])) if known.any() else math.nan
+
+    def add_servo_status(self, servo: ServoStatus) -> None:
+        """Add a status of the servo."""
+        if not servo.homed:
+            self._track.clear()
+        elif not self._track or servo.time > self._track[-1][0]:
+            self._track.append((servo.time, servo.position))
+        self.servo = servo
 
     def add_setpoint(self, now: float) -> None:
         """Note that a setpoint was published."""
@@ -112,10 +139,12 @@ class BenchMonitor:
         self.loads += state == "loaded"
         self.experiment_state = state
 
-    def add_recorder_state(self, state: str, problem: str) -> None:
-        """Note a state of the recorder and the problem of its recording, if there is one."""
-        self.recorder_state, self.recording_problem = state, problem
-        self.recorder_changed.wake()
+    def add_recorder_state(self, state: str, problem: str, now: float) -> None:
+        """Note a state of the recorder, which repeats it, and the problem of its recording, if there is one."""
+        changed = (state, problem) != (self.recorder_state, self.recording_problem)
+        self.recorder_state, self.recording_problem, self.recorder_time = state, problem, now
+        if changed:
+            self.recorder_changed.wake()
 
     def snapshot(self, now: float, *, follows_experiment: bool) -> Snapshot:
         """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""

@@ -28,6 +28,9 @@ from mrd_runs.definitions import type_name, typestore
 from mrd_runs.rest import RestLimits, RestMonitor
 from mrd_runs.run_info import describe_calibration, format_run_info
 
+# Bench time in s between two repetitions of the state.
+_REPEAT_PERIOD = 0.2
+
 
 @dataclass(frozen=True)
 class RecorderSettings:
@@ -79,6 +82,9 @@ class Recorder(BenchNode[RecorderSettings]):
         self._record("emergency_stop", Bool, latched=True, qos=RELIABLE)
         self._run_info = self.resolve_topic_name("run_info")
         self.create_timer(FLUSH_PERIOD, self._flush)
+        self._said = ("idle", "")
+        # Repeated, so that the end of this process is noticed.
+        self.create_bench_timer(_REPEAT_PERIOD, lambda: self._publish_state(*self._said))
         self._publish_state("idle")
 
         self._request_node = Node("recorder_requests", start_parameter_services=False, enable_rosout=False)
@@ -155,6 +161,7 @@ class Recorder(BenchNode[RecorderSettings]):
 
     def _publish_state(self, state: str, problem: str = "") -> None:
         """Tell everyone whether the recorder is ``idle``, ``recording``, ``stopping`` or has ``failed``."""
+        self._said = state, problem
         bag = "" if self._writer is None else str(self._writer.path)
         self._state.publish(
             DiagnosticStatus(
@@ -278,7 +285,7 @@ class Recorder(BenchNode[RecorderSettings]):
         try:
             writer.close()
         except InputError as error:
-            failure = failure or str(error)
+            self._failure = failure = failure or str(error)
         self._publish_state("idle")
         return failure
 
@@ -287,7 +294,7 @@ class Recorder(BenchNode[RecorderSettings]):
     def health(self) -> tuple[str, dict[str, Any]]:
         with self._lock:
             if self._writer is None:
-                return "", {"recording": "no"}
+                return self._failure, {"recording": "no"}  # the failure of the latest one
             silence = self.bench.now() - self._last_samples
             problem = self._failure
             if not problem and silence > self.config.stale:

@@ -36,7 +36,7 @@ class PlantNode(BenchNode[PlantConfig]):
         self.port = MotorSerialPort(self.plant.motor, self.config.port_link)
         self._time_topic = self.create_publisher(Clock, "/clock", 1)
         self._analog_input = self.create_publisher(AnalogInput, "analog_input", RECORDED)
-        # True values, which no real bench has; tests read them. The effort of the rod is the force, that of the coil the current.
+        # True values, which no real bench has; tests read them. The rod's effort is the force, the coil's the current.
         self._true_state = self.create_publisher(JointState, "plant/true_state", 10)
         self.create_subscription(AnalogOutput, "analog_output", self._on_analog_output, LATCHED)
         self.accept_parameter("fault", "", self._set_fault)
