@@ -3,7 +3,7 @@
 import signal
 from collections.abc import Callable
 
-from faults.campaign import Bench, Fault
+from faults.campaign import Bench, Ending, Fault
 
 # What the bench says of each node, at whatever moment of the procedure it falls silent.
 _CAUSES = {
@@ -40,6 +40,7 @@ FAULTS = tuple(
         f"{name}: {number.name}",
         _send(name, number),
         cause,
+        Ending.ENDED if name == "recorder" else Ending.LATCHED,
         told="",
         rest=_REST.get(name, 0.2),
         # A converter keeps its last voltage when its process is gone: the enable of the supply must fall off.

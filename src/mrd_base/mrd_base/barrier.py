@@ -28,6 +28,8 @@ from mrd_base.errors import InputError
 _STALL = 120.0
 # The same for a process that was stopped by a signal.
 _STOPPED_STALL = 1.0
+# The same for one whose thread that processes messages and timers does not say that it lives: it hangs in one of them.
+_HANGING_STALL = 20.0
 # Wall time in s by which a paced bench may be late and catch up.
 _CATCH_UP = 0.1
 
@@ -70,6 +72,7 @@ class _Participant:
     due: float = math.inf
     line: bool = False
     since: float = 0.0  # wall time at which it began its work
+    heard: float = field(default_factory=time.monotonic)  # wall time of its latest packet
 
     @property
     def settled(self) -> bool:
@@ -194,6 +197,9 @@ class Barrier:
         except OSError:
             packet = b""
         kind = packet[:1]
+        participant.heard = time.monotonic()
+        if kind == Packet.ALIVE:
+            return
         if kind == Packet.REPORT:
             self._on_report(participant, packet)
         elif kind == Packet.BUSY:
@@ -256,6 +262,8 @@ class Barrier:
             waited = time.monotonic() - participant.since
             if waited > _STOPPED_STALL and _is_stopped(participant.process):
                 self._remove(participant, "was stopped by a signal")
+            elif participant.name and min(waited, time.monotonic() - participant.heard) > _HANGING_STALL:
+                self._remove(participant, f"hangs: its messages and timers have not ended for {_HANGING_STALL:g} s")
             elif waited > _STALL:
                 self._remove(participant, f"has not finished its work for {waited:.0f} s")
 

@@ -38,9 +38,9 @@ INSTANT = 1e-5
 
 
 class Packet:
-    """Kinds of packets, the first byte of each. A participant sends HELLO, BUSY, REPORT, MATCHED and LEAVE."""
+    """Kinds of packets, the first byte of each. A participant sends HELLO, BUSY, REPORT, ALIVE, MATCHED and LEAVE."""
 
-    HELLO, BUSY, REPORT, MATCHED, LEAVE = b"H", b"B", b"R", b"m", b"L"
+    HELLO, BUSY, REPORT, ALIVE, MATCHED, LEAVE = b"H", b"B", b"R", b"A", b"m", b"L"
     MATCH, GRANT = b"M", b"G"
 
 
@@ -339,6 +339,7 @@ class BarrierClock(BenchClock):
                 packet = self._socket.recv(PACKET_SIZE)
             except TimeoutError:
                 self._look_for_outsiders()
+                self._send(Packet.ALIVE)
                 continue
             except OSError:
                 return

@@ -245,6 +245,34 @@ def test_a_dead_participant_is_named_and_time_goes_on_without_it(make_bench, end
         other.communicate()
 
 
+def test_a_participant_that_hangs_in_a_callback_is_named_and_left_behind(make_bench, monkeypatch):
+    monkeypatch.setattr("mrd_base.barrier._HANGING_STALL", 0.5)
+    bench = make_bench("one", "other")
+    one, other = bench.clock("one"), bench.clock("other")
+    ended = threading.Event()
+    with other.busy():
+        other.timer(1.0, ended.wait)
+    try:
+        until(lambda: bench.reports, timeout=5.0)
+        hangs = "hangs: its messages and timers have not ended for 0.5 s"
+        assert bench.reports == [f"other {hangs}; the bench goes on without it"]
+        now = one.now()
+        until(lambda: one.now() > now + 1.0)
+    finally:
+        ended.set()
+
+
+def test_long_work_of_another_thread_is_no_hanging(make_bench, monkeypatch):
+    monkeypatch.setattr("mrd_base.barrier._HANGING_STALL", 0.5)
+    bench = make_bench("one")
+    one = bench.clock("one")
+    with one.busy():
+        time.sleep(1.5)
+    now = one.now()
+    until(lambda: one.now() > now + 1.0)
+    assert not bench.reports
+
+
 def test_a_participant_that_was_left_behind_follows_the_time_of_the_bench(make_bench):
     bench = make_bench("one", "other", pace=50.0)
     one = bench.clock("one")

@@ -58,3 +58,8 @@ def test_a_closed_pipe_causes_no_error_message():
     pipeline = ["bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "bash", sys.executable, "-c", PROGRAM, "chatter"]
     shell = subprocess.run(pipeline, capture_output=True, text=True)
     assert (shell.returncode, shell.stdout, shell.stderr) == (0, "line 0\n", "")
+
+
+def test_what_was_found_never_breaks_the_line_nor_fills_the_screen() -> None:
+    assert str(InputError("name: found si\u2028ne\n")) == "name: found si?ne?"
+    assert len(str(InputError("name: found " + 100_000 * "x"))) == 1000

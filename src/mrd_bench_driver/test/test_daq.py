@@ -196,6 +196,23 @@ def test_the_coil_follows_fresh_setpoints_within_its_limits(terminals: Terminals
     graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
 
 
+def test_a_coil_current_that_does_not_follow_its_command_stops_the_bench(terminals: Terminals) -> None:
+    """The terminals read 0 A, whatever is commanded."""
+    graph = terminals.graph
+    states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
+    terminals.drive(0.5, 2.5)
+
+    def stopped() -> bool:
+        terminals.setpoint(0.5)
+        terminals.send()
+        graph.during(0.02)
+        return bool(states[-1].message.startswith("the coil current is "))
+
+    graph.until(stopped)
+    assert "A, commanded 0.50 A; check coil, cable, supply and sensor; call reset_fault" in states[-1].message
+    graph.until(lambda: terminals.volts() == 0.0)
+
+
 def test_the_emergency_stop_latches_until_reset_fault(terminals: Terminals) -> None:
     graph = terminals.graph
     terminals.drive(0.5, 2.5)

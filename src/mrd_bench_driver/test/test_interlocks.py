@@ -75,6 +75,7 @@ BEYOND = {
     "lost servo": {"servo_age": st.floats(0.1501, 1e6) | st.sampled_from([math.inf, math.nan])},
     "servo fault": {"servo_fault": st.just(True)},
     "stale setpoint": {"setpoint_age": st.floats(0.1501, 1e6)},
+    "position sensors": {"position_difference": st.floats(0.00201, 1) | st.floats(-1, -0.00201)},
     "stroke": {"position": st.floats(0.02676, 1) | st.floats(-1, -0.02676)},
     "speed": {"servo_velocity": st.floats(0.2501, 10) | st.floats(-10, -0.2501)},
     "force": {"force": st.floats(800.1, 1e5) | st.floats(-1e5, -800.1) | st.just(math.nan)},
@@ -105,6 +106,11 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
         ({"speed": -0.3}, "the rod moves at -300 mm/s by the LVDT, limit 250 mm/s"),
         ({"servo_connected": False}, "the motor does not answer; check its power and the serial line"),
         ({"sample_age": math.inf}, "no sample came, limit 140 ms"),
+        (
+            {"sample_age": -3600.0},
+            "the latest sample lies 3.6e+03 s in the future, limit 140 ms; the machine's clock was set",
+        ),
+        ({"position_difference": 0.0021, "position": 0.05}, "LVDT and encoder disagree by 2.10 mm, limit ±2 mm"),
         ({"servo_fault": True, "servo_message": "motor: over-temperature"}, "motor: over-temperature"),
         ({"servo_fault": True}, "the motor or its driver stopped"),
         ({"servo_stopped": True, "servo_message": "emergency stop"}, "emergency stop"),
@@ -131,6 +137,10 @@ def test_homing_may_begin_beyond_the_limit_of_the_stroke_but_not_where_the_dampe
         trip = first_trip(changed(HEALTHY, position=position), LIMITS, TOLERANCES, HOMING_INTERLOCKS)
         assert trip is not None
         assert trip.interlock == "stroke"
+
+
+def test_homing_does_not_compare_the_position_sensors_because_it_sets_one_by_the_other() -> None:
+    assert first_trip(changed(HEALTHY, position_difference=0.01), LIMITS, TOLERANCES, HOMING_INTERLOCKS) is None
 
 
 def test_a_fault_may_be_reset_beyond_the_stroke_and_with_the_servo_in_fault_but_not_blind() -> None:

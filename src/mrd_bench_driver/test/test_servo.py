@@ -22,7 +22,7 @@ from mrd_bench_driver.servo.communication import ServoCommunication
 from mrd_bench_driver.servo.config import ServoConfig
 from mrd_bench_driver.servo.controller import ServoController
 from mrd_bench_driver.servo.motor_setup import MotorIdentity
-from mrd_bench_driver.servo.smartmotor import Drivetrain, MotorUnits
+from mrd_bench_driver.servo.smartmotor import STATUS_0, Drivetrain, MotorUnits
 from mrd_bench_driver.servo.streaming import RodSetpoint
 
 pytestmark = pytest.mark.realtime
@@ -307,6 +307,8 @@ def test_setpoints_that_stop_stop_the_rod(homed):
     stands = homed.rod
     homed.run(0.3, lambda now: RodSetpoint(now, stands + 0.5 * MM, 0, 0))
     assert homed.rod == stands
+    assert "setpoints stopped" in homed.servo.enable(True, homed.now).message
+    assert homed.servo.reset_fault(homed.now).success
     assert homed.servo.enable(True, homed.now).success
     homed.run(0.5, lambda now: RodSetpoint(now, stands + 0.5 * MM, 0, 0))
     assert homed.rod == pytest.approx(stands + 0.5 * MM, abs=5e-6)
@@ -445,6 +447,15 @@ def test_motor_faults_are_named_and_reset(homed):
     homed.run(0.2)
     assert homed.status.message == ""
     assert homed.motor.off
+
+
+def test_a_fault_that_is_read_once_is_not_believed(homed):
+    """Where replies are swapped, a position looks like a status word with faults."""
+    homed.run(0.2)
+    homed.servo._values[STATUS_0] = 1 << 6
+    homed.servo._check_motor_status(STATUS_0, homed.now)
+    homed.run(0.3)
+    assert homed.status.message == ""
 
 
 def test_disable_lets_go(homed):

@@ -68,3 +68,20 @@ def test_the_age_of_setpoints_counts_only_while_an_experiment_runs_that_is_follo
     assert age(10.3) == pytest.approx(0.1)
     monitor.add_experiment_state("done", 10.4)
     assert age(20.0) == 0.0
+
+
+def test_lvdt_and_encoder_are_compared_at_the_same_instants_once_the_rod_is_homed() -> None:
+    monitor, speed = BenchMonitor(BenchClock()), 0.2
+    times = 5.0 + 1e-3 * np.arange(20)
+
+    def difference(beyond: float) -> float:
+        monitor.add_samples(5.0, 1e-3, speed * times + beyond, np.zeros(20), np.zeros(20))
+        return monitor.snapshot(5.03, follows_experiment=False).position_difference
+
+    for homed in (False, True):
+        for time in np.arange(4.9, 5.03, 0.01):
+            monitor.add_servo_status(ServoStatus(time=time, position=speed * time, connected=True, homed=homed))
+        assert difference(0.003) == pytest.approx(0.003) if homed else np.isnan(difference(0.003))
+    # A new homing shifts the origin: what was read before does not count any more.
+    monitor.add_servo_status(ServoStatus(time=5.04, position=0.0, connected=True, homed=False))
+    assert np.isnan(difference(0.003))

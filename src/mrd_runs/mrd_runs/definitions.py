@@ -1,9 +1,11 @@
 """Message definitions that a bag contains, as rosbags types; no ROS is needed."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -38,6 +40,40 @@ def typestore() -> Typestore:
     for file in sorted(interface_folder().glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"mrd_interfaces/msg/{file.stem}"))
     return store
+
+
+def as_of_today(messages: Sequence[bytes], message_type: str, recorded: Typestore) -> Sequence[bytes]:
+    """Return serialised messages as the bench defines their type today.
+
+    Parameters
+    ----------
+    messages : sequence of bytes
+    message_type : str
+    recorded : Typestore
+        Types as the bag defines them. Numbers that a type has gained since are 0.
+
+    Raises
+    ------
+    InputError
+        When the two definitions differ by more than numbers that were added.
+    """
+    today = typestore()
+    _, before = recorded.fielddefs[message_type]
+    _, now = today.fielddefs[message_type]
+    if before == now:
+        return messages
+    gained = {name: kind for name, kind in now if name not in dict(before)}
+    is_number = all(kind == Nodetype.BASE and detail[0] != "string" for kind, detail in gained.values())
+    if not is_number or [name for name, _ in before] != [name for name, _ in now if name not in gained]:
+        raise InputError(
+            f"the bag defines {message_type} otherwise than the bench; replay it with the bench that recorded it"
+        )
+    converted = []
+    for cdr in messages:
+        message = recorded.deserialize_cdr(cdr, message_type)
+        fields = {name: getattr(message, name) for name, _ in before} | dict.fromkeys(gained, 0)
+        converted.append(bytes(today.serialize_cdr(today.types[message_type](**fields), message_type)))
+    return converted
 
 
 def type_name(message_type: Any) -> str:

@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import get_types_from_msg
 
 from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, read_bag
 from mrd_runs.blocks import LAYOUT, SERIES, decode_as_table, decode_blocks, decode_with_rosbags
 from mrd_runs.completeness import check_completeness
-from mrd_runs.definitions import SAMPLES_TYPE, typestore
+from mrd_runs.definitions import SAMPLES_TYPE, as_of_today, empty_typestore, interface_folder, typestore
 
 TYPES = typestore()
 
@@ -371,3 +372,25 @@ def test_reading_needs_no_ros(tmp_path: Path, columns, fill_bag) -> None:
         check=False,
     )
     assert (result.stdout.strip(), result.stderr, result.returncode) == ("1000", "", 0)
+
+
+def test_messages_of_an_older_definition_are_brought_up_to_date():
+    """The bags of earlier benches have setpoints without the number of a lease."""
+    folder = interface_folder()
+    text = (folder / "Setpoint.msg").read_text()
+    older = "\n".join(line for line in text.splitlines() if " lease " not in line)
+    assert older.count("\n") < text.count("\n")
+    before, kind = empty_typestore(), "mrd_interfaces/msg/Setpoint"
+    before.register(get_types_from_msg(older, kind))
+    stamp = before.types["builtin_interfaces/msg/Time"](5, 6)
+    header = before.types["std_msgs/msg/Header"](stamp, "")
+    cdr = bytes(before.serialize_cdr(before.types[kind](header, 0.01, 0.02, 0.03, 0.04), kind))
+    today = typestore()
+    (message,) = as_of_today([cdr], kind, before)
+    setpoint = today.deserialize_cdr(message, kind)
+    assert (setpoint.header.stamp.nanosec, setpoint.position, setpoint.coil_current, setpoint.lease) == (6, 0.01, 0.04, 0)
+    assert as_of_today([message], kind, today) == [message]
+    other = empty_typestore()
+    other.register(get_types_from_msg("float64 other\n", kind))
+    with pytest.raises(InputError, match="defines mrd_interfaces/msg/Setpoint otherwise"):
+        as_of_today([cdr], kind, other)

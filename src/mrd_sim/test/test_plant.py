@@ -9,6 +9,7 @@ import pytest
 from mrd_base import InputError, from_mapping, read_node_parameters
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
+from mrd_sim.motor import MotorConfig
 from mrd_sim.plant import DamperConfig, Plant, PlantConfig
 from mrd_sim.sensing import MeasuringChain
 
@@ -246,3 +247,73 @@ def test_bad_configurations_are_refused():
     with pytest.raises(InputError, match="nowhere"):
         Plant(PlantConfig(damper=DamperConfig(effects_folder="nowhere")))
     assert isinstance(DamperConfig(parameters=" ").build(), Damper)
+
+
+@pytest.mark.parametrize("fault", ["overheat", "low_voltage"])
+def test_faults_of_the_motor_trip_it(fault):
+    plant = started()
+    plant.motor.feed(b"MV VT=65536 G ", plant.time)
+    run(plant, 1.0)
+    assert plant.motor.axis.on
+    plant.set_fault(fault, plant.time)
+    run(plant, 1.1)
+    assert not plant.motor.axis.on
+
+
+def test_a_pinion_that_slips_leaves_the_rod_behind_for_good():
+    plant = started()
+    plant.motor.feed(b"MV VT=65536 G ", plant.time)
+    begin = joined(run(plant, 1.0), "position")[-1]
+    plant.set_fault("slip", plant.time)
+    end = joined(run(plant, 2.0), "position")[-1]
+    assert end - begin == pytest.approx(0.5 * 0.0050265, rel=0.01)
+    plant.set_fault("", plant.time)
+    run(plant, 3.0)
+    behind = plant.motor.axis.position * plant.config.motor.lead - joined(run(plant, 3.1), "position")[-1]
+    assert behind == pytest.approx(0.5 * 0.0050265 - 0.1 * 0.0050265, rel=0.05, abs=6e-4)
+
+
+def test_a_stuck_encoder_lets_the_rod_run_away_until_the_position_error_trips():
+    plant = started()
+    plant.motor.feed(b"MV VT=655360 G ", plant.time)
+    run(plant, 1.0)
+    encoder = plant.motor.axis.position
+    plant.set_fault("stuck_encoder", plant.time)
+    blocks = run(plant, 1.3)
+    assert plant.motor.axis.position == pytest.approx(encoder, abs=1)
+    assert np.ptp(joined(blocks, "position")) > 0.005
+    assert not plant.motor.axis.on
+
+
+def test_limit_switches_trip_only_where_they_are_wired():
+    for wired in (False, True):
+        plant = Plant(PlantConfig(motor=MotorConfig(limit_switches=wired)))
+        plant.advance(0.6)
+        plant.motor.feed(b"EILP EILN ZS EL=8000 ADT=1638 VT=655360 MV VT=65536 G ", plant.time)
+        run(plant, 1.0)
+        assert plant.motor.axis.on == wired
+        plant.set_fault("touch_limit", plant.time)
+        run(plant, 1.1)
+        assert not plant.motor.axis.on
+
+
+@pytest.mark.parametrize(("fault", "sensor"), [("open_coil", 0.0), ("short_coil", 1.0)])
+def test_a_broken_coil_has_no_current_whatever_the_sensor_reads(fault, sensor):
+    plant = started()
+    plant.command_coil(2.5, plant.time)
+    assert joined(run(plant, 1.0), "current")[-1] == pytest.approx(0.5, abs=0.01)
+    plant.set_fault(fault, plant.time)
+    blocks = run(plant, 1.2)
+    assert joined(blocks, "current")[-1] == 0.0
+    measured = (joined(blocks, "voltage")[2, -100:].mean() - 2.508) / (0.185 * 1.005)
+    assert measured == pytest.approx(sensor, abs=0.02)
+
+
+def test_readings_of_broken_channels():
+    plant = started()
+    voltage = {}
+    for fault in ("", "swap_channels", "saturate_force", "disconnect_position"):
+        plant.set_fault(fault, plant.time)
+        voltage[fault] = joined(run(plant, plant.time + 0.05), "voltage").mean(axis=1)
+    assert voltage["swap_channels"][[0, 1]] == pytest.approx(voltage[""][[1, 0]], abs=0.01)
+    assert (voltage["saturate_force"][1], voltage["disconnect_position"][0]) == (10.0, 0.0)

@@ -347,6 +347,14 @@ def test_drop_byte(host):
     assert host.ask("RRES") == "8000"
 
 
+def test_duplicated_and_swapped_replies(host):
+    host.motor.faults = {"duplicate_reply"}
+    assert host.send("RRES") == b"8000\r8000\r"
+    host.motor.faults = {"swap_replies"}
+    assert host.send("RRES RSAMP RPA") == b"8000\r8000\r"
+    assert host.send("RW(0)") == b"3\r0\r"
+
+
 def test_silence(host):
     host.motor.faults = {"silence"}
     assert host.send("RRES") == b""

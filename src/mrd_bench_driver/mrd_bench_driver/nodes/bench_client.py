@@ -32,6 +32,8 @@ CANCEL_TIMEOUT = 90.0
 # Wall time in s for rod and recording to end after a node has died: without its supervisor, only for the rod to stand; else
 # also for the supervisor to end the run.
 _REST_TIMEOUT, _END_TIMEOUT = 1.0, 5.0
+# Wall time in s without diagnostics of the supervisor, which come every second, after which nobody waits for it any more.
+_SUPERVISOR_SILENCE = 20.0
 # Wall time in s in which ROS finds the nodes of another bench.
 _DISCOVERY_TIME = 5.0
 # Nodes of which a namespace has one of each.
@@ -99,10 +101,14 @@ class BenchClient:
         self._run_set = ActionClient(self.node, RunSet, "run_set")
         self._emergency_stop = self.node.create_publisher(Bool, "emergency_stop", LATCHED)
         self._nodes_up: set[str] = set()
+        self._supervisor_heard = time.monotonic()  # wall time of its latest diagnostics
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._nodes_up.update(status.name.partition(":")[0] for status in message.status)
+        names = {status.name.partition(":")[0] for status in message.status}
+        self._nodes_up |= names
+        if f"{self.node.get_namespace().strip('/')}/supervisor" in names:
+            self._supervisor_heard = time.monotonic()
 
     def __enter__(self) -> "BenchClient":
         return self
@@ -185,8 +191,17 @@ class BenchClient:
             raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle: ClientGoalHandle = accepted.result()
         ended = handle.get_result_async()
+        self._supervisor_heard = time.monotonic()
+
+        def done() -> bool:
+            # Stopped by a signal, or hanging, it would never end the goal. Servo and DAQ have stopped by themselves.
+            silence = time.monotonic() - self._supervisor_heard
+            if silence > _SUPERVISOR_SILENCE:
+                raise ProcessDiedError("supervisor", f"supervisor has been silent for {silence:.0f} s; look at its log")
+            return ended.done()
+
         try:
-            self.spin(ended.done, float("inf"))
+            self.spin(done, float("inf"))
         except ProcessDiedError as died:
             # Nobody waits for the dead: neither for a supervisor that ends no goal, nor for one that calls a dead node.
             self._emergency_stop.publish(Bool(data=True))

@@ -404,8 +404,7 @@ class ServoController:
                 self._activity = Activity.NOTHING
                 self._rod.set_command(None)
             else:
-                self._stop(b"X\r")
-                self._note = "setpoints stopped while the rod moved; check the generator, then enable again"
+                self._fail("setpoints stopped while the rod moved; check the generator")
         if self._activity is not Activity.NOTHING and now - self._rod.time > self.config.feedback_timeout:
             self._fail(
                 f"no valid position from the motor for {1e3 * (now - self._rod.time):.0f} ms of motion; check the line"

@@ -174,8 +174,8 @@ INTERLOCKS: Interlocks = {
     "current": check_current,
 }
 
-# Homing brings the rod back from wherever it stands, so that it may begin beyond the limit of the stroke, and sets the encoder
-# by the LVDT, with a comparison of its own.
+# Homing brings the rod back from wherever it stands, so that it may begin beyond the limit of the stroke. It sets the
+# encoder by the LVDT, with a comparison of its own.
 HOMING_INTERLOCKS: Interlocks = {
     **{name: check for name, check in INTERLOCKS.items() if check is not check_position_sensors},
     "stroke": check_lvdt_range,

@@ -14,7 +14,7 @@ from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
 from mrd_interfaces.msg import BenchSamples, ServoState, Setpoint
 from mrd_runs.bag import read_bag
-from mrd_runs.definitions import type_name
+from mrd_runs.definitions import as_of_today, type_name
 from mrd_runs.formats.bag_file import samples_topic
 from mrd_runs.text import one_line
 
@@ -77,7 +77,8 @@ class Replay(BenchNode[ReplaySettings]):
                     f"{self.config.bag}: holds no messages of {name} (topics: {one_line(', '.join(bag.topics))})"
                 )
             entry = bag.topics[topics[0]]
-            streams.append([(stamp, name, cdr) for stamp, cdr in zip(entry.stamps, entry.messages, strict=True)])
+            messages = as_of_today(entry.messages, entry.message_type, bag.types)
+            streams.append([(stamp, name, cdr) for stamp, cdr in zip(entry.stamps, messages, strict=True)])
         return list(heapq.merge(*streams, key=lambda message: message[0]))
 
     def _play(self) -> None:
