@@ -2,7 +2,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench faults trials lock clean
+.PHONY: help build demo test lint bench faults fuzz soak trials lock clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
 TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
@@ -26,6 +26,16 @@ lint: build  ## check style (ruff) and types (mypy)
 MOMENTS ?= 3
 faults: build  ## break everything that can break, and print what the bench does, three times in a row
 	@. ./env.sh; PYTHONPATH="tests:$$PYTHONPATH" python -m faults --times 3 --moments $(MOMENTS)
+
+# COUNT: changed inputs for each kind of input.
+COUNT ?= 20000
+fuzz: build  ## feed changed inputs to everything that reads
+	@. ./env.sh; python fuzz/readers.py --count $(COUNT) --seconds 1e6
+
+# DURATION: s, by the wall's clock.
+DURATION ?= 1800
+soak: build  ## record at 2 kHz for half an hour; print losses, memory and latency
+	@. ./env.sh; python benchmarks/recorder.py --duration $(DURATION)
 
 bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done

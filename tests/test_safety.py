@@ -129,8 +129,17 @@ def find_node(tool: "subprocess.Popen[str]", name: str) -> psutil.Process:
     return found
 
 
-@pytest.mark.parametrize("victim", ["supervisor", "daq"])
-def test_the_tool_stops_everything_at_once_when_a_node_dies(victim: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("victim", "end", "line", "within"),
+    [
+        ("supervisor", signal.SIGKILL, "supervisor ended with status -9", 20),
+        ("daq", signal.SIGKILL, "daq ended with status -9", 20),
+        ("supervisor", signal.SIGSTOP, "supervisor has been silent for 2", 50),
+    ],
+)
+def test_the_tool_stops_everything_when_a_node_dies_or_hangs(
+    victim: str, end: signal.Signals, line: str, within: float, tmp_path: Path
+) -> None:
     (tmp_path / "long.yaml").write_text(LONG)
     command = [
         "ros2",
@@ -148,13 +157,13 @@ def test_the_tool_stops_everything_at_once_when_a_node_dies(victim: str, tmp_pat
             assert tool.poll() is None, tool.communicate()
             assert time.monotonic() < deadline
             time.sleep(0.05)
-        find_node(tool, victim).kill()
+        find_node(tool, victim).send_signal(end)
         begin = time.monotonic()
         _, errors = tool.communicate(timeout=60)
         print(f"{victim}: bench ended after {time.monotonic() - begin:.1f} s")
-        assert time.monotonic() - begin < 20
+        assert time.monotonic() - begin < within
     assert tool.returncode == 1
-    assert f"error: {victim} ended with status -9" in errors
+    assert f"error: {line}" in errors
     run = read_run(tmp_path / "out/bag")
     if victim != "daq":  # the rest of the braking is recorded, too
         last = run.position[-100:].reshape(-1, 10).mean(axis=1)

@@ -82,6 +82,11 @@ def yaml_key(field: dataclasses.Field[Any], units: Mapping[str, str] | None = No
     return field.name + suffix, _TO_SI[unit]
 
 
+# Bounds of what a stranger may ask for: characters of a text, which the parser reads in three seconds; keys of a mapping.
+_LONGEST_TEXT = 2**20
+_MOST_KEYS = 10_000
+
+
 class _Loader(yaml.SafeLoader):
     """Safe loader that reads the floats of YAML 1.2 (PyYAML takes ``1e3`` for text) and refuses duplicate keys."""
 
@@ -97,6 +102,13 @@ class _Loader(yaml.SafeLoader):
                 problem = f"the key {key.value} appears twice, first in line {known.line + 1}; remove one"
                 raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
         return node
+
+    # Merged mappings that are merged again double with every level.
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        super().flatten_mapping(node)
+        if len(node.value) > _MOST_KEYS:
+            problem = f"more than {_MOST_KEYS} keys are merged"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
 
 _Loader.add_implicit_resolver(
@@ -121,6 +133,8 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 
 def parse_yaml(text: str, where: str) -> dict[str, Any]:
     """Parse YAML text that holds a mapping; ``where`` names the text in error messages."""
+    if len(text) > _LONGEST_TEXT:
+        raise InputError(f"{where}: has {len(text)} characters, expected at most {_LONGEST_TEXT}")
     try:
         content = yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: for example an impossible date

@@ -225,3 +225,11 @@ def test_floats_are_those_of_yaml_1_2(text, value):
 
 def test_merged_mappings_hold_their_keys_once():
     assert parse_yaml("a: &a {x: 1, y: 2}\nb: {<<: *a, x: 3}\nc: *a", "x")["b"] == {"x": 3, "y": 2}
+
+
+def test_a_text_that_would_take_for_ever_is_refused() -> None:
+    with pytest.raises(InputError, match="text: has 1048577 characters, expected at most 1048576"):
+        parse_yaml("#" * (2**20 + 1), "text")
+    levels = ["a0: &a0 {x: 1}"] + [f"a{k + 1}: &a{k + 1} {{<<: [*a{k}, *a{k}]}}" for k in range(40)]
+    with pytest.raises(InputError, match=r"is not YAML \(more than 10000 keys are merged\)"):
+        parse_yaml("\n".join(levels), "text")

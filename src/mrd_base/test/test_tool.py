@@ -4,6 +4,8 @@ import sys
 
 import pytest
 
+from mrd_base import InputError
+
 PROGRAM = """
 import sys, time
 from mrd_base import FaultError, InputError, run_tool
