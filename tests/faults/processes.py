@@ -21,15 +21,17 @@ def _send(name: str, number: signal.Signals) -> Callable[[Bench], None]:
     def inject(bench: Bench) -> None:
         process = bench.processes.running[name]
         process.send_signal(number)
-        if number is not signal.SIGSTOP:
-            process.wait(20)
+        if number is signal.SIGKILL:
+            process.wait()
             del bench.processes.running[name]
 
     return inject
 
 
-def _restart(name: str) -> Callable[[Bench], None]:
+def _restart(name: str, number: signal.Signals) -> Callable[[Bench], None]:
     def repair(bench: Bench) -> None:
+        if number is signal.SIGTERM:
+            bench.processes.running.pop(name).wait(20)
         bench.restart(name)
 
     return repair
@@ -45,7 +47,7 @@ FAULTS = tuple(
         rest=_REST.get(name, 0.2),
         # A converter keeps its last voltage when its process is gone: the enable of the supply must fall off.
         coil=None if name == "daq" and number is not signal.SIGTERM else _REST.get(name, 0.2),
-        repair=_restart(name),
+        repair=_restart(name, number),
         at_random=True,
         recorded=name not in ("daq", "recorder", "supervisor"),
     )

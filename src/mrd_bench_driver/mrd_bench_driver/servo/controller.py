@@ -55,6 +55,8 @@ _STATUS_DELAY = 0.05
 _SWITCH_ON = b"MP "
 # Ticks between two accelerations on a line too slow for one in each tick; a garbled one is corrected this soon.
 _ACCELERATION_INTERVAL = 25
+# Following error, as a multiple of its limit, at which nobody asks the motor any more.
+_LARGEST_EXCESS = 1.5
 # Longest tick in s that counts in the mean; a longer one is a pause of the machine.
 _MAX_TICK = 0.1
 
@@ -121,6 +123,7 @@ class ServoController:
         self._emergency_stop = ""  # reason of the latched stop
         self._in_step = False  # whether replies are known to match their queries
         self._suspect: Query | None = None  # a status word that shows a fault, and is read again before it is believed
+        self._asked = False  # whether the motor was asked for a fault because of a following error
         self._drive_on = self._armed = False  # armed: setpoints are followed
         self._fault = self._note = ""
         self._values: dict[Query, int] = {}  # latest reply to each query
@@ -498,7 +501,13 @@ class ServoController:
         if self._homing is not None and self._homing.phase is not Phase.MOVE:
             return
         self._following_error = self._setpoint_at(time).position - self._rod.position
-        if abs(self._following_error) > self.config.following_error_limit:
+        excess = abs(self._following_error) / self.config.following_error_limit
+        if excess <= 1:
+            self._asked = False
+        elif not self._asked:
+            # A motor that has stopped for a fault of its own stays behind, too. It is asked first, so that this is named.
+            self._asked, self._suspect = True, self._suspect or STATUS_0
+        elif self._suspect is None or excess > _LARGEST_EXCESS:
             self._fail(
                 f"following error of {1e3 * self._following_error:.2f} mm exceeds "
                 f"{1e3 * self.config.following_error_limit:g} mm; look for a jammed rod, too fast a setpoint or a slow line"
