@@ -198,7 +198,7 @@ class BenchClient:
             silence = time.monotonic() - self._supervisor_heard
             if silence > _SUPERVISOR_SILENCE:
                 raise ProcessDiedError("supervisor", f"supervisor has been silent for {silence:.0f} s; look at its log")
-            return ended.done()
+            return bool(ended.done())
 
         try:
             self.spin(done, float("inf"))
