@@ -107,7 +107,7 @@ def diagnose(
     laws : str or mapping, optional
         Current laws; see `mrd_sim.models.DamperModel.with_laws`.
     effects : sequence of str
-        Ids of the candidates; the whole catalogue when empty.
+        Ids of the candidates; when empty, all of the catalogue that recordings without or with ``reference`` can show.
     bench : GeneratorSettings, optional
         Limits of the bench that an advised experiment must not exceed; by default, those of the shipped bench.
     seed : int
@@ -125,7 +125,7 @@ def diagnose(
         raise InputError("no runs to diagnose")
     if reference and held_out:
         raise InputError("found both reference and held-out runs, expected one kind: a change is judged on all runs in turn")
-    candidates = [effect.id for effect in find_effects(list(effects) or list(EFFECTS))]
+    candidates = candidates_for(effects, is_change=bool(reference))
     if model == BEST_MODEL and parameters:
         model = parameters.model
     laws = laws if laws is not None else (parameters.laws if parameters else None)
@@ -162,6 +162,18 @@ def diagnose(
         chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
         diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
     return diagnosis
+
+
+def candidates_for(effects: Sequence[str], *, is_change: bool) -> list[str]:
+    """Return the ids of the effects to try: those named, or all that recordings of this kind can show."""
+    if not effects:
+        return [name for name, effect in EFFECTS.items() if is_change or not effect.only_as_change]
+    named = find_effects(list(effects))
+    if unseen := [effect.id for effect in named if effect.only_as_change and not is_change]:
+        raise InputError(
+            f"effect {unseen[0]} shows only as a change since other recordings, and there are none; name them by --reference"
+        )
+    return [effect.id for effect in named]
 
 
 def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | None:

@@ -159,21 +159,28 @@ def stacking_weights(refits: Sequence[Refit]) -> Array:
 
 
 def _weighted_forms(own: Refit, others: Sequence[Refit]) -> list[tuple[Refit, float]]:
-    """Return the damper models that count most with their weights; first the one that predicts best.
+    """Return the damper models that count most with their weights; first the one around which causes are searched.
 
-    Of refits of one model with more or less freedom, the best counts. The user's ``own`` model is kept where another one is
-    hardly better.
+    Of refits of one model with more or less freedom, the best counts. Among the models that predict about as well as the
+    best, the first is the one with the largest weight: another one may err in the same places and in more. The user's
+    ``own`` model is preferred where it is among them and has a weight of its own.
     """
-
-    def cost(refitted: Refit) -> float:
-        return refitted.held_out_cost * (1.0 - THRESHOLDS.formula_error * (refitted is own))
-
     best_by_model: dict[str, Refit] = {}
-    for refitted in sorted([own, *others], key=cost):
+    for refitted in sorted([own, *others], key=lambda refitted: (refitted.held_out_cost, refitted is not own)):
         best_by_model.setdefault(refitted.problem.model.id, refitted)
+    if best_by_model[own.problem.model.id].held_out_cost > own.held_out_cost * (1.0 - THRESHOLDS.formula_error):
+        best_by_model[own.problem.model.id] = own
     forms = list(best_by_model.values())
     weights = stacking_weights(forms)
-    counted = sorted(range(len(forms)), key=lambda index: (index > 0, -weights[index]))[:MOST_FORMS]
+    best = min(form.held_out_cost for form in forms)
+
+    def rank(index: int) -> tuple[bool, bool, float]:
+        worse = forms[index].held_out_cost * (1.0 - THRESHOLDS.formula_error) > best
+        preferred = forms[index] is own and weights[index] >= THRESHOLDS.listed_probability
+        return worse, not preferred, -weights[index]
+
+    first = min(range(len(forms)), key=rank)
+    counted = sorted(range(len(forms)), key=lambda index: (index != first, -weights[index]))[:MOST_FORMS]
     total = weights[counted].sum()
     return [(forms[index], float(weights[index] / total)) for index in counted]
 

@@ -71,7 +71,7 @@ def _no_change_sentence(gap: Gap) -> str:
 
 def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names the causes."""
-    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     beyond = gap.extrapolated
     if beyond is not None and beyond.value < gap.closed_fraction.lower:
         share = format_share(beyond.value)
@@ -90,7 +90,7 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         # An effect may be an alternative to two causes.
         options.setdefault(alternative.effect, alternative)
     if not options:
-        return f"Probably {_clauses(diagnosis.causes)} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+        return f"Probably {_clauses(diagnosis.causes)} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     clauses = [effect_clause(option.effect, option.parameters) for option in options.values()]
     likely = [format_probability(option.probability) for option in options.values()]
     whether = f"these runs do not show whether {join_words(clauses, 'or')} (probabilities {join_words(likely)})."
@@ -103,7 +103,7 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names causes although they do not explain the whole gap, and describes the rest."""
-    sentences = [f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."]
+    sentences = [f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"]
     for cause in diagnosis.causes:
         others = [other for other in diagnosis.alternatives if other.instead_of == cause.effect]
         likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in others]
@@ -302,9 +302,12 @@ def _certainty(diagnosis: Diagnosis) -> str:
 
 
 def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return the sentence on the removed share; none where the gap is too small beside the noise to know it."""
+    if not math.isfinite(gap.closed_fraction.value):
+        return ""
     adding = {1: "this effect", 2: "both effects"}.get(len(diagnosis.causes), "these effects")
     share = format_share(gap.closed_fraction.value)
-    return f"Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}"
+    return f" Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
 
 
 def _gap_name(diagnosis: Diagnosis, name: str = "gap") -> str:
