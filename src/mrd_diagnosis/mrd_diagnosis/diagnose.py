@@ -61,6 +61,11 @@ NOTE_ON_CHANGE = (
     "flexible function of motion, current and force; the rest of the error counts as noise."
 )
 
+NOTE_ON_SINGLE_RUNS = (
+    "An effect is named only if it differs more between the runs before and after than among them, and of a single run on "
+    "either side this is not known: record at least two before and two after."
+)
+
 BEST_MODEL = "auto"
 """In place of a model's id: the model of the catalogue that predicts the recordings best."""
 
@@ -162,6 +167,13 @@ def diagnose(
         chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
         diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
     return diagnosis
+
+
+def _notes_on_change(runs: int, reference: int) -> tuple[str, ...]:
+    """Return what limits a comparison with reference runs."""
+    if not reference:
+        return ()
+    return (NOTE_ON_CHANGE, *([NOTE_ON_SINGLE_RUNS] if min(runs, reference) < 2 else []))
 
 
 def candidates_for(effects: Sequence[str], *, is_change: bool) -> list[str]:
@@ -286,7 +298,11 @@ def _diagnose_physics(
         alternative_models=models,
         next_experiment=advise_next(comparison, chances, bench) if conclusive else None,
         residuals=closure.residuals,
-        notes=(*notes, *([NOTE_ON_CHANGE] if reference else ()), *limitation_notes(recordings, complete.weighting.noise)),
+        notes=(
+            *notes,
+            *_notes_on_change(len(runs), len(reference)),
+            *limitation_notes(recordings, complete.weighting.noise),
+        ),
     )
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))
 

@@ -18,13 +18,13 @@ from scipy.optimize import nnls
 from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.effect_search import refit_with_effects, search_effects
+from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects, search_effects
 from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
-from mrd_diagnosis.refit import Refit, held_out_errors, refit, refit_on, without_each
+from mrd_diagnosis.refit import CONVERGED, Refit, held_out_errors, refit, refit_on, without_each
 from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
@@ -258,7 +258,7 @@ def _search_around(
 ) -> tuple[str, ...]:
     """Return the effects that are chosen around a form of the damper without the remainder."""
     around = weighting.updated(form.problem.model, form.theta)
-    chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress)
+    chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress, quick=True)
     return chosen[-1].effects if chosen else ()
 
 
@@ -306,7 +306,12 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
     while len(chain) < MOST_FORM_EFFECTS and best.held_out_cost > reachable:
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
-            weighting, BaseFit.linearise(weighting, best), remaining, len(remaining), present=best.effects
+            weighting,
+            BaseFit.linearise(weighting, best),
+            remaining,
+            len(remaining),
+            present=best.effects,
+            converged=ROUGHLY_CONVERGED if best.effects else CONVERGED,
         )
         if not fits:
             break

@@ -83,6 +83,14 @@ def test_another_fluid_needs_a_reference():
     assert "fluid_change" in candidates_for((), is_change=True)
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+def test_nothing_is_named_in_single_runs_where_nothing_changed(seed):
+    effects = (*CANDIDATES, "coil_lag", "thermal_fade", "flow_asymmetry", "seal_friction")
+    diagnosis = diagnose(runs([seed]), "bouc_wen", reference=runs(BEFORE[:1]), effects=effects)
+    assert diagnosis.causes == ()
+    assert any("record at least two before and two after" in note for note in diagnosis.notes)
+
+
 @pytest.mark.parametrize("seeds", [BEFORE, AFTER], ids=["the same runs", "other runs"])
 def test_nothing_is_named_where_nothing_changed(seeds):
     diagnosis = diagnose(runs(seeds), "bouc_wen", reference=runs(BEFORE), effects=CANDIDATES)
