@@ -1,6 +1,7 @@
 """The simulated bench between the serial line and the terminals of the DAQ."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -37,7 +38,7 @@ class DamperConfig:
     model: str = quantity("bouc_wen", "", "id of a damper model (mrd models)")
     parameters: str = quantity(
         "{yield_force: 80.0, yield_force_per_A: 900.0, yield_travel: 0.000125, viscous: 900.0, viscous_per_A: 2500.0, "
-        "stiffness: 1500.0, offset: -45.0}",
+        "stiffness: 1500.0, offset: -45.0, coil_lag: 0.0}",
         "",
         "YAML text, name: value in SI; those not named keep the model's default",
     )
@@ -46,15 +47,15 @@ class DamperConfig:
     effects_folder: str = quantity("", "", "folder with effects of your own, one a file; empty for none")
     stroke: float = quantity(0.055, "mm", "distance between its ends, where the rod stops", lower=1e-3, upper=1)
 
-    def build(self) -> Damper:
-        """Build the damper, at rest and unloaded."""
+    def build(self, effects: Mapping[str, Mapping[str, float]] | None = None) -> Damper:
+        """Build the damper, at rest and unloaded; further ``effects`` act with its own ones or replace them."""
         if self.effects_folder:
             load_effects(self.effects_folder)
         return Damper(
             self.model,
             parse_values(self.parameters, "damper.parameters"),
             parse_laws(self.laws, "damper.laws"),
-            parse_effects(self.effects, "damper.effects"),
+            {**parse_effects(self.effects, "damper.effects"), **(effects or {})},
         )
 
 
