@@ -57,3 +57,13 @@ def test_kilonewtons_are_named(tool, recorded, tmp_path):
     code, _, error = tool(identify, str(tmp_path / "kilo.csv"), "--model", "bingham")
     assert (code, error.count("\n")) == (3, 1)
     assert "kilo: the force spans less than 5 N while the rod moves: is it in kN or V?" in error
+
+
+def test_what_is_about_to_be_computed_is_said_before(tool, recorded):
+    """A pattern such as runs/*/bag easily names other runs, too; all models of ten runs take minutes."""
+    code, _, error = tool(compare, *recorded, "--models", "bingham")
+    assert code == 0
+    assert error.startswith("3 runs in ")
+    assert "1 model (--models), each fitted 4 times: to all runs, and without each\n" in error
+    code, _, error = tool(compare, *recorded[:2], "--models", "bingham,biviscous", "--held-out", recorded[2])
+    assert "2 models (--models), each fitted once\n" in error

@@ -22,9 +22,10 @@ from mrd_diagnosis.report.candidate_text import (
 )
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command, next_step
-from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
+from mrd_identification.cli.options import add_run_arguments, announce, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
+from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -96,6 +97,7 @@ def work() -> None:
     bench = read_settings(arguments.bench)
     runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
+    announce(describe_runs([*runs, *held_out, *reference]))
     with tqdm(total=100, desc="diagnosing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
         def progress(stage: str, fraction: float) -> None:

@@ -12,6 +12,7 @@ from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
     add_run_arguments,
+    announce,
     look_at_runs,
     read_arguments_runs,
     read_method,
@@ -19,6 +20,7 @@ from mrd_identification.cli.options import (
 from mrd_identification.compare import compare, parse_row
 from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
 from mrd_identification.json_file import make_folder
+from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS
 
 TABLE_WIDTH = 110
@@ -55,6 +57,11 @@ def work() -> None:
     for name in models:
         parse_row(name, method)
         make_folder(f"{arguments.output}/{fit_folder(name)}")
+    each = "once" if held_out else f"{1 + len(runs)} times: to all runs, and without each"
+    announce(
+        describe_runs([*runs, *held_out]),
+        f"{len(models)} model{'s' if len(models) > 1 else ''} (--models), each fitted {each}",
+    )
     with tqdm(total=100, desc="comparing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
 
         def progress(share: float) -> None:

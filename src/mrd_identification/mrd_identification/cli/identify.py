@@ -11,6 +11,7 @@ from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
     add_run_arguments,
+    announce,
     look_at_runs,
     read_arguments_runs,
     read_method,
@@ -19,6 +20,7 @@ from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
 from mrd_identification.report import sentence, write_report
+from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS, find_model
 
 
@@ -43,6 +45,7 @@ def work() -> None:
     runs, held_out = read_arguments_runs(arguments)
     look_at_runs([*runs, *held_out], arguments.anyway)
     folder = make_folder(arguments.output)
+    announce(describe_runs([*runs, *held_out]))
     total = method.total_generations
     with tqdm(total=total, desc="identifying", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
 

@@ -143,6 +143,11 @@ def with_force_filters(runs: Sequence[Run], options: Sequence[str]) -> list[Run]
     return filtered
 
 
+def announce(*lines: str) -> None:
+    """Say on stderr what is about to be computed: a pattern on the command line may name more runs than one expects."""
+    print(*lines, sep="\n", file=sys.stderr, flush=True)
+
+
 def add_anyway(parser: argparse.ArgumentParser) -> None:
     """Add the option that fits recordings although they look faulty."""
     parser.add_argument(
