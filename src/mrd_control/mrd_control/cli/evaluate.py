@@ -143,9 +143,8 @@ def _read_excitations(arguments: argparse.Namespace) -> dict[str, Excitation]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="evaluate",
         description="Close the loop of an emulated mechanical system, a control law and a damper offline, for every law on "
-        "every road with every damper; writes evaluation.json and evaluation.html.",
+        "every road with every damper; writes evaluation.json and evaluation.html."
     )
     parser.add_argument(
         "--system",

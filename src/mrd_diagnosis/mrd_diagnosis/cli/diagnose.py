@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from tqdm import tqdm
 
-from mrd_base import InputError, run_tool
+from mrd_base import FaultError, InputError, run_tool
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.report.candidate_text import (
@@ -47,10 +47,9 @@ def main() -> None:
 def work() -> None:
     """Read the arguments and the runs, diagnose, write the reports and print a summary."""
     parser = argparse.ArgumentParser(
-        prog="diagnose",
         description="Find where a damper model and recordings disagree, which missing effect causes the gap, and how much "
         "of it the effect removes. Writes gap_report.json, gap_report.html and, where an experiment is advised, "
-        "next_experiment.yaml.",
+        "next_experiment.yaml."
     )
     add_run_arguments(parser)
     parser.add_argument(
@@ -74,7 +73,7 @@ def work() -> None:
         "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
     )
     parser.add_argument(
-        "--effects", default="", metavar="ID,...", help="effects to try; ros2 run mrd_sim effects lists them (default: all)"
+        "--effects", default="", metavar="ID,...", help="effects to try (default: all); `effects` lists them"
     )
     add_effects_folder(parser)
     parser.add_argument(
@@ -118,6 +117,8 @@ def work() -> None:
         )
     page = write_gap_report(diagnosis, folder)
     print_summary(diagnosis, page)
+    if diagnosis.verdict == "data_fault":
+        raise FaultError(f"the recordings are faulty, so that nothing was diagnosed; {page} tells how to mend them")
 
 
 def print_summary(diagnosis: Diagnosis, page: Path) -> None:
@@ -128,7 +129,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
     if command := next_command(diagnosis, str(page.parent)):
         print(f"next command: {command}")
     for finding in diagnosis.findings:
-        print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.channel, finding.text)))}")
+        print(f"{finding.severity}: {finding.sentence}")
     if diagnosis.candidates and nothing_removes(diagnosis):
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:

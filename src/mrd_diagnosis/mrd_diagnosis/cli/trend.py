@@ -48,9 +48,8 @@ def work() -> None:
 
 def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="trend",
         description="Follow a parameter over dated runs: find its trend and a change point, and predict when it reaches a "
-        "limit. Writes trend.json and trend.html.",
+        "limit. Writes trend.json and trend.html."
     )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV file")
     parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: the model of --report or --parameters")

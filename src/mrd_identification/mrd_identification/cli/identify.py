@@ -41,9 +41,9 @@ def work() -> None:
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for fit.json and fit.html")
     arguments = parser.parse_args()
     method = read_method(arguments)
-    find_model(arguments.model, method.laws, method.given_effects)
+    model = find_model(arguments.model, method.laws, method.given_effects)
     runs, held_out = read_arguments_runs(arguments)
-    look_at_runs([*runs, *held_out], arguments.anyway)
+    look_at_runs([*runs, *held_out], arguments.anyway, model)
     folder = make_folder(arguments.output)
     announce(describe_runs([*runs, *held_out]))
     total = method.total_generations

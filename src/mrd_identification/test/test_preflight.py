@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrd_diagnosis.preflight import preflight
+from mrd_identification.preflight import preflight
 from mrd_runs import Run, read_runs
 from mrd_runs.signals.motion import smooth_motion
 from mrd_sim.damper import Damper

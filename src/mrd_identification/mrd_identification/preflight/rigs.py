@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import PRE_YIELD_STROKE, CheckedRun
+from mrd_identification.preflight.channels import PRE_YIELD_STROKE, CheckedRun
+from mrd_identification.preflight.finding import Finding
 
 Array = NDArray[np.float64]
 
