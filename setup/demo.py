@@ -45,7 +45,7 @@ FAULTS = (
     "shear_thinning",
     "side_load_friction",
 )
-"""Effects of which one is the fault: these four short runs show each of them at its typical size. More need the standard set."""
+"""Effects of which one is the fault: four short runs show each of them at its typical size. Others need the standard set."""
 LARGEST = 1.5
 """Times its typical size, up to which a fault is drawn."""
 
