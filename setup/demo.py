@@ -41,7 +41,6 @@ FAULTS = (
     "force_sensor_lag",
     "joint_play",
     "magnetic_hysteresis",
-    "series_compliance",
     "shear_thinning",
     "side_load_friction",
 )

@@ -1,5 +1,7 @@
 """Figures of a fit."""
 
+import html
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -183,5 +185,30 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
 
 
 def to_html(figure: go.Figure) -> str:
-    """Return a figure as a part of a page that includes Plotly."""
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True}))
+    """Return a figure, with its description for those who cannot see it, as a part of a page that includes Plotly."""
+    drawing = figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
+    return f'<figure class="plot" role="img" aria-label="{html.escape(describe(figure), quote=True)}">{drawing}</figure>'
+
+
+def describe(figure: go.Figure) -> str:
+    """Describe a figure in words: what is drawn over what; of bars, their lengths."""
+    drawn = figure.to_plotly_json()
+    titles = {
+        axis: [
+            text
+            for name, settings in drawn["layout"].items()
+            if name.startswith(axis) and (text := (settings.get("title") or {}).get("text"))
+        ]
+        for axis in ("xaxis", "yaxis")
+    }
+    over = " over ".join(filter(None, (" and ".join(dict.fromkeys(titles[axis])) for axis in ("yaxis", "xaxis"))))
+    names = dict.fromkeys(name for trace in figure.data if (name := trace.name))
+    lengths = [
+        f"{label} {length:.3g}"
+        for trace in figure.data
+        if trace.type == "bar" and trace.orientation == "h"
+        for label, length in zip(trace.y, trace.x, strict=True)
+        if length is not None
+    ]
+    kind = "Map" if any(trace.type == "heatmap" for trace in figure.data) else "Chart"
+    return re.sub(r"<[^>]*>", " ", ": ".join(filter(None, (f"{kind} of {over}", ", ".join([*names, *reversed(lengths)])))))

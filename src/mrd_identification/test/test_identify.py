@@ -1,5 +1,6 @@
 """Identification recovers known parameters with intervals, and measures its error on runs that were not fitted."""
 
+import datetime
 import json
 from dataclasses import replace
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_base.version import VERSION
 from mrd_identification import identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import find_knee
@@ -295,6 +297,17 @@ def test_report_needs_no_network(bouc_wen_fit, tmp_path):
     assert "<script src=" not in page
     assert "yield_force_per_A" in page
     assert page.count("Plotly.newPlot") >= 4
+
+
+def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_path):
+    files = [replace(of, run=replace(of.run, info={"source": f"rig/{of.run.name}.csv"})) for of in bouc_wen_fit.fitted]
+    page = write_report(replace(bouc_wen_fit, fitted=tuple(files)), tmp_path).read_text()
+    # Somebody who cannot see the figures is told what each of them draws.
+    assert page.count('role="img"') == page.count('class="plotly-graph-div')
+    assert 'aria-label="Chart of force, N over velocity, mm/s and position, mm: measured, model"' in page
+    footer = page.partition("<footer>")[2]
+    assert f"mrd {VERSION} on {datetime.date.today().year}-" in footer
+    assert all(f"<code>rig/{of.run.name}.csv</code>" in footer for of in files)
 
 
 def test_unusable_input_is_one_line():
