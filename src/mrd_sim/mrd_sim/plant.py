@@ -38,7 +38,7 @@ class DamperConfig:
     model: str = quantity("bouc_wen", "", "id of a damper model (mrd models)")
     parameters: str = quantity(
         "{yield_force: 80.0, yield_force_per_A: 900.0, yield_travel: 0.000125, viscous: 900.0, viscous_per_A: 2500.0, "
-        "stiffness: 1500.0, offset: -45.0, coil_lag: 0.0}",
+        "stiffness: 1500.0, offset: -45.0}",
         "",
         "YAML text, name: value in SI; those not named keep the model's default",
     )
