@@ -17,16 +17,6 @@ from mrd_runs import Run
 _EVALUATED_ON = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "fitted runs"}
 
 
-def sentence(fit: Fit) -> str:
-    """Describe the error of the fit in one sentence."""
-    fitted = "on the run that it was fitted to" if len(fit.fitted) == 1 else "on the runs that it was fitted to"
-    where = "on runs that it was not fitted to" if fit.pooled_held_out else fitted
-    return (
-        f"The model explains {fit.pooled.vaf:.1f} % of the variance of the force {where}; "
-        f"its rms error is {fit.pooled.rmse:.1f} N, {100 * fit.pooled.nrmse:.1f} % of the standard deviation of the force."
-    )
-
-
 def write_report(fit: Fit, folder: str | Path) -> Path:
     """Write fit.html, a page that needs no network, into ``folder`` and return its path."""
     results, metrics = fit.held_out or fit.fitted, fit.pooled
@@ -36,7 +26,7 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         folder,
         runs=[result.run for result in (*fit.fitted, *fit.held_out)],
         title=f"{fit.model.title} model of {len(fit.fitted)} run{'s' if len(fit.fitted) > 1 else ''}",
-        sentence=sentence(fit),
+        sentence=fit.sentence,
         loops=figures.to_html(figures.loops(results)),
         over_time=figures.to_html(figures.force_over_time(worst)),
         front=figures.to_html(figures.pareto_front(fit)),

@@ -299,6 +299,18 @@ def test_report_needs_no_network(bouc_wen_fit, tmp_path):
     assert page.count("Plotly.newPlot") >= 4
 
 
+def test_a_fit_says_and_draws_itself(bouc_wen_fit):
+    lines = bouc_wen_fit.summary().splitlines()
+    assert lines[0] == bouc_wen_fit.sentence
+    assert lines[1].split() == ["parameter", "value", "95", "%", "interval", "unit"]
+    for estimate, line in zip(bouc_wen_fit.estimates, lines[2:], strict=False):
+        assert line.startswith(f"{estimate.parameter.name} ")
+        assert f" {estimate.value:.4g} " in line
+        assert len(line) <= 80
+    assert lines[2 + len(bouc_wen_fit.estimates) :] == [f"note: {warning}" for warning in bouc_wen_fit.warnings]
+    assert [line.name for line in bouc_wen_fit.plot().data[:2]] == ["measured", "model"]
+
+
 def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_path):
     files = [replace(of, run=replace(of.run, info={"source": f"rig/{of.run.name}.csv"})) for of in bouc_wen_fit.fitted]
     page = write_report(replace(bouc_wen_fit, fitted=tuple(files)), tmp_path).read_text()

@@ -107,7 +107,7 @@ def _read_system(text: str) -> System:
 
 
 def _read_dampers(arguments: argparse.Namespace) -> dict[str, Damper]:
-    """Return the dampers by label: fits, plants, models; without any, the one of the simulated bench with a coil lag of 4 ms."""
+    """Return the dampers by label: fits, plants, models; without any, the bench's with a coil lag of 4 ms."""
     dampers: dict[str, Damper] = {}
     for path in arguments.damper:
         file = Path(path)

@@ -19,7 +19,7 @@ from mrd_identification.cli.options import (
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
-from mrd_identification.report import sentence, write_report
+from mrd_identification.report import write_report
 from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS, find_model
 
@@ -61,9 +61,7 @@ def work() -> None:
         )
     write_fit(fit, folder)
     report = write_report(fit, folder)
-    print(sentence(fit))
+    print(fit.summary())
     for text in fit.selection.sentences if fit.selection else ():
         print(f"{text}.")
-    for warning in fit.warnings:
-        print(f"note: {warning}")
     print(report)
