@@ -2,15 +2,14 @@
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tqdm import tqdm
 
 from mrd_base import FaultError, InputError, run_tool
+from mrd_base.progress import shown_progress
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.report.candidate_text import (
@@ -97,12 +96,7 @@ def work() -> None:
     runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
     announce(describe_runs([*runs, *held_out, *reference]))
-    with tqdm(total=100, desc="diagnosing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.set_description_str(stage, refresh=False)
-            bar.update(int(100 * fraction) - bar.n)
-
+    with shown_progress("diagnosing") as progress:
         diagnosis = diagnose(
             runs,
             arguments.model,

@@ -1,12 +1,10 @@
 """Follow a parameter of a damper over dated runs."""
 
 import argparse
-import sys
 from typing import Any
 
-from tqdm import tqdm
-
 from mrd_base import InputError, run_tool
+from mrd_base.progress import shown_progress
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.trend.calendar import make_calendar
 from mrd_diagnosis.trend.trend import trend
@@ -32,12 +30,7 @@ def work() -> None:
     runs = read_runs(arguments.runs)
     calendar = make_calendar(runs, [date for date in arguments.dates.split(",") if date])
     folder = make_folder(arguments.output)
-    with tqdm(total=100, desc="trend", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.set_description_str(stage, refresh=False)
-            bar.update(int(100 * fraction) - bar.n)
-
+    with shown_progress("trend") as progress:
         result = trend(runs, calendar=calendar, limit=arguments.limit, seed=arguments.seed, progress=progress, **start)
     page = write_trend(result, folder)
     print(result.sentence)

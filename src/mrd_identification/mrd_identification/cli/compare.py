@@ -1,13 +1,12 @@
 """Fit several damper models to the same recordings and rank them by held-out error."""
 
 import argparse
-import sys
 
 from rich.console import Console
 from rich.table import Column, Table
-from tqdm import tqdm
 
 from mrd_base import run_tool
+from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
@@ -62,13 +61,15 @@ def work() -> None:
         describe_runs([*runs, *held_out]),
         f"{len(models)} model{'s' if len(models) > 1 else ''} (--models), each fitted {each}",
     )
-    with tqdm(total=100, desc="comparing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(share: float) -> None:
-            bar.update(int(100 * share) - bar.n)
-
+    with shown_progress("comparing") as report:
         comparison = compare(
-            runs, models, held_out=held_out, method=method, profile=False, scheduler=arguments.scheduler, progress=progress
+            runs,
+            models,
+            held_out=held_out,
+            method=method,
+            profile=False,
+            scheduler=arguments.scheduler,
+            progress=lambda share: report("", share),
         )
     page = write_comparison(comparison, arguments.output)
     table = Table(Column(COLUMNS[0], no_wrap=True), *(Column(title, justify="right") for title in COLUMNS[1:]), box=None)

@@ -2,11 +2,9 @@
 
 import argparse
 import math
-import sys
-
-from tqdm import tqdm
 
 from mrd_base import run_tool
+from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
@@ -47,14 +45,11 @@ def work() -> None:
     folder = make_folder(arguments.output)
     announce(describe_runs([*runs, *held_out]))
     total = method.total_generations
-    with tqdm(total=total, desc="identifying", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
+    with shown_progress("identifying") as show:
 
         def progress(generation: int, nrmse: float) -> None:
-            if generation == total:
-                bar.set_description_str("assessing", refresh=False)
-            elif not math.isnan(nrmse):
-                bar.set_postfix_str(f"NRMSE {nrmse:.4f}", refresh=False)
-            bar.update(generation - bar.n)
+            found = "" if math.isnan(nrmse) else f"NRMSE {nrmse:.4f}"
+            show("assessing" if generation == total else found, generation / total)
 
         fit = identify(
             runs, arguments.model, held_out=held_out, method=method, scheduler=arguments.scheduler, progress=progress
