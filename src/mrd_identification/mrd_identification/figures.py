@@ -87,6 +87,53 @@ def force_over_time(result: RunResult) -> go.Figure:
     return figure
 
 
+def residuals(results: Sequence[RunResult], seconds: float = 0.5) -> go.Figure:
+    """Draw how the errors of all runs are distributed, beside a normal distribution, and their autocorrelation.
+
+    Errors that are noise are normal and uncorrelated; a slow decay or a period shows physics that the model lacks.
+    """
+    errors = [result.modelled_counted - result.measured_counted for result in results]
+    pooled = np.concatenate(errors)
+    spread = float(pooled.std()) or 1.0
+    edges = np.linspace(-4, 4, 41) * spread
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    density = np.histogram(pooled - pooled.mean(), edges)[0] / (len(pooled) * (edges[1] - edges[0]))
+    normal = np.exp(-0.5 * (middles / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
+    longest = max(results, key=lambda result: len(result.modelled_counted))
+    lags, correlation = _autocorrelation(longest.modelled_counted - longest.measured_counted, longest.run.rate, seconds)
+    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.1)
+    figure.add_bar(x=_short(middles), y=_short(density), name="errors", marker={"color": MEASURED}, row=1, col=1)
+    figure.add_scatter(x=_short(middles), y=_short(normal), name="normal distribution", line={"color": ACCENT}, row=1, col=1)
+    figure.add_scatter(
+        x=_short(lags),
+        y=_short(correlation),
+        name=f"autocorrelation, {longest.run.name}",
+        line={"color": MODELLED},
+        row=1,
+        col=2,
+    )
+    figure.update_xaxes(title_text="model − measured, N", row=1, col=1)
+    figure.update_yaxes(title_text="density, 1/N", row=1, col=1)
+    figure.update_xaxes(title_text="lag, s", row=1, col=2)
+    figure.update_yaxes(title_text="autocorrelation", range=[-1.05, 1.05], row=1, col=2)
+    figure.update_layout(**LAYOUT, height=360, bargap=0.05)
+    return figure
+
+
+def _autocorrelation(errors: Array, rate: float, seconds: float) -> tuple[Array, Array]:
+    """Return lags in s up to ``seconds``, and the autocorrelation of errors (n,) that were sampled at ``rate`` in Hz."""
+    centred = errors - errors.mean()
+    count = min(int(seconds * rate), len(centred) - 1) + 1
+    spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+    covariance = np.fft.irfft(spectrum)[:count]
+    return np.arange(count) / rate, covariance / (covariance[0] or 1.0)
+
+
+def _short(series: Array) -> list[float]:
+    """Return numbers with the digits that a drawing can show."""
+    return [float(f"{value:.4g}") for value in series]
+
+
 def pareto_front(fit: Fit) -> go.Figure:
     """Draw the Pareto front of NSGA-II, its knee, and the result of least squares."""
     norms = fit.front.norms

@@ -1,6 +1,7 @@
 """The page fit.html, and the rendering of pages from templates."""
 
 import datetime
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import jinja2
 from plotly.offline import get_plotlyjs
 
+from mrd_base.tool import command
 from mrd_base.version import VERSION
 from mrd_identification import figures
 from mrd_identification.effect_selection import LEAST_IMPROVEMENT
@@ -29,6 +31,8 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         sentence=fit.sentence,
         loops=figures.to_html(figures.loops(results)),
         over_time=figures.to_html(figures.force_over_time(worst)),
+        command=f"{command('mrd_diagnosis', 'diagnose')} {_sources(fit)} --model {fit.model.id} --output DIR",
+        residuals=figures.to_html(figures.residuals(results)),
         front=figures.to_html(figures.pareto_front(fit)),
         intervals=figures.to_html(figures.parameters(fit)),
         correlation=figures.to_html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
@@ -46,6 +50,12 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         least_improvement=LEAST_IMPROVEMENT,
         rows=[("fitted", r) for r in fit.fitted] + [("held out", r) for r in fit.held_out],
     )
+
+
+def _sources(fit: Fit) -> str:
+    """Return the fitted runs as arguments of a tool."""
+    files = [str(result.run.info.get("source", "")) for result in fit.fitted]
+    return shlex.join(files) if all(files) else "RUN..."
 
 
 def render(
