@@ -13,8 +13,10 @@ help:  ## list the targets
 build:  ## make the environment (.venv) and build the packages (install/)
 	@setup/build
 
-demo: build  ## drive the simulated bench, record, replay and identify a damper
-	@. ./env.sh; exec python setup/demo.py
+# SEED draws the fault of the demo, and the trial.
+SEED ?= 1
+demo: build  ## hide a fault in the simulated bench, record and identify it, and let the diagnosis find the fault
+	@. ./env.sh; exec python setup/demo.py --seed $(SEED)
 
 test: build lint  ## check style and types, then run all tests but the slow ones
 	@. ./env.sh; python -m pytest -n logical -m 'not slow and not realtime'; python -m pytest -m 'realtime and not slow'
@@ -26,7 +28,6 @@ bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done
 
 # RECORDED is a folder with recordings of measured dampers, one folder a damper, whose motion is replayed.
-SEED ?= 1
 TRIAL = trials/$(SEED)
 trials: build  ## score the diagnosis on dampers whose effects it is not told (hours; goes on where it was interrupted)
 	@. ./env.sh; ros2 run mrd_trials make $(TRIAL) --seed $(SEED) $(if $(RECORDED),--recorded $(RECORDED)); \

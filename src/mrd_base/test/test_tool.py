@@ -4,6 +4,8 @@ import sys
 
 import pytest
 
+from mrd_base.tool import command
+
 PROGRAM = """
 import sys, time
 from mrd_base import FaultError, InputError, run_tool
@@ -58,3 +60,14 @@ def test_a_closed_pipe_causes_no_error_message():
     pipeline = ["bash", "-c", '"$@" | head -n 1; exit ${PIPESTATUS[0]}', "bash", sys.executable, "-c", PROGRAM, "chatter"]
     shell = subprocess.run(pipeline, capture_output=True, text=True)
     assert (shell.returncode, shell.stdout, shell.stderr) == (0, "line 0\n", "")
+
+
+def test_the_next_command_is_typed_as_this_one_was(monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/opt/ros/jazzy")
+    monkeypatch.setattr(sys, "argv", ["/install/mrd_diagnosis/lib/mrd_diagnosis/diagnose"])
+    assert command("mrd_diagnosis", "apply") == "ros2 run mrd_diagnosis apply"
+    monkeypatch.setattr(sys, "argv", ["mrd diagnose"])
+    assert command("mrd_diagnosis", "apply") == "mrd apply"
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    monkeypatch.setattr(sys, "argv", ["/usr/lib/ipykernel_launcher.py"])
+    assert command("mrd_diagnosis", "apply") == "mrd apply"

@@ -39,14 +39,14 @@ from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
 from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
-from mrd_diagnosis.preflight import preflight
-from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.sentences import fault_sentence, verdict_sentence
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
+from mrd_identification.preflight import preflight
+from mrd_identification.preflight.excitation import has_one_peak_speed
 from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects

@@ -4,6 +4,7 @@ import math
 import shlex
 from collections.abc import Sequence
 
+from mrd_base.tool import command
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
@@ -236,8 +237,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     folder, runs = shlex.quote(folder), _run_arguments(diagnosis.runs)
     held_out = f" --held-out {_run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
     held_out += f" --reference {_run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
-    diagnose = f"ros2 run mrd_diagnosis diagnose {runs}"
-    apply = f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
+    diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
+    apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "explained":
         return apply
     if diagnosis.verdict == "ambiguous":
@@ -254,7 +255,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         model_id, _, change = model.name.partition(" with ")
         if change.endswith(" fitted too"):
             free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
-            commands.append(f"ros2 run mrd_identification identify {runs}{held_out} --model {model_id} {free} --output DIR")
+            identify = command("mrd_identification", "identify")
+            commands.append(f"{identify} {runs}{held_out} --model {model_id} {free} --output DIR")
         elif model_id in MODELS:
             law = " --law quadratic" if change else ""
             commands.append(f"{diagnose}{held_out} --model {model_id}{law} --output DIR")

@@ -1,15 +1,12 @@
 """Follow a parameter of a damper over dated runs."""
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tqdm import tqdm
-
 from mrd_base import InputError, run_tool
+from mrd_base.progress import shown_progress
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.trend.calendar import Calendar, make_calendar
@@ -41,7 +38,7 @@ def work() -> None:
         start = _follow_what_changed(start, runs, calendar, folder, arguments.seed)
     if not start.follow:
         return
-    with _progress_bar() as progress:
+    with shown_progress("trend") as progress:
         result = trend(
             runs,
             start.model,
@@ -63,9 +60,8 @@ def work() -> None:
 
 def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="trend",
         description="Follow a parameter over dated runs: find its trend and a change point, and predict when it reaches a "
-        "limit. Without a parameter, first find the effect that explains what has changed. Writes trend.json, trend.html.",
+        "limit. Without a parameter, first find the effect that explains what has changed. Writes trend.json, trend.html."
     )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV file")
     parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: the model of --report or --parameters")
@@ -146,7 +142,7 @@ def _start(arguments: argparse.Namespace) -> _Start:
 
 def _follow_what_changed(start: _Start, runs: Sequence[Run], calendar: Calendar, folder: Path, seed: int) -> _Start:
     """Explain what has changed, write the report of that, and follow the effect that explains most of it."""
-    with _progress_bar() as progress:
+    with shown_progress("trend") as progress:
         diagnosis = change_over_dates(
             runs, calendar, start.model, laws=start.laws, parameters=start.fit, seed=seed, progress=progress
         )
@@ -158,14 +154,3 @@ def _follow_what_changed(start: _Start, runs: Sequence[Run], calendar: Calendar,
         print(f"No parameter is followed. Name one by --parameter ({names}) or an effect by --effect.")
     causes = [cause.effect for cause in diagnosis.causes]
     return replace(start, model=diagnosis.model.id, laws=diagnosis.model.laws, follow=follow, effects=causes)
-
-
-@contextmanager
-def _progress_bar() -> Iterator[Callable[[str, float], None]]:
-    with tqdm(total=100, desc="trend", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.set_description_str(stage, refresh=False)
-            bar.update(int(100 * fraction) - bar.n)
-
-        yield progress

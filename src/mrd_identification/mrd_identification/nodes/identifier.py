@@ -13,7 +13,7 @@ from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
 from mrd_identification.method import Method, parse_method
-from mrd_identification.report import sentence, write_report
+from mrd_identification.report import write_report
 from mrd_interfaces.action import Identify
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_sim.effects import load_effects
@@ -56,7 +56,7 @@ def read_method(request: Identify.Goal) -> Method:
 
 
 def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
-    result.message = sentence(fit)
+    result.message = fit.sentence
     result.fit = str((folder / "fit.json").resolve())
     result.report = str((folder / "fit.html").resolve())
     result.parameter = [estimate.parameter.name for estimate in fit.estimates]
