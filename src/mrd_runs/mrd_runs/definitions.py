@@ -2,7 +2,6 @@
 
 import os
 from pathlib import Path
-from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -38,9 +37,3 @@ def typestore() -> Typestore:
     for file in sorted(interface_folder().glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"mrd_interfaces/msg/{file.stem}"))
     return store
-
-
-def type_name(message_type: Any) -> str:
-    """Return the full name of a ROS message class, as bags have it."""
-    package, kind, _ = message_type.__module__.split(".")
-    return f"{package}/{kind}/{message_type.__name__}"

@@ -16,7 +16,7 @@ from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.operations import BenchOperations, Interruption, Peers, never_interrupted
 from mrd_bench_driver.supervision.procedure import Progress, RunOutcome, SetOutcome, run_experiment, run_set
 from mrd_bench_driver.supervision.punctuality import Punctuality
-from mrd_bench_driver.supervision.run_requests import RunRequest, set_of_runs, single_run
+from mrd_bench_driver.supervision.run_requests import RunRequest, require_new, set_of_runs, single_run
 from mrd_bench_driver.supervision.snapshot import BenchMonitor
 
 # Receives the number of a run in its set, from 1, its request, the phase, elapsed time in s and duration in s.
@@ -165,6 +165,16 @@ class Supervisor:
                 self.mode.enter(Mode.IDLE, "fault reset")
         return "reset; home or run an experiment to go on"
 
+    def check_experiment(self, experiment: str, bag: str, seed: int) -> None:
+        """Raise `RefusedError` if `run_experiment` would refuse at once."""
+        self._require_free()
+        require_new(single_run(experiment, bag, seed, Path(self._config.runs)))
+
+    def check_set(self, experiments: Sequence[str], folder: str, seed: int) -> None:
+        """Raise `RefusedError` if `run_set` would refuse at once."""
+        self._require_free()
+        set_of_runs(experiments, folder, seed, Path(self._config.runs))
+
     def run_experiment(
         self, experiment: str, bag: str, seed: int, progress: Progress, cancelled: Callable[[], bool]
     ) -> RunOutcome:
@@ -238,12 +248,20 @@ class Supervisor:
         problem = self._punctuality.problem()
         return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome
 
+    def _require_free(self) -> None:
+        """Refuse unless the bench is idle and no procedure runs."""
+        self._require_no_procedure()
+        self.mode.require_idle()
+
+    def _require_no_procedure(self) -> None:
+        if self.procedure:
+            raise RefusedError(f"the bench is busy: {self.procedure}; wait for its end or call stop")
+
     @contextlib.contextmanager
     def _exclusive(self, procedure: str) -> Iterator[None]:
         """Let one procedure run at a time; refuse others."""
         with self._lock:
-            if self.procedure:
-                raise RefusedError(f"the bench is busy: {self.procedure}; wait for its end or call stop")
+            self._require_no_procedure()
             self.procedure = procedure
             self._stop_requested.clear()
         try:

@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.nodes.bench_node import run_node
+from mrd_base.nodes.graph import DIAGNOSE
 from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command
@@ -24,7 +25,7 @@ class Diagnoser(AnalysisNode):
     """Serves the action ``diagnose``."""
 
     def __init__(self) -> None:
-        super().__init__("diagnoser", Diagnose, "diagnose")
+        super().__init__("diagnoser", DIAGNOSE.type, DIAGNOSE.name)
 
     def work(self, request: Diagnose.Goal, publish: Callable[[Any], None], result: Diagnose.Result) -> None:
         """Diagnose the gap that the goal asks about, and write the report."""

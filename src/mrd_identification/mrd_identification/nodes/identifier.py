@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.nodes.bench_node import run_node
+from mrd_base.nodes.graph import IDENTIFY
 from mrd_identification.fit import Fit
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
@@ -23,7 +24,7 @@ class Identifier(AnalysisNode):
     """Serves the action ``identify``."""
 
     def __init__(self) -> None:
-        super().__init__("identifier", Identify, "identify")
+        super().__init__("identifier", IDENTIFY.type, IDENTIFY.name)
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         """Identify the model of the goal and write its files."""
