@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .PHONY: help build demo test lint bench trials lock clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
-TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
+TYPED := $(filter-out mrd_interfaces mrd_bringup,$(PACKAGES))
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile

@@ -1,6 +1,7 @@
 """Message definitions that a bag contains, as rosbags types; no ROS is needed."""
 
 import os
+import re
 from pathlib import Path
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -37,3 +38,14 @@ def typestore() -> Typestore:
     for file in sorted(interface_folder().glob("*.msg")):
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"mrd_interfaces/msg/{file.stem}"))
     return store
+
+
+def definition(store: Typestore, message_type: str) -> str:
+    """Return the text that defines a message type in a bag. Those of mrd_interfaces keep the comments with the units."""
+    text, _ = store.generate_msgdef(message_type, ros_version=2)
+    package, _, name = message_type.split("/")
+    if package != "mrd_interfaces":
+        return text
+    # The types that it uses follow after a line of equals signs.
+    _, *used = re.split(r"^(?==)", text, maxsplit=1, flags=re.MULTILINE)
+    return "".join([(interface_folder() / f"{name}.msg").read_text(encoding="utf-8"), *used])

@@ -204,7 +204,7 @@ class BenchNode(Node, Generic[C]):
         """Return the clock of bench time for the parameter ``clock``."""
         if not clock:
             return BenchClock()
-        barrier_clock = BarrierClock(clock, self.get_name())
+        barrier_clock = BarrierClock(Path(clock).expanduser(), self.get_name())
         barrier_clock.on_loss = lambda what: self.get_logger().error(what)
         return barrier_clock
 

@@ -41,7 +41,7 @@ RECORDED = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each is one of its kind
 class Topic:
     """A topic.
 
@@ -80,7 +80,7 @@ class Topic:
         return node.create_subscription(self.type, self.name, callback, qos or self.qos, raw=raw)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each is one of its kind
 class Service:
     """A service: its name, its type, the node that serves it, and what it does."""
 
@@ -98,7 +98,7 @@ class Service:
         return node.create_client(self.type, self.name)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each is one of its kind
 class Action:
     """An action: its name, its type, the node that serves it, and what it does."""
 
@@ -141,7 +141,7 @@ SETPOINT = Topic(
     Setpoint,
     COMMAND,
     "what rod and coil are to do, 100 Hz while an experiment runs",
-    publishers=("generator",),
+    publishers=("generator", "replay"),
     subscribers=("servo", "daq", "supervisor", "recorder"),
     recorded=True,
 )

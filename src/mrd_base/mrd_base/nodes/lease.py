@@ -42,6 +42,7 @@ class LeaseFollower(LeaseWatch):
         self._node, self._stop = node, stop
         self._warned = -_WARNING_PERIOD
         self.refused = ""
+        self._news = False  # whether something was refused that `latest_refusal` has not told
         LEASE.subscription(node, self._on_lease)
         node.create_bench_timer(_CHECK_PERIOD, self.check)
 
@@ -76,8 +77,13 @@ class LeaseFollower(LeaseWatch):
             self._warn(f"a setpoint is refused: {reason}; publishers of setpoint: {', '.join(names)}")
         return not reason
 
+    def latest_refusal(self) -> str:
+        """Return the latest refusal of a lease or setpoint since the last call, or ""."""
+        news, self._news = self._news, False
+        return self.refused if news else ""
+
     def _warn(self, refusal: str) -> None:
-        self.refused = refusal
+        self.refused, self._news = refusal, True
         if (now := self._node.bench.now()) - self._warned > _WARNING_PERIOD:
             self._warned = now
             self._node.get_logger().warning(refusal)

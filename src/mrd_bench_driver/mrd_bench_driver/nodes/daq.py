@@ -61,6 +61,7 @@ class DaqNode(BenchNode[DaqConfig]):
         self._publish_calibration()
         self._publish_state("")
 
+        self._lost = 0
         self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop)
         self.accept_parameter("rate_hz", config.rate, self._set_rate)
         DAQ_TARE.serve(self, self._on_tare)
@@ -158,6 +159,12 @@ class DaqNode(BenchNode[DaqConfig]):
         except InputError as error:
             response.message = f"daq: {error}"
         return response
+
+    def warning(self) -> str:
+        """Return what was lost or refused since the last call."""
+        before, self._lost = self._lost, self._daq.lost
+        refused = self._lease.latest_refusal()
+        return f"{self._lost - before} readings of the converter were lost" if self._lost > before else refused
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the state of the DAQ."""

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,9 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.servo.streaming import RodSetpoint
 from mrd_interfaces import msg
 
+# Temperature of the motor in degC that is worth a warning: 10 below the limit at which it faults (Moog, default of TH).
+_WARM = 75.0
+
 
 class ServoNode(BenchNode[ServoConfig]):
     """Follows ``setpoint``; publishes ``servo_state`` and ``joint_states``.
@@ -40,9 +44,12 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def __init__(self) -> None:
         super().__init__("servo", ServoConfig)
-        self._published = ServoStatus()
+        self._published, self._missed = ServoStatus(), 0
         self._force = math.nan  # mean of the latest block of samples, in N
-        self._communication = ServoCommunication(self.config, self.bench, self._publish)
+        # No shell has expanded the parameter's ~.
+        config = dataclasses.replace(self.config, port=str(Path(self.config.port).expanduser()))
+        self.hardware_id = config.port
+        self._communication = ServoCommunication(config, self.bench, self._publish)
         self._controller = self._communication.controller
         self._state = SERVO_STATE.publisher(self)
         self._joint = JOINT_STATES.publisher(self)
@@ -121,6 +128,16 @@ class ServoNode(BenchNode[ServoConfig]):
         if status.connected != self._published.connected:
             self.get_logger().info("motor connected" if status.connected else "motor not connected")
         self._published = status
+
+    def warning(self) -> str:
+        """Return what was missed or refused since the last call, or that the motor is warm."""
+        before, self._missed = self._missed, self._controller.missed_replies
+        refused = self._lease.latest_refusal()
+        if self._missed > before:
+            return f"{self._missed - before} times the motor did not reply; check the line"
+        if self._published.temperature > _WARM:
+            return f"the motor has {self._published.temperature:.0f} degC; it stops by itself at 85 degC"
+        return refused
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or that the motor is not connected, and the state."""

@@ -78,6 +78,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._emergency_stop = EMERGENCY_STOP.publisher(self)
         self._lease = LEASE.publisher(self)
         self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
+        self._late = 0
         self._renewed, self._lease_lock = -math.inf, threading.Lock()
         self._supervisor = Supervisor(
             self.config, self.bench, self._peers, self._announce, lambda stop: self._emergency_stop.publish(Bool(data=stop))
@@ -275,6 +276,12 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             goal.abort()
 
     # The base of a node
+
+    def warning(self) -> str:
+        """Return how many cycles were late since the last call."""
+        before, self._late = self._late, self._supervisor.late_cycles
+        late = self._late - before
+        return f"{late} cycles were more than {1e3 * self.config.late:g} ms late; this machine is busy" if late > 0 else ""
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault, if there is one, and the mode."""

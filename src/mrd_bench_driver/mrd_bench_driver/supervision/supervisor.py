@@ -59,6 +59,7 @@ class Supervisor:
     ) -> None:
         self._config, self._clock, self._peers = config, clock, peers
         self._send_emergency_stop = send_emergency_stop
+        self._runs = Path(config.runs).expanduser()
         self._lock = threading.Lock()
         self._stop_requested = threading.Event()
         self._punctuality = Punctuality(config.late)
@@ -106,6 +107,11 @@ class Supervisor:
         """Check the interlocks, and how punctually this is called every ``check`` s."""
         self._punctuality.note(self._clock.now(), self._config.check)
         self.check_interlocks()
+
+    @property
+    def late_cycles(self) -> int:
+        """Number of late cycles in the latest run or since the start."""
+        return self._punctuality.late
 
     # Requests
 
@@ -168,12 +174,12 @@ class Supervisor:
     def check_experiment(self, experiment: str, bag: str, seed: int) -> None:
         """Raise `RefusedError` if `run_experiment` would refuse at once."""
         self._require_free()
-        require_new(single_run(experiment, bag, seed, Path(self._config.runs)))
+        require_new(single_run(experiment, bag, seed, self._runs))
 
     def check_set(self, experiments: Sequence[str], folder: str, seed: int) -> None:
         """Raise `RefusedError` if `run_set` would refuse at once."""
         self._require_free()
-        set_of_runs(experiments, folder, seed, Path(self._config.runs))
+        set_of_runs(experiments, folder, seed, self._runs)
 
     def run_experiment(
         self, experiment: str, bag: str, seed: int, progress: Progress, cancelled: Callable[[], bool]
@@ -181,7 +187,7 @@ class Supervisor:
         """Run one experiment, given by the text of its file. ``cancelled`` is asked during every wait."""
 
         def work(bench: BenchOperations) -> RunOutcome:
-            return self._run(bench, single_run(experiment, bag, seed, Path(self._config.runs)), progress)
+            return self._run(bench, single_run(experiment, bag, seed, self._runs), progress)
 
         return self._run_exclusively("run_experiment", RunOutcome, work, cancelled)
 
@@ -191,7 +197,7 @@ class Supervisor:
         """Run experiments one after the other, each into its own bag in the folder."""
 
         def work(bench: BenchOperations) -> SetOutcome:
-            requests = set_of_runs(experiments, folder, seed, Path(self._config.runs))
+            requests = set_of_runs(experiments, folder, seed, self._runs)
 
             def progress_of(request: RunRequest) -> Progress:
                 return partial(progress, requests.index(request) + 1, request)

@@ -18,6 +18,7 @@ from mrd_identification.report import sentence, write_report
 from mrd_interfaces.action import Identify
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_sim.effects import load_effects
+from mrd_sim.models import find_model
 
 
 class Identifier(AnalysisNode):
@@ -25,6 +26,11 @@ class Identifier(AnalysisNode):
 
     def __init__(self) -> None:
         super().__init__("identifier", IDENTIFY.type, IDENTIFY.name)
+
+    def check(self, request: Identify.Goal) -> None:
+        """Refuse a method or a model that there is not."""
+        read_method(request)
+        find_model(request.model)
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         """Identify the model of the goal and write its files."""

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+import shutil
 import signal
 import threading
 from dataclasses import dataclass
@@ -39,6 +40,9 @@ from mrd_runs.completeness import check_completeness
 from mrd_runs.definitions import typestore
 from mrd_runs.rest import RestLimits, RestMonitor
 from mrd_runs.run_info import describe_calibration, format_run_info
+
+# Free space in bytes below which the diagnostics warn: an hour at 2 kHz.
+_LITTLE_SPACE = 500e6
 
 
 @dataclass(frozen=True)
@@ -202,7 +206,7 @@ class Recorder(BenchNode[RecorderSettings]):
             calibration=None if calibration is None else describe_calibration(calibration),
             node=self.get_fully_qualified_name(),
         )
-        writer = BagWriter(Path(request.bag).absolute())
+        writer = BagWriter(Path(request.bag).expanduser().absolute())
         writer.add_topic(self._run_info, "std_msgs/msg/String", latched=True)
         for topic, (message_type, latched) in self._types.items():
             writer.add_topic(topic, message_type, depth=1 if latched else RECORDED.depth, latched=latched)
@@ -294,6 +298,11 @@ class Recorder(BenchNode[RecorderSettings]):
         return failure
 
     # The base of a node
+
+    def warning(self) -> str:
+        with self._lock:
+            path = None if self._writer is None else self._writer.path
+        return f"only {free_space(path)}" if path and shutil.disk_usage(path).free < _LITTLE_SPACE else ""
 
     def health(self) -> tuple[str, dict[str, Any]]:
         with self._lock:
