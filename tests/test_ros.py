@@ -97,7 +97,8 @@ def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> 
     answers = report["actions"]
     for name in ("run_experiment", "run_set", "identify"):
         assert answers[name]["good"][0] == "succeeded", answers[name]
-    assert answers["diagnose"]["good"] == ["aborted", f"{tmp_path}/stranger/nowhere: no such file"]
+    assert answers["diagnose"]["good"][0] == "aborted"
+    assert answers["diagnose"]["good"][1].startswith(f"{tmp_path}/stranger/nowhere: no such file")
     for name, answer in answers.items():
         assert answer["empty"][0] == "rejected", name
         assert answer["empty"][1].startswith(f"{name}: "), name
@@ -236,6 +237,48 @@ def test_every_node_explains_itself(row: str) -> None:
     assert told.stdout.startswith(f"usage: {row} [--ros-args")
     for topic in TOPICS:
         assert (f"\n  {topic.name}  " in told.stdout) == (row in topic.publishers + topic.subscribers), topic.name
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("keys", ["none", "empty"])
+def test_without_its_keys_no_node_of_a_secured_bench_starts(keys: str, tmp_path: Path) -> None:
+    """Nor where the middleware knows no security: nothing runs unprotected that was to be protected."""
+    enclave = tmp_path / "enclaves/bench/generator"
+    if keys == "empty":
+        enclave.mkdir(parents=True)
+    secured = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce", "ROS_SECURITY_KEYSTORE": str(tmp_path)}
+    command = ["ros2", "run", "mrd_trajectory", "generator", "--ros-args", "--enclave", "/bench/generator"]
+    node = subprocess.run(command, env={**os.environ, **secured}, capture_output=True, text=True, timeout=60)
+    assert node.returncode == 2
+    assert node.stderr.startswith("error: ")
+    assert node.stderr.count("\n") == 1
+    assert "SECURITY ERROR: directory" in node.stderr or "security" in node.stderr
+
+
+def test_only_supervisor_and_operator_may_command() -> None:
+    enclaves = {
+        enclave.get("path"): {
+            (group.tag, *group.attrib): [entry.text for entry in group]
+            for group in enclave.iter()
+            if "ALLOW" in group.attrib.values()
+        }
+        for enclave in ElementTree.parse(share("security/policies.xml")).getroot().iter("enclave")
+    }
+    assert enclaves.keys() == {f"/bench/{name}" for name in (*NODES, "operator", "observer")}
+
+    def may(kind: str, right: str, name: str = "") -> set[str]:
+        return {
+            path
+            for path, rules in enclaves.items()
+            if any(not name or name == entry for entry in rules.get((kind, right), []))
+        }
+
+    assert may("topics", "publish", "lease") == {"/bench/supervisor"}
+    assert may("topics", "publish", "emergency_stop") == {"/bench/supervisor", "/bench/operator"}
+    assert may("topics", "publish", "setpoint") == {"/bench/generator", "/bench/replay"}
+    assert may("services", "request") == {"/bench/supervisor", "/bench/operator"}
+    assert may("actions", "call") == {"/bench/operator"}
+    assert set(enclaves["/bench/observer"]["topics", "publish"]) == {"/rosout", "/parameter_events"}
 
 
 # Bring-up by hand

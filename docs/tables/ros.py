@@ -1,4 +1,4 @@
-"""Writes the tables of docs/ros.md from the graph of the bench and the configurations of its nodes.
+"""Writes the tables of docs/ros.md, and the policies for SROS 2, from the graph of the bench and its nodes' configurations.
 
 python docs/tables/ros.py            # writes them into the page
 python docs/tables/ros.py --check    # fails where the page is not up to date
@@ -8,6 +8,7 @@ import argparse
 import importlib
 import inspect
 import sys
+import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,6 +23,16 @@ from mrd_base.nodes.parameters import CLOCK
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "ros.md"
+POLICIES = ROOT / "src" / "mrd_bringup" / "security" / "policies.xml"
+# The services that ROS gives every node.
+PARAMETER_SERVICES = (
+    "~/describe_parameters",
+    "~/get_parameters",
+    "~/get_parameter_types",
+    "~/list_parameters",
+    "~/set_parameters",
+    "~/set_parameters_atomically",
+)
 # Every node has these from its base; they would hide the rest.
 HIDDEN = {"/diagnostics"}
 
@@ -112,6 +123,49 @@ def parameters() -> str:
     return "\n\n".join(sections)
 
 
+def policies() -> str:
+    """Return who may publish, subscribe and call what, as `ros2 security` reads it: one enclave for each node.
+
+    Only the supervisor and the operator may call services of other nodes. The observer may subscribe, and nothing else.
+    """
+    names = [topic.name for topic in TOPICS]
+    root = ElementTree.Element("policy", version="0.2.0")
+    enclaves = ElementTree.SubElement(root, "enclaves")
+
+    def add(enclave: str, rules: dict[tuple[str, str], Sequence[str]]) -> None:
+        element = ElementTree.SubElement(enclaves, "enclave", path=f"/bench/{enclave}")
+        profiles = ElementTree.SubElement(element, "profiles")
+        profile = ElementTree.SubElement(profiles, "profile", ns="/bench", node=enclave)
+        for (kind, right), entries in rules.items():
+            if entries:
+                group = ElementTree.SubElement(profile, kind, {right: "ALLOW"})
+                for entry in entries:
+                    ElementTree.SubElement(group, kind[:-1]).text = entry
+
+    of_all = ("/rosout", "/parameter_events")
+    for node in NODES:
+        others = [service.name for service in SERVICES if service.node != node]
+        rules: dict[tuple[str, str], Sequence[str]] = {
+            ("topics", "publish"): [*(topic.name for topic in TOPICS if node in topic.publishers), *of_all],
+            ("topics", "subscribe"): [topic.name for topic in TOPICS if node in topic.subscribers],
+            ("services", "reply"): [*(service.name for service in SERVICES if service.node == node), *PARAMETER_SERVICES],
+            ("services", "request"): [*others, "daq/set_parameters"] if node == "supervisor" else [],
+            ("actions", "execute"): [action.name for action in ACTIONS if action.node == node],
+        }
+        add(node, rules)
+    stops = [topic.name for topic in TOPICS if "bench" in topic.publishers]
+    everything: dict[tuple[str, str], Sequence[str]] = {
+        ("topics", "publish"): [*stops, *of_all],
+        ("topics", "subscribe"): names,
+        ("services", "request"): [service.name for service in SERVICES],
+        ("actions", "call"): [action.name for action in ACTIONS],
+    }
+    add("operator", everything)
+    add("observer", {("topics", "publish"): of_all, ("topics", "subscribe"): names})
+    ElementTree.indent(root)
+    return f"<!-- Written by docs/tables/ros.py. -->\n{ElementTree.tostring(root, encoding='unicode')}\n"
+
+
 def main() -> None:
     """Write, check or print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -127,9 +181,11 @@ def main() -> None:
     }
     for name, content in contents.items():
         new = page_with(new, name, content, PAGE)
-    if arguments.check and new != old:
-        sys.exit(f"{PAGE}: is not up to date; run: python docs/tables/ros.py")
-    PAGE.write_text(new, encoding="utf-8")
+    old_policies = POLICIES.read_text(encoding="utf-8") if POLICIES.exists() else ""
+    for path, was, is_now in ((PAGE, old, new), (POLICIES, old_policies, policies())):
+        if arguments.check and was != is_now:
+            sys.exit(f"{path}: is not up to date; run: python docs/tables/ros.py")
+        path.write_text(is_now, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import typing
+import warnings
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -128,7 +129,12 @@ class BenchNode(Node, Generic[C]):
         self._inboxes: dict[Subscription, _Inbox] = {}
         self.hardware_id = "none"
         self._refusals: Publisher | None = None
-        super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
+        try:
+            with warnings.catch_warnings(action="ignore"):  # what rcl warns of after the error that follows
+                super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
+        except RCLError as error:
+            # For example a middleware without the security that ROS_SECURITY_ENABLE asks for.
+            raise InputError(f"node {name}: {' '.join(str(error).split(', at /')[0].split())}") from None
         for file in _parameter_files(sys.argv):
             check_sections(file, {*NODES, name})
         self.config: C = self._configure(config_type)
