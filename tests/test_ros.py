@@ -108,7 +108,7 @@ def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> 
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(240)
 def test_the_running_graph_is_the_declared_one(again: Any) -> None:
     """Who publishes and subscribes, and with which quality of service. The client of the fixture has ends of its own."""
     node, running = again.client.node, set(again.processes.running)
@@ -135,7 +135,7 @@ def test_the_running_graph_is_the_declared_one(again: Any) -> None:
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(240)
 def test_plots_have_scalars_and_joint_states_come_once_the_rod_is_homed(bench: Any, tmp_path: Path) -> None:
     joints = bench.subscribe("joint_states", *next((t.type, t.qos) for t in TOPICS if t.name == "joint_states"))
     bench.client.spin(lambda: len(bench.servo) > 20, 20)
