@@ -179,7 +179,7 @@ JOINT_STATES = Topic(
     "joint_states",
     JointState,
     RECORDED,
-    "joint `rod`: position in m, velocity in m/s, effort in N by the load cell; once the rod is homed, with servo_state",
+    "joint `rod`: position in m, velocity in m/s, effort in N by the load cell; once for each block, when homed",
     publishers=("servo", "replay"),
     subscribers=("recorder",),
     recorded=True,

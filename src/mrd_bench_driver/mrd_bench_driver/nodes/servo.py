@@ -45,7 +45,7 @@ class ServoNode(BenchNode[ServoConfig]):
     def __init__(self) -> None:
         super().__init__("servo", ServoConfig)
         self._published, self._missed = ServoStatus(), 0
-        self._force = math.nan  # mean of the latest block of samples, in N
+        self._force = math.nan  # mean in N of a block of samples that joint_states has not told
         # No shell has expanded the parameter's ~.
         config = dataclasses.replace(self.config, port=str(Path(self.config.port).expanduser()))
         self.hardware_id = config.port
@@ -118,11 +118,13 @@ class ServoNode(BenchNode[ServoConfig]):
         state = msg.ServoState(**{name: value for name, value in vars(status).items() if name != "time"})
         state.header.stamp = self.stamp(status.time)
         self._state.publish(state)
-        # Before it is homed, the encoder counts from where it was switched on.
+        # Before it is homed, the encoder counts from where it was switched on. One for each block of samples is enough for
+        # plots and visualisations: a recorded message costs a simulated bench more than a millisecond.
         if status.homed and not math.isnan(self._force):
             joint = JointState(name=["rod"], position=[status.position], velocity=[status.velocity], effort=[self._force])
             joint.header = state.header
             self._joint.publish(joint)
+            self._force = math.nan
         if status.message != self._published.message and status.message:
             self.get_logger().warning(status.message)
         if status.connected != self._published.connected:
