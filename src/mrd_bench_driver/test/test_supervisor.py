@@ -527,7 +527,8 @@ def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(fakes: Fakes, tm
 @pytest.mark.parametrize("way", ["stop", "cancel", "interlock"])
 def test_what_stops_a_run_ends_its_set_and_keeps_what_is_recorded(fakes: Fakes, tmp_path: Any, way: str) -> None:
     handle = fakes.send_set(str(tmp_path))
-    fakes.graph.until(lambda: "2 02_b running" in fakes.feedback and 0 < fakes.remaining < 20)
+    fakes.graph.until(lambda: "2 02_b running" in fakes.feedback and fakes.remaining > 0)
+    fakes.remaining = 10_000  # so that a busy machine does not end the run before it is stopped
     assert fakes.refusal(fakes.send()) == "run_experiment: the bench is busy: run_set; wait for its end or call stop"
     fakes.calls.clear()
     if way == "stop":
