@@ -2,10 +2,10 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench trials lock clean
+.PHONY: help build demo test lint bench trials lock audit clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
-TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
+TYPED := $(filter-out mrd_interfaces mrd_bringup,$(PACKAGES))
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -38,6 +38,9 @@ lock:  ## pin the newest packages that fit setup/*.in (needs uv)
 	$$compile --upgrade requirements.in ros.in --output-file wheels.lock; \
 	$$compile --upgrade requirements.in --constraints system.in --output-file system.lock
 
+audit:  ## look up known vulnerabilities of the pinned packages (needs network)
+	@setup/audit
+
 clean:  ## remove everything that was made, except recorded runs
-	@rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@rm -rf .venv .venv-audit build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find src tests setup benchmarks -name __pycache__ -prune -exec rm -rf {} +
