@@ -2,10 +2,10 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench faults fuzz soak trials lock clean
+.PHONY: help build demo test lint bench faults fuzz soak trials lock audit clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
-TYPED := $(filter-out mrd_interfaces,$(PACKAGES))
+TYPED := $(filter-out mrd_interfaces mrd_bringup,$(PACKAGES))
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
@@ -13,8 +13,10 @@ help:  ## list the targets
 build:  ## make the environment (.venv) and build the packages (install/)
 	@setup/build
 
-demo: build  ## drive the simulated bench, record, replay and identify a damper
-	@. ./env.sh; exec python setup/demo.py
+# SEED draws the fault of the demo, and the trial.
+SEED ?= 1
+demo: build  ## hide a fault in the simulated bench, record and identify it, and let the diagnosis find the fault
+	@. ./env.sh; exec python setup/demo.py --seed $(SEED)
 
 test: build lint  ## check style and types, then run all tests but the slow ones
 	@. ./env.sh; python -m pytest -n logical -m 'not slow and not realtime'; python -m pytest -m 'realtime and not slow'
@@ -41,7 +43,6 @@ bench: build  ## measure the speed of what must be fast
 	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done
 
 # RECORDED is a folder with recordings of measured dampers, one folder a damper, whose motion is replayed.
-SEED ?= 1
 TRIAL = trials/$(SEED)
 trials: build  ## score the diagnosis on dampers whose effects it is not told (hours; goes on where it was interrupted)
 	@. ./env.sh; ros2 run mrd_trials make $(TRIAL) --seed $(SEED) $(if $(RECORDED),--recorded $(RECORDED)); \
@@ -52,6 +53,9 @@ lock:  ## pin the newest packages that fit setup/*.in (needs uv)
 	$$compile --upgrade requirements.in ros.in --output-file wheels.lock; \
 	$$compile --upgrade requirements.in --constraints system.in --output-file system.lock
 
+audit:  ## look up known vulnerabilities of the pinned packages (needs network)
+	@setup/audit
+
 clean:  ## remove everything that was made, except recorded runs
-	@rm -rf .venv build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@rm -rf .venv .venv-audit build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find src tests setup benchmarks -name __pycache__ -prune -exec rm -rf {} +

@@ -52,6 +52,8 @@ class ActionNodeClient:
         from rclpy.action import ActionClient
         from rclpy.executors import SingleThreadedExecutor
 
+        from mrd_base.nodes.graph import REFUSALS
+
         rclpy.init()
         self.node = node()
         self._client = rclpy.create_node("client")
@@ -59,6 +61,8 @@ class ActionNodeClient:
         self._executor.add_node(self.node)
         self._executor.add_node(self._client)
         self.feedback: list[Any] = []
+        self._name, self._refusals = name, []
+        REFUSALS.subscription(self._client, lambda refusal: self._refusals.append(refusal.data))
         self._action = ActionClient(self._client, action, name)
         self.until(self._action.server_is_ready)
 
@@ -78,6 +82,17 @@ class ActionNodeClient:
         future = handle.get_result_async()
         self.until(future.done)
         return future.result()
+
+    def failure(self, goal: Any) -> str:
+        """Return why a goal is rejected or aborted."""
+        self._refusals.clear()
+        handle = self.send(goal)
+        if not handle.accepted:
+            self.until(lambda: self._refusals)
+            return self._refusals[0].removeprefix(f"{self._name}: ")
+        ended = self.ended(handle)
+        assert not ended.result.success
+        return ended.result.message
 
     def close(self) -> None:
         import rclpy

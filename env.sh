@@ -18,15 +18,5 @@ else
     command -v ros2 >/dev/null 2>&1 || export PATH="$PATH:$_mrd_root/setup/bin"
     # The tools that need no ROS are also there as `mrd NAME`.
     case ":$PATH:" in *":$_mrd_root/install/mrd_cli/"*) ;; *) export PATH="$PATH:$_mrd_root/install/mrd_cli/lib/mrd_cli" ;; esac
-    # A bench moves a machine: nobody else on the network should find its topics. ROS's own range LOCALHOST would do, but
-    # brings shared memory with it, which config/fastdds.xml tells why not.
-    if [ "${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}" = rmw_fastrtps_cpp ]; then
-        export ROS_AUTOMATIC_DISCOVERY_RANGE=SYSTEM_DEFAULT FASTRTPS_DEFAULT_PROFILES_FILE="$_mrd_root/config/fastdds.xml"
-    else
-        export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
-    fi
-    # Identification uses all cores itself; BLAS's own threads beside it only wait for each other.
-    export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
-    export MRD_BENCH="${MRD_BENCH:-$_mrd_root/config/bench.yaml}"
 fi
 unset _mrd_root

@@ -114,7 +114,7 @@ def in_nodes(file: Path) -> bool:
 
 def test_every_package_has_a_layer():
     packages = {file.parent.name for file in SOURCES.glob("*/package.xml")}
-    assert packages == {*BELOW, "mrd_interfaces"}
+    assert packages == {*BELOW, "mrd_interfaces", "mrd_bringup"}
     assert BELOW.keys() == EXECUTABLES.keys()
 
 

@@ -143,6 +143,19 @@ def test_no_network(machine):
     assert not (machine.workspace / ".venv" / "complete").exists()
 
 
+def test_an_audit_without_network_says_so(machine):
+    """In one line, and not with the status of packages without known vulnerabilities."""
+    shutil.copy(ROOT / "Makefile", machine.workspace)
+    (machine.bin / "awk").symlink_to(shutil.which("awk"))
+    clean = {"PATH": str(machine.bin), "HOME": str(machine.bin), "TMPDIR": str(machine.bin)}
+    clean |= {"PIP_INDEX_URL": "http://127.0.0.1:9/simple", "PIP_RETRIES": "1", "PIP_NO_CACHE_DIR": "1"}
+    audit = subprocess.run(["make", "audit"], cwd=machine.workspace, env=clean, capture_output=True, text=True, timeout=100)
+    assert audit.returncode != 0
+    line, *_ = audit.stderr.splitlines()
+    assert line.startswith("audit: no network: pip-audit cannot be downloaded; ")
+    assert not (machine.workspace / ".venv-audit/complete").exists()
+
+
 def fake_ros(machine: Machine) -> str:
     """Return a PYTHONPATH with an rclpy, as a sourced ROS 2 sets it. An empty lock avoids installations."""
     (machine.workspace / "setup" / "system.lock").write_text("")
@@ -205,8 +218,8 @@ def test_the_environment_can_be_entered_from_anywhere_and_twice(shell, tmp_path)
     lines = entered.stdout.splitlines()
     once, twice = dict(zip(names, lines, strict=False)), dict(zip(names, lines[len(names) :], strict=True))
     assert once == twice
-    assert Path(once["FASTRTPS_DEFAULT_PROFILES_FILE"]) == ROOT / "config" / "fastdds.xml"
-    assert Path(once["MRD_BENCH"]) == ROOT / "config" / "bench.yaml"
+    assert Path(once["FASTRTPS_DEFAULT_PROFILES_FILE"]).resolve() == ROOT / "config" / "fastdds.xml"
+    assert Path(once["MRD_BENCH"]).resolve() == ROOT / "config" / "bench.yaml"
     assert once["MRD_DATA"] == ""
     prefixes = once["AMENT_PREFIX_PATH"].split(":")
     assert str(ROOT / "install" / "mrd_base") in prefixes

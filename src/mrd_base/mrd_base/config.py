@@ -180,6 +180,29 @@ def read_node_parameters(path: str | Path, node: str) -> dict[str, Any]:
     return merged
 
 
+def check_sections(path: str | Path, nodes: Collection[str], *, others: bool = True) -> None:
+    """Check the names of the nodes in a ROS parameter file.
+
+    Parameters
+    ----------
+    nodes : collection of str
+        Names of the nodes that exist.
+    others : bool
+        Whether the file may also have sections of nodes of other packages, whose names resemble none of these.
+
+    Raises
+    ------
+    InputError
+        As `read_yaml`; also for a section of which no node takes its parameters.
+    """
+    for section in read_yaml(path):
+        name = str(section).rpartition("/")[2]
+        similar = difflib.get_close_matches(name, nodes, 1)
+        if name not in {"*", "**", *nodes} and (similar or not others):
+            hint = f"; did you mean {similar[0]}?" if similar else ""
+            raise InputError(f"{path}: section {section}: no node has this name{hint} (nodes: {', '.join(sorted(nodes))})")
+
+
 def _merge(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
     """Merge nested mappings key by key, as ROS merges parameter files."""
     merged = dict(base)

@@ -1,10 +1,19 @@
-"""The exit status of every command-line tool."""
+"""What every command-line tool has in common: its exit status, and how to call the next one."""
 
 import os
 import sys
 from collections.abc import Callable
 
 from mrd_base.errors import FaultError, InputError
+
+
+def command(package: str, tool: str) -> str:
+    """Return how to call another tool: as this one was called, by ``ros2 run`` or by ``mrd``.
+
+    Outside of a tool, as in a notebook, the environment decides: that of a ROS workspace names its packages.
+    """
+    by_mrd = sys.argv[0].startswith("mrd ") or "AMENT_PREFIX_PATH" not in os.environ
+    return f"mrd {tool}" if by_mrd else f"ros2 run {package} {tool}"
 
 
 def run_tool(work: Callable[[], None]) -> None:

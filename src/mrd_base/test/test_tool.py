@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from mrd_base import InputError
+from mrd_base.tool import command
 
 PROGRAM = """
 import sys, time
@@ -65,3 +66,14 @@ def test_a_closed_pipe_causes_no_error_message():
 def test_what_was_found_never_breaks_the_line_nor_fills_the_screen() -> None:
     assert str(InputError("name: found si\u2028ne\n")) == "name: found si?ne?"
     assert len(str(InputError("name: found " + 100_000 * "x"))) == 1000
+
+
+def test_the_next_command_is_typed_as_this_one_was(monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/opt/ros/jazzy")
+    monkeypatch.setattr(sys, "argv", ["/install/mrd_diagnosis/lib/mrd_diagnosis/diagnose"])
+    assert command("mrd_diagnosis", "apply") == "ros2 run mrd_diagnosis apply"
+    monkeypatch.setattr(sys, "argv", ["mrd diagnose"])
+    assert command("mrd_diagnosis", "apply") == "mrd apply"
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    monkeypatch.setattr(sys, "argv", ["/usr/lib/ipykernel_launcher.py"])
+    assert command("mrd_diagnosis", "apply") == "mrd apply"

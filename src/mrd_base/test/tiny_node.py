@@ -19,20 +19,30 @@ class TinySettings:
     gains: tuple[float, ...] = quantity((1.0, 2.0))
     offset: float | None = quantity(None, "mm")
     rate: float = quantity(25.0, "Hz", lower=1, upper=2000)
+    count: int = quantity(0, lower=0)
 
 
 class TinyNode(BenchNode[TinySettings]):
+    """Does nothing, but does it well."""
+
     dynamic = frozenset({"rate_hz"})
 
     def __init__(self) -> None:
         super().__init__("tiny", TinySettings)
+        self.hardware_id = "tiny 7"
         self.accept_parameter("rate_hz", self.config.rate, self.set_rate)
         print(self.config, flush=True)
 
     def set_rate(self, rate: float) -> None:
-        if not 1 <= rate <= 2000:
-            raise InputError(f"rate_hz: found {rate:g}, expected 1 to 2000")
+        if rate % 5:
+            raise InputError(f"rate_hz: found {rate:g}, expected a multiple of 5")
         print("rate", rate, flush=True)
+
+    def warning(self) -> str:
+        return "the port is loose" if self.config.port == "loose" else ""
+
+    def health(self) -> tuple[str, dict[str, object]]:
+        return ("the port is gone" if self.config.port == "gone" else ""), {}
 
     def close(self) -> None:
         print("closed", flush=True)

@@ -45,6 +45,7 @@ def run(
         (GENTLE, [], "daq has backend simulated; add --simulated"),
         (GENTLE, ["--bench", "none.yaml"], "none.yaml: cannot be read"),
         (GENTLE, ["--simulated", "--output", "done"], "bag: exists already; choose another --output"),
+        (GENTLE, ["--simulated", "--bench", "typo.yaml"], "typo.yaml: section /**/motor: no node has this name (nodes: "),
         (GENTLE, ["--pace", "2"], "--pace needs --simulated"),
         *((GENTLE, ["--simulated", f"--pace={x}"], "--pace is ") for x in ("0", "-2", "nan")),
         (GENTLE, ["--simulated", "--seed", "-1"], "--seed is -1, expected a whole number"),
@@ -55,6 +56,7 @@ def test_unusable_input_is_one_line_and_status_2(
 ) -> None:
     if text is not None:
         (tmp_path / "x.yaml").write_text(text)
+    (tmp_path / "typo.yaml").write_text((CONFIG / "bench.yaml").read_text().replace("/**/servo:", "/**/motor:"))
     (tmp_path / "done" / "bag").mkdir(parents=True)
     status, said = run("x.yaml", *arguments)
     assert status == 2

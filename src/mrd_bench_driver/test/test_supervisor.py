@@ -13,7 +13,7 @@ from rclpy.action import ActionClient
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED
+from mrd_base.nodes.graph import COMMAND, LATCHED, RECORDED, REFUSALS
 from mrd_interfaces.action import RunExperiment, RunSet
 from mrd_interfaces.msg import BenchSamples, BenchState, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
@@ -48,6 +48,7 @@ class Fakes:
         self.recorder_state = node.create_publisher(DiagnosticStatus, "recorder_state", LATCHED)
         self.emergency_stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         node.create_subscription(Bool, "emergency_stop", self._on_stop, LATCHED)
+        self.refusals: list[String] = graph.subscribe(REFUSALS.name, REFUSALS.type, REFUSALS.qos)
         self.states: list[BenchState] = graph.subscribe("bench_state", BenchState, LATCHED)
         services: dict[str, dict[str, tuple[Any, Callable[[Any, Any], None]]]] = {
             "servo": {
@@ -85,7 +86,7 @@ class Fakes:
         self.sampling = self.reporting = self.generating = True
         self.servo = ServoState(connected=True, position=float("nan"))
         self.bag = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
-        self.refusals: dict[str, str] = {}  # message of each service that refuses
+        self.refusing: dict[str, str] = {}  # message of each service that refuses
         self.remaining = 0
         self.recorder_said = "idle", ""
 
@@ -110,8 +111,8 @@ class Fakes:
     def _serve(self, name: str, work: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
         def serve(request: Any, response: Any) -> Any:
             self.calls.append(name + (f" {request.data}" if name == "servo/enable" else ""))
-            if name in self.refusals:
-                response.message = self.refusals[name]
+            if name in self.refusing:
+                response.message = self.refusing[name]
                 return response
             if hasattr(response, "success"):
                 response.success = True
@@ -147,7 +148,7 @@ class Fakes:
         response.results = [SetParametersResult(successful=True)]
 
     def _load(self, request: Any, response: Any) -> None:
-        assert request.experiment in (EXPERIMENT, *SET)
+        assert request.experiment.startswith(("{name: ", "name: short"))
         response.duration, response.rate = 0.5, 1000.0
         self._experiment.publish(String(data="loaded"))
 
@@ -209,6 +210,7 @@ class Fakes:
 
     def _send(self, action: ActionClient, goal: Any) -> Any:
         self.feedback: list[str] = []
+        self.refusals.clear()
         self.graph.until(action.server_is_ready, failure=self.graph.log("supervisor"))
         sent = action.send_goal_async(goal, feedback_callback=lambda m: self.feedback.append(phase(m.feedback)))
         self.graph.until(sent.done)
@@ -218,6 +220,12 @@ class Fakes:
         ended = handle.get_result_async()
         self.graph.until(ended.done, failure="the action did not end")
         return ended.result()
+
+    def refusal(self, handle: Any) -> str:
+        """Return why a goal was rejected."""
+        assert not handle.accepted
+        self.graph.until(lambda: self.refusals, failure="no reason came")
+        return str(self.refusals.pop(0).data)
 
     def running(self) -> Any:
         """Send an experiment and wait until it moves the rod."""
@@ -348,9 +356,9 @@ def test_a_stop_latches_until_reset_fault_finds_the_inputs_healthy(fakes: Fakes)
     # Neither time, nor a False on the topic, nor a new order takes it back.
     fakes.emergency_stop.publish(Bool(data=False))
     fakes.calls.clear()
-    result = fakes.result(fakes.send()).result
-    assert "the bench is in mode fault (interlock force" in result.message
-    assert "call reset_fault" in result.message
+    refusal = fakes.refusal(fakes.send())
+    assert "the bench is in mode fault (interlock force" in refusal
+    assert "call reset_fault" in refusal
     assert not fakes.graph.call("home", Trigger).success
     assert not fakes.graph.call("control", SetBool, data=True).success
     assert fakes.calls == []
@@ -406,8 +414,7 @@ def test_stop_ends_an_experiment_and_control(fakes: Fakes) -> None:
     assert fakes.graph.call("control", SetBool, data=True).success
     fakes.graph.until(lambda: fakes.mode() == BenchState.CONTROL)
     assert fakes.servo.enabled
-    refused = fakes.result(fakes.send()).result
-    assert refused.message == "the bench is in mode control (control); call stop first"
+    assert fakes.refusal(fakes.send()) == "run_experiment: the bench is in mode control (control); call stop first"
     assert fakes.servo.enabled
     assert fakes.graph.call("stop", Trigger).success
     fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
@@ -435,7 +442,7 @@ def test_what_is_missing_refuses_the_experiment_before_anything_moves(graph: Any
     ("service", "done"), [("load_experiment", 1), ("servo/home", 3), ("start_recording", 6), ("start_experiment", 7)]
 )
 def test_a_peer_that_refuses_ends_the_experiment(fakes: Fakes, service: str, done: int) -> None:
-    fakes.refusals[service] = "because"
+    fakes.refusing[service] = "because"
     result = fakes.result(fakes.send()).result
     assert result.message.endswith(": because")
     assert fakes.calls[:done] == STEPS[:done]
@@ -498,12 +505,12 @@ def test_a_stop_that_another_supervisor_left_is_seen(fakes: Fakes) -> None:
 
 def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(fakes: Fakes, tmp_path: Any) -> None:
     # What an action publishes before its client is matched is lost: orders that are refused, until one of them is heard.
-    fakes.refusals["load_experiment"] = "not yet"
+    fakes.refusing["load_experiment"] = "not yet"
     while True:
         assert not fakes.result(fakes.send_set(str(tmp_path))).result.success
         if fakes.feedback:
             break
-    fakes.refusals.clear()
+    fakes.refusing.clear()
     fakes.calls.clear()
     ended = fakes.result(fakes.send_set(str(tmp_path)))
     result = ended.result
@@ -525,9 +532,9 @@ def test_a_set_is_recorded_by_one_order_each_run_in_its_own_bag(fakes: Fakes, tm
 @pytest.mark.parametrize("way", ["stop", "cancel", "interlock"])
 def test_what_stops_a_run_ends_its_set_and_keeps_what_is_recorded(fakes: Fakes, tmp_path: Any, way: str) -> None:
     handle = fakes.send_set(str(tmp_path))
-    fakes.graph.until(lambda: "2 02_b running" in fakes.feedback and 0 < fakes.remaining < 20)
-    refused = fakes.result(fakes.send()).result
-    assert refused.message == "the bench is busy: run_set; wait for its end or call stop"
+    fakes.graph.until(lambda: "2 02_b running" in fakes.feedback and fakes.remaining > 0)
+    fakes.remaining = 10_000  # so that a busy machine does not end the run before it is stopped
+    assert fakes.refusal(fakes.send()) == "run_experiment: the bench is busy: run_set; wait for its end or call stop"
     fakes.calls.clear()
     if way == "stop":
         assert fakes.graph.call("stop", Trigger).success
@@ -555,11 +562,34 @@ def test_a_set_that_cannot_be_recorded_as_a_whole_is_refused_before_anything_mov
         ([SET[0], SET[0]], "experiment 2: another one of the set has the name 01_a"),
         (SET, "02_b: exists already and is not overwritten"),
     ):
-        result = fakes.result(fakes.send_set(str(tmp_path), experiments)).result
-        assert (result.success, result.recordings) == (False, [])
-        assert line in result.message
+        refusal = fakes.refusal(fakes.send_set(str(tmp_path), experiments))
+        assert refusal.startswith("run_set: ")
+        assert line in refusal
     assert fakes.calls == []
-    fakes.refusals["load_experiment"] = "speed exceeds"
+    fakes.refusing["load_experiment"] = "speed exceeds"
     result = fakes.result(fakes.send_set(str(tmp_path / "new"))).result
     assert result.message == "01_a: generator: speed exceeds (completely recorded of 3: none)"
     assert fakes.calls == ["load_experiment"]
+
+
+def test_a_goal_may_name_a_file(fakes: Fakes, tmp_path: Any) -> None:
+    file = tmp_path / "short.yaml"
+    file.write_text(EXPERIMENT)
+    ended = fakes.result(fakes.send(str(file)))
+    assert ended.result.success, ended.result.message
+    refusal = fakes.refusal(fakes.send(str(tmp_path / "shrot.yaml")))
+    assert refusal == f"run_experiment: {tmp_path}/shrot.yaml: cannot be read (No such file or directory)"
+    assert refusal in fakes.graph.log("supervisor").replace(" is refused: ", ": ")
+
+
+@pytest.mark.parametrize(
+    ("experiment", "line"),
+    [
+        ("", "experiment: is empty, expected a mapping of names to values"),
+        ("{name: short}", "experiment: duration_s is missing"),
+        (EXPERIMENT.replace("constant", "sinus"), "experiment: rod: unknown waveform sinus"),
+    ],
+)
+def test_a_bad_goal_is_rejected_and_calls_nobody(fakes: Fakes, experiment: str, line: str) -> None:
+    assert fakes.refusal(fakes.send(experiment)).startswith(f"run_experiment: {line}")
+    assert fakes.calls == []

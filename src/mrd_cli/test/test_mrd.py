@@ -48,17 +48,12 @@ def test_help_lists_every_tool_with_a_line(run, arguments):
         assert len(line) <= 100
 
 
-def test_every_tool_is_there(run):
-    for name, tool in mrd.TOOLS.items():
-        assert callable(import_module(tool.module).main)
-        code, text, _ = run(name, "--help")
-        assert code == 0
-        assert text.startswith("usage: ")
-
-
-def test_the_usage_of_a_tool_is_what_one_types(run):
-    assert run("identify", "--help")[1].startswith("usage: mrd identify [-h] ")
-    assert run("import", "--help")[1].startswith("usage: mrd import [-h] ")
+@pytest.mark.parametrize("name", mrd.TOOLS)
+def test_every_tool_is_there_and_its_usage_is_what_one_types(run, name):
+    assert callable(import_module(mrd.TOOLS[name].module).main)
+    code, text, _ = run(name, "--help")
+    assert code == 0
+    assert text.startswith(f"usage: mrd {name} [-h] ")
 
 
 def test_version(run):

@@ -89,8 +89,8 @@ def explain_change(
 def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
     """Whether an effect differs more between the runs before and after than among them.
 
-    Its size is estimated in each run, to first order, also in those from before. Of a single run before or after, nothing is
-    known about the scatter.
+    Its size is estimated in each run, to first order, also in those from before. A single run before or after does not show
+    how runs scatter, and the damper model errs differently in each, so that nothing is known.
     """
     problem, theta = refitted.problem, refitted.theta
     model = problem.model
@@ -107,7 +107,7 @@ def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
             error = error_of_run(problem, neutral, run, refitted.coefficients)[0]
             sizes[not recording.without_effects].append(-float(error @ changes[run]) / information[run])
     if min(map(len, sizes)) < 2:
-        return True
+        return False
     return bool(ttest_ind(*sizes, equal_var=False).pvalue < THRESHOLDS.change_p_value)
 
 

@@ -39,14 +39,14 @@ from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
 from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
-from mrd_diagnosis.preflight import preflight
-from mrd_diagnosis.preflight.excitation import has_one_peak_speed
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.sentences import fault_sentence, verdict_sentence
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
+from mrd_identification.preflight import preflight
+from mrd_identification.preflight.excitation import has_one_peak_speed
 from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -59,6 +59,11 @@ Progress = Callable[[str, float], None]
 NOTE_ON_CHANGE = (
     "The gap is the change since the reference runs. What the model lacks in these runs and in those alike is taken up by a "
     "flexible function of motion, current and force; the rest of the error counts as noise."
+)
+
+NOTE_ON_SINGLE_RUNS = (
+    "An effect is named only if it differs more between the runs before and after than among them, and of a single run on "
+    "either side this is not known: record at least two before and two after."
 )
 
 BEST_MODEL = "auto"
@@ -107,7 +112,7 @@ def diagnose(
     laws : str or mapping, optional
         Current laws; see `mrd_sim.models.DamperModel.with_laws`.
     effects : sequence of str
-        Ids of the candidates; the whole catalogue when empty.
+        Ids of the candidates; when empty, all of the catalogue that recordings without or with ``reference`` can show.
     bench : GeneratorSettings, optional
         Limits of the bench that an advised experiment must not exceed; by default, those of the shipped bench.
     seed : int
@@ -125,7 +130,7 @@ def diagnose(
         raise InputError("no runs to diagnose")
     if reference and held_out:
         raise InputError("found both reference and held-out runs, expected one kind: a change is judged on all runs in turn")
-    candidates = [effect.id for effect in find_effects(list(effects) or list(EFFECTS))]
+    candidates = candidates_for(effects, is_change=bool(reference))
     if model == BEST_MODEL and parameters:
         model = parameters.model
     laws = laws if laws is not None else (parameters.laws if parameters else None)
@@ -162,6 +167,25 @@ def diagnose(
         chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
         diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
     return diagnosis
+
+
+def _notes_on_change(runs: int, reference: int) -> tuple[str, ...]:
+    """Return what limits a comparison with reference runs."""
+    if not reference:
+        return ()
+    return (NOTE_ON_CHANGE, *([NOTE_ON_SINGLE_RUNS] if min(runs, reference) < 2 else []))
+
+
+def candidates_for(effects: Sequence[str], *, is_change: bool) -> list[str]:
+    """Return the ids of the effects to try: those named, or all that recordings of this kind can show."""
+    if not effects:
+        return [name for name, effect in EFFECTS.items() if is_change or not effect.only_as_change]
+    named = find_effects(list(effects))
+    if unseen := [effect.id for effect in named if effect.only_as_change and not is_change]:
+        raise InputError(
+            f"effect {unseen[0]} shows only as a change since other recordings, and there are none; name them by --reference"
+        )
+    return [effect.id for effect in named]
 
 
 def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | None:
@@ -274,7 +298,11 @@ def _diagnose_physics(
         alternative_models=models,
         next_experiment=advise_next(comparison, chances, bench) if conclusive else None,
         residuals=closure.residuals,
-        notes=(*notes, *([NOTE_ON_CHANGE] if reference else ()), *limitation_notes(recordings, complete.weighting.noise)),
+        notes=(
+            *notes,
+            *_notes_on_change(len(runs), len(reference)),
+            *limitation_notes(recordings, complete.weighting.noise),
+        ),
     )
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))
 

@@ -7,13 +7,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_identification.preflight.finding import Finding as Finding
 from mrd_identification.recording import Recording
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
 Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "partly_explained", "unknown_effect"]
-Severity = Literal["fault", "limitation", "remark"]
 Axis = Literal["run", "time", "position", "velocity", "acceleration", "current", "frequency", "reversal", "sign"]
 HeldOutBy = Literal["runs", "leave-one-run-out", "blocks"]
 
@@ -25,35 +25,6 @@ class Interval:
     value: float
     lower: float = float("nan")
     upper: float = float("nan")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A finding of the preflight check about the recordings themselves.
-
-    Attributes
-    ----------
-    kind : str
-        ``clock``, ``gap``, ``lag``, ``clipping``, ``quantisation``, ``aliasing``, ``dead_channel``, ``repeat``, ``rig``,
-        ``coverage``, ``filter``, ``hum``.
-    severity : {"fault", "limitation", "remark"}
-        A fault makes any diagnosis of physics worthless; a limitation narrows what can be concluded.
-    text : str
-        One line: what was found, what was expected, what to do.
-    run, channel : str
-        Where; empty for all.
-    """
-
-    kind: str
-    severity: Severity
-    text: str
-    run: str = ""
-    channel: str = ""
-
-    @property
-    def remedy(self) -> str:
-        """What to do: the last sentence of the text."""
-        return self.text.rpartition(". ")[2]
 
 
 @dataclass(frozen=True)

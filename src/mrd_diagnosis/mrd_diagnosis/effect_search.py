@@ -26,11 +26,15 @@ FIRST_EFFECTS_TRIED = 2
 BEST_SCORES = 8
 """Effects that are fitted beside another one because of their score."""
 
+QUICK_SCORES = 4
+"""The same in a quick search."""
+
 BEST_SINGLES = 3
 """Effects that are fitted beside another one because they were the best by themselves, whatever their score."""
 
 ROUGHLY_CONVERGED = 1e-4
-"""Relative decrease of the cost at which a fit beside another effect ends; the chosen one is refitted."""
+"""Relative decrease of the cost at which a fit beside another effect, or in a quick search, ends. The chosen one is
+refitted."""
 
 LEAST_START_FACTOR = 0.03
 """Share of an effect's start value at which its fit starts at least: from zero, the derivatives to its other parameters
@@ -85,6 +89,7 @@ def search_effects(
     effects: Sequence[str],
     null_errors: Sequence[Array] = (),
     progress: Progress = lambda _fraction: None,
+    quick: bool = False,
 ) -> tuple[list[EffectFit], list[EffectFit]]:
     """Find the effects that lower the error on held-out folds most when they are added to the model one after the other.
 
@@ -99,6 +104,8 @@ def search_effects(
         See `mrd_diagnosis.refit.refit`.
     progress : callable
         Called with the fraction of the work that is done.
+    quick : bool
+        Whether it is enough to know which effects help: fits are rougher, and fewer are tried beside another one.
 
     Returns
     -------
@@ -114,6 +121,7 @@ def search_effects(
         len(effects),
         progress=lambda fraction: progress(0.6 * fraction),
         null_errors=null_errors,
+        converged=ROUGHLY_CONVERGED if quick else CONVERGED,
     )
     fits = list(singles)
     by_itself = {fit.effects[0]: fit.refit for fit in sorted(singles, key=lambda fit: fit.refit.held_out_cost)}
@@ -135,7 +143,7 @@ def search_effects(
         within_tolerance = excess <= tolerated_excess(base)
         if within_tolerance and (excess <= THRESHOLDS.least_gain_within_tolerance or len(chosen) > 1):
             break
-        try_several = len(chosen) == 1 and not within_tolerance and not EFFECTS[best.effects[0]].structural
+        try_several = not quick and len(chosen) == 1 and not within_tolerance and not EFFECTS[best.effects[0]].structural
         leads = frontier[: FIRST_EFFECTS_TRIED if try_several else 1]
         refitted = [before, *(refit_on(weighting, lead.refit) for lead in leads[1:])]
         extended = [
@@ -145,9 +153,10 @@ def search_effects(
                 weighting,
                 BaseFit.linearise(weighting, refit_of_lead),
                 [e for e in effects if e not in lead.effects],
-                BEST_SCORES,
+                QUICK_SCORES if quick else BEST_SCORES,
                 by_itself,
                 present=lead.effects,
+                converged=ROUGHLY_CONVERGED,
             )
         ]
         progress(0.6 + 0.4 * len(chosen) / MOST_CAUSES)
@@ -174,6 +183,7 @@ def refit_with_effects(
     progress: Progress = lambda _fraction: None,
     present: tuple[str, ...] = (),
     null_errors: Sequence[Array] = (),
+    converged: float = CONVERGED,
 ) -> list[EffectFit]:
     """Refit the base model with each of the ``most`` best-scored effects, and with those that were the best by themselves.
 
@@ -191,6 +201,8 @@ def refit_with_effects(
     present : tuple of str
     null_errors : sequence of ndarray (draws, n), optional
         See `mrd_diagnosis.refit.refit`.
+    converged : float
+        Relative decrease of the cost at which a fit ends.
     """
     scores = dict(zip(effects, score_effects(weighting, base, effects), strict=True))
     promising = sorted(effects, key=lambda effect: -scores[effect].gain)[:most]
@@ -204,7 +216,6 @@ def refit_with_effects(
         problem = weighting.problem(model, start)
         if by_itself and effect in by_itself:
             problem, start = _better_start(weighting, problem, start, neutral, effect, by_itself[effect])
-        converged = ROUGHLY_CONVERGED if present else CONVERGED
         refitted = refit(problem, start, weighting.folds, null_errors, converged, _sensitivity(problem, start, base))
         progress(next(completed) / len(ranked))
         gain = float(base.refit.fold_costs.sum() - refitted.fold_costs.sum())

@@ -18,13 +18,13 @@ from scipy.optimize import nnls
 from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.effect_search import refit_with_effects, search_effects
+from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects, search_effects
 from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
-from mrd_diagnosis.refit import Refit, held_out_errors, refit, refit_on, without_each
+from mrd_diagnosis.refit import CONVERGED, Refit, held_out_errors, refit, refit_on, without_each
 from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
@@ -159,21 +159,28 @@ def stacking_weights(refits: Sequence[Refit]) -> Array:
 
 
 def _weighted_forms(own: Refit, others: Sequence[Refit]) -> list[tuple[Refit, float]]:
-    """Return the damper models that count most with their weights; first the one that predicts best.
+    """Return the damper models that count most with their weights; first the one around which causes are searched.
 
-    Of refits of one model with more or less freedom, the best counts. The user's ``own`` model is kept where another one is
-    hardly better.
+    Of refits of one model with more or less freedom, the best counts. Among the models that predict about as well as the
+    best, the first is the one with the largest weight: another one may err in the same places and in more. The user's
+    ``own`` model is preferred where it is among them and has a weight of its own.
     """
-
-    def cost(refitted: Refit) -> float:
-        return refitted.held_out_cost * (1.0 - THRESHOLDS.formula_error * (refitted is own))
-
     best_by_model: dict[str, Refit] = {}
-    for refitted in sorted([own, *others], key=cost):
+    for refitted in sorted([own, *others], key=lambda refitted: (refitted.held_out_cost, refitted is not own)):
         best_by_model.setdefault(refitted.problem.model.id, refitted)
+    if best_by_model[own.problem.model.id].held_out_cost > own.held_out_cost * (1.0 - THRESHOLDS.formula_error):
+        best_by_model[own.problem.model.id] = own
     forms = list(best_by_model.values())
     weights = stacking_weights(forms)
-    counted = sorted(range(len(forms)), key=lambda index: (index > 0, -weights[index]))[:MOST_FORMS]
+    best = min(form.held_out_cost for form in forms)
+
+    def rank(index: int) -> tuple[bool, bool, float]:
+        worse = forms[index].held_out_cost * (1.0 - THRESHOLDS.formula_error) > best
+        preferred = forms[index] is own and weights[index] >= THRESHOLDS.listed_probability
+        return worse, not preferred, -weights[index]
+
+    first = min(range(len(forms)), key=rank)
+    counted = sorted(range(len(forms)), key=lambda index: (index != first, -weights[index]))[:MOST_FORMS]
     total = weights[counted].sum()
     return [(forms[index], float(weights[index] / total)) for index in counted]
 
@@ -251,7 +258,7 @@ def _search_around(
 ) -> tuple[str, ...]:
     """Return the effects that are chosen around a form of the damper without the remainder."""
     around = weighting.updated(form.problem.model, form.theta)
-    chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress)
+    chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress, quick=True)
     return chosen[-1].effects if chosen else ()
 
 
@@ -299,7 +306,12 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
     while len(chain) < MOST_FORM_EFFECTS and best.held_out_cost > reachable:
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
-            weighting, BaseFit.linearise(weighting, best), remaining, len(remaining), present=best.effects
+            weighting,
+            BaseFit.linearise(weighting, best),
+            remaining,
+            len(remaining),
+            present=best.effects,
+            converged=ROUGHLY_CONVERGED if best.effects else CONVERGED,
         )
         if not fits:
             break

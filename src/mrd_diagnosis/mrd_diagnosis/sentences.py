@@ -4,6 +4,7 @@ import math
 import shlex
 from collections.abc import Sequence
 
+from mrd_base.tool import command
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
@@ -71,7 +72,7 @@ def _no_change_sentence(gap: Gap) -> str:
 
 def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names the causes."""
-    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+    text = f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     beyond = gap.extrapolated
     if beyond is not None and beyond.value < gap.closed_fraction.lower:
         share = format_share(beyond.value)
@@ -90,7 +91,7 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         # An effect may be an alternative to two causes.
         options.setdefault(alternative.effect, alternative)
     if not options:
-        return f"Probably {_clauses(diagnosis.causes)} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."
+        return f"Probably {_clauses(diagnosis.causes)} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
     clauses = [effect_clause(option.effect, option.parameters) for option in options.values()]
     likely = [format_probability(option.probability) for option in options.values()]
     whether = f"these runs do not show whether {join_words(clauses, 'or')} (probabilities {join_words(likely)})."
@@ -103,7 +104,7 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names causes although they do not explain the whole gap, and describes the rest."""
-    sentences = [f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}). {_removal(diagnosis, gap)}."]
+    sentences = [f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"]
     for cause in diagnosis.causes:
         others = [other for other in diagnosis.alternatives if other.instead_of == cause.effect]
         likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in others]
@@ -236,8 +237,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     folder, runs = shlex.quote(folder), _run_arguments(diagnosis.runs)
     held_out = f" --held-out {_run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
     held_out += f" --reference {_run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
-    diagnose = f"ros2 run mrd_diagnosis diagnose {runs}"
-    apply = f"ros2 run mrd_diagnosis apply {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
+    diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
+    apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     if diagnosis.verdict == "explained":
         return apply
     if diagnosis.verdict == "ambiguous":
@@ -254,7 +255,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         model_id, _, change = model.name.partition(" with ")
         if change.endswith(" fitted too"):
             free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
-            commands.append(f"ros2 run mrd_identification identify {runs}{held_out} --model {model_id} {free} --output DIR")
+            identify = command("mrd_identification", "identify")
+            commands.append(f"{identify} {runs}{held_out} --model {model_id} {free} --output DIR")
         elif model_id in MODELS:
             law = " --law quadratic" if change else ""
             commands.append(f"{diagnose}{held_out} --model {model_id}{law} --output DIR")
@@ -302,9 +304,12 @@ def _certainty(diagnosis: Diagnosis) -> str:
 
 
 def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return the sentence on the removed share; none where the gap is too small beside the noise to know it."""
+    if not math.isfinite(gap.closed_fraction.value):
+        return ""
     adding = {1: "this effect", 2: "both effects"}.get(len(diagnosis.causes), "these effects")
     share = format_share(gap.closed_fraction.value)
-    return f"Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}"
+    return f" Adding {adding} removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
 
 
 def _gap_name(diagnosis: Diagnosis, name: str = "gap") -> str:

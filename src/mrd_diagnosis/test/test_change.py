@@ -7,6 +7,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
+from mrd_diagnosis.diagnose import candidates_for
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_identification.recording import consecutive_forces, prepare_recording
@@ -18,8 +19,11 @@ BEFORE, AFTER = range(3), range(3, 6)
 RATE, DURATION = 250.0, 6.0
 
 
-def run(seed):
-    """Record a damper that no model of the catalogue describes, along a motion and a current of its own."""
+def run(seed, yielded=1.0, viscous=1.0):
+    """Record a damper that no model of the catalogue describes, along a motion and a current of its own.
+
+    ``yielded`` and ``viscous`` are factors of a fluid's yield force and viscous force.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(int(DURATION * RATE)) / RATE
     x, v, a = np.zeros((3, len(t)))
@@ -30,7 +34,7 @@ def run(seed):
         a -= amplitude * w**2 * np.sin(w * t + phase)
     current = np.repeat(rng.uniform(0, 0.5, 10), len(t) // 10)
     knee = np.arctan((v + 2e-3 * np.tanh(a / 0.3)) / (0.006 + 0.01 * current)) / 1.6
-    force = (50.0 + 500.0 * np.sqrt(current)) * knee + (600.0 + 800.0 * current) * v
+    force = yielded * (50.0 + 500.0 * np.sqrt(current)) * knee + viscous * (600.0 + 800.0 * current) * v
     return Run(f"run{seed}", t, x, v, current, force + rng.normal(0, 1.5, len(t))), a
 
 
@@ -55,6 +59,36 @@ def test_a_change_is_named_although_the_model_has_another_form(change, effect):
     assert diagnosis.causes[0].closed_fraction.value > 0.5
     assert [run.name for run in diagnosis.reference] == [f"run{seed}" for seed in BEFORE]
     assert {residual.recording.run.name for residual in diagnosis.residuals} == {f"run{seed}" for seed in AFTER}
+
+
+@pytest.mark.parametrize(
+    ("yielded", "viscous", "verdicts"),
+    [(0.85, 1.2, {"explained"}), (1.15, 1.0, {"explained", "ambiguous"})],
+    ids=["weaker and thicker", "stronger"],
+)
+def test_another_fluid_is_not_taken_for_an_error_of_a_sensor(yielded, viscous, verdicts):
+    """Recordings cannot tell a fluid that is only stronger from a load cell with another gain, and say so."""
+    after = [run(seed, yielded, viscous)[0] for seed in AFTER]
+    effects = ("load_cell_gain", "lvdt_nonlinearity", "current_sensor_error", "fluid_change", "thermal_fade")
+    diagnosis = diagnose(after, "bouc_wen", reference=runs(BEFORE), effects=effects)
+    assert diagnosis.verdict in verdicts
+    assert "fluid_change" in {option.effect for option in (*diagnosis.causes, *diagnosis.alternatives)}
+    assert diagnosis.verdict == "ambiguous" or [cause.effect for cause in diagnosis.causes] == ["fluid_change"]
+
+
+def test_another_fluid_needs_a_reference():
+    with pytest.raises(InputError, match=r"effect fluid_change shows only as a change .* name them by --reference"):
+        diagnose(runs(BEFORE), "bouc_wen", effects=("fluid_change",))
+    assert "fluid_change" not in candidates_for((), is_change=False)
+    assert "fluid_change" in candidates_for((), is_change=True)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_nothing_is_named_in_single_runs_where_nothing_changed(seed):
+    effects = (*CANDIDATES, "coil_lag", "thermal_fade", "flow_asymmetry", "seal_friction")
+    diagnosis = diagnose(runs([seed]), "bouc_wen", reference=runs(BEFORE[:1]), effects=effects)
+    assert diagnosis.causes == ()
+    assert any("record at least two before and two after" in note for note in diagnosis.notes)
 
 
 @pytest.mark.parametrize("seeds", [BEFORE, AFTER], ids=["the same runs", "other runs"])

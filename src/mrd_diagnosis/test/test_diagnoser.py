@@ -51,10 +51,9 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         (Diagnose.Goal(runs=recorded, model="bingham", bench="no.yaml", output=str(tmp_path)), "no.yaml"),
         (Diagnose.Goal(runs=recorded, model="bingham", effects_folder="nowhere", output=str(tmp_path)), "nowhere"),
     ):
-        result = client.ended(client.send(goal)).result
-        assert not result.success
-        assert message in result.message
-        assert "\n" not in result.message.strip()
+        why = client.failure(goal)
+        assert message in why
+        assert "\n" not in why.strip()
 
 
 def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch, user_effects):

@@ -245,6 +245,9 @@ def test_every_verdict_is_a_file_and_a_page_that_needs_no_network(verdict, tmp_p
     assert ("plotly-graph-div" in markup) == (verdict != "data_fault")
     for finding in diagnosis.findings:
         assert finding.text in markup
+    assert "<footer>" in markup
+    if verdict != "data_fault":
+        assert re.search(r'aria-label="Chart of held-out error \(NRMSE\): .*parameters refitted 0\.', markup)
 
 
 def test_the_file_says_what_the_contract_says():
@@ -806,7 +809,7 @@ def test_the_chart_of_candidates_says_what_its_numbers_are():
     assert "<b>< 1 %</b>" in texts
     # The alternative has the probability that the table of alternatives states.
     assert "<b>38 %</b>" in texts
-    assert chart.layout.xaxis.title.text == "share of the gap that the effect removes"
+    assert chart.layout.xaxis.title.text == "share of the gap removed"
     # Where none of the candidates is the cause, a probability would mislead.
     for verdict in ("no_gap", "partly_explained", "unknown_effect"):
         assert not figures.candidate_chart(diagnosed(verdict)).layout.annotations

@@ -246,11 +246,35 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
         assert stopped.value.code == 2
         return capsys.readouterr().err
 
-    expected = "error: no parameter to follow: expected --effect EFFECT or --parameter NAME\n"
-    assert refusal("--model", "bingham") == expected
     assert refusal("--parameter", "yield_force").startswith("error: --model is missing")
     assert refusal("--model", "bingham", "--effect", "ghost").startswith("error: unknown effect ghost")
     refusal("--model", "bingham", "--parameter", "viscous", "--dates", "2024-01-01")
     printed = call("--model", "bingham", "--parameter", "yield_force", "--limit", "150")
     assert printed.startswith("yield_force grows by ")
     assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["crossing"]["label"] == "run 6"
+
+
+def test_without_a_parameter_the_tool_follows_what_has_changed(tmp_path, monkeypatch, capsys):
+    paths = []
+    asymmetries = [0.0, 0.0, 0.0, 0.05, 0.08, 0.1, 0.18, 0.2, 0.22]
+    for run in series(asymmetries, "flow_asymmetry.asymmetry", effects=("flow_asymmetry",), seconds=4.0):
+        paths.append(str(tmp_path / f"{run.name}.csv"))
+        write_csv(run, paths[-1])
+    monkeypatch.setattr(sys, "argv", ["trend", *paths, "--model", "bingham", "--output", str(tmp_path / "out")])
+    tool.main()
+    printed = capsys.readouterr().out
+    assert printed.startswith("Something has changed since the reference runs. The force differs by 17")
+    assert "flow_asymmetry.asymmetry grows by" in printed
+    assert json.loads((tmp_path / "out/change/gap_report.json").read_text())["causes"][0]["effect"] == "flow_asymmetry"
+    assert (tmp_path / "out/trend.html").exists()
+
+
+def test_without_a_change_the_tool_asks_for_a_parameter(tmp_path, monkeypatch, capsys):
+    paths = []
+    for run in series([100.0] * 4, "yield_force"):
+        paths.append(str(tmp_path / f"{run.name}.csv"))
+        write_csv(run, paths[-1])
+    monkeypatch.setattr(sys, "argv", ["trend", *paths, "--model", "bingham", "--output", str(tmp_path / "out")])
+    tool.main()
+    printed = capsys.readouterr().out
+    assert "No parameter is followed. Name one by --parameter (yield_force, " in printed

@@ -125,6 +125,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
     return render(
         "compare",
         folder,
+        runs=[result.run for result in (*best.fitted, *best.held_out)],
         title=f"{len(comparison.entries)} damper models on {len(best.held_out)} held-out runs",
         sentence=sentence(comparison),
         comparison=comparison,

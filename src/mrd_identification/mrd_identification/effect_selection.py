@@ -318,7 +318,11 @@ def _starts(pose: Pose, present: Candidate) -> list[tuple[str, Problem]]:
                 least, base = expected, vector(problem, own, trial)
         return (least, effect.id, replace(problem, base=base)) if np.isfinite(least) else None
 
-    effects = [effect for name, effect in EFFECTS.items() if name not in present.effects and not effect.outlasts_run]
+    effects = [
+        effect
+        for name, effect in EFFECTS.items()
+        if name not in present.effects and not effect.outlasts_run and not effect.only_as_change
+    ]
     starts = [found for found in in_threads(start, effects) if found is not None]
     return [(effect, problem) for _, effect, problem in sorted(starts, key=lambda found: found[0])[:MOST_FITTED]]
 

@@ -1,5 +1,7 @@
 """Figures of a fit."""
 
+import html
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -83,6 +85,53 @@ def force_over_time(result: RunResult) -> go.Figure:
     figure.update_xaxes(title_text="time, s", row=3, col=1)
     figure.update_layout(**LAYOUT, height=520, title_text=result.run.name, title_x=0.01)
     return figure
+
+
+def residuals(results: Sequence[RunResult], seconds: float = 0.5) -> go.Figure:
+    """Draw how the errors of all runs are distributed, beside a normal distribution, and their autocorrelation.
+
+    Errors that are noise are normal and uncorrelated; a slow decay or a period shows physics that the model lacks.
+    """
+    errors = [result.modelled_counted - result.measured_counted for result in results]
+    pooled = np.concatenate(errors)
+    spread = float(pooled.std()) or 1.0
+    edges = np.linspace(-4, 4, 41) * spread
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    density = np.histogram(pooled - pooled.mean(), edges)[0] / (len(pooled) * (edges[1] - edges[0]))
+    normal = np.exp(-0.5 * (middles / spread) ** 2) / (spread * np.sqrt(2 * np.pi))
+    longest = max(results, key=lambda result: len(result.modelled_counted))
+    lags, correlation = _autocorrelation(longest.modelled_counted - longest.measured_counted, longest.run.rate, seconds)
+    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.1)
+    figure.add_bar(x=_short(middles), y=_short(density), name="errors", marker={"color": MEASURED}, row=1, col=1)
+    figure.add_scatter(x=_short(middles), y=_short(normal), name="normal distribution", line={"color": ACCENT}, row=1, col=1)
+    figure.add_scatter(
+        x=_short(lags),
+        y=_short(correlation),
+        name=f"autocorrelation, {longest.run.name}",
+        line={"color": MODELLED},
+        row=1,
+        col=2,
+    )
+    figure.update_xaxes(title_text="model − measured, N", row=1, col=1)
+    figure.update_yaxes(title_text="density, 1/N", row=1, col=1)
+    figure.update_xaxes(title_text="lag, s", row=1, col=2)
+    figure.update_yaxes(title_text="autocorrelation", range=[-1.05, 1.05], row=1, col=2)
+    figure.update_layout(**LAYOUT, height=360, bargap=0.05)
+    return figure
+
+
+def _autocorrelation(errors: Array, rate: float, seconds: float) -> tuple[Array, Array]:
+    """Return lags in s up to ``seconds``, and the autocorrelation of errors (n,) that were sampled at ``rate`` in Hz."""
+    centred = errors - errors.mean()
+    count = min(int(seconds * rate), len(centred) - 1) + 1
+    spectrum = np.abs(np.fft.rfft(centred, 2 * len(centred))) ** 2
+    covariance = np.fft.irfft(spectrum)[:count]
+    return np.arange(count) / rate, covariance / (covariance[0] or 1.0)
+
+
+def _short(series: Array) -> list[float]:
+    """Return numbers with the digits that a drawing can show."""
+    return [float(f"{value:.4g}") for value in series]
 
 
 def pareto_front(fit: Fit) -> go.Figure:
@@ -183,5 +232,30 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
 
 
 def to_html(figure: go.Figure) -> str:
-    """Return a figure as a part of a page that includes Plotly."""
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True}))
+    """Return a figure, with its description for those who cannot see it, as a part of a page that includes Plotly."""
+    drawing = figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
+    return f'<figure class="plot" role="img" aria-label="{html.escape(describe(figure), quote=True)}">{drawing}</figure>'
+
+
+def describe(figure: go.Figure) -> str:
+    """Describe a figure in words: what is drawn over what; of bars, their lengths."""
+    drawn = figure.to_plotly_json()
+    titles = {
+        axis: [
+            text
+            for name, settings in drawn["layout"].items()
+            if name.startswith(axis) and (text := (settings.get("title") or {}).get("text"))
+        ]
+        for axis in ("xaxis", "yaxis")
+    }
+    over = " over ".join(filter(None, (" and ".join(dict.fromkeys(titles[axis])) for axis in ("yaxis", "xaxis"))))
+    names = dict.fromkeys(name for trace in figure.data if (name := trace.name))
+    lengths = [
+        f"{label} {length:.3g}"
+        for trace in figure.data
+        if trace.type == "bar" and trace.orientation == "h"
+        for label, length in zip(trace.y, trace.x, strict=True)
+        if length is not None
+    ]
+    kind = "Map" if any(trace.type == "heatmap" for trace in figure.data) else "Chart"
+    return re.sub(r"<[^>]*>", " ", ": ".join(filter(None, (f"{kind} of {over}", ", ".join([*names, *reversed(lengths)])))))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from mrd_identification.recording import Recording, consecutive_modelled_forces
 from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
 from mrd_sim.models import DamperModel, Parameter
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 Array = NDArray[np.float64]
 
@@ -172,3 +176,32 @@ class Fit:
     def pooled(self) -> Metrics:
         """Metrics over all held-out runs, or over the fitted runs where none was held out."""
         return self.pooled_held_out or self.pooled_fitted
+
+    @property
+    def sentence(self) -> str:
+        """The error of the fit in one sentence."""
+        fitted = "on the run that it was fitted to" if len(self.fitted) == 1 else "on the runs that it was fitted to"
+        where = "on runs that it was not fitted to" if self.pooled_held_out else fitted
+        return (
+            f"The model explains {self.pooled.vaf:.1f} % of the variance of the force {where}; its rms error is "
+            f"{self.pooled.rmse:.1f} N, {100 * self.pooled.nrmse:.1f} % of the standard deviation of the force."
+        )
+
+    def summary(self) -> str:
+        """Return the error, the parameters with their 95 % intervals, and what limits the trust in them, as text."""
+        rows = [("parameter", "value", "95 % interval", "unit")]
+        for estimate in self.estimates:
+            interval = f"{estimate.lower:.4g} to {estimate.upper:.4g}" if np.isfinite(estimate.lower) else "none"
+            if estimate.fixed or estimate.on_bound:
+                interval = "fixed" if estimate.fixed else "on bound"
+            rows.append((estimate.parameter.name, f"{estimate.value:.4g}", interval, estimate.parameter.unit))
+        first, second, third = (max(len(row[column]) for row in rows) for column in range(3))
+        table = (f"{row[0]:{first}}  {row[1]:>{second}}  {row[2]:>{third}}  {row[3]}".rstrip() for row in rows)
+        return "\n".join([self.sentence, *table, *(f"note: {warning}" for warning in self.warnings)])
+
+    def plot(self) -> "go.Figure":
+        """Return the figure of measured and modelled force over velocity and position, which a notebook shows."""
+        # Plotly is slow to import, and only few fits are drawn.
+        from mrd_identification.figures import loops
+
+        return loops(self.held_out or self.fitted)

@@ -1,26 +1,22 @@
 """The page fit.html, and the rendering of pages from templates."""
 
+import datetime
+import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import jinja2
 from plotly.offline import get_plotlyjs
 
+from mrd_base.tool import command
+from mrd_base.version import VERSION
 from mrd_identification import figures
 from mrd_identification.effect_selection import LEAST_IMPROVEMENT
 from mrd_identification.fit import Fit
+from mrd_runs import Run
 
 _EVALUATED_ON = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "fitted runs"}
-
-
-def sentence(fit: Fit) -> str:
-    """Describe the error of the fit in one sentence."""
-    fitted = "on the run that it was fitted to" if len(fit.fitted) == 1 else "on the runs that it was fitted to"
-    where = "on runs that it was not fitted to" if fit.pooled_held_out else fitted
-    return (
-        f"The model explains {fit.pooled.vaf:.1f} % of the variance of the force {where}; "
-        f"its rms error is {fit.pooled.rmse:.1f} N, {100 * fit.pooled.nrmse:.1f} % of the standard deviation of the force."
-    )
 
 
 def write_report(fit: Fit, folder: str | Path) -> Path:
@@ -30,10 +26,13 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
     return render(
         "fit",
         folder,
+        runs=[result.run for result in (*fit.fitted, *fit.held_out)],
         title=f"{fit.model.title} model of {len(fit.fitted)} run{'s' if len(fit.fitted) > 1 else ''}",
-        sentence=sentence(fit),
+        sentence=fit.sentence,
         loops=figures.to_html(figures.loops(results)),
         over_time=figures.to_html(figures.force_over_time(worst)),
+        command=f"{command('mrd_diagnosis', 'diagnose')} {_sources(fit)} --model {fit.model.id} --output DIR",
+        residuals=figures.to_html(figures.residuals(results)),
         front=figures.to_html(figures.pareto_front(fit)),
         intervals=figures.to_html(figures.parameters(fit)),
         correlation=figures.to_html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
@@ -53,17 +52,32 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
     )
 
 
-def render(name: str, folder: str | Path, package: str = "mrd_identification", /, **content: Any) -> Path:
+def _sources(fit: Fit) -> str:
+    """Return the fitted runs as arguments of a tool."""
+    files = [str(result.run.info.get("source", "")) for result in fit.fitted]
+    return shlex.join(files) if all(files) else "RUN..."
+
+
+def render(
+    name: str, folder: str | Path, package: str = "mrd_identification", /, *, runs: Sequence[Run] = (), **content: Any
+) -> Path:
     """Write ``name``.html from the template of a package into ``folder`` and return its path.
 
-    The file is complete or absent, even when the process is interrupted.
+    The page ends with the version of the program, the date, and the files of the ``runs`` that it is about. The file is
+    complete or absent, even when the process is interrupted.
     """
     loaders = [jinja2.PackageLoader(name) for name in dict.fromkeys((package, "mrd_identification"))]
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
     environment.filters["figures"] = four_figures
-    page = environment.get_template(f"{name}.html.j2").render(plotly=get_plotlyjs(), **content)
+    page = environment.get_template(f"{name}.html.j2").render(
+        plotly=get_plotlyjs(),
+        version=VERSION,
+        written=f"{datetime.datetime.now():%Y-%m-%d %H:%M}",
+        sources=list(dict.fromkeys(str(run.info["source"]) for run in runs if run.info.get("source"))),
+        **content,
+    )
     path = Path(folder) / f"{name}.html"
     partial = path.with_suffix(".part")
     partial.write_text(page, encoding="utf-8")

@@ -24,10 +24,9 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         (Identify.Goal(runs=recorded, model="bingham"), "--output is empty"),
         (Identify.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
     ):
-        result = client.ended(client.send(goal)).result
-        assert not result.success
-        assert words in result.message
-        assert "\n" not in result.message.strip()
+        why = client.failure(goal)
+        assert words in why
+        assert "\n" not in why.strip()
 
 
 def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Identification recovers known parameters with intervals, and measures its error on runs that were not fitted."""
 
+import datetime
 import json
 from dataclasses import replace
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_identification import identify, load_damper, metrics, read_fit, write_fit
+from mrd_base.version import VERSION
+from mrd_identification import figures, identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import find_knee
 from mrd_identification.problem import make_problem
@@ -295,6 +297,46 @@ def test_report_needs_no_network(bouc_wen_fit, tmp_path):
     assert "<script src=" not in page
     assert "yield_force_per_A" in page
     assert page.count("Plotly.newPlot") >= 4
+
+
+def test_a_fit_says_and_draws_itself(bouc_wen_fit):
+    lines = bouc_wen_fit.summary().splitlines()
+    assert lines[0] == bouc_wen_fit.sentence
+    assert lines[1].split() == ["parameter", "value", "95", "%", "interval", "unit"]
+    for estimate, line in zip(bouc_wen_fit.estimates, lines[2:], strict=False):
+        assert line.startswith(f"{estimate.parameter.name} ")
+        assert f" {estimate.value:.4g} " in line
+        assert len(line) <= 80
+    assert lines[2 + len(bouc_wen_fit.estimates) :] == [f"note: {warning}" for warning in bouc_wen_fit.warnings]
+    assert [line.name for line in bouc_wen_fit.plot().data[:2]] == ["measured", "model"]
+
+
+def test_the_errors_are_drawn_as_they_are(bouc_wen_fit):
+    (result, *_) = bouc_wen_fit.fitted
+    wave = 5.0 * np.sin(2 * np.pi * 10.0 * result.run.time)
+    noise = np.random.default_rng(0).normal(0.0, 2.0, len(result.run))
+    for errors, at_period in ((wave, 1.0), (noise, 0.0)):
+        histogram, normal, autocorrelation = figures.residuals([replace(result, modelled=result.run.force + errors)]).data
+        lags, values = np.array(autocorrelation.x), np.array(autocorrelation.y)
+        assert values[0] == 1.0
+        assert values[np.argmin(np.abs(lags - 0.1))] == pytest.approx(at_period, abs=0.15)
+        width = histogram.x[1] - histogram.x[0]
+        assert sum(histogram.y) * width == pytest.approx(1.0, abs=0.01)
+        # A wave spends most of its time at its ends, noise in the middle.
+        middle = np.argmin(np.abs(np.array(histogram.x)))
+        assert (histogram.y[middle] > 0.8 * normal.y[middle]) == (errors is noise)
+
+
+def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_path):
+    files = [replace(of, run=replace(of.run, info={"source": f"rig/{of.run.name}.csv"})) for of in bouc_wen_fit.fitted]
+    page = write_report(replace(bouc_wen_fit, fitted=tuple(files)), tmp_path).read_text()
+    # Somebody who cannot see the figures is told what each of them draws.
+    assert page.count('role="img"') == page.count('class="plotly-graph-div')
+    assert 'aria-label="Chart of force, N over velocity, mm/s and position, mm: measured, model"' in page
+    assert f"diagnose {' '.join(of.run.info['source'] for of in files)} --model bouc_wen --output DIR</code>" in page
+    footer = page.partition("<footer>")[2]
+    assert f"mrd {VERSION} on {datetime.date.today().year}-" in footer
+    assert all(f"<code>rig/{of.run.name}.csv</code>" in footer for of in files)
 
 
 def test_unusable_input_is_one_line():

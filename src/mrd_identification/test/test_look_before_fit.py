@@ -57,3 +57,30 @@ def test_kilonewtons_are_named(tool, recorded, tmp_path):
     code, _, error = tool(identify, str(tmp_path / "kilo.csv"), "--model", "bingham")
     assert (code, error.count("\n")) == (3, 1)
     assert "kilo: the force spans less than 5 N while the rod moves: is it in kN or V?" in error
+
+
+def test_what_is_about_to_be_computed_is_said_before(tool, recorded):
+    """A pattern such as runs/*/bag easily names other runs, too; all models of ten runs take minutes."""
+    code, _, error = tool(compare, *recorded, "--models", "bingham")
+    assert code == 0
+    assert error.startswith("3 runs in ")
+    assert "1 model (--models), each fitted 4 times: to all runs, and without each\n" in error
+    code, _, error = tool(compare, *recorded[:2], "--models", "bingham,biviscous", "--held-out", recorded[2])
+    assert "2 models (--models), each fitted once\n" in error
+
+
+def test_every_fault_that_a_diagnosis_finds_stops_a_fit(tool, recorded, tmp_path):
+    """A load cell that is not plugged in was fitted without a word."""
+    run = read_run(recorded[0])
+    write_csv(replace(run, force=0 * run.force + 3.0), str(tmp_path / "dead.csv"))
+    code, text, error = tool(identify, str(tmp_path / "dead.csv"), "--model", "bingham")
+    assert (code, text, error.count("\n")) == (3, "", 1)
+    assert error.startswith("error: dead: force: ")
+
+
+def test_what_narrows_the_conclusions_is_said_before_the_fit(tool, recorded, tmp_path):
+    run = read_run(recorded[0])
+    write_csv(replace(run, current=0 * run.current + 0.2), str(tmp_path / "one_current.csv"))
+    code, _, error = tool(identify, str(tmp_path / "one_current.csv"), "--model", "bingham", "--no-profile")
+    assert code == 0
+    assert "limitation: " in error

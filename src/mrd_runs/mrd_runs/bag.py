@@ -25,7 +25,7 @@ from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from mrd_base import InputError
-from mrd_runs.definitions import empty_typestore, typestore
+from mrd_runs.definitions import definition, empty_typestore, typestore
 from mrd_runs.storage import (
     RECOVERED_FROM,
     SUFFIXES,
@@ -153,8 +153,8 @@ class BagWriter:
 
     def add_topic(self, topic: str, message_type: str, *, depth: int = 1, latched: bool = False) -> None:
         """Add a topic; after that, its messages can be written."""
-        definition, _ = self.types.generate_msgdef(message_type, ros_version=2)
-        self.add_defined_topic(topic, message_type, definition, self.types.hash_rihs01(message_type), [qos(depth, latched)])
+        text = definition(self.types, message_type)
+        self.add_defined_topic(topic, message_type, text, self.types.hash_rihs01(message_type), [qos(depth, latched)])
 
     def add_defined_topic(
         self, topic: str, message_type: str, definition: str, digest: str, profiles: Sequence[Qos]

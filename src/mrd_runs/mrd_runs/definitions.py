@@ -1,9 +1,9 @@
 """Message definitions that a bag contains, as rosbags types; no ROS is needed."""
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -76,7 +76,12 @@ def as_of_today(messages: Sequence[bytes], message_type: str, recorded: Typestor
     return converted
 
 
-def type_name(message_type: Any) -> str:
-    """Return the full name of a ROS message class, as bags have it."""
-    package, kind, _ = message_type.__module__.split(".")
-    return f"{package}/{kind}/{message_type.__name__}"
+def definition(store: Typestore, message_type: str) -> str:
+    """Return the text that defines a message type in a bag. Those of mrd_interfaces keep the comments with the units."""
+    text, _ = store.generate_msgdef(message_type, ros_version=2)
+    package, _, name = message_type.split("/")
+    if package != "mrd_interfaces":
+        return text
+    # The types that it uses follow after a line of equals signs.
+    _, *used = re.split(r"^(?==)", text, maxsplit=1, flags=re.MULTILINE)
+    return "".join([(interface_folder() / f"{name}.msg").read_text(encoding="utf-8"), *used])

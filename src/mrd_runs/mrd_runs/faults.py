@@ -1,6 +1,6 @@
 """Faults of recordings that make every fit worthless: a sign that is wrong, a force in another unit.
 
-The diagnosis looks for many more (`mrd_diagnosis.preflight`); these are checked before any fit.
+They are checked where a file is imported; before a fit, `mrd_identification.preflight` looks for many more.
 """
 
 from collections.abc import Callable, Sequence

@@ -2,7 +2,8 @@
 
 import hashlib
 import itertools
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def read_run(path: str | Path) -> Run:
 
 
 def read_runs(paths: Iterable[str | Path]) -> list[Run]:
-    """Read recordings and give each a unique name.
+    """Read recordings and give each a unique name: those that share one are told apart by their folders.
 
     Raises
     ------
@@ -61,8 +62,31 @@ def read_runs(paths: Iterable[str | Path]) -> list[Run]:
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
                 raise InputError(f"{path}: is the same recording as {earlier.info['source']}; give each recording once")
-        runs.append(replace(run, name=unique_name(run.name, path, {earlier.name for earlier in runs})))
+        runs.append(run)
+    shared = {name for name, count in Counter(run.name for run in runs).items() if count > 1}
+    used = {run.name for run in runs}
+    for place, run in enumerate(runs):
+        if run.name in shared:
+            name = unique_name(run.name, run.info["source"], used)
+            used.add(name)
+            runs[place] = replace(run, name=name)
     return runs
+
+
+def describe_runs(runs: Sequence[Run]) -> str:
+    """Return how many runs there are, of which folders, and how long they are.
+
+    A pattern such as ``runs/characterise-*/*`` easily names more than one set: its folders are then listed with their runs.
+    """
+    folders = Counter(str(Path(run.info["source"]).parent) for run in runs)
+    if len(folders) == 1:
+        where = f"in {next(iter(folders))}"
+    elif len(folders) == len(runs):
+        where = f"in {len(folders)} folders"
+    else:
+        where = f"of {len(folders)} folders: {', '.join(f'{folder} ({count})' for folder, count in folders.items())}"
+    total, samples = sum(run.duration for run in runs), sum(map(len, runs))
+    return f"{len(runs)} run{'s' if len(runs) > 1 else ''} {where}; {total:.0f} s, {samples} samples"
 
 
 def unique_name(name: str, path: str | Path, used: set[str]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import get_types_from_msg
 
@@ -48,6 +49,20 @@ def test_bag_is_an_ordinary_one(tmp_path: Path, columns, fill_bag) -> None:
         assert connection.msgtype == SAMPLES_TYPE
         assert connection.ext.offered_qos_profiles[0].depth == 200
     assert (tmp_path / "run/metadata.yaml").exists()
+
+
+def test_the_definitions_in_a_bag_name_the_units(tmp_path: Path, columns, fill_bag) -> None:
+    fill_bag(tmp_path / "run", columns).close()
+    (schema,) = _schemas(tmp_path / "run")
+    assert "float64[] force               # N, > 0 resists extension" in schema
+    assert "MSG: std_msgs/Header" in schema
+
+
+def _schemas(bag: Path) -> list[str]:
+    (file,) = bag.glob("*.mcap")
+    with file.open("rb") as stream:
+        schemas = make_reader(stream).get_summary().schemas.values()
+        return [schema.data.decode() for schema in schemas]
 
 
 def test_type_hashes_are_those_of_ros() -> None:

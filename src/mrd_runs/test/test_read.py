@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mrd_base import InputError
 from mrd_runs import make_run, read_run, read_runs
 from mrd_runs.bag_import import write_bag
+from mrd_runs.read import describe_runs
 
 
 def test_csv_is_read_bit_by_bit_in_any_order(tmp_path: Path, columns, write_csv) -> None:
@@ -153,7 +154,14 @@ def test_names_are_unique_and_the_same_recording_is_refused(tmp_path: Path, make
         (tmp_path / folder).mkdir()
         write_csv(tmp_path / folder / "run.csv", make_columns(seed=index))
     runs = read_runs([tmp_path / "a/run.csv", tmp_path / "b/run.csv"])
-    assert [run.name for run in runs] == ["run", "b/run"]
+    assert [run.name for run in runs] == ["a/run", "b/run"]
+    single = write_csv(tmp_path / "a" / "single.csv", make_columns(seed=2))
+    three = read_runs([tmp_path / "a/run.csv", single, tmp_path / "b/run.csv"])
+    assert [run.name for run in three] == ["a/run", "single", "b/run"]
+    # A pattern over folders may name two sets, which one has to see.
+    assert f"3 runs of 2 folders: {tmp_path / 'a'} (2), {tmp_path / 'b'} (1); " in describe_runs(three)
+    assert describe_runs(runs).startswith("2 runs in 2 folders; ")
+    assert describe_runs(three[:1]).startswith(f"1 run in {tmp_path / 'a'}; ")
     shutil.copy(tmp_path / "a/run.csv", tmp_path / "copy.csv")
     with pytest.raises(InputError, match=r"copy.csv: is the same recording as .*a/run.csv"):
         read_runs([tmp_path / "a/run.csv", tmp_path / "copy.csv"])

@@ -1,6 +1,7 @@
 """The simulated bench between the serial line and the terminals of the DAQ."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -71,15 +72,15 @@ class DamperConfig:
     effects_folder: str = quantity("", "", "folder with effects of your own, one a file; empty for none")
     stroke: float = quantity(0.055, "mm", "distance between its ends, where the rod stops", lower=1e-3, upper=1)
 
-    def build(self) -> Damper:
-        """Build the damper, at rest and unloaded."""
+    def build(self, effects: Mapping[str, Mapping[str, float]] | None = None) -> Damper:
+        """Build the damper, at rest and unloaded; further ``effects`` act with its own ones or replace them."""
         if self.effects_folder:
             load_effects(self.effects_folder)
         return Damper(
             self.model,
             parse_values(self.parameters, "damper.parameters"),
             parse_laws(self.laws, "damper.laws"),
-            parse_effects(self.effects, "damper.effects"),
+            {**parse_effects(self.effects, "damper.effects"), **(effects or {})},
         )
 
 

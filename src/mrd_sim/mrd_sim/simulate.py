@@ -170,15 +170,14 @@ def _lagged(series: Array, lag: float, step: float) -> Array:
     return np.asarray(filtered, np.float64)
 
 
-def write_csv(run: Run, path: str | Path) -> None:
-    """Write a run as a CSV file that `mrd_runs.read_run` reads; refuse to overwrite a file."""
-    columns = {
-        "time_s": run.time,
-        "position_m": run.position,
-        "current_A": run.current,
-        "force_N": run.force,
-        "velocity_mps": run.velocity,
-    }
+def write_csv(run: Run, path: str | Path, *, velocity: bool = True) -> None:
+    """Write a run as a CSV file that `mrd_runs.read_run` reads; refuse to overwrite a file.
+
+    Without ``velocity``, readers take the velocity from the positions, as they do where no bench has measured it.
+    """
+    columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
+    if velocity:
+        columns["velocity_mps"] = run.velocity
     if run.acceleration is not None:
         columns["acceleration_mps2"] = run.acceleration
     try:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_runs import read_run
+from mrd_runs import read_run, read_runs
 from mrd_sim.cli import simulate as tool
 from mrd_sim.cli.simulate import parse_effect
 from mrd_sim.current import parse_laws
@@ -188,8 +188,41 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
     plant.write_text("""/**/plant: {ros__parameters: {seed: 1, damper: {model: bingham, parameters: "offset: -40",
         effects: "{load_cell_drift: {offset: 7}, load_cell_gain: {gain: 0.1}}"}}}""")
     assert np.array_equal(simulate(tmp_path / "plant.csv", "--plant", plant), after)
-    with pytest.raises(InputError, match="describes the whole damper"):
+    with pytest.raises(InputError, match="has the damper's parameters and laws"):
         simulate(tmp_path / "twice.csv", "--plant", plant, "--parameters", "{offset: 1}")
+    faulty = simulate(tmp_path / "faulty.csv", "--plant", plant, "--effect", "load_cell_drift.offset=9")
+    assert faulty == pytest.approx(1.1 * before + 9.0, abs=1e-6)
+
+
+def test_the_tool_records_a_folder_of_experiments_as_a_bench_would(tmp_path, monkeypatch, capsys):
+    """Without noise, two runs of one experiment would be the same recording, which no diagnosis takes."""
+    experiments = tmp_path / "set"
+    experiments.mkdir()
+    for name in ("1_first", "2_again"):
+        (experiments / f"{name}.yaml").write_text(EXPERIMENT.replace("short", name))
+
+    def simulate(output, *arguments):
+        command = ["simulate", str(experiments), "--model", "bingham", "--output", str(tmp_path / output), *arguments]
+        monkeypatch.setattr(sys, "argv", command)
+        tool.work()
+        capsys.readouterr()
+        return read_runs(sorted((tmp_path / output).iterdir()))
+
+    first, again = simulate("noisy", "--noise", "--seed", "5")
+    assert (first.name, again.name) == ("1_first", "2_again")
+    assert 1.0 < np.std(first.force - again.force) < 10.0
+    assert first.acceleration is not None
+    header = (tmp_path / "noisy/1_first.csv").read_text().partition("\n")[0]
+    assert "velocity" not in header
+    same = simulate("same", "--noise", "--seed", "5")
+    assert np.array_equal(same[0].force, first.force)
+    assert not np.array_equal(simulate("other", "--noise", "--seed", "6")[0].force, first.force)
+    with pytest.raises(InputError, match="is the same recording as"):
+        simulate("quiet")
+    monkeypatch.setattr(sys, "argv", ["simulate", str(tmp_path / "noisy/1_first.csv"), "--model", "bingham", "--noise",
+                                      "--output", str(tmp_path / "x.csv")])  # fmt: skip
+    with pytest.raises(InputError, match="was recorded and has its noise"):
+        tool.work()
 
 
 def test_the_tool_refuses_bad_input_in_one_line(tmp_path):

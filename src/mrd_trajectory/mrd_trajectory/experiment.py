@@ -63,6 +63,27 @@ def parse_experiment(text: str, where: str, folder: Path | None = None) -> Exper
     return _build_experiment(parse_yaml(text, where), where, folder)
 
 
+def experiment_text(goal: str) -> str:
+    """Return the text of the experiment that a goal or a request names.
+
+    Parameters
+    ----------
+    goal : str
+        YAML text, which is returned, or the path of a YAML file: one line without a key.
+
+    Raises
+    ------
+    InputError
+        As `read_experiment`, for a path.
+    """
+    line = goal.strip()
+    if not line or "\n" in line or ":" in line or line.startswith("{"):
+        return goal
+    # The sender and this process may work in different folders, so that a message shows the whole path. Nor can whoever
+    # gets the text look up files relative to the experiment's file, so that it becomes complete here.
+    return format_experiment(read_experiment(Path(line).expanduser().absolute()))
+
+
 def format_experiment(experiment: Experiment) -> str:
     """Return the YAML text of an experiment; `parse_experiment` reads it back."""
     mapping: dict[str, Any] = {}

@@ -1,6 +1,5 @@
 """Base of every node: configuration from ROS parameters, bench time, diagnostics, orderly shutdown."""
 
-import dataclasses
 import functools
 import gc
 import itertools
@@ -8,8 +7,10 @@ import signal
 import sys
 import threading
 import typing
+import warnings
 from array import array
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import rclpy
@@ -23,26 +24,27 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import remove_ros_args
 
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
-from mrd_base.config import from_mapping, to_mapping, unknown_key, yaml_key
+from mrd_base.config import check_sections, from_mapping, to_mapping, unknown_key
 from mrd_base.errors import InputError
-
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# Messages of somebody else must not push those of the commander out of the queue before they are refused.
-COMMAND = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-RECORDED = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE)
+from mrd_base.nodes.graph import COMMAND, DIAGNOSTICS, LATCHED, NODES, RECORDED, REFUSALS
+from mrd_base.nodes.help import describe_node
+from mrd_base.nodes.parameters import CLOCK, flatten, parameter_fields
 
 # Sections of bench.yaml that stand under /** and so reach every node, also one that does not use them.
 _SHARED = {"clock", "limits"}
 
 # Parameters that rclpy itself declares or reads.
 _RCLPY = {"use_sim_time", "start_type_description_service", "qos_overrides"}
+_NO_SIM_TIME = (
+    "use_sim_time is not supported: the time of this bench is no clock of ROS; its nodes follow the simulated bench by the "
+    "parameter clock, which `bench --simulated` sets"
+)
 
 C = TypeVar("C")
 
@@ -104,6 +106,8 @@ class BenchNode(Node, Generic[C]):
         YAML keys of the configuration that may change while the node runs; the node passes each to `accept_parameter`.
     config : dataclass
         Configuration at start, in SI units.
+    hardware_id : str
+        What the diagnostics are about; nodes that speak to a device set it.
     bench : BenchClock
         Clock of bench time, by which the node stamps and times everything.
     ending : InputError or None
@@ -123,38 +127,57 @@ class BenchNode(Node, Generic[C]):
         self.ending: InputError | None = None
         self._announcing: list[Publisher] = []
         self._inboxes: dict[Subscription, _Inbox] = {}
-        super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
-        self.config: C = from_mapping(config_type, self._declare(config_type), f"node {name}")
-        descriptor = ParameterDescriptor(
-            description="socket of the owner of a simulated bench's time; empty on a real bench", read_only=True
-        )
-        self.bench = self.make_clock(self.declare_parameter("clock", "", descriptor).value)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.hardware_id = "none"
+        self._refusals: Publisher | None = None
+        try:
+            with warnings.catch_warnings(action="ignore"):  # what rcl warns of after the error that follows
+                super().__init__(name, parameter_overrides=_command_line_parameters(sys.argv))
+        except RCLError as error:
+            # For example a middleware without the security that ROS_SECURITY_ENABLE asks for.
+            raise InputError(f"node {name}: {' '.join(str(error).split(', at /')[0].split())}") from None
+        for file in _parameter_files(sys.argv):
+            check_sections(file, {*NODES, name})
+        self.config: C = self._configure(config_type)
+        self.bench = self.make_clock(self.declare_parameter(CLOCK.key, CLOCK.default, CLOCK.descriptor()).value)
+        self._diagnostics = DIAGNOSTICS.publisher(self)
         self.create_timer(1.0, self._publish_diagnostics)
 
-    def _declare(self, config_type: type) -> dict[str, Any]:
-        """Declare all parameters and return their values as `from_mapping` takes them."""
+    def _configure(self, config_type: type[C]) -> C:
+        """Build the configuration of the given parameters, and declare them."""
         given: Mapping[str, Parameter] = self._parameter_overrides
-        flat = dict(_flatten(config_type))
-        others = (_SHARED | _RCLPY) - {key.split(".")[0] for key in flat}
+        fields = {field.key: field for field in parameter_fields(config_type, self.dynamic)}
+        others = (_SHARED | _RCLPY) - {key.split(".")[0] for key in fields}
         for key in given:
-            if key not in flat and key.split(".")[0] not in others:
-                raise InputError(f"node {self.get_name()}: unknown parameter {unknown_key(key, flat)}")
+            if key not in fields and key.split(".")[0] not in others:
+                raise InputError(f"node {self.get_name()}: unknown parameter {unknown_key(key, fields)}")
         nested: dict[str, Any] = {}
-        for key, (field, default) in flat.items():
-            descriptor = ParameterDescriptor(
-                description=field.metadata.get("doc", ""), read_only=key not in self.dynamic, dynamic_typing=True
-            )
-            value = self.declare_parameter(key, default, descriptor).value
+        for key, field in fields.items():
+            value = given[key].value if key in given else field.default
             # ROS parameters have no None; an optional field has "" instead.
-            if value is None or (value == "" and default == ""):
+            if value is None or (value == "" and field.default == ""):
                 continue
             section = nested
             *sections, last = key.split(".")
             for name in sections:
                 section = section.setdefault(name, {})
             section[last] = value
-        return nested
+        config = from_mapping(config_type, nested, f"node {self.get_name()}")
+        # What is declared is what was accepted: a number without point where one with a point is meant is no error.
+        accepted = dict(flatten(to_mapping(config)))
+        for key, field in fields.items():
+            self.declare_parameter(key, accepted.get(key, ""), field.descriptor(), ignore_override=True)
+        self._refuse_sim_time()
+        return config
+
+    def _refuse_sim_time(self) -> None:
+        if self.get_parameter("use_sim_time").value:
+            raise InputError(f"node {self.get_name()}: {_NO_SIM_TIME}")
+
+        def on_set(parameters: list[Parameter]) -> SetParametersResult:
+            wanted = any(parameter.name == "use_sim_time" and parameter.value for parameter in parameters)
+            return SetParametersResult(successful=not wanted, reason=_NO_SIM_TIME if wanted else "")
+
+        self.add_on_set_parameters_callback(on_set)
 
     def accept_parameter(self, name: str, value: Any, apply: Callable[[Any], None]) -> None:
         """Let a parameter change while the node runs.
@@ -187,7 +210,7 @@ class BenchNode(Node, Generic[C]):
         """Return the clock of bench time for the parameter ``clock``."""
         if not clock:
             return BenchClock()
-        barrier_clock = BarrierClock(clock, self.get_name())
+        barrier_clock = BarrierClock(Path(clock).expanduser(), self.get_name())
         barrier_clock.on_loss = lambda what: self.get_logger().error(what)
         return barrier_clock
 
@@ -268,16 +291,30 @@ class BenchNode(Node, Generic[C]):
         whole = int(bench_time // 1)
         return Time(sec=whole, nanosec=min(int((bench_time - whole) * 1e9), 999_999_999))
 
+    def refuse(self, what: str, reason: str) -> None:
+        """Tell on ``refusals`` and in the log why a goal is rejected: the rejection itself carries no words."""
+        self.get_logger().warning(f"{what} is refused: {reason}")
+        with self.bench.busy():
+            self._refusals = self._refusals or REFUSALS.publisher(self)
+            self._refusals.publish(REFUSALS.type(data=f"{what}: {reason}"))
+
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the node's problem in one line, "" without one, and values for the diagnostics; nodes override this."""
         return "", {}
 
+    def warning(self) -> str:
+        """Return what is not as it should be, but no problem yet, or ""; called once a second, before `health`."""
+        return ""
+
     def _publish_diagnostics(self) -> None:
+        warning = self.warning()
         problem, values = self.health()
+        level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK,
+            level=level,
             name=f"{self.get_fully_qualified_name().lstrip('/')}: state",
-            message=problem or "ok",
+            message=problem or warning or "ok",
+            hardware_id=self.hardware_id,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
@@ -300,6 +337,9 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
     executor takes less than half of the processor time of the other executors, but keeps a core busy while a coroutine
     waits. Nodes with coroutines as callbacks therefore choose another executor.
     """
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        print(describe_node(Path(sys.argv[0]).stem, factory))
+        sys.exit(0)
     stopping = False
 
     def stop(_signal: int, _frame: object) -> None:
@@ -375,19 +415,8 @@ def _command_line_parameters(arguments: list[str]) -> list[Parameter]:
     return parameters
 
 
-def _flatten(
-    config_type: type, prefix: str = "", instance: Any = None
-) -> typing.Iterator[tuple[str, tuple[dataclasses.Field[Any], Any]]]:
-    """Yield the dotted YAML keys of a configuration, each with its field and its default in YAML units."""
-    instance = config_type() if instance is None else instance
-    defaults = to_mapping(instance)
-    for field in dataclasses.fields(config_type):
-        key, _ = yaml_key(field)
-        value = getattr(instance, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from _flatten(type(value), f"{prefix}{key}.", value)
-        else:
-            yield prefix + key, (field, defaults.get(key, ""))
+def _parameter_files(arguments: list[str]) -> list[str]:
+    return [argument for option, argument in itertools.pairwise(arguments) if option == "--params-file"]
 
 
 __all__ = ["COMMAND", "LATCHED", "RECORDED", "BenchNode", "run_node", "seconds"]

@@ -7,7 +7,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from mrd_base.lease import Lease, LeaseWatch, Mode
-from mrd_base.nodes.bench_node import COMMAND, BenchNode, seconds
+from mrd_base.nodes.bench_node import BenchNode, seconds
+from mrd_base.nodes.graph import EMERGENCY_STOP, LEASE, SETPOINT
 from mrd_interfaces import msg
 
 # Bench time in s between two looks at the age of the lease.
@@ -22,7 +23,7 @@ _BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, d
 def hear_emergency_stop(node: BenchNode[Any], callback: Callable[[Bool], None]) -> None:
     """Hear ``emergency_stop`` from every publisher, whatever its quality of service; a message may come twice."""
     for qos in (RELIABLE, _BEST_EFFORT):
-        node.create_subscription(Bool, "emergency_stop", callback, qos)
+        EMERGENCY_STOP.subscription(node, callback, qos)
 
 
 class LeaseFollower(LeaseWatch):
@@ -41,7 +42,8 @@ class LeaseFollower(LeaseWatch):
         self._node, self._stop = node, stop
         self._warned = -_WARNING_PERIOD
         self.refused = ""
-        node.create_subscription(msg.Lease, "lease", self._on_lease, COMMAND)
+        self._news = False  # whether something was refused that `latest_refusal` has not told
+        LEASE.subscription(node, self._on_lease)
         node.create_bench_timer(_CHECK_PERIOD, self.check)
 
     def _on_lease(self, message: msg.Lease) -> None:
@@ -70,13 +72,18 @@ class LeaseFollower(LeaseWatch):
         number = int(setpoint.lease)
         reason = self.reason_not_to_follow(number, self._node.bench.now())
         if reason and not self.was_granted(number):
-            topics = self._node.get_publishers_info_by_topic("setpoint")
+            topics = self._node.get_publishers_info_by_topic(SETPOINT.name)
             names = sorted({f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in topics})
             self._warn(f"a setpoint is refused: {reason}; publishers of setpoint: {', '.join(names)}")
         return not reason
 
+    def latest_refusal(self) -> str:
+        """Return the latest refusal of a lease or setpoint since the last call, or ""."""
+        news, self._news = self._news, False
+        return self.refused if news else ""
+
     def _warn(self, refusal: str) -> None:
-        self.refused = refusal
+        self.refused, self._news = refusal, True
         if (now := self._node.bench.now()) - self._warned > _WARNING_PERIOD:
             self._warned = now
             self._node.get_logger().warning(refusal)

@@ -243,6 +243,11 @@ class Daq:
         self._on_problem("")
 
     @property
+    def lost(self) -> int:
+        """Number of lost readings of the converter."""
+        return self._lost_before + self._averager.lost
+
+    @property
     def problem(self) -> str:
         """The fault, or the reason of a latched stop, or ""."""
         return self._fault or (f"{self._emergency_stop}; call reset_fault" if self._emergency_stop else "")
@@ -253,7 +258,7 @@ class Daq:
             "device": self._backend.product,
             "rate_hz": self.rate,
             "coil_V": self._volts,
-            "lost_readings": self._lost_before + self._averager.lost,
+            "lost_readings": self.lost,
             "refused": self._refused,
         }
         return self.problem, values | dict(zip((f"clipped_{name}" for name in UNITS), self._clipped.tolist(), strict=True))

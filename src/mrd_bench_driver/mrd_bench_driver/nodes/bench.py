@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base import InputError, run_tool
+from mrd_base.config import check_sections
 from mrd_base.domain import claim_domain
+from mrd_base.nodes.graph import NODES
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
@@ -174,6 +176,8 @@ def _work(arguments: argparse.Namespace) -> None:
 
 def _prepare(arguments: argparse.Namespace) -> Session:
     """Check everything that can be checked before a process is started."""
+    # A section without a node would leave that node on its defaults.
+    check_sections(arguments.bench, NODES, others=False)
     paths: list[Path] = arguments.experiments
     experiments = _read_experiments(paths, read_settings(arguments.bench))
     is_set = len(paths) > 1 or any(path.is_dir() for path in paths)

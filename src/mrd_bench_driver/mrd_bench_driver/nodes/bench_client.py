@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 
 from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
-from mrd_base.nodes.bench_node import LATCHED
+from mrd_base.nodes.graph import DIAGNOSTICS, EMERGENCY_STOP, NODES, REFUSALS, RUN_EXPERIMENT, RUN_SET, Action
 from mrd_bench_driver.processes import ProcessDiedError
 from mrd_interfaces.action import RunExperiment, RunSet
 
@@ -36,8 +36,10 @@ _REST_TIMEOUT, _END_TIMEOUT = 1.0, 5.0
 _SUPERVISOR_SILENCE = 20.0
 # Wall time in s in which ROS finds the nodes of another bench.
 _DISCOVERY_TIME = 5.0
-# Nodes of which a namespace has one of each.
-_UNIQUE = {"servo", "daq", "recorder", "generator", "supervisor", "plant"}
+# Wall time in s for the reason of a rejection, which comes on a topic of its own.
+_REASON_TIMEOUT = 2.0
+# Nodes that a namespace may have besides a bench.
+_GUESTS = {"replay", "identifier", "diagnoser"}
 
 # Receives the feedback messages of an action.
 Feedback = Callable[[Any], None]
@@ -57,7 +59,7 @@ def require_free_namespace(namespace: str) -> None:
     while not found and time.monotonic() < deadline:
         time.sleep(0.05)
         names = node.get_node_names_and_namespaces()
-        found = sorted(name for name, its_namespace in names if its_namespace == namespace and name in _UNIQUE)
+        found = sorted(name for name, its_namespace in names if its_namespace == namespace and name in set(NODES) - _GUESTS)
     node.destroy_node()
     context.try_shutdown()
     if found:
@@ -97,12 +99,14 @@ class BenchClient:
         self._watch, self._clock = watch, clock
         self._held = False
         self.time = BenchClock()
-        self._run_experiment = ActionClient(self.node, RunExperiment, "run_experiment")
-        self._run_set = ActionClient(self.node, RunSet, "run_set")
-        self._emergency_stop = self.node.create_publisher(Bool, "emergency_stop", LATCHED)
+        self._run_experiment = RUN_EXPERIMENT.client(self.node)
+        self._run_set = RUN_SET.client(self.node)
+        self._emergency_stop = EMERGENCY_STOP.publisher(self.node)
         self._nodes_up: set[str] = set()
         self._supervisor_heard = time.monotonic()  # wall time of its latest diagnostics
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        DIAGNOSTICS.subscription(self.node, self._on_diagnostics)
+        self._refusals: list[str] = []
+        REFUSALS.subscription(self.node, lambda refusal: self._refusals.append(refusal.data))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         names = {status.name.partition(":")[0] for status in message.status}
@@ -170,26 +174,30 @@ class BenchClient:
     def run_experiment(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
         """Run an experiment, given by the text of its file, and return the result of the action.
 
-        If ``watch`` raises an exception meanwhile, the experiment is cancelled, and its end is awaited before the exception
-        is raised on. If it tells by `ProcessDiedError` that a node has died, everything is stopped at once.
+        The result of a goal that is rejected has no success, and the reason as its message. If ``watch`` raises an exception
+        meanwhile, the experiment is cancelled, and its end is awaited before the exception is raised on. If it tells by
+        `ProcessDiedError` that a node has died, everything is stopped at once.
         """
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
-        return self._run(self._run_experiment, goal, feedback)
+        return self._run(RUN_EXPERIMENT, self._run_experiment, goal, feedback)
 
     def run_set(self, experiments: list[str], folder: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
         """Run experiments one after the other, each into its own bag in the folder; otherwise as `run_experiment`."""
         goal = RunSet.Goal(experiments=experiments, folder=str(folder), seed=seed)
-        return self._run(self._run_set, goal, feedback)
+        return self._run(RUN_SET, self._run_set, goal, feedback)
 
-    def _run(self, action: ActionClient, goal: Any, feedback: Feedback) -> Any:
+    def _run(self, action: Action, client: ActionClient, goal: Any, feedback: Feedback) -> Any:
         def on_feedback(message: Any) -> None:
             self.let_time_pass()  # the supervisor has begun
             feedback(message.feedback)
 
-        accepted = action.send_goal_async(goal, feedback_callback=on_feedback)
+        self._refusals.clear()
+        accepted = client.send_goal_async(goal, feedback_callback=on_feedback)
         if not self.spin(accepted.done, ACCEPT_TIMEOUT):
             raise InputError(f"the supervisor did not accept the goal within {ACCEPT_TIMEOUT:g} s; look at its log")
         handle: ClientGoalHandle = accepted.result()
+        if not handle.accepted:
+            return action.type.Result(message=self._reason(action.name))
         ended = handle.get_result_async()
         self._supervisor_heard = time.monotonic()
 
@@ -212,3 +220,12 @@ class BenchClient:
             self.spin(ended.done, CANCEL_TIMEOUT, watch=False)
             raise
         return ended.result().result
+
+    def _reason(self, action: str) -> str:
+        """Return why a goal was rejected."""
+
+        def reasons() -> list[str]:
+            return [text.removeprefix(f"{action}: ") for text in self._refusals if text.startswith(f"{action}: ")]
+
+        self.spin(lambda: bool(reasons()), _REASON_TIMEOUT)
+        return reasons()[-1] if reasons() else "the supervisor has rejected the goal; its log tells why"

@@ -9,17 +9,30 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from mrd_base import InputError
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import (
+    ANALOG_INPUT,
+    ANALOG_OUTPUT,
+    CALIBRATION,
+    DAQ_EMERGENCY_STOP,
+    DAQ_RESET_FAULT,
+    DAQ_STATE,
+    DAQ_TARE,
+    MEASUREMENT,
+    SAMPLES,
+    SETPOINT,
+)
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_bench_driver.acquisition import ConverterSettings, Simulated, VoltBlock, make_backend
+from mrd_bench_driver.acquisition.block_means import BlockMeans
 from mrd_bench_driver.acquisition.channels import UNITS, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
 from mrd_bench_driver.acquisition.daq import Daq
-from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibration, Setpoint
+from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibration, Measurement, Setpoint
 
 
 class DaqNode(BenchNode[DaqConfig]):
-    """Publishes ``samples`` and ``calibration``; follows the coil current of ``setpoint``.
+    """Publishes ``samples``, ``measurement`` and ``calibration``; follows the coil current of ``setpoint``.
 
     Current flows only under the supervisor's lease, and none once the lease is no longer renewed. ``daq_state`` tells at
     once when the DAQ has stopped.
@@ -30,29 +43,32 @@ class DaqNode(BenchNode[DaqConfig]):
     def __init__(self) -> None:
         super().__init__("daq", DaqConfig)
         config = self.config
-        self._samples = self.create_publisher(BenchSamples, "samples", RECORDED)
-        self._calibration = self.create_publisher(Calibration, "calibration", LATCHED)
-        self._state = self.create_publisher(DiagnosticStatus, "daq_state", LATCHED)
+        self._samples, self._measurement = SAMPLES.publisher(self), MEASUREMENT.publisher(self)
+        self._means = BlockMeans()
+        self._calibration = CALIBRATION.publisher(self)
+        self._state = DAQ_STATE.publisher(self)
         wiring = ConverterSettings(config.device, config.channels, config.coil, config.hardware_rate, config.block)
         self._backend = make_backend(config.backend, wiring, self.bench)
         self._daq = Daq(
             config, self.bench, self._backend, self._publish_block, self._publish_calibration, self._publish_state
         )
         if isinstance(self._backend, Simulated):
-            self._output = self.create_publisher(AnalogOutput, "analog_output", LATCHED)
+            self._output = ANALOG_OUTPUT.publisher(self)
             self._backend.send = self._send_coil_voltage
-            self.create_subscription(AnalogInput, "analog_input", self._on_analog_input, RECORDED)
+            ANALOG_INPUT.subscription(self, self._on_analog_input)
         self._backend.open()
+        self.hardware_id = self._backend.product
         self._publish_calibration()
         self._publish_state("")
 
+        self._lost = 0
         self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop)
         self.accept_parameter("rate_hz", config.rate, self._set_rate)
-        self.create_service(Trigger, "daq/tare", self._on_tare)
-        self.create_service(Trigger, "daq/reset_fault", self._on_reset_fault)
-        self.create_service(Trigger, "daq/emergency_stop", self._on_emergency_stop_service)
+        DAQ_TARE.serve(self, self._on_tare)
+        DAQ_RESET_FAULT.serve(self, self._on_reset_fault)
+        DAQ_EMERGENCY_STOP.serve(self, self._on_emergency_stop_service)
         hear_emergency_stop(self, self._on_emergency_stop)
-        self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND)
+        SETPOINT.subscription(self, self._on_setpoint)
         self.create_bench_timer(0.2 * config.setpoint_timeout, self._daq.check_setpoint_age)
         self._daq.start()
 
@@ -61,9 +77,15 @@ class DaqNode(BenchNode[DaqConfig]):
             self._daq.check_inputs(block)
         message = BenchSamples(sample_period=1 / self._daq.rate, sequence=block.sequence)
         message.header.stamp = self.stamp(block.time)
-        for name, values in zip(UNITS, to_si(block.volts, self._daq.channels), strict=True):
+        samples = to_si(block.volts, self._daq.channels)
+        for name, values in zip(UNITS, samples, strict=True):
             setattr(message, name, array.array("d", values.tobytes()))
         self._samples.publish(message)
+        means = self._means.add(block.time, message.sample_period, samples)
+        if means is not None:
+            scalars = Measurement(**means.values)
+            scalars.header.stamp = self.stamp(means.time)
+            self._measurement.publish(scalars)
 
     def _publish_calibration(self) -> None:
         channels = [channel for _, channel in self._daq.channels.items()]
@@ -139,6 +161,12 @@ class DaqNode(BenchNode[DaqConfig]):
         except InputError as error:
             response.message = f"daq: {error}"
         return response
+
+    def warning(self) -> str:
+        """Return what was lost or refused since the last call."""
+        before, self._lost = self._lost, self._daq.lost
+        refused = self._lease.latest_refusal()
+        return f"{self._lost - before} readings of the converter were lost" if self._lost > before else refused
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the state of the DAQ."""

@@ -8,25 +8,40 @@ from typing import Any
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
-from std_srvs.srv import SetBool, Trigger
 
+from mrd_base.nodes.graph import (
+    ABORT_EXPERIMENT,
+    DAQ_RESET_FAULT,
+    DAQ_TARE,
+    LOAD_EXPERIMENT,
+    SERVO_ENABLE,
+    SERVO_HOME,
+    SERVO_RESET_FAULT,
+    SERVO_STOP,
+    START_EXPERIMENT,
+    START_RECORDING,
+    STOP_RECORDING,
+    Service,
+)
 from mrd_bench_driver.supervision.errors import RefusedError
 from mrd_bench_driver.supervision.operations import Interruption, never_interrupted
-from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
-# Services and their types, by the node that offers them.
-_SERVICES: dict[str, dict[str, Any]] = {
-    "servo": {"servo/enable": SetBool, "servo/home": Trigger, "servo/stop": Trigger, "servo/reset_fault": Trigger},
-    "daq": {"daq/tare": Trigger, "daq/reset_fault": Trigger, "daq/set_parameters": SetParameters},
-    "generator": {"load_experiment": LoadExperiment, "start_experiment": Trigger, "abort_experiment": Trigger},
-    "recorder": {"start_recording": StartRecording, "stop_recording": StopRecording},
+# The service by which ROS sets the parameters of the DAQ.
+_DAQ_PARAMETERS = Service("daq/set_parameters", SetParameters, "daq", "set parameters")
+# Services that the supervisor calls.
+_SERVICES = {
+    service.name: service
+    for service in (
+        *(SERVO_ENABLE, SERVO_HOME, SERVO_STOP, SERVO_RESET_FAULT, DAQ_TARE, DAQ_RESET_FAULT, _DAQ_PARAMETERS),
+        *(LOAD_EXPERIMENT, START_EXPERIMENT, ABORT_EXPERIMENT, START_RECORDING, STOP_RECORDING),
+    )
 }
 # Time in s between two looks at whether a wait was interrupted.
 _POLLING_INTERVAL = 0.005
 # Wall time in s after which a request is repeated: a request to a node that has just been started may be lost.
 _REPEAT_AFTER = 2.0
 # Requests that begin something are not repeated.
-_NOT_REPEATED = ("start_experiment", "start_recording", "stop_recording", "servo/home")
+_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING, STOP_RECORDING, SERVO_HOME)}
 
 
 class PeerClients:
@@ -34,11 +49,7 @@ class PeerClients:
 
     def __init__(self, node: Node) -> None:
         self._closed = False
-        self._clients = {
-            service: (owner, node.create_client(service_type, service))
-            for owner, services in _SERVICES.items()
-            for service, service_type in services.items()
-        }
+        self._clients = {name: (service.node, service.client(node)) for name, service in _SERVICES.items()}
 
     def close(self) -> None:
         """Refuse all calls from now on, because nobody spins the executor any more."""
@@ -86,7 +97,7 @@ class PeerClients:
 
     def _await_response(self, service: str, timeout: float, interruption: Interruption, fields: dict[str, Any]) -> Any:
         owner, client = self._clients[service]
-        request = _SERVICES[owner][service].Request(**fields)
+        request = _SERVICES[service].type.Request(**fields)
         responses: queue.SimpleQueue[Any] = queue.SimpleQueue()
         pending: list[Any] = []
 
@@ -118,6 +129,6 @@ class PeerClients:
         """Set the sample rate in Hz of the DAQ."""
         value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float(rate))
         fields = {"parameters": [Parameter(name="rate_hz", value=value)]}
-        (result,) = self._await_response("daq/set_parameters", timeout, interruption, fields).results
+        (result,) = self._await_response(_DAQ_PARAMETERS.name, timeout, interruption, fields).results
         if not result.successful:
             raise RefusedError(f"daq: {result.reason}")

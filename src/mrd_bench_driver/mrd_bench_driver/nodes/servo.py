@@ -3,13 +3,26 @@
 import dataclasses
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.lease import Mode
-from mrd_base.nodes.bench_node import COMMAND, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import (
+    JOINT_STATES,
+    SAMPLES,
+    SERVO_EMERGENCY_STOP,
+    SERVO_ENABLE,
+    SERVO_HOME,
+    SERVO_RESET_FAULT,
+    SERVO_STATE,
+    SERVO_STOP,
+    SETPOINT,
+    Service,
+)
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_bench_driver.servo.communication import ServoCommunication
 from mrd_bench_driver.servo.config import ServoConfig
@@ -17,6 +30,9 @@ from mrd_bench_driver.servo.controller import Response
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.servo.streaming import RodSetpoint
 from mrd_interfaces import msg
+
+# Temperature of the motor in degC that is worth a warning: 10 below the limit at which it faults (Moog, default of TH).
+_WARM = 75.0
 
 
 class ServoNode(BenchNode[ServoConfig]):
@@ -28,24 +44,28 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def __init__(self) -> None:
         super().__init__("servo", ServoConfig)
-        self._published = ServoStatus()
-        self._communication = ServoCommunication(self.config, self.bench, self._publish)
+        self._published, self._missed = ServoStatus(), 0
+        self._force = math.nan  # mean in N of a block of samples that joint_states has not told
+        # No shell has expanded the parameter's ~.
+        config = dataclasses.replace(self.config, port=str(Path(self.config.port).expanduser()))
+        self.hardware_id = config.port
+        self._communication = ServoCommunication(config, self.bench, self._publish)
         self._controller = self._communication.controller
-        self._state = self.create_publisher(msg.ServoState, "servo_state", RECORDED)
-        self._joint = self.create_publisher(JointState, "joint_states", RECORDED)
-        self.create_subscription(msg.Setpoint, "setpoint", self._on_setpoint, COMMAND)
-        self.create_subscription(msg.BenchSamples, "samples", self._on_samples, RECORDED)
+        self._state = SERVO_STATE.publisher(self)
+        self._joint = JOINT_STATES.publisher(self)
+        SETPOINT.subscription(self, self._on_setpoint)
+        SAMPLES.subscription(self, self._on_samples)
         self._lease = LeaseFollower(self, self.config.lease_timeout, self._emergency_stop)
         hear_emergency_stop(self, self._on_emergency_stop)
-        services: dict[str, tuple[Any, Callable[[Any], Response]]] = {
-            "servo/enable": (SetBool, lambda request: self._enable() if request.data else self._disable()),
-            "servo/home": (Trigger, lambda _request: self._home()),
-            "servo/stop": (Trigger, lambda _request: self._halt()),
-            "servo/emergency_stop": (Trigger, lambda _request: self._emergency_stop("emergency stop by its service")),
-            "servo/reset_fault": (Trigger, lambda _request: self._reset_fault()),
+        services: dict[Service, Callable[[Any], Response]] = {
+            SERVO_ENABLE: lambda request: self._enable() if request.data else self._disable(),
+            SERVO_HOME: lambda _request: self._home(),
+            SERVO_STOP: lambda _request: self._halt(),
+            SERVO_EMERGENCY_STOP: lambda _request: self._emergency_stop("emergency stop by its service"),
+            SERVO_RESET_FAULT: lambda _request: self._reset_fault(),
         }
-        for name, (service_type, work) in services.items():
-            self.create_service(service_type, name, _service_callback(work))
+        for service, work in services.items():
+            service.serve(self, _service_callback(work))
         self._communication.start()
 
     # Commands
@@ -58,6 +78,7 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def _on_samples(self, message: Any) -> None:
         self._controller.add_samples(seconds(message.header.stamp), message.sample_period, message.position)
+        self._force = float(np.mean(message.force)) if message.force else math.nan
 
     def _enable(self) -> Response:
         now = self.bench.now()
@@ -97,15 +118,28 @@ class ServoNode(BenchNode[ServoConfig]):
         state = msg.ServoState(**{name: value for name, value in vars(status).items() if name != "time"})
         state.header.stamp = self.stamp(status.time)
         self._state.publish(state)
-        if self._joint.get_subscription_count() and not math.isnan(status.position):
-            joint = JointState(name=["rod"], position=[status.position], velocity=[status.velocity])
+        # Before it is homed, the encoder counts from where it was switched on. One for each block of samples is enough for
+        # plots and visualisations: a recorded message costs a simulated bench more than a millisecond.
+        if status.homed and not math.isnan(self._force):
+            joint = JointState(name=["rod"], position=[status.position], velocity=[status.velocity], effort=[self._force])
             joint.header = state.header
             self._joint.publish(joint)
+            self._force = math.nan
         if status.message != self._published.message and status.message:
             self.get_logger().warning(status.message)
         if status.connected != self._published.connected:
             self.get_logger().info("motor connected" if status.connected else "motor not connected")
         self._published = status
+
+    def warning(self) -> str:
+        """Return what was missed or refused since the last call, or that the motor is warm."""
+        before, self._missed = self._missed, self._controller.missed_replies
+        refused = self._lease.latest_refusal()
+        if self._missed > before:
+            return f"{self._missed - before} times the motor did not reply; check the line"
+        if self._published.temperature > _WARM:
+            return f"the motor has {self._published.temperature:.0f} degC; it stops by itself at 85 degC"
+        return refused
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or that the motor is not connected, and the state."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
@@ -20,7 +20,27 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import (
+    BENCH_STATE,
+    CONTROL,
+    DAQ_STATE,
+    EMERGENCY_STOP,
+    EMERGENCY_STOP_SERVICE,
+    EXPERIMENT_STATE,
+    HOME,
+    LEASE,
+    RECORDER_STATE,
+    RESET_FAULT,
+    RUN_EXPERIMENT,
+    RUN_SET,
+    SAMPLES,
+    SERVO_STATE,
+    SETPOINT,
+    STOP,
+    Action,
+    Service,
+)
 from mrd_base.nodes.lease import hear_emergency_stop
 from mrd_bench_driver.nodes.peer_clients import PeerClients
 from mrd_bench_driver.servo.status import ServoStatus
@@ -32,7 +52,7 @@ from mrd_bench_driver.supervision.procedure import RunOutcome, SetOutcome
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.supervisor import Supervisor
 from mrd_interfaces.action import RunExperiment, RunSet
-from mrd_interfaces.msg import BenchSamples, BenchState, Lease, Recording, ServoState, Setpoint
+from mrd_interfaces.msg import BenchSamples, BenchState, Lease, Recording, ServoState
 
 _STATUS_FIELDS = [field.name for field in dataclasses.fields(ServoStatus) if field.name != "time"]
 # Threads for requests: one runs a procedure, the others refuse, cancel and stop.
@@ -44,7 +64,9 @@ _CLOSE_TIMEOUT = 2.0
 
 
 class SupervisorNode(BenchNode[SupervisorConfig]):
-    """Topics are served by the executor of this node, in callbacks that never wait; requests by the threads of another one.
+    """Watches the interlocks, renews the lease, holds the mode of the bench, and runs experiments.
+
+    Topics are served by the executor of this node, in callbacks that never wait; requests by the threads of another one.
 
     An executor serves whole nodes, so a second node in this process takes the requests.
     """
@@ -52,24 +74,25 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
     def __init__(self) -> None:
         super().__init__("supervisor", SupervisorConfig)
         self._peers = PeerClients(self)
-        self._state = self.create_publisher(BenchState, "bench_state", LATCHED)
-        self._emergency_stop = self.create_publisher(Bool, "emergency_stop", LATCHED)
-        self._lease = self.create_publisher(Lease, "lease", COMMAND)
+        self._state = BENCH_STATE.publisher(self)
+        self._emergency_stop = EMERGENCY_STOP.publisher(self)
+        self._lease = LEASE.publisher(self)
         self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
+        self._late = 0
         self._renewed, self._lease_lock = -math.inf, threading.Lock()
         self._supervisor = Supervisor(
             self.config, self.bench, self._peers, self._announce, lambda stop: self._emergency_stop.publish(Bool(data=stop))
         )
         hear_emergency_stop(self, self._on_emergency_stop)
-        self.create_subscription(Lease, "lease", self._on_lease, COMMAND)
+        LEASE.subscription(self, self._on_lease)
         # First what servo and DAQ say, then what they measure: a cause comes before its consequences.
-        self.create_subscription(DiagnosticStatus, "daq_state", self._on_daq_state, LATCHED)
-        self.create_subscription(ServoState, "servo_state", self._on_servo_state, RECORDED)
-        self.create_subscription(BenchSamples, "samples", self._on_samples, RECORDED)
-        self.create_subscription(Setpoint, "setpoint", self._on_setpoint, COMMAND, raw=True)
-        self.create_subscription(String, "experiment_state", self._on_experiment_state, LATCHED)
-        self.create_subscription(DiagnosticStatus, "recorder_state", self._on_recorder_state, LATCHED)
-        self.create_service(Trigger, "emergency_stop", self._on_emergency_stop_service)
+        DAQ_STATE.subscription(self, self._on_daq_state)
+        SERVO_STATE.subscription(self, self._on_servo_state)
+        SAMPLES.subscription(self, self._on_samples)
+        SETPOINT.subscription(self, self._on_setpoint, raw=True)
+        EXPERIMENT_STATE.subscription(self, self._on_experiment_state)
+        RECORDER_STATE.subscription(self, self._on_recorder_state)
+        EMERGENCY_STOP_SERVICE.serve(self, self._on_emergency_stop_service)
         self.create_bench_timer(self.config.check, self._tick)
 
         self._active_goals: list[ServerGoalHandle] = []
@@ -85,26 +108,48 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         def control(request: SetBool.Request) -> str:
             return supervisor.control() if request.data else supervisor.stop()
 
-        services: dict[str, tuple[Any, Callable[[Any], str]]] = {
-            "reset_fault": (Trigger, lambda _request: supervisor.reset_fault()),
-            "home": (Trigger, lambda _request: supervisor.home()),
-            "stop": (Trigger, lambda _request: supervisor.stop()),
-            "control": (SetBool, control),
+        services: dict[Service, Callable[[Any], str]] = {
+            RESET_FAULT: lambda _request: supervisor.reset_fault(),
+            HOME: lambda _request: supervisor.home(),
+            STOP: lambda _request: supervisor.stop(),
+            CONTROL: control,
         }
-        for name, (service_type, work) in services.items():
-            self._request_node.create_service(service_type, name, _service_callback(work), callback_group=group)
-        actions = {"run_experiment": (RunExperiment, self._run_experiment), "run_set": (RunSet, self._run_set)}
+        for service, work in services.items():
+            service.serve(self._request_node, _service_callback(work), callback_group=group)
+
+        def check_experiment(goal: RunExperiment.Goal) -> None:
+            supervisor.check_experiment(goal.experiment, goal.bag, goal.seed)
+
+        def check_set(goal: RunSet.Goal) -> None:
+            supervisor.check_set(goal.experiments, goal.folder, goal.seed)
+
+        actions: dict[Action, tuple[Callable[[Any], Any], Callable[[Any], None]]] = {
+            RUN_EXPERIMENT: (self._run_experiment, check_experiment),
+            RUN_SET: (self._run_set, check_set),
+        }
         self._action_servers = [
-            ActionServer(
+            action.server(
                 self._request_node,
-                action_type,
-                name,
                 execute,
                 callback_group=group,
+                goal_callback=self._goal_callback(action.name, check),
                 cancel_callback=lambda _goal: CancelResponse.ACCEPT,
             )
-            for name, (action_type, execute) in actions.items()
+            for action, (execute, check) in actions.items()
         ]
+
+    def _goal_callback(self, name: str, check: Callable[[Any], None]) -> Callable[[Any], GoalResponse]:
+        """Return a callback that rejects a goal for which ``check`` raises `RefusedError`."""
+
+        def accept(goal: Any) -> GoalResponse:
+            try:
+                check(goal)
+            except RefusedError as error:
+                self.refuse(name, str(error))
+                return GoalResponse.REJECT
+            return GoalResponse.ACCEPT
+
+        return accept
 
     # Topics and the service emergency_stop
 
@@ -233,6 +278,12 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             goal.abort()
 
     # The base of a node
+
+    def warning(self) -> str:
+        """Return how many cycles were late since the last call."""
+        before, self._late = self._late, self._supervisor.late_cycles
+        late = self._late - before
+        return f"{late} cycles were more than {1e3 * self.config.late:g} ms late; this machine is busy" if late > 0 else ""
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault, if there is one, and the mode."""

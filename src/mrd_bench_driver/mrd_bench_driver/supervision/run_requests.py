@@ -1,15 +1,13 @@
 """Requests for runs: which experiment to run, and where to record it."""
 
 import datetime
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_base.config import parse_yaml
 from mrd_bench_driver.supervision.errors import RefusedError
-from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.experiment import experiment_text, parse_experiment
 
 
 @dataclass(frozen=True)
@@ -37,16 +35,16 @@ class RunRequest:
 
 
 def single_run(experiment: str, bag: str, seed: int, runs: Path) -> RunRequest:
-    """Return the request for one run; without ``bag``, its folder is a new one in ``runs``."""
-    if not bag:
-        try:
-            name = str(parse_yaml(experiment, "experiment").get("name"))
-        except InputError as error:
-            raise RefusedError(str(error)) from None
-        # The generator checks the experiment as a whole. Here the name must only be safe as the name of a folder.
-        name = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else "experiment"
-        bag = str(runs / f"{name}-{_now()}")
-    return RunRequest(experiment, Path(bag).resolve(), seed)
+    """Return the request for one run; without ``bag``, its folder is a new one in ``runs``.
+
+    Raises
+    ------
+    RefusedError
+        If the experiment is invalid.
+    """
+    text, name = _read(experiment, "experiment")
+    folder = Path(bag).expanduser() if bag else runs / f"{name}-{_now()}"
+    return RunRequest(text, folder.resolve(), seed)
 
 
 def set_of_runs(experiments: Sequence[str], folder: str, seed: int, runs: Path) -> list[RunRequest]:
@@ -60,20 +58,31 @@ def set_of_runs(experiments: Sequence[str], folder: str, seed: int, runs: Path) 
         If an experiment is invalid, if two have the same name, or if a bag exists.
     """
     if not experiments:
-        raise RefusedError("the set has no experiments; give their texts")
-    parent = Path(folder or runs / f"set-{_now()}").resolve()
+        raise RefusedError("the set has no experiments; give their texts, or paths of their files")
+    parent = Path(folder or runs / f"set-{_now()}").expanduser().resolve()
     requests: dict[str, RunRequest] = {}
-    for number, text in enumerate(experiments, 1):
-        try:
-            name = parse_experiment(text, f"experiment {number}").name
-        except InputError as error:
-            raise RefusedError(str(error)) from None
+    for number, experiment in enumerate(experiments, 1):
+        text, name = _read(experiment, f"experiment {number}")
         if name in requests:
             raise RefusedError(f"experiment {number}: another one of the set has the name {name}, too; rename one")
-        if (parent / name).exists():
-            raise RefusedError(f"{parent / name}: exists already and is not overwritten; give another folder")
         requests[name] = RunRequest(text, parent / name, seed)
+        require_new(requests[name])
     return list(requests.values())
+
+
+def require_new(request: RunRequest) -> None:
+    """Refuse a run whose bag exists."""
+    if request.bag.exists():
+        raise RefusedError(f"{request.bag}: exists already and is not overwritten; give another folder")
+
+
+def _read(goal: str, where: str) -> tuple[str, str]:
+    """Return text and name of the experiment of a goal."""
+    try:
+        text = experiment_text(goal)
+        return text, parse_experiment(text, where).name
+    except InputError as error:
+        raise RefusedError(str(error)) from None
 
 
 def _now() -> str:

@@ -16,7 +16,7 @@ from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.operations import BenchOperations, Interruption, Peers, never_interrupted
 from mrd_bench_driver.supervision.procedure import Progress, RunOutcome, SetOutcome, run_experiment, run_set
 from mrd_bench_driver.supervision.punctuality import Punctuality
-from mrd_bench_driver.supervision.run_requests import RunRequest, set_of_runs, single_run
+from mrd_bench_driver.supervision.run_requests import RunRequest, require_new, set_of_runs, single_run
 from mrd_bench_driver.supervision.snapshot import BenchMonitor
 
 # Receives the number of a run in its set, from 1, its request, the phase, elapsed time in s and duration in s.
@@ -59,6 +59,7 @@ class Supervisor:
     ) -> None:
         self._config, self._clock, self._peers = config, clock, peers
         self._send_emergency_stop = send_emergency_stop
+        self._runs = Path(config.runs).expanduser()
         self._lock = threading.Lock()
         self._stop_requested = threading.Event()
         self._punctuality = Punctuality(config.late)
@@ -106,6 +107,11 @@ class Supervisor:
         """Check the interlocks, and how punctually this is called every ``check`` s."""
         self._punctuality.note(self._clock.now(), self._config.check)
         self.check_interlocks()
+
+    @property
+    def late_cycles(self) -> int:
+        """Number of late cycles in the latest run or since the start."""
+        return self._punctuality.late
 
     # Requests
 
@@ -165,13 +171,23 @@ class Supervisor:
                 self.mode.enter(Mode.IDLE, "fault reset")
         return "reset; home or run an experiment to go on"
 
+    def check_experiment(self, experiment: str, bag: str, seed: int) -> None:
+        """Raise `RefusedError` if `run_experiment` would refuse at once."""
+        self._require_free()
+        require_new(single_run(experiment, bag, seed, self._runs))
+
+    def check_set(self, experiments: Sequence[str], folder: str, seed: int) -> None:
+        """Raise `RefusedError` if `run_set` would refuse at once."""
+        self._require_free()
+        set_of_runs(experiments, folder, seed, self._runs)
+
     def run_experiment(
         self, experiment: str, bag: str, seed: int, progress: Progress, cancelled: Callable[[], bool]
     ) -> RunOutcome:
         """Run one experiment, given by the text of its file. ``cancelled`` is asked during every wait."""
 
         def work(bench: BenchOperations) -> RunOutcome:
-            return self._run(bench, single_run(experiment, bag, seed, Path(self._config.runs)), progress)
+            return self._run(bench, single_run(experiment, bag, seed, self._runs), progress)
 
         return self._run_exclusively("run_experiment", RunOutcome, work, cancelled)
 
@@ -181,7 +197,7 @@ class Supervisor:
         """Run experiments one after the other, each into its own bag in the folder."""
 
         def work(bench: BenchOperations) -> SetOutcome:
-            requests = set_of_runs(experiments, folder, seed, Path(self._config.runs))
+            requests = set_of_runs(experiments, folder, seed, self._runs)
 
             def progress_of(request: RunRequest) -> Progress:
                 return partial(progress, requests.index(request) + 1, request)
@@ -238,12 +254,20 @@ class Supervisor:
         problem = self._punctuality.problem()
         return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome
 
+    def _require_free(self) -> None:
+        """Refuse unless the bench is idle and no procedure runs."""
+        self._require_no_procedure()
+        self.mode.require_idle()
+
+    def _require_no_procedure(self) -> None:
+        if self.procedure:
+            raise RefusedError(f"the bench is busy: {self.procedure}; wait for its end or call stop")
+
     @contextlib.contextmanager
     def _exclusive(self, procedure: str) -> Iterator[None]:
         """Let one procedure run at a time; refuse others."""
         with self._lock:
-            if self.procedure:
-                raise RefusedError(f"the bench is busy: {self.procedure}; wait for its end or call stop")
+            self._require_no_procedure()
             self.procedure = procedure
             self._stop_requested.clear()
         try:

@@ -4,6 +4,7 @@ import argparse
 import math
 
 from mrd_base import run_tool
+from mrd_base.tool import command
 from mrd_diagnosis.correction import Correction, correction, write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_sim.cli.options import add_effects_folder
@@ -18,9 +19,8 @@ def main() -> None:
 def work() -> None:
     """Parse the arguments, write the plant file, and print how to use it."""
     parser = argparse.ArgumentParser(
-        prog="apply",
         description="Write a plant.yaml of the simulated bench with the damper that a diagnosis found: with its refitted "
-        "parameters and its missing effects.",
+        "parameters and its missing effects."
     )
     parser.add_argument("report", metavar="GAP_REPORT.json", help="file that diagnose wrote")
     parser.add_argument(
@@ -47,9 +47,9 @@ def work() -> None:
     )
     output = write_plant(corrected, arguments.plant, arguments.output)
     print(f"{output}: {corrected.remark}")
-    print(f"Next, simulate this bench: ros2 run mrd_sim simulate EXPERIMENT.yaml --plant {output} --output FILE.csv")
-    identify = f"ros2 run mrd_identification identify RUN... {identify_arguments(corrected)} --output DIR"
-    print(f"Or fit this model to new runs: {identify}")
+    simulate, identify = command("mrd_sim", "simulate"), command("mrd_identification", "identify")
+    print(f"Next, simulate this bench: {simulate} EXPERIMENT.yaml --plant {output} --output FILE.csv")
+    print(f"Or fit this model to new runs: {identify} RUN... {identify_arguments(corrected)} --output DIR")
 
 
 def identify_arguments(corrected: Correction) -> str:

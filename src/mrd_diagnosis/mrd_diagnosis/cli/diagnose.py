@@ -2,15 +2,14 @@
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from tqdm import tqdm
 
-from mrd_base import InputError, run_tool
+from mrd_base import FaultError, InputError, run_tool
+from mrd_base.progress import shown_progress
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.report.candidate_text import (
@@ -22,9 +21,10 @@ from mrd_diagnosis.report.candidate_text import (
 )
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command, next_step
-from mrd_identification.cli.options import add_run_arguments, read_arguments_runs
+from mrd_identification.cli.options import add_run_arguments, announce, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
+from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -46,10 +46,9 @@ def main() -> None:
 def work() -> None:
     """Read the arguments and the runs, diagnose, write the reports and print a summary."""
     parser = argparse.ArgumentParser(
-        prog="diagnose",
         description="Find where a damper model and recordings disagree, which missing effect causes the gap, and how much "
         "of it the effect removes. Writes gap_report.json, gap_report.html and, where an experiment is advised, "
-        "next_experiment.yaml.",
+        "next_experiment.yaml."
     )
     add_run_arguments(parser)
     parser.add_argument(
@@ -73,7 +72,7 @@ def work() -> None:
         "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
     )
     parser.add_argument(
-        "--effects", default="", metavar="ID,...", help="effects to try; ros2 run mrd_sim effects lists them (default: all)"
+        "--effects", default="", metavar="ID,...", help="effects to try (default: all); `effects` lists them"
     )
     add_effects_folder(parser)
     parser.add_argument(
@@ -96,12 +95,8 @@ def work() -> None:
     bench = read_settings(arguments.bench)
     runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
-    with tqdm(total=100, desc="diagnosing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.set_description_str(stage, refresh=False)
-            bar.update(int(100 * fraction) - bar.n)
-
+    announce(describe_runs([*runs, *held_out, *reference]))
+    with shown_progress("diagnosing") as progress:
         diagnosis = diagnose(
             runs,
             arguments.model,
@@ -116,6 +111,8 @@ def work() -> None:
         )
     page = write_gap_report(diagnosis, folder)
     print_summary(diagnosis, page)
+    if diagnosis.verdict == "data_fault":
+        raise FaultError(f"the recordings are faulty, so that nothing was diagnosed; {page} tells how to mend them")
 
 
 def print_summary(diagnosis: Diagnosis, page: Path) -> None:
@@ -126,7 +123,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
     if command := next_command(diagnosis, str(page.parent)):
         print(f"next command: {command}")
     for finding in diagnosis.findings:
-        print(f"{finding.severity}: {': '.join(filter(None, (finding.run, finding.channel, finding.text)))}")
+        print(f"{finding.severity}: {finding.sentence}")
     if diagnosis.candidates and nothing_removes(diagnosis):
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:

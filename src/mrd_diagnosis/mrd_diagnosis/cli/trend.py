@@ -1,19 +1,21 @@
 """Follow a parameter of a damper over dated runs."""
 
 import argparse
-import sys
-from typing import Any
-
-from tqdm import tqdm
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from mrd_base import InputError, run_tool
+from mrd_base.progress import shown_progress
 from mrd_diagnosis.report.gap_file import read_gap_report
-from mrd_diagnosis.trend.calendar import make_calendar
+from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.trend.calendar import Calendar, make_calendar
+from mrd_diagnosis.trend.change_over_dates import change_over_dates, parameter_to_follow
 from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import write_trend
 from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_identification.json_file import make_folder
-from mrd_runs import read_runs
+from mrd_runs import Run, read_runs
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -32,13 +34,23 @@ def work() -> None:
     runs = read_runs(arguments.runs)
     calendar = make_calendar(runs, [date for date in arguments.dates.split(",") if date])
     folder = make_folder(arguments.output)
-    with tqdm(total=100, desc="trend", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.set_description_str(stage, refresh=False)
-            bar.update(int(100 * fraction) - bar.n)
-
-        result = trend(runs, calendar=calendar, limit=arguments.limit, seed=arguments.seed, progress=progress, **start)
+    if not start.follow:
+        start = _follow_what_changed(start, runs, calendar, folder, arguments.seed)
+    if not start.follow:
+        return
+    with shown_progress("trend") as progress:
+        result = trend(
+            runs,
+            start.model,
+            start.follow,
+            effects=start.effects,
+            laws=start.laws,
+            parameters=start.fit.values if start.fit else None,
+            calendar=calendar,
+            limit=arguments.limit,
+            seed=arguments.seed,
+            progress=progress,
+        )
     page = write_trend(result, folder)
     print(result.sentence)
     for note in result.notes:
@@ -48,9 +60,8 @@ def work() -> None:
 
 def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="trend",
         description="Follow a parameter over dated runs: find its trend and a change point, and predict when it reaches a "
-        "limit. Writes trend.json and trend.html.",
+        "limit. Without a parameter, first find the effect that explains what has changed. Writes trend.json, trend.html."
     )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV file")
     parser.add_argument("--model", help=f"one of {', '.join(MODELS)}; default: the model of --report or --parameters")
@@ -85,9 +96,19 @@ def _parse_arguments() -> argparse.Namespace:
     return arguments
 
 
-def _start(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return model, laws, effects, parameters and the parameter to follow, as `trend` takes them."""
-    laws = parse_laws(arguments.law, "--law")
+@dataclass(frozen=True)
+class _Start:
+    """Model, current laws, effects and fit to start from, and the parameter to follow; empty if that is to be found."""
+
+    model: str
+    laws: str | Mapping[str, str] | None
+    follow: str
+    effects: Sequence[str] = ()
+    fit: StoredFit | None = None
+
+
+def _start(arguments: argparse.Namespace) -> _Start:
+    laws = parse_laws(arguments.law, "--law") or None
     source, follow = arguments.report or arguments.parameters, arguments.effect
     stored = None
     if arguments.report:
@@ -104,22 +125,32 @@ def _start(arguments: argparse.Namespace) -> dict[str, Any]:
     elif follow:
         effect, _, name = follow.partition(".")
         follow = f"{effect}.{name or find_effects([effect])[0].parameters[0].name}"
-    else:
-        raise InputError("no parameter to follow: expected --effect EFFECT or --parameter NAME")
+    elif arguments.report:
+        raise InputError(f"{source}: found no cause to follow; name an --effect or a --parameter")
     if stored is None:
         if not arguments.model:
             raise InputError("--model is missing: expected it, or a --report or --parameters file that names the model")
-        return {"model": arguments.model, "follow": follow, "laws": laws}
+        return _Start(arguments.model, laws, follow or "")
     if arguments.model not in (None, stored.model):
         raise InputError(
             f"--model is {arguments.model} but {source} has {stored.model}: expected the same; leave --model out"
         )
     if laws:
         raise InputError(f"--law is {arguments.law} but {source} has its own current laws: leave --law out")
-    return {
-        "model": stored.model,
-        "follow": follow,
-        "laws": stored.laws,
-        "effects": stored.effects,
-        "parameters": stored.values,
-    }
+    return _Start(stored.model, stored.laws, follow or "", stored.effects, stored)
+
+
+def _follow_what_changed(start: _Start, runs: Sequence[Run], calendar: Calendar, folder: Path, seed: int) -> _Start:
+    """Explain what has changed, write the report of that, and follow the effect that explains most of it."""
+    with shown_progress("trend") as progress:
+        diagnosis = change_over_dates(
+            runs, calendar, start.model, laws=start.laws, parameters=start.fit, seed=seed, progress=progress
+        )
+    print(diagnosis.sentence)
+    print(write_gap_report(diagnosis, make_folder(str(folder / "change"))))
+    follow = parameter_to_follow(diagnosis)
+    if not follow:
+        names = ", ".join(diagnosis.model.names)
+        print(f"No parameter is followed. Name one by --parameter ({names}) or an effect by --effect.")
+    causes = [cause.effect for cause in diagnosis.causes]
+    return replace(start, model=diagnosis.model.id, laws=diagnosis.model.laws, follow=follow, effects=causes)

@@ -8,7 +8,8 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.nodes.bench_node import run_node
-from mrd_diagnosis.diagnose import diagnose
+from mrd_base.nodes.graph import DIAGNOSE
+from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command
 from mrd_identification.fit_file import read_fit
@@ -17,6 +18,7 @@ from mrd_interfaces.action import Diagnose
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_sim.current import parse_laws
 from mrd_sim.effects import EFFECTS, load_effects
+from mrd_sim.models import find_model
 from mrd_trajectory.settings import read_settings
 
 
@@ -24,7 +26,13 @@ class Diagnoser(AnalysisNode):
     """Serves the action ``diagnose``."""
 
     def __init__(self) -> None:
-        super().__init__("diagnoser", Diagnose, "diagnose")
+        super().__init__("diagnoser", DIAGNOSE.type, DIAGNOSE.name)
+
+    def check(self, request: Diagnose.Goal) -> None:
+        """Refuse a model or current laws that there are not."""
+        parse_laws(request.laws, "laws")
+        if request.model != BEST_MODEL:
+            find_model(request.model)
 
     def work(self, request: Diagnose.Goal, publish: Callable[[Any], None], result: Diagnose.Result) -> None:
         """Diagnose the gap that the goal asks about, and write the report."""

@@ -49,7 +49,7 @@ def ordered_candidates(diagnosis: Diagnosis) -> list[Candidate]:
 
 def nothing_removes(diagnosis: Diagnosis) -> bool:
     """Whether no candidate removes as much of the gap as a table in whole per cent can show."""
-    return all(candidate.closed_fraction.value < LEAST_SHOWN for candidate in diagnosis.candidates)
+    return not any(candidate.closed_fraction.value >= LEAST_SHOWN for candidate in diagnosis.candidates)
 
 
 def _remark(diagnosis: Diagnosis, candidate: Candidate) -> str:

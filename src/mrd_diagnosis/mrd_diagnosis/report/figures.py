@@ -95,7 +95,7 @@ def region_chart(regions: Sequence[Region]) -> go.Figure:
             y=names,
             mode="markers",
             name="share of the samples",
-            marker={"symbol": "line-ns", "size": 16, "line": {"width": 2.5, "color": "#1f2933"}},
+            marker={"symbol": "line-ns", "size": 16, "line": {"width": 2.5, "color": "#7b8794"}},
         )
     )
     figure.update_xaxes(title_text="share of the excess error", tickformat=".0%", range=[0, 1.02], nticks=6)
@@ -125,7 +125,7 @@ def candidate_chart(diagnosis: Diagnosis) -> go.Figure:
     lowest = min([0.0, *(candidate.closed_fraction.lower for candidate in shown if candidate.closed_fraction.lower < 0)])
     # The axis begins at a tick, so that bars and whiskers left of zero can be read.
     figure.update_xaxes(
-        title_text="share of the gap that the effect removes",
+        title_text="share of the gap removed",
         tickformat=".0%",
         range=[np.floor(lowest / 0.25) * 0.25 - 0.05 * (lowest < 0), 1.4 if with_probabilities(diagnosis) else 1.05],
         tickvals=[-1, -0.75, -0.5, -0.25, 0, 0.25, 0.5, 0.75, 1],

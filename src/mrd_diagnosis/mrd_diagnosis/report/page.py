@@ -124,7 +124,8 @@ def write_gap_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
     experiment.unlink(missing_ok=True)
     if diagnosis.next_experiment is not None and diagnosis.next_experiment.experiment:
         experiment.write_text(diagnosis.next_experiment.experiment, encoding="utf-8")
-    return render("gap_report", folder, "mrd_diagnosis", **page_content(diagnosis, str(folder)))
+    runs = (*diagnosis.runs, *diagnosis.held_out, *diagnosis.reference)
+    return render("gap_report", folder, "mrd_diagnosis", runs=runs, **page_content(diagnosis, str(folder)))
 
 
 def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:

@@ -1,17 +1,17 @@
 """Fit several damper models to the same recordings and rank them by held-out error."""
 
 import argparse
-import sys
 
 from rich.console import Console
 from rich.table import Column, Table
-from tqdm import tqdm
 
 from mrd_base import run_tool
+from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
     add_run_arguments,
+    announce,
     look_at_runs,
     read_arguments_runs,
     read_method,
@@ -19,6 +19,7 @@ from mrd_identification.cli.options import (
 from mrd_identification.compare import compare, parse_row
 from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
 from mrd_identification.json_file import make_folder
+from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS
 
 TABLE_WIDTH = 110
@@ -55,13 +56,20 @@ def work() -> None:
     for name in models:
         parse_row(name, method)
         make_folder(f"{arguments.output}/{fit_folder(name)}")
-    with tqdm(total=100, desc="comparing", unit="%", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(share: float) -> None:
-            bar.update(int(100 * share) - bar.n)
-
+    each = "once" if held_out else f"{1 + len(runs)} times: to all runs, and without each"
+    announce(
+        describe_runs([*runs, *held_out]),
+        f"{len(models)} model{'s' if len(models) > 1 else ''} (--models), each fitted {each}",
+    )
+    with shown_progress("comparing") as report:
         comparison = compare(
-            runs, models, held_out=held_out, method=method, profile=False, scheduler=arguments.scheduler, progress=progress
+            runs,
+            models,
+            held_out=held_out,
+            method=method,
+            profile=False,
+            scheduler=arguments.scheduler,
+            progress=lambda share: report("", share),
         )
     page = write_comparison(comparison, arguments.output)
     table = Table(Column(COLUMNS[0], no_wrap=True), *(Column(title, justify="right") for title in COLUMNS[1:]), box=None)

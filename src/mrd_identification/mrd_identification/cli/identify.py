@@ -2,15 +2,14 @@
 
 import argparse
 import math
-import sys
-
-from tqdm import tqdm
 
 from mrd_base import run_tool
+from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
     add_run_arguments,
+    announce,
     look_at_runs,
     read_arguments_runs,
     read_method,
@@ -18,7 +17,8 @@ from mrd_identification.cli.options import (
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
-from mrd_identification.report import sentence, write_report
+from mrd_identification.report import write_report
+from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS, find_model
 
 
@@ -39,28 +39,24 @@ def work() -> None:
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for fit.json and fit.html")
     arguments = parser.parse_args()
     method = read_method(arguments)
-    find_model(arguments.model, method.laws, method.given_effects)
+    model = find_model(arguments.model, method.laws, method.given_effects)
     runs, held_out = read_arguments_runs(arguments)
-    look_at_runs([*runs, *held_out], arguments.anyway)
+    look_at_runs([*runs, *held_out], arguments.anyway, model)
     folder = make_folder(arguments.output)
+    announce(describe_runs([*runs, *held_out]))
     total = method.total_generations
-    with tqdm(total=total, desc="identifying", unit="gen", file=sys.stderr, disable=None, leave=False) as bar:
+    with shown_progress("identifying") as show:
 
         def progress(generation: int, nrmse: float) -> None:
-            if generation == total:
-                bar.set_description_str("assessing", refresh=False)
-            elif not math.isnan(nrmse):
-                bar.set_postfix_str(f"NRMSE {nrmse:.4f}", refresh=False)
-            bar.update(generation - bar.n)
+            found = "" if math.isnan(nrmse) else f"NRMSE {nrmse:.4f}"
+            show("assessing" if generation == total else found, generation / total)
 
         fit = identify(
             runs, arguments.model, held_out=held_out, method=method, scheduler=arguments.scheduler, progress=progress
         )
     write_fit(fit, folder)
     report = write_report(fit, folder)
-    print(sentence(fit))
+    print(fit.summary())
     for text in fit.selection.sentences if fit.selection else ():
         print(f"{text}.")
-    for warning in fit.warnings:
-        print(f"note: {warning}")
     print(report)

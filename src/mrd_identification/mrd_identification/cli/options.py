@@ -10,14 +10,19 @@ from typing import get_args
 from mrd_base import FaultError, InputError
 from mrd_identification.low_pass import GRAMMAR, with_force_filter
 from mrd_identification.method import Method, parse_method
+from mrd_identification.preflight import preflight
 from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
 from mrd_runs.faults import find_faults
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.current import LAWS
+from mrd_sim.models import DamperModel
 
 _DEFAULT = Method()
+
+MOST_FINDINGS = 5
+"""Findings about recordings that are printed before a fit."""
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
@@ -143,23 +148,33 @@ def with_force_filters(runs: Sequence[Run], options: Sequence[str]) -> list[Run]
     return filtered
 
 
+def announce(*lines: str) -> None:
+    """Say on stderr what is about to be computed: a pattern on the command line may name more runs than one expects."""
+    print(*lines, sep="\n", file=sys.stderr, flush=True)
+
+
 def add_anyway(parser: argparse.ArgumentParser) -> None:
     """Add the option that fits recordings although they look faulty."""
-    parser.add_argument(
-        "--anyway", action="store_true", help="fit the runs even if the sign or the unit of their force looks wrong"
-    )
+    parser.add_argument("--anyway", action="store_true", help="fit the runs even if they look faulty")
 
 
-def look_at_runs(runs: Sequence[Run], anyway: bool) -> None:
-    """Look at runs before they are fitted.
+def look_at_runs(runs: Sequence[Run], anyway: bool, model: DamperModel | None = None) -> None:
+    """Look at runs before they are fitted, as the diagnosis does; print what narrows the conclusions on stderr.
 
     Raises
     ------
     FaultError
-        When the sign or the unit of their force is wrong, unless they are to be fitted ``anyway``.
+        When the recordings are faulty, unless they are to be fitted ``anyway``.
     """
-    faults = find_faults(runs)
+    findings = preflight(runs, model)
+    # What a wrong sign or unit looks like is said with the command that mends it.
+    faults = find_faults(runs) or [finding.sentence for finding in findings if finding.severity == "fault"]
     if faults and not anyway:
-        raise FaultError(f"{'; '.join(faults)}; or fit them as they are with --anyway")
-    for fault in faults:
-        print(f"warning: {fault}", file=sys.stderr)
+        listed = "; ".join(fault.rstrip(".") for fault in faults[:MOST_FINDINGS])
+        more = f"; and {len(faults) - MOST_FINDINGS} more faults" if len(faults) > MOST_FINDINGS else ""
+        raise FaultError(f"{listed}{more}; or fit them as they are with --anyway")
+    lines = [f"warning: {fault}" for fault in faults]
+    lines += [f"limitation: {finding.sentence}" for finding in findings if finding.severity == "limitation"]
+    print(*lines[:MOST_FINDINGS], sep="\n", end="\n" if lines else "", file=sys.stderr)
+    if len(lines) > MOST_FINDINGS:
+        print(f"and {len(lines) - MOST_FINDINGS} more; `diagnose` lists all", file=sys.stderr)

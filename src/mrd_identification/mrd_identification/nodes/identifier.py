@@ -8,22 +8,29 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base.nodes.bench_node import run_node
+from mrd_base.nodes.graph import IDENTIFY
 from mrd_identification.fit import Fit
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
 from mrd_identification.method import Method, parse_method
-from mrd_identification.report import sentence, write_report
+from mrd_identification.report import write_report
 from mrd_interfaces.action import Identify
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_sim.effects import load_effects
+from mrd_sim.models import find_model
 
 
 class Identifier(AnalysisNode):
     """Serves the action ``identify``."""
 
     def __init__(self) -> None:
-        super().__init__("identifier", Identify, "identify")
+        super().__init__("identifier", IDENTIFY.type, IDENTIFY.name)
+
+    def check(self, request: Identify.Goal) -> None:
+        """Refuse a method or a model that there is not."""
+        read_method(request)
+        find_model(request.model)
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         """Identify the model of the goal and write its files."""
@@ -56,7 +63,7 @@ def read_method(request: Identify.Goal) -> Method:
 
 
 def _fill(result: Identify.Result, fit: Fit, folder: Path) -> None:
-    result.message = sentence(fit)
+    result.message = fit.sentence
     result.fit = str((folder / "fit.json").resolve())
     result.report = str((folder / "fit.html").resolve())
     result.parameter = [estimate.parameter.name for estimate in fit.estimates]

@@ -10,8 +10,8 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.task import Future
 
 from mrd_base import InputError, quantity
-from mrd_base.nodes.bench_node import RECORDED, BenchNode
-from mrd_interfaces.msg import BenchSamples
+from mrd_base.nodes.bench_node import BenchNode
+from mrd_base.nodes.graph import SAMPLES
 from mrd_runs import Run, read_runs
 from mrd_runs.sample_buffer import SampleBuffer
 
@@ -30,6 +30,8 @@ class CancelledError(Exception):
 class AnalysisNode(BenchNode[AnalysisSettings]):
     """Subscribes to ``samples`` and serves one action, one goal at a time, in a worker thread.
 
+    A goal that comes meanwhile, or that `check` refuses, is rejected with the reason on ``refusals``.
+
     Parameters
     ----------
     name : str
@@ -42,12 +44,12 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
 
     def __init__(self, name: str, action: Any, action_name: str) -> None:
         super().__init__(name, AnalysisSettings)
-        self._action = action
+        self._action, self._action_name = action, action_name
         self._buffer = SampleBuffer(self.config.max_blocks)
         self._busy = False
         self._stopping = threading.Event()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix=name)
-        self.create_subscription(BenchSamples, "samples", self._buffer.append, RECORDED, raw=True)
+        SAMPLES.subscription(self, self._buffer.append, raw=True)
         self._server = ActionServer(
             self,
             action,
@@ -87,8 +89,16 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         self.get_logger().info(result.message)
         return result
 
-    def _accept(self, _goal: Any) -> GoalResponse:
-        if self._busy:
+    def check(self, request: Any) -> None:
+        """Raise `InputError` for a goal that cannot be worked on, as far as that shows at once."""
+
+    def _accept(self, request: Any) -> GoalResponse:
+        try:
+            if self._busy:
+                raise InputError("another goal is being worked on; wait for its end or cancel it")
+            self.check(request)
+        except InputError as error:
+            self.refuse(self._action_name, str(error))
             return GoalResponse.REJECT
         self._busy = True
         return GoalResponse.ACCEPT

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+import shutil
 import signal
 import threading
 from dataclasses import dataclass
@@ -12,24 +13,38 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Bool
 
 from mrd_base import InputError, quantity
-from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import (
+    CALIBRATION,
+    EMERGENCY_STOP,
+    LATCHED,
+    RECORDED,
+    RECORDER_STATE,
+    SAMPLES,
+    SERVO_STATE,
+    START_RECORDING,
+    STOP_RECORDING,
+    TOPICS,
+    Topic,
+    type_name,
+)
 from mrd_base.nodes.lease import RELIABLE, LeaseFollower
-from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, ServoState, Setpoint
+from mrd_interfaces.msg import ServoState
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, free_space
 from mrd_runs.blocks import decode_blocks
 from mrd_runs.completeness import check_completeness
-from mrd_runs.definitions import type_name, typestore
+from mrd_runs.definitions import typestore
 from mrd_runs.rest import RestLimits, RestMonitor
 from mrd_runs.run_info import describe_calibration, format_run_info
 
 # Bench time in s between two repetitions of the state.
 _REPEAT_PERIOD = 0.2
+# Free space in bytes below which the diagnostics warn: an hour at 2 kHz.
+_LITTLE_SPACE = 500e6
 
 
 @dataclass(frozen=True)
@@ -48,7 +63,9 @@ class RecorderSettings:
 
 
 class Recorder(BenchNode[RecorderSettings]):
-    """Subscribes from the start, so that a recording never waits for discovery; writes only between start and stop.
+    """Records the topics of the bench into bags.
+
+    It subscribes from the start, so that a recording never waits for discovery; writes only between start and stop.
 
     Topics are served by the executor of this node. Requests are served one after the other by a second node in a thread of
     its own, because stop_recording waits until rod and coil are at rest while the recording goes on. The topic
@@ -73,13 +90,9 @@ class Recorder(BenchNode[RecorderSettings]):
         self._latched: dict[str, bytes] = {}
         self._types: dict[str, tuple[str, bool]] = {}
         self._typestore = typestore()
-        self._state = self.create_publisher(DiagnosticStatus, "recorder_state", LATCHED)
-        self._samples = self._record("samples", BenchSamples)
-        self._servo_state = self._record("servo_state", ServoState)
-        self._record("setpoint", Setpoint)
-        self._calibration = self._record("calibration", Calibration, latched=True)
-        self._record("bench_state", BenchState, latched=True)
-        self._record("emergency_stop", Bool, latched=True, qos=RELIABLE)
+        self._state = RECORDER_STATE.publisher(self)
+        names = {topic: self._record(topic) for topic in TOPICS if topic.recorded}
+        self._samples, self._servo_state, self._calibration = names[SAMPLES], names[SERVO_STATE], names[CALIBRATION]
         self._run_info = self.resolve_topic_name("run_info")
         self.create_timer(FLUSH_PERIOD, self._flush)
         self._said = ("idle", "")
@@ -88,16 +101,17 @@ class Recorder(BenchNode[RecorderSettings]):
         self._publish_state("idle")
 
         self._request_node = Node("recorder_requests", start_parameter_services=False, enable_rosout=False)
-        self._request_node.create_service(StartRecording, "start_recording", self._start)
-        self._request_node.create_service(StopRecording, "stop_recording", self._stop)
+        START_RECORDING.serve(self._request_node, self._start)
+        STOP_RECORDING.serve(self._request_node, self._stop)
         self._request_executor = SingleThreadedExecutor()
         self._request_executor.add_node(self._request_node)
         self._ending = threading.Event()
         self._request_thread = threading.Thread(target=self._serve_requests, name="requests", daemon=True)
         self._request_thread.start()
 
-    def _record(self, name: str, message_type: Any, latched: bool = False, qos: QoSProfile | None = None) -> str:
+    def _record(self, declared: Topic) -> str:
         """Subscribe to a topic, as serialised bytes, and return its full name."""
+        latched = declared.qos == LATCHED
 
         def on_message(cdr: bytes) -> None:
             with self._lock:
@@ -105,10 +119,10 @@ class Recorder(BenchNode[RecorderSettings]):
                     self._latched[topic] = cdr
                 self._write(topic, cdr)
 
-        qos = qos or (LATCHED if latched else RECORDED)
-        subscription = self.create_subscription(message_type, name, on_message, qos, raw=True)
-        topic: str = subscription.topic_name
-        self._types[topic] = (type_name(message_type), latched)
+        # Anybody may stop the bench, also by a publisher that is not latched.
+        qos = RELIABLE if declared is EMERGENCY_STOP else LATCHED if latched else RECORDED
+        topic: str = declared.subscription(self, on_message, qos, raw=True).topic_name
+        self._types[topic] = (type_name(declared.type), latched)
         return topic
 
     def _serve_requests(self) -> None:
@@ -198,7 +212,7 @@ class Recorder(BenchNode[RecorderSettings]):
             calibration=None if calibration is None else describe_calibration(calibration),
             node=self.get_fully_qualified_name(),
         )
-        writer = BagWriter(Path(request.bag).absolute())
+        writer = BagWriter(Path(request.bag).expanduser().absolute())
         writer.add_topic(self._run_info, "std_msgs/msg/String", latched=True)
         for topic, (message_type, latched) in self._types.items():
             writer.add_topic(topic, message_type, depth=1 if latched else RECORDED.depth, latched=latched)
@@ -290,6 +304,11 @@ class Recorder(BenchNode[RecorderSettings]):
         return failure
 
     # The base of a node
+
+    def warning(self) -> str:
+        with self._lock:
+            path = None if self._writer is None else self._writer.path
+        return f"only {free_space(path)}" if path and shutil.disk_usage(path).free < _LITTLE_SPACE else ""
 
     def health(self) -> tuple[str, dict[str, Any]]:
         with self._lock:

@@ -11,14 +11,14 @@ from typing import Any
 from rclpy.duration import Duration
 
 from mrd_base import InputError, quantity
-from mrd_base.nodes.bench_node import RECORDED, BenchNode, run_node
-from mrd_interfaces.msg import BenchSamples, ServoState, Setpoint
+from mrd_base.nodes.bench_node import BenchNode, run_node
+from mrd_base.nodes.graph import TOPICS, type_name
 from mrd_runs.bag import read_bag
-from mrd_runs.definitions import as_of_today, type_name
+from mrd_runs.definitions import as_of_today
 from mrd_runs.formats.bag_file import samples_topic
 from mrd_runs.text import one_line
 
-_TYPES = {"samples": BenchSamples, "servo_state": ServoState, "setpoint": Setpoint}
+_TOPICS = {topic.name: topic for topic in TOPICS if "replay" in topic.publishers}
 # Longest time in s that a subscriber may take to acknowledge the last messages.
 _ACKNOWLEDGE_TIMEOUT = 5.0
 # Time in s from the discovery of a subscriber until it has discovered this node as well.
@@ -32,13 +32,17 @@ class ReplaySettings:
     bag: str = quantity("", doc="bag folder, .mcap or .db3 file")
     speed: float = quantity(1.0, doc="recorded seconds per bench second; 0 means as fast as max_rate_hz allows", lower=0.0)
     max_rate: float = quantity(500.0, "Hz", "messages per wall-clock second, at any speed", lower=1.0)
-    topics: tuple[str, ...] = quantity(("samples",), doc="which of samples, servo_state, setpoint")
+    topics: tuple[str, ...] = quantity(
+        ("samples",), doc="which of samples, measurement, servo_state, joint_states, setpoint"
+    )
     wait_for_subscriber: bool = quantity(False, doc="start only when a node subscribes to samples")
     loop: bool = quantity(False, doc="start again at the end")
 
 
 class Replay(BenchNode[ReplaySettings]):
-    """Reads the whole bag before it publishes the first message.
+    """Publishes the messages of a bag.
+
+    It reads the whole bag before it publishes the first message.
 
     The messages are published as the recorded bytes. A subscriber keeps its last 200 unprocessed messages and drops older
     ones silently; an acknowledgement only says that a message has reached its queue. The rate is therefore limited to
@@ -50,12 +54,10 @@ class Replay(BenchNode[ReplaySettings]):
         if not self.config.bag:
             raise InputError("node replay: bag is missing; give -p bag:=FOLDER after --ros-args")
         for name in self.config.topics:
-            if name not in _TYPES:
-                raise InputError(f"node replay: topics: unknown {name} (known: {', '.join(_TYPES)})")
+            if name not in _TOPICS:
+                raise InputError(f"node replay: topics: unknown {name} (known: {', '.join(_TOPICS)})")
         self._messages = self._load()
-        self._replay_publishers: dict[str, Any] = {
-            name: self.create_publisher(_TYPES[name], name, RECORDED) for name in self.config.topics
-        }
+        self._replay_publishers: dict[str, Any] = {name: _TOPICS[name].publisher(self) for name in self.config.topics}
         self._ending = threading.Event()
         self._sent = 0
         self._player = threading.Thread(target=self._play, name="replay")
@@ -71,7 +73,9 @@ class Replay(BenchNode[ReplaySettings]):
             if name == "samples":
                 topics = [samples_topic(bag, self.config.bag)]
             else:
-                topics = [topic for topic, entry in bag.topics.items() if entry.message_type == type_name(_TYPES[name])]
+                topics = [
+                    topic for topic, entry in bag.topics.items() if entry.message_type == type_name(_TOPICS[name].type)
+                ]
             if not topics or not bag.topics[topics[0]].messages:
                 raise InputError(
                     f"{self.config.bag}: holds no messages of {name} (topics: {one_line(', '.join(bag.topics))})"

@@ -1,8 +1,11 @@
-"""Simulate a damper along an experiment or a recorded motion."""
+"""Simulate a damper along experiments or a recorded motion."""
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from mrd_base import InputError, run_tool
 from mrd_runs import read_run
@@ -11,9 +14,9 @@ from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.models import MODELS
 from mrd_sim.plant import read_damper
-from mrd_sim.simulate import simulate_plan, simulate_run, write_csv
+from mrd_sim.simulate import measure_plans, simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import read_experiment
-from mrd_trajectory.plan import plan
+from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import read_settings
 
 
@@ -23,37 +26,74 @@ def main() -> None:
 
 
 def work() -> None:
-    """Parse the arguments, simulate, and write the CSV file."""
+    """Parse the arguments, simulate, and write the CSV files."""
     arguments = _parser().parse_args()
+    damper = _damper(arguments)
+    experiments = _experiments(Path(arguments.input))
+    if arguments.noise:
+        if not experiments:
+            raise InputError(f"--noise: {arguments.input} was recorded and has its noise; give experiments")
+        rng = np.random.default_rng(arguments.seed)
+        runs = measure_plans(_plans(experiments, arguments.bench), damper, rng)
+    elif experiments:
+        runs = [simulate_plan(planned, damper) for planned in _plans(experiments, arguments.bench)]
+    else:
+        runs = [simulate_run(read_run(arguments.input), damper)]
+    files = [Path(arguments.output)]
+    if Path(arguments.input).is_dir() and experiments:
+        files = [Path(arguments.output) / f"{file.stem}.csv" for file in experiments]
+        Path(arguments.output).mkdir(parents=True, exist_ok=True)
+    for run, file in zip(runs, files, strict=True):
+        # A bench measures no velocity: the simulated one would be better than what can be known.
+        write_csv(run, file, velocity=not arguments.noise)
+        print(f"{file}: {len(run)} samples, force {run.force.min():.0f} to {run.force.max():.0f} N")
+
+
+def _damper(arguments: argparse.Namespace) -> Damper:
+    """Return the damper that the arguments describe: a model, or that of a plant file; and effects that act with it."""
     effects = parse_effects(arguments.effects, "--effects")
     for text in arguments.effect:
         effect, name, value = parse_effect(text)
         effects.setdefault(effect, {})[name] = value
     values, laws = parse_values(arguments.parameters, "--parameters"), parse_laws(arguments.law, "--law")
-    if arguments.plant and (values or laws or effects):
-        raise InputError(f"--plant {arguments.plant}: describes the whole damper; leave out parameters, laws and effects")
-    damper = read_damper(arguments.plant).build() if arguments.plant else Damper(arguments.model, values, laws, effects)
-    if Path(arguments.input).suffix in {".yaml", ".yml"}:
-        settings = read_settings(arguments.bench)
+    if not arguments.plant:
+        return Damper(arguments.model, values, laws, effects)
+    if values or laws:
+        raise InputError(f"--plant {arguments.plant}: has the damper's parameters and laws; leave out those of the command")
+    return read_damper(arguments.plant).build(effects)
+
+
+def _experiments(path: Path) -> list[Path]:
+    """Return the experiments that a path names, in the order of their names; none where it is a recording."""
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        return sorted(path.glob("*.yaml"))
+    return [path] if path.suffix in {".yaml", ".yml"} else []
+
+
+def _plans(experiments: Sequence[Path], bench: str | None) -> list[Plan]:
+    settings = read_settings(bench)
+    plans = []
+    for file in experiments:
         try:
-            planned = plan(read_experiment(arguments.input), settings.limits, settings.force_envelope)
+            plans.append(plan(read_experiment(file), settings.limits, settings.force_envelope))
         except InputError as error:
-            raise InputError(f"{arguments.input}: {str(error).removeprefix(f'{arguments.input}: ')}") from None
-        run = simulate_plan(planned, damper)
-    else:
-        run = simulate_run(read_run(arguments.input), damper)
-    write_csv(run, arguments.output)
-    print(f"{arguments.output}: {len(run)} samples, force {run.force.min():.0f} to {run.force.max():.0f} N")
+            raise InputError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
+    return plans
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        description="Simulate a damper along an experiment's setpoints or a recorded motion and current; write a CSV file."
+        description="Simulate a damper along the setpoints of experiments, or along a recorded motion and current; "
+        "write CSV files."
     )
-    parser.add_argument("input", metavar="EXPERIMENT.yaml|RUN", help="experiment, or bag, .mcap, .db3 or CSV")
+    parser.add_argument(
+        "input",
+        metavar="EXPERIMENT.yaml|FOLDER|RUN",
+        help="experiment, folder of experiments that follow each other, or bag, .mcap, .db3 or CSV",
+    )
     damper = parser.add_mutually_exclusive_group(required=True)
     damper.add_argument("--model", help=f"one of {', '.join(MODELS)}")
-    damper.add_argument("--plant", metavar="PLANT.yaml", help="the whole damper of a simulated bench")
+    damper.add_argument("--plant", metavar="PLANT.yaml", help="the damper of a simulated bench")
     parser.add_argument(
         "--parameters", default="", metavar="'{NAME: VALUE}'", help="in SI; those not named keep the model's default"
     )
@@ -63,17 +103,29 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="EFFECT.PARAMETER=VALUE",
-        help="effect that acts with the model (mrd effects), in SI; may be repeated",
+        help="effect that acts with the damper (mrd effects), in SI; may be repeated",
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
     add_effects_folder(parser)
+    parser.add_argument(
+        "--noise",
+        action="store_true",
+        help="record the experiments as a bench would: with noise, filters, lag of the coil supply, and scatter from run to "
+        "run",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the noise: same seed, same recordings (default: 0)")
     parser.add_argument(
         "--bench",
         metavar="FILE",
         default=os.environ.get("MRD_BENCH"),
         help="bench with the limits that the experiment has to keep; default: $MRD_BENCH",
     )
-    parser.add_argument("--output", required=True, metavar="FILE.csv", help="must not exist yet")
+    parser.add_argument(
+        "--output",
+        required=True,
+        metavar="FILE.csv|DIR",
+        help="file, or folder where experiments are in one; must not exist",
+    )
     return parser
 
 

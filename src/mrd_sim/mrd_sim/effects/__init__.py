@@ -19,6 +19,7 @@ EFFECTS: dict[str, Effect] = {
         "magnetic_hysteresis",
         "current_saturation",
         "coil_lag",
+        "fluid_change",
         "gas_spring",
         "series_compliance",
         "bypass_flow",

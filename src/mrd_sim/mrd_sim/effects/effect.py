@@ -66,6 +66,8 @@ class Effect:
         Whether damper models with a hysteretic state include the effect: it stands for what the others lack by construction.
     coefficient : str
         Name of the coefficient of the damper models that include the effect; empty where none does.
+    only_as_change : bool
+        Whether the parameters of any damper model hold the effect, so that it shows only as a change since other recordings.
     """
 
     id: str
@@ -89,6 +91,7 @@ class Effect:
     phrase: str = ""
     structural: bool = False
     coefficient: str = ""
+    only_as_change: bool = False
 
     def __repr__(self) -> str:
         return f"<Effect {self.id}>"

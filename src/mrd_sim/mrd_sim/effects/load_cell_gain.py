@@ -27,7 +27,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"gain": 0.05},
     signature="the force multiplied by one factor, whatever motion and current",
-    confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade"),
+    confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade", "fluid_change"),
     separated_by="dead weights (recordings alone cannot tell it from a stronger damper)",
     kernel=_apply,
 )

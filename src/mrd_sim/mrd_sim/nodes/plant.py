@@ -12,7 +12,8 @@ from sensor_msgs.msg import JointState
 
 from mrd_base.barrier import Barrier
 from mrd_base.barrier_clock import BarrierClock
-from mrd_base.nodes.bench_node import LATCHED, RECORDED, BenchNode, run_node, seconds
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import ANALOG_INPUT, ANALOG_OUTPUT, CLOCK, TRUE_STATE
 from mrd_interfaces.msg import AnalogInput, AnalogOutput
 from mrd_sim.motor import MotorSerialPort
 from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
@@ -28,17 +29,18 @@ class PlantNode(BenchNode[PlantConfig]):
 
     def __init__(self) -> None:
         super().__init__("plant", PlantConfig)
+        self.hardware_id = "simulated"
         # The very first run compiles for seconds; that must not happen while anything moves.
         Plant(self.config).advance(_BLOCK)
         # Everything was switched on a moment before the bench time begins: the motor has booted, the filters have settled.
         self.plant = Plant(self.config, self.bench.now() - _SWITCHED_ON)
         self.plant.advance(self.bench.now())
         self.port = MotorSerialPort(self.plant.motor, self.config.port_link)
-        self._time_topic = self.create_publisher(Clock, "/clock", 1)
-        self._analog_input = self.create_publisher(AnalogInput, "analog_input", RECORDED)
+        self._time_topic = CLOCK.publisher(self)
+        self._analog_input = ANALOG_INPUT.publisher(self)
         # True values, which no real bench has; tests read them. The rod's effort is the force, the coil's the current.
-        self._true_state = self.create_publisher(JointState, "plant/true_state", 10)
-        self.create_subscription(AnalogOutput, "analog_output", self._on_analog_output, LATCHED)
+        self._true_state = TRUE_STATE.publisher(self)
+        ANALOG_OUTPUT.subscription(self, self._on_analog_output)
         self.accept_parameter("fault", "", self._set_fault)
         self._set_fault(self.config.fault)
         self._published_blocks = 0

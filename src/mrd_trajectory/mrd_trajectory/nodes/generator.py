@@ -7,11 +7,12 @@ from std_srvs.srv import Trigger
 
 from mrd_base import InputError
 from mrd_base.lease import Mode
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, BenchNode, run_node
+from mrd_base.nodes.bench_node import BenchNode, run_node
+from mrd_base.nodes.graph import ABORT_EXPERIMENT, EXPERIMENT_STATE, LOAD_EXPERIMENT, SETPOINT, START_EXPERIMENT
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_interfaces.msg import Setpoint
 from mrd_interfaces.srv import LoadExperiment
-from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.experiment import experiment_text, parse_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings
 
@@ -31,14 +32,14 @@ class Generator(BenchNode[GeneratorSettings]):
         self._state = "idle"
         self._reason = ""
         self._stopped = False
-        self._setpoints = self.create_publisher(Setpoint, "setpoint", COMMAND)
-        self._states = self.create_publisher(String, "experiment_state", LATCHED)
+        self._setpoints = SETPOINT.publisher(self)
+        self._states = EXPERIMENT_STATE.publisher(self)
         hear_emergency_stop(self, self._on_emergency_stop)
         self._lease = LeaseFollower(self, self.config.stall, lambda _reason: None)
         self._number = 0  # of the lease under which the experiment was started
-        self.create_service(LoadExperiment, "load_experiment", self._load)
-        self.create_service(Trigger, "start_experiment", self._start_experiment)
-        self.create_service(Trigger, "abort_experiment", self._abort)
+        LOAD_EXPERIMENT.serve(self, self._load)
+        START_EXPERIMENT.serve(self, self._start_experiment)
+        ABORT_EXPERIMENT.serve(self, self._abort)
         self._timer = self.create_bench_timer(1 / self.config.setpoint_rate, self._tick)
         self._timer.cancel()
         self._enter("idle")
@@ -56,7 +57,7 @@ class Generator(BenchNode[GeneratorSettings]):
             return response
         self._plan = None
         try:
-            experiment = parse_experiment(request.experiment, "experiment")
+            experiment = parse_experiment(experiment_text(request.experiment), "experiment")
             self._plan = plan(experiment, self.config.limits, self.config.force_envelope)
         except InputError as error:
             response.message = str(error)

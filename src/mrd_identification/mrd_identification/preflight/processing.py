@@ -5,11 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mrd_diagnosis.diagnosis import Finding, Severity
-from mrd_diagnosis.preflight.channels import LOW_RATE, MOVING_STROKE, Channel, CheckedRun, milli
-from mrd_diagnosis.preflight.joins import original_rate
-from mrd_diagnosis.preflight.response import PHYSICAL_DELAYS, Response, delay_behind, force_response
-from mrd_diagnosis.preflight.spectra import (
+from mrd_identification.low_pass import LowPass, describe_low_pass, filter_notes, known_force_filter, moving_average
+from mrd_identification.preflight.channels import LOW_RATE, MOVING_STROKE, Channel, CheckedRun, milli
+from mrd_identification.preflight.finding import Finding, Severity
+from mrd_identification.preflight.joins import original_rate
+from mrd_identification.preflight.response import PHYSICAL_DELAYS, Response, delay_behind, force_response
+from mrd_identification.preflight.spectra import (
     LARGEST_NOISE_OF_POSITION,
     Hum,
     averaged_samples,
@@ -17,7 +18,6 @@ from mrd_diagnosis.preflight.spectra import (
     mains_hum,
     noise_end,
 )
-from mrd_identification.low_pass import LowPass, describe_low_pass, filter_notes, known_force_filter, moving_average
 from mrd_runs import Run
 from mrd_runs.signals.mains import shows_line
 from mrd_sim.effects import EFFECTS

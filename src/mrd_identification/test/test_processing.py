@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
-from mrd_diagnosis.preflight import preflight
-from mrd_diagnosis.preflight.processing import Processing, processing_of
 from mrd_identification.low_pass import LowPass, moving_average, with_force_filter
+from mrd_identification.preflight import preflight
+from mrd_identification.preflight.processing import Processing, processing_of
 from mrd_runs import Run, read_run, read_runs
 from mrd_sim.damper import Damper
 from mrd_sim.simulate import measure_plan

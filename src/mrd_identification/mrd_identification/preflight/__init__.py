@@ -6,22 +6,22 @@ measurement or an effect of the damper, so the diagnosis tries it as an effect.
 
 from collections.abc import Callable, Iterator, Sequence
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import CheckedRun
-from mrd_diagnosis.preflight.clock import check_clock, check_sample_rates
-from mrd_diagnosis.preflight.excitation import check_excitation
-from mrd_diagnosis.preflight.joins import check_joins
-from mrd_diagnosis.preflight.processing import check_processing
-from mrd_diagnosis.preflight.readings import (
+from mrd_identification.preflight.channels import CheckedRun
+from mrd_identification.preflight.clock import check_clock, check_sample_rates
+from mrd_identification.preflight.excitation import check_excitation
+from mrd_identification.preflight.finding import Finding
+from mrd_identification.preflight.joins import check_joins
+from mrd_identification.preflight.processing import check_processing
+from mrd_identification.preflight.readings import (
     check_aliasing,
     check_clipping,
     check_held_readings,
     check_quantisation,
     check_spikes,
 )
-from mrd_diagnosis.preflight.repeats import check_duplicates, check_repeats
-from mrd_diagnosis.preflight.rigs import check_rigs
-from mrd_diagnosis.preflight.sensors import (
+from mrd_identification.preflight.repeats import check_duplicates, check_repeats
+from mrd_identification.preflight.rigs import check_rigs
+from mrd_identification.preflight.sensors import (
     check_accelerometer,
     check_dead_channels,
     check_signs,

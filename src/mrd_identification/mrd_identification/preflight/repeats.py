@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.alignment import best_shift, overlap
-from mrd_diagnosis.preflight.channels import RATE_TOLERANCE, CheckedRun, milli
+from mrd_identification.preflight.alignment import best_shift, overlap
+from mrd_identification.preflight.channels import RATE_TOLERANCE, CheckedRun, milli
+from mrd_identification.preflight.finding import Finding
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Finding, Severity
+from mrd_identification.preflight.finding import Finding, Severity
 from mrd_identification.recording import current_varies
 from mrd_runs import Run
 from mrd_runs.signals.quantisation import resolution, smallest_step

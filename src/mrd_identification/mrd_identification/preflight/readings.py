@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from mrd_diagnosis.diagnosis import Finding, Severity
-from mrd_diagnosis.preflight.channels import Channel, CheckedRun, counted, milli
-from mrd_diagnosis.preflight.clock import USELESS_LOSS
-from mrd_diagnosis.preflight.spectra import NOISY_TURNING
+from mrd_identification.preflight.channels import Channel, CheckedRun, counted, milli
+from mrd_identification.preflight.clock import USELESS_LOSS
+from mrd_identification.preflight.finding import Finding, Severity
+from mrd_identification.preflight.spectra import NOISY_TURNING
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import MOVING_STROKE, PRE_YIELD_STROKE, CheckedRun, counted, milli
+from mrd_identification.preflight.channels import MOVING_STROKE, PRE_YIELD_STROKE, CheckedRun, counted, milli
+from mrd_identification.preflight.finding import Finding
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import PRE_YIELD_STROKE, CheckedRun
+from mrd_identification.preflight.channels import PRE_YIELD_STROKE, CheckedRun
+from mrd_identification.preflight.finding import Finding
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,11 @@ def _force_by_cell(checked: CheckedRun) -> Array:
     current = np.digitize(np.abs(run.current), CURRENT_EDGES) - 1
     shape = (len(SPEED_EDGES) - 1, len(CURRENT_EDGES) - 1)
     force = np.full((2, *shape), np.nan)
-    inside = (speed >= 0) & (speed < shape[0])
+    starts = checked.stroke_starts
+    start = starts[np.searchsorted(starts, np.arange(len(run)), side="right") - 1]
+    # After a reversal the pre-yield loop and the play of joints rule the force, whatever the speed.
+    settled = np.abs(run.position - run.position[start]) > PRE_YIELD_STROKE
+    inside = settled & (speed >= 0) & (speed < shape[0])
     cell = np.where(inside, speed * shape[1] + current, -1)
     for direction, mask in enumerate((run.velocity > 0, run.velocity < 0)):
         counts = np.bincount(cell[inside & mask], minlength=shape[0] * shape[1])

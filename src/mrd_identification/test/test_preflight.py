@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrd_diagnosis.preflight import preflight
+from mrd_identification.preflight import preflight
 from mrd_runs import Run, read_runs
 from mrd_runs.signals.motion import smooth_motion
 from mrd_sim.damper import Damper
@@ -400,6 +400,23 @@ def test_forces_of_another_rig(good, factor):
     assert [f.run for f in findings if f.severity == "fault" and f.run] == ["multisine"] * (2 if factor == 1e-3 else 1)
     assert ("kN against N" in finding.text) == (factor == 1e-3)
     assert ("lbf" in finding.text) == (factor == 4.448)
+
+
+def test_a_play_that_rules_short_strokes_is_no_other_rig():
+    """A damper with play in its joints has no force at the beginning of each stroke, where a short one is slow."""
+
+    def strokes(name, speed, force):
+        """Repeat an extension with these speeds and forces, one a millisecond, and the compression after it."""
+        velocity, force = (np.tile(np.concatenate([half, -half]), 40) for half in (np.array(speed), np.array(force)))
+        position, time = 1e-3 * np.cumsum(velocity), 1e-3 * np.arange(len(velocity))
+        return Run(name, time, position, velocity, np.zeros_like(time), force)
+
+    in_play, loaded = [0.0] * 60, [100.0]
+    runs = [
+        strokes("long", [0.03] * 600, in_play + loaded * 540),
+        strokes("short", [0.03] * 60 + [0.06] * 50, in_play + loaded * 50),
+    ]
+    assert not [finding for finding in preflight(runs) if finding.kind == "rig"]
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import LOW_RATE, RATE_TOLERANCE, CheckedRun, counted, milli
+from mrd_identification.preflight.channels import LOW_RATE, RATE_TOLERANCE, CheckedRun, counted, milli
+from mrd_identification.preflight.finding import Finding
 
 GAP_INTERVALS = 1.5
 """Interval, in median intervals, from which at least one sample is missing."""

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.channels import NOISE_BLOCK, Channel, CheckedRun, milli
-from mrd_diagnosis.preflight.clock import GAP_INTERVALS
+from mrd_identification.preflight.channels import NOISE_BLOCK, Channel, CheckedRun, milli
+from mrd_identification.preflight.clock import GAP_INTERVALS
+from mrd_identification.preflight.finding import Finding
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from mrd_diagnosis.diagnosis import Finding
-from mrd_diagnosis.preflight.alignment import cross_correlation, overlap
-from mrd_diagnosis.preflight.channels import FEW_STROKES, MOVING_STROKE, CheckedRun, milli
+from mrd_identification.preflight.alignment import cross_correlation, overlap
+from mrd_identification.preflight.channels import FEW_STROKES, MOVING_STROKE, CheckedRun, milli
+from mrd_identification.preflight.finding import Finding
 
 Array = NDArray[np.float64]
 

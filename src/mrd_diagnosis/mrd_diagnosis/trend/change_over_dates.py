@@ -1,0 +1,48 @@
+"""What has changed from the first dates to the last ones, before it is known which parameter to follow."""
+
+from collections.abc import Mapping, Sequence
+
+from mrd_diagnosis.diagnose import Progress, diagnose, no_progress
+from mrd_diagnosis.diagnosis import Diagnosis
+from mrd_diagnosis.trend.calendar import Calendar
+from mrd_identification.fit_file import StoredFit
+from mrd_runs import Run
+from mrd_sim.effects import EFFECTS
+
+
+def change_over_dates(
+    runs: Sequence[Run],
+    calendar: Calendar,
+    model: str,
+    *,
+    laws: str | Mapping[str, str] | None = None,
+    parameters: StoredFit | None = None,
+    seed: int = 0,
+    progress: Progress = no_progress,
+) -> Diagnosis:
+    """Explain the difference between the runs of the first and of the last third of the dates.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    calendar : Calendar
+        Dates of the runs.
+    model, laws, parameters, seed, progress
+        As in `mrd_diagnosis.diagnose`.
+    """
+    by_date = calendar.by_date(runs)
+    # Of single runs, a change cannot be told from the scatter.
+    third = max(len(by_date) // 3, min(2, len(by_date) // 2))
+    before, after = ([run for date in dates for run in date] for dates in (by_date[:third], by_date[-third:]))
+    return diagnose(after, model, reference=before, laws=laws, parameters=parameters, seed=seed, progress=progress)
+
+
+def parameter_to_follow(diagnosis: Diagnosis) -> str:
+    """Return the first parameter of the effect that explains most of a change, as ``EFFECT.PARAMETER``.
+
+    Empty where no effect explains it, or one that is a change of the model's own parameters.
+    """
+    if not diagnosis.causes:
+        return ""
+    effect = EFFECTS[diagnosis.causes[0].effect]
+    return "" if effect.only_as_change else f"{effect.id}.{effect.parameters[0].name}"

@@ -1,0 +1,131 @@
+"""The documentation: its commands are those of the tools, its links lead somewhere, and the first hour goes as it says."""
+
+import argparse
+import json
+import re
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from mrd_cli.cli import mrd
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+FIRST_HOUR = ROOT / "docs" / "first_hour.md"
+OWN_FILES = ("config/", "examples/", "docs/", "setup/", "benchmarks/")
+"""Beginnings of paths of this repository; all other paths in commands are the reader's."""
+
+
+def commands(page: Path) -> list[str]:
+    """Return the commands in the code blocks of a page: indented, or behind `$` in a block of a console."""
+    text = re.sub(r"\\\n\s*", "", page.read_text(encoding="utf-8"))
+    lines = re.findall(r"^(?:    |\$ )((?:mrd|ros2 run|make|python) .*)$", text, re.MULTILINE)
+    return [line.partition("  #")[0].strip() for line in lines]
+
+
+COMMANDS = [(page.name, command) for page in PAGES for command in commands(page)]
+
+
+class ParsedError(Exception):
+    """The arguments of a tool were accepted."""
+
+
+def test_the_pages_have_commands():
+    assert len(COMMANDS) > 60
+    assert {"README.md", "first_hour.md", "diagnosis.md", "own_data.md"} <= {page for page, _ in COMMANDS}
+
+
+@pytest.mark.parametrize(("page", "command"), COMMANDS)
+def test_a_command_of_the_pages_is_one_of_its_tool(page, command, monkeypatch, tmp_path):
+    """Each tool exists, takes these arguments, and the files of this repository that they name are there."""
+    words = shlex.split(command.partition(" > ")[0])
+    for word in words:
+        if word.startswith(OWN_FILES):
+            assert list(ROOT.glob(word)), f"{page}: {word}"
+    if words[0] == "make":
+        targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        assert words[1] in targets
+        return
+    if words[0] == "python":
+        assert words[1] == "-m" or (ROOT / words[1]).exists()
+        return
+    tool, arguments = (words[1], words[2:]) if words[0] == "mrd" else (words[3], words[4:])
+    if words[0] == "mrd" and tool.startswith("-"):
+        return
+    if words[0] == "ros2":
+        assert (ROOT / "install" / words[2] / "lib" / words[2] / tool).exists(), f"{page}: {command}"
+    entry = next((known for name, known in mrd.TOOLS.items() if name == tool), None)
+    if entry is None or "TOOL" in words:
+        return
+    accept = argparse.ArgumentParser.parse_args
+
+    def parse(parser, *given):
+        accept(parser, *given)
+        raise ParsedError
+
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse)
+    monkeypatch.setattr(sys, "argv", [f"mrd {tool}", *arguments])
+    monkeypatch.setattr("mrd_sim.cli.options.load_effects", lambda _folder: None)
+    monkeypatch.chdir(ROOT)
+    with pytest.raises(ParsedError):
+        import_module(entry.module).main()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        file, _, part = target.partition("#")
+        if file.startswith("http"):
+            continue
+        path = page.parent / file if file else page
+        assert path.exists(), target
+        if part and path.suffix == ".md":
+            titles = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+            assert part in anchors, target
+
+
+def masked(line: str) -> str:
+    """Return a line without its numbers: they differ in the last digits from machine to machine."""
+    return re.sub(r"[−-]?\d+(?:\.\d+)?", "#", line).strip()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_first_hour_goes_as_it_says(tmp_path):
+    """Every command in a block of a console is run, in order; every line below it stands in what it prints, in order."""
+    for name in ("config", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    blocks = re.findall(r"^```console\n(.*?)^```$", FIRST_HOUR.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    steps = [step.splitlines() for block in blocks for step in re.split(r"^\$ ", block, flags=re.MULTILINE) if step]
+    assert len(steps) >= 7
+    for command, *expected in steps:
+        done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, timeout=600)
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+        printed = iter([masked(line) for line in done.stdout.splitlines()])
+        for line in expected:
+            assert line == "..." or masked(line) in printed, f"{command}\n{line}\n{done.stdout}"
+
+
+@pytest.mark.slow
+def test_the_cells_of_the_notebook_run_in_their_order(tmp_path, monkeypatch, capsys):
+    notebook = json.loads((ROOT / "examples/first_hour.ipynb").read_text(encoding="utf-8"))
+    (tmp_path / "worn_joint").symlink_to(ROOT / "examples/worn_joint")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert "joint_play.play: 0.0004" in capsys.readouterr().out
+    assert (tmp_path / "gap_report.html").exists()
+
+
+def test_the_example_is_one_set_of_readable_runs_that_a_repository_can_hold():
+    files = sorted((ROOT / "examples/worn_joint").glob("*.csv"))
+    assert [file.stem for file in files] == sorted(file.stem for file in (ROOT / "examples/experiments").glob("*.yaml"))
+    assert sum(file.stat().st_size for file in files) < 500_000
