@@ -265,10 +265,16 @@ def test_a_bag_without_a_name_goes_into_the_configured_folder(peers: FakePeers) 
         return call(service, *arguments, **fields)
 
     peers.call = note  # type: ignore[method-assign]
-    for experiment, name in ((EXPERIMENT, "short"), (EXPERIMENT.replace("short", "../x"), "experiment")):
-        peers.supervisor.run_experiment(experiment, "", 3, lambda *_progress: None, never_cancelled)
-        assert Path(bags[-1]).parent == Path("runs").resolve()
-        assert Path(bags[-1]).name.startswith(f"{name}-")
+    peers.supervisor.run_experiment(EXPERIMENT, "", 3, lambda *_progress: None, never_cancelled)
+    assert Path(bags[-1]).parent == Path("runs").resolve()
+    assert Path(bags[-1]).name.startswith("short-")
+    bags.clear()
+    outcome = peers.supervisor.run_experiment(
+        EXPERIMENT.replace("short", "../x"), "", 3, lambda *_progress: None, never_cancelled
+    )
+    assert not outcome.success
+    assert "'../x'" in outcome.message
+    assert bags == []
 
 
 def test_a_supervisor_that_was_stalled_blames_itself(peers: FakePeers, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -191,7 +191,8 @@ def test_damage_costs_at_most_its_chunk(whole: Whole, at: int, junk: bytes) -> N
 def test_lost_samples_and_messages_are_counted(tmp_path: Path, columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", columns, skip=(3,)).close()
     file = tmp_path / "run/run.mcap"
-    file.write_bytes(file.read_bytes()[:-3000])
+    # The last 7 kB are a part of the last chunk, and the summary, which holds the definitions once more.
+    file.write_bytes(file.read_bytes()[:-7000])
     messages, losses = recovered(tmp_path / "run")
     count = len(messages)
     assert 30 < count < 49
