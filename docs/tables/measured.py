@@ -1,4 +1,6 @@
-"""Diagnose the measured dampers of a folder, whole and in halves: `python docs/tables/measured.py $MRD_DATA REPORTS`.
+"""Diagnose the measured dampers of a folder around three models, whole and in halves.
+
+`python docs/tables/measured.py $MRD_DATA REPORTS`
 
 Prints the table of docs/diagnosis.md, and writes the reports on all runs of a damper to REPORTS.
 """
@@ -12,16 +14,17 @@ from mrd_diagnosis.quantities import format_share
 from mrd_identification.json_file import make_folder
 from mrd_runs import read_runs
 
-DAMPERS = {"utfsm": "UTFSM, press", "utfpr": "UTFPR, shaking table"}
+DAMPERS = {"utfpr": "UTFPR, shaking table", "utfsm": "UTFSM, press"}
+MODELS = ("bouc_wen", "modified_bouc_wen", "shear_thinning_bouc_wen")
 HEADER = (
     "damper",
     "base model",
     "runs",
-    "verdict, named effect",
-    "region with most excess error",
+    "verdict, causes with their share of the gap",
+    "another share in the form of the model",
     "held-out error before → after (noise), %",
-    "nearest effect: share of the gap removed",
-    "best other model: share of the gap removed",
+    "region with most of the error that remains",
+    "s",
 )
 
 
@@ -30,15 +33,15 @@ def row(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.gap is None:
         return [f"`{diagnosis.verdict}`", "–", "–", "–", "–"]
     places = [region for region in diagnosis.where if region.axis != "run"]
-    nearest, models, gap = diagnosis.nearest, diagnosis.alternative_models, diagnosis.gap
+    gap = diagnosis.gap
     before, after, floor = (100 * error.value for error in (gap.before, gap.after, gap.noise_floor))
-    effects = " + ".join(f"`{effect}`" for effect in nearest.effects) if nearest else ""
+    causes = [f"`{cause.effect}` {format_share(cause.closed_fraction.value)}" for cause in diagnosis.causes]
     return [
-        ", ".join([f"`{diagnosis.verdict}`", *(f"`{cause.effect}`" for cause in diagnosis.causes)]),
-        f"{format_share(places[0].share.value)} {places[0].label}" if places else "–",
+        ", ".join([f"`{diagnosis.verdict}`", *causes]),
+        format_share(gap.form_fraction),
         f"{before:.1f} → {after:.1f} ({floor:.1f})",
-        f"{effects}: {format_share(nearest.closed_fraction)}" if nearest else "–",
-        f"`{models[0].name}` {format_share(models[0].closed_fraction.value)}" if models else "–",
+        f"{format_share(places[0].share.value)} {places[0].label}" if places else "–",
+        f"{diagnosis.elapsed:.0f}",
     ]
 
 
@@ -51,7 +54,7 @@ def main() -> None:
     print(f"| {' | '.join(HEADER)} |\n|{'---|' * len(HEADER)}")
     for folder, damper in DAMPERS.items():
         files = sorted(str(file) for file in (arguments.recorded / folder).glob("sine_*.csv"))
-        for base in ("bouc_wen", "bingham"):
+        for base in MODELS:
             for part, some in (("all", files), ("one half", files[::2]), ("the other", files[1::2])):
                 diagnosis = diagnose(read_runs(some), base)
                 print(f"| {damper} | `{base}` | {part} | {' | '.join(row(diagnosis))} |", flush=True)

@@ -1,4 +1,4 @@
-"""What every command-line tool has in common: its exit status, and how to call the next one."""
+"""All command-line tools end with the same exit statuses, and name the next tool as the user calls it."""
 
 import os
 import sys

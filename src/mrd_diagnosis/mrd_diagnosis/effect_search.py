@@ -27,7 +27,7 @@ BEST_SCORES = 8
 """Effects that are fitted beside another one because of their score."""
 
 QUICK_SCORES = 4
-"""The same in a quick search."""
+"""Effects that are fitted beside another one because of their score in a quick search."""
 
 BEST_SINGLES = 3
 """Effects that are fitted beside another one because they were the best by themselves, whatever their score."""

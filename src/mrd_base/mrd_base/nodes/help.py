@@ -1,4 +1,4 @@
-"""What the option ``--help`` of a node prints."""
+"""Describe a node as its option ``--help`` prints it."""
 
 import inspect
 import textwrap

@@ -93,8 +93,9 @@ class ServoNode(BenchNode[ServoConfig]):
         return Response(False, reason) if reason else self._controller.home(now)
 
     def _disable(self) -> Response:
-        self._lease.revoke(self.bench.now())
-        return self._controller.enable(False, self.bench.now())
+        now = self.bench.now()
+        self._lease.revoke(now)
+        return self._controller.enable(False, now)
 
     def _halt(self) -> Response:
         self._lease.revoke(self.bench.now())

@@ -1,4 +1,4 @@
-"""What has changed from the first dates to the last ones, before it is known which parameter to follow."""
+"""Find what has changed from the first dates to the last ones, so that it is known which parameter to follow."""
 
 from collections.abc import Mapping, Sequence
 

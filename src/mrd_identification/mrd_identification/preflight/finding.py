@@ -1,4 +1,4 @@
-"""What is wrong with recordings."""
+"""A finding says what is wrong with recordings."""
 
 from dataclasses import dataclass
 from typing import Literal
