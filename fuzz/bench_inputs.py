@@ -122,7 +122,7 @@ def take_goal(content: bytes) -> object:
     settings = GeneratorSettings()
     try:
         single_run(text, "", 0, Path("runs"))
-        requests = set_of_runs([text], "/nowhere/" + bag.replace("\0", ""), 0, Path("runs"))
+        requests = set_of_runs([text], "/nowhere/" + bag, 0, Path("runs"))
     except RefusedError as error:
         raise InputError(str(error)) from None
     return plan(parse_experiment(requests[0].experiment, "experiment"), settings.limits, settings.force_envelope)

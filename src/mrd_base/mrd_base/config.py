@@ -8,6 +8,7 @@ bounds are refused by an `InputError` of one line. `mrd_base.nodes.bench_node` m
 import dataclasses
 import difflib
 import math
+import os
 import re
 import sys
 import types
@@ -116,6 +117,19 @@ _Loader.add_implicit_resolver(
 )
 
 
+def named_path(text: str) -> Path:
+    """Return the absolute path that a request names; a leading ``~`` or ``~name`` is a home folder.
+
+    Raises
+    ------
+    InputError
+        If no file or folder can have this name.
+    """
+    if "\0" in text:
+        raise InputError(f"{text}: holds a null character, expected the path of a file or folder")
+    return Path(os.path.expanduser(text)).absolute()  # Path.expanduser fails for a user who does not exist
+
+
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML file that holds a mapping.
 
@@ -126,7 +140,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
         raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     return parse_yaml(text, str(path))
 

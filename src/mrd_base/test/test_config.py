@@ -1,13 +1,14 @@
 import contextlib
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError, from_mapping, quantity, read_node_parameters, read_yaml, to_mapping
-from mrd_base.config import parse_yaml
+from mrd_base.config import named_path, parse_yaml
 
 
 @dataclass(frozen=True)
@@ -233,3 +234,12 @@ def test_a_text_that_would_take_for_ever_is_refused() -> None:
     levels = ["a0: &a0 {x: 1}"] + [f"a{k + 1}: &a{k + 1} {{<<: [*a{k}, *a{k}]}}" for k in range(40)]
     with pytest.raises(InputError, match=r"is not YAML \(more than 10000 keys are merged\)"):
         parse_yaml("\n".join(levels), "text")
+
+
+def test_a_path_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    assert named_path("~/runs") == Path.home() / "runs"
+    assert named_path("~nobody-has-this-name") == Path.cwd() / "~nobody-has-this-name"
+    with pytest.raises(InputError, match=r"^a\?b: holds a null character, expected the path of a file or folder$"):
+        named_path("a\0b")
+    with pytest.raises(InputError, match=r"a\?b: cannot be read"):
+        read_yaml(tmp_path / "a\0b")

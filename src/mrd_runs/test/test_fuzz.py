@@ -24,6 +24,7 @@ def test_failures_are_found(tmp_path: Path) -> None:
 import runpy, sys
 import mrd_runs.formats.csv_file as csv_file
 
+sys.path.insert(0, {str(FUZZER.parent)!r})
 sys.argv = ["readers.py", "--targets", "csv", "--count", "1500", "--failures", {str(tmp_path / "failures")!r}]
 read_csv = csv_file.read_csv
 

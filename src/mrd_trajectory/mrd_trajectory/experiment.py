@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
-from mrd_base.config import parse_yaml, yaml_key
+from mrd_base.config import named_path, parse_yaml, yaml_key
 from mrd_trajectory.transition import KINDS
 from mrd_trajectory.waveforms import CHANNEL_UNITS, Constant, Waveform, waveform_name, waveform_type
 
@@ -81,7 +81,7 @@ def experiment_text(goal: str) -> str:
         return goal
     # The sender and this process may work in different folders, so that a message shows the whole path. Nor can whoever
     # gets the text look up files relative to the experiment's file, so that it becomes complete here.
-    return format_experiment(read_experiment(Path(line).expanduser().absolute()))
+    return format_experiment(read_experiment(named_path(line)))
 
 
 def format_experiment(experiment: Experiment) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_base.config import named_path
 from mrd_bench_driver.supervision.errors import RefusedError
 from mrd_trajectory.experiment import experiment_text, parse_experiment
 
@@ -43,8 +44,7 @@ def single_run(experiment: str, bag: str, seed: int, runs: Path) -> RunRequest:
         If the experiment is invalid.
     """
     text, name = _read(experiment, "experiment")
-    folder = Path(bag).expanduser() if bag else runs / f"{name}-{_now()}"
-    return RunRequest(text, folder.resolve(), seed)
+    return RunRequest(text, _folder(bag) if bag else runs.resolve() / f"{name}-{_now()}", seed)
 
 
 def set_of_runs(experiments: Sequence[str], folder: str, seed: int, runs: Path) -> list[RunRequest]:
@@ -59,7 +59,7 @@ def set_of_runs(experiments: Sequence[str], folder: str, seed: int, runs: Path) 
     """
     if not experiments:
         raise RefusedError("the set has no experiments; give their texts, or paths of their files")
-    parent = Path(folder or runs / f"set-{_now()}").expanduser().resolve()
+    parent = _folder(folder) if folder else runs.resolve() / f"set-{_now()}"
     requests: dict[str, RunRequest] = {}
     for number, experiment in enumerate(experiments, 1):
         text, name = _read(experiment, f"experiment {number}")
@@ -81,6 +81,14 @@ def _read(goal: str, where: str) -> tuple[str, str]:
     try:
         text = experiment_text(goal)
         return text, parse_experiment(text, where).name
+    except InputError as error:
+        raise RefusedError(str(error)) from None
+
+
+def _folder(name: str) -> Path:
+    """Return the folder that a goal names."""
+    try:
+        return named_path(name).resolve()
     except InputError as error:
         raise RefusedError(str(error)) from None
 

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
 from mrd_base import InputError, quantity
+from mrd_base.config import named_path
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     CALIBRATION,
@@ -212,7 +213,7 @@ class Recorder(BenchNode[RecorderSettings]):
             calibration=None if calibration is None else describe_calibration(calibration),
             node=self.get_fully_qualified_name(),
         )
-        writer = BagWriter(Path(request.bag).expanduser().absolute())
+        writer = BagWriter(named_path(request.bag))
         writer.add_topic(self._run_info, "std_msgs/msg/String", latched=True)
         for topic, (message_type, latched) in self._types.items():
             writer.add_topic(topic, message_type, depth=1 if latched else RECORDED.depth, latched=latched)
