@@ -141,7 +141,7 @@ def refit(
     thetas, of_remainder = without_each(problem, unit, coefficients, normal_matrices, gradients)
     held_out = held_out_errors(problem, thetas, of_remainder, folds)
     return Refit(
-        problem,
+        replace(problem),  # a copy without cached columns: fits of many effects are kept beside each other
         tuple(folds),
         theta,
         costs,
