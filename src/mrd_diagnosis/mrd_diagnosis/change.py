@@ -99,13 +99,20 @@ def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
     neutral[places] = model.without_effects(theta)[places]
     acting = [replace(recording, without_effects=False) for recording in problem.recordings]
     with_effect, without = (consecutive_forces(model, values, acting) for values in (theta, neutral))
-    sizes: tuple[list[float], list[float]] = [], []
     changes = [white(on - off) for white, on, off in zip(problem.whitenings, with_effect, without, strict=True)]
     information = [float(change @ change) for change in changes]
-    for run, recording in enumerate(problem.recordings):
-        if information[run] > THRESHOLDS.least_information * max(information):
-            error = error_of_run(problem, neutral, run, refitted.coefficients)[0]
-            sizes[not recording.without_effects].append(-float(error @ changes[run]) / information[run])
+    sides = [
+        [run for run, recording in enumerate(problem.recordings) if recording.without_effects == before]
+        for before in (True, False)
+    ]
+    # Where one run alone goes far, as to an end stop, the side that tells less says how far the others need to go.
+    least = THRESHOLDS.least_information * min(max(information[run] for run in side) for side in sides)
+
+    def size(run: int) -> float:
+        error = error_of_run(problem, neutral, run, refitted.coefficients)[0]
+        return -float(error @ changes[run]) / information[run]
+
+    sizes = [[size(run) for run in side if information[run] > max(least, 0.0)] for side in sides]
     if min(map(len, sizes)) < 2:
         return False
     return bool(ttest_ind(*sizes, equal_var=False).pvalue < THRESHOLDS.change_p_value)

@@ -78,11 +78,17 @@ class Thresholds:
         "share that effects of the form must close by their own formulas to be named",
         "other forms with one effect, seed 990",
     )
+    least_share_beside_form: float = threshold(
+        0.03,
+        "of the gap",
+        "share that an effect must close beside a flexible form: less than that, the form may be wrong by",
+        "measured recordings with known errors, development seed 51",
+    )
     least_information: float = threshold(
-        0.05,
-        "of the most informative run",
+        0.01,
+        "of the most informative run before or after, whichever is less",
         "share of the information on an effect below which a run says nothing about a change of it",
-        "before/after pairs, seed 901",
+        "before/after pairs, seeds 901 and 51",
     )
     change_p_value: float = threshold(
         0.01,

@@ -19,16 +19,17 @@ BEFORE, AFTER = range(3), range(3, 6)
 RATE, DURATION = 250.0, 6.0
 
 
-def run(seed, yielded=1.0, viscous=1.0):
+def run(seed, yielded=1.0, viscous=1.0, reach=1.0):
     """Record a damper that no model of the catalogue describes, along a motion and a current of its own.
 
-    ``yielded`` and ``viscous`` are factors of a fluid's yield force and viscous force.
+    ``yielded`` and ``viscous`` are factors of a fluid's yield force and viscous force, ``reach`` is one of the motion.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(int(DURATION * RATE)) / RATE
     x, v, a = np.zeros((3, len(t)))
     for amplitude, frequency in ((7e-3, 0.7), (4e-3, 1.9), (2e-3, 3.7)):
         w, phase = 2 * np.pi * frequency, rng.uniform(0, 6)
+        amplitude *= reach
         x += amplitude * np.sin(w * t + phase)
         v += amplitude * w * np.cos(w * t + phase)
         a -= amplitude * w**2 * np.sin(w * t + phase)
@@ -121,6 +122,16 @@ def test_a_difference_no_larger_than_the_scatter_of_the_runs_is_no_change():
     scattered = [replace(of_run, force=next(gains) * of_run.force) for of_run in runs(range(6))]
     diagnosis = diagnose(scattered[3:], "bouc_wen", reference=scattered[:3], effects=("load_cell_gain", "moving_mass"))
     assert diagnosis.causes == ()
+
+
+def test_an_end_stop_that_one_run_before_reached_by_far_is_named():
+    """That run tells so much of it that the other runs from before tell little beside it, but enough."""
+    before = [run(0, reach=1.6)[0], *(run(seed, reach=0.8)[0] for seed in (1, 2, 3))]
+    after = [run(seed)[0] for seed in (4, 5, 6, 7)]
+    beyond = [np.sign(of_run.position) * np.maximum(np.abs(of_run.position) - 8e-3, 0.0) for of_run in after]
+    stopped = [replace(of_run, force=of_run.force + 2e5 * depth) for of_run, depth in zip(after, beyond, strict=True)]
+    diagnosis = diagnose(stopped, "bouc_wen", reference=before, effects=("end_stop", "moving_mass", "joint_play"))
+    assert [cause.effect for cause in diagnosis.causes] == ["end_stop"]
 
 
 def test_a_change_excludes_held_out_runs():

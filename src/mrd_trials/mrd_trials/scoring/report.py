@@ -38,6 +38,7 @@ def _content(score: TrialScore) -> dict[str, Any]:
             (factor, to_html(figures.naming([rates for rates in score.by_stratum if rates.factor == factor])))
             for factor in factors
         ],
+        "rich": score.has_rich,
         "methods": to_html(figures.methods(score.methods)),
         "reliability": to_html(figures.reliability(rich.calibration, rich.calibration_with_candidates)),
         "distributions": to_html(figures.distributions(shown)) if shown else "",

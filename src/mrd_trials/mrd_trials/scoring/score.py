@@ -20,6 +20,7 @@ from mrd_trials.scoring.naming import (
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 from mrd_trials.scoring.verdict_counts import Counts, MistakeRates, count_confusion, count_verdicts, excitations
+from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
 from mrd_trials.trial_design import ALTERED_TIERS
 
 
@@ -129,6 +130,11 @@ class TrialScore:
     seconds: Distribution
     failures: Mapping[str, str]
 
+    @property
+    def has_rich(self) -> bool:
+        """Whether there are simulated plants of rich excitation, of which most figures are."""
+        return self.by_excitation["rich"].plants > 0
+
 
 def score_trial(
     answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submission], evaluations: Mapping[str, Evaluation]
@@ -159,16 +165,18 @@ def score_trial(
     by_excitation = {
         name: ExcitationScore.from_results(select(simulated, excitation=name)) for name in excitations(simulated)
     }
-    altered = {tier: of_tier for tier in ALTERED_TIERS if (of_tier := select(results, excitation=tier))}
+    altered = {
+        tier: AlteredScore.from_results(of_tier) for tier in ALTERED_TIERS if (of_tier := select(results, excitation=tier))
+    }
     return TrialScore(
         plants=len(results),
-        goals=_goals(simulated, by_excitation),
+        goals=_goals(simulated, by_excitation, altered),
         by_excitation=by_excitation,
         by_stratum=naming_by_stratum(rich),
         confusion=count_confusion(rich),
         verdicts=count_verdicts(results),
         methods=compare_methods(rich),
-        altered={tier: AlteredScore.from_results(of_tier) for tier, of_tier in altered.items()},
+        altered=altered,
         seconds=Distribution.of_finite(result.submission.elapsed for result in results),
         failures={result.truth.plant: result.submission.failure for result in results if result.failed},
     )
@@ -187,7 +195,29 @@ def _check(
             raise InputError(f"plant {plant}: {len(truth.causes)} causes do not fit its kind, {truth.kind}")
 
 
-def _goals(results: PlantResults, by_excitation: Mapping[str, ExcitationScore]) -> tuple[Goal, ...]:
+def _goals(
+    results: PlantResults, by_excitation: Mapping[str, ExcitationScore], altered: Mapping[str, AlteredScore]
+) -> tuple[Goal, ...]:
+    """Return the goals of what the trial has."""
+    goals = _goals_of_simulated(results, by_excitation) if by_excitation["rich"].plants else ()
+    if SEMIREAL in altered:
+        of_tier = altered[SEMIREAL]
+        goals += (
+            Goal("measured recordings: detectable single effects, cause named", of_tier.detectable, least=0.85),
+            Goal("measured recordings: wrong names beyond the background", of_tier.wrong, most=0.1),
+            Goal("measured recordings: median share of the added error closed", of_tier.closed, least=0.9),
+            Goal("measured recordings: expected calibration error", of_tier.calibration, most=0.08),
+        )
+    if BEFORE_AFTER in altered:
+        of_tier = altered[BEFORE_AFTER]
+        goals += (
+            Goal("before and after: detectable single effects, cause named", of_tier.detectable, least=0.95),
+            Goal("before and after: something named where nothing changed", of_tier.untouched, most=0.05),
+        )
+    return goals
+
+
+def _goals_of_simulated(results: PlantResults, by_excitation: Mapping[str, ExcitationScore]) -> tuple[Goal, ...]:
     rich = by_excitation["rich"]
     covers = by_excitation["sine"].candidate_sets.covers if "sine" in by_excitation else Rate(0, 0)
     # Rich runs leave hardly anything ambiguous, so experiments are compared over every excitation.

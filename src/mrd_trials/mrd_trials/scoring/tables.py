@@ -137,7 +137,8 @@ def _figures(score: TrialScore) -> Table:
     )
     if seconds.values:
         note += f" Seconds per plant: median {seconds.median:.3g}, longest {max(seconds.values):.3g}."
-    return Table("Figures by excitation", ("", *score.by_excitation), rows, note)
+    simulated = any(of_excitation.plants for of_excitation in score.by_excitation.values())
+    return Table("Figures by excitation", ("", *score.by_excitation), rows if simulated else (), note)
 
 
 ALTERED_FIGURES: Sequence[tuple[str, Callable[[AlteredScore], Figure | str]]] = (
@@ -184,7 +185,7 @@ def _methods(score: TrialScore) -> Table:
     )
     header = ("method", "cause first", "cause or equivalent first", "cause among the first three", "false alarms")
     note = "Detectable single effects and null plants on which the baseline methods were run, rich excitation."
-    return Table("Baseline methods", header, rows, note)
+    return Table("Baseline methods", header, rows if score.has_rich else (), note)
 
 
 def _naming(score: TrialScore) -> Table:
