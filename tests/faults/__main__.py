@@ -17,7 +17,6 @@ from faults.campaign import Bench, Fault, Reaction, measure, table
 from mrd_base.domain import claim_domain
 
 FAMILIES = (people, serial_line, motor, converter, coil, machine, processes)
-SLOW_DISK = Path(__file__).parent / "slow_disk"
 
 
 def run(faults: list[Fault], moments: int, seed: int, folder: Path) -> list[tuple[Fault, list[Reaction]]]:

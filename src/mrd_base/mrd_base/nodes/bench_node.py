@@ -218,7 +218,7 @@ class BenchNode(Node, Generic[C]):
         """Create a timer with a period in bench seconds, which no adjustment of the machine's clock delays."""
         if isinstance(self.bench, BarrierClock):
             return self.bench.timer(period, self._one_at_a_time(callback))
-        timer: BenchTimer = self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        timer: BenchTimer = self.create_timer(period, callback)
         return timer
 
     # On a simulated bench, the thread of the bench time takes the messages, so that it knows when a node has processed them.
@@ -267,11 +267,13 @@ class BenchNode(Node, Generic[C]):
             srv_type, srv_name, self._one_at_a_time(callback) if simulated else callback, **options
         )
 
-    def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """Create a timer, as `Node` does."""
+    def create_timer(self, timer_period_sec: float, callback: Any, **options: Any) -> Any:
+        """Create a timer, as `Node` does, which no step of the machine's clock delays."""
         simulated = isinstance(self.bench, BarrierClock)
         callback = self._one_at_a_time(callback) if simulated else callback
-        return super().create_timer(timer_period_sec, callback, *arguments, **options)
+        return super().create_timer(
+            timer_period_sec, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **options}
+        )
 
     def take_part(self) -> None:
         """Take part in a simulated bench, once all publishers and subscriptions exist."""
