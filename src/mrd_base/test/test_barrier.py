@@ -320,6 +320,29 @@ def test_without_an_owner_time_goes_on_as_on_the_wall_so_that_watchdogs_act(make
     assert not ended
 
 
+def test_who_leaves_still_waits_by_the_time_of_the_bench_and_without_its_owner_by_the_wall(make_bench):
+    """Otherwise, the threads of a node that ends would keep its process for ever."""
+    bench = make_bench("one", "other", pace=50.0)
+    one, other = bench.clock("one"), bench.clock("other")
+    begin, ended = one.now(), []
+
+    def wait(duration: float) -> None:
+        one.sleep_until(begin + duration)
+        ended.append(one.now() - begin)
+
+    for duration in (20.0, 1e3):
+        threading.Thread(target=wait, args=[duration], daemon=True).start()
+    until(lambda: one.now() > begin + 5.0)
+    one.leave()
+    until(lambda: ended, timeout=5.0)
+    assert 20.0 <= ended[0] < 40.0
+    assert other.now() > begin + 20.0
+    now = one.now()
+    bench.lose()
+    one.sleep(0.2)
+    assert now + 0.2 <= one.now() < now + 100.0
+
+
 def test_an_error_of_a_callback_is_kept_for_the_node(make_bench):
     bench = make_bench("one")
     one = bench.clock("one", join=False)
