@@ -225,6 +225,10 @@ class BarrierClock(BenchClock):
         """Block until the next multiple of a period, an instant at which others work, too."""
         self.sleep_until(self.next_multiple(period))
 
+    def settle(self) -> None:
+        """Let all others end their work of the present instant: wait for one of its own, at which nobody else is due."""
+        self.sleep_until(self.now() + 3 * INSTANT)
+
     def waiter(self) -> Waiter:
         """Return a means to wait, for a thread that is `busy` otherwise."""
         return _BarrierWaiter(self)

@@ -7,8 +7,8 @@ from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
-from rclpy.node import Node
 
+from mrd_base.nodes.bench_node import BenchNode
 from mrd_base.nodes.graph import (
     ABORT_EXPERIMENT,
     DAQ_RESET_FAULT,
@@ -47,8 +47,8 @@ _NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING,
 class PeerClients:
     """Implements `Peers` by the clients of a ROS node, for threads that may wait while its executor spins elsewhere."""
 
-    def __init__(self, node: Node) -> None:
-        self._closed = False
+    def __init__(self, node: BenchNode[Any]) -> None:
+        self._closed, self._clock = False, node.bench
         self._clients = {name: (service.node, service.client(node)) for name, service in _SERVICES.items()}
 
     def close(self) -> None:
@@ -107,6 +107,8 @@ class PeerClients:
             future.add_done_callback(responses.put)
 
         self.check(service)
+        # Else it would be chance whether a node that works at this instant, too, has done so before the request comes.
+        self._clock.settle()
         waited = 0.0
         try:
             send()
