@@ -222,8 +222,9 @@ class BarrierClock(BenchClock):
         return self._origin + (math.floor((now - self._origin) / period + 1e-3) + 1) * period
 
     def sleep_step(self, period: float) -> None:
-        """Block until the next multiple of a period, an instant at which others work, too."""
+        """Block until the next multiple of a period, an instant at which others work, too, and have done so on return."""
         self.sleep_until(self.next_multiple(period))
+        self.settle()
 
     def settle(self) -> None:
         """Let all others end their work of the present instant: wait for one of its own, at which nobody else is due."""

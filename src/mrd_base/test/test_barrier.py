@@ -202,6 +202,35 @@ def test_timers_of_all_participants_are_due_at_the_same_instants(make_bench):
     assert ticks["one"][:100] == pytest.approx([0.01 * k for k in range(1, 101)], abs=1e-5)
 
 
+def test_whoever_looks_at_what_others_do_sees_all_of_the_instant(make_bench):
+    bench = make_bench("one", "two")
+    one, two = bench.clock("one", join=False), bench.clock("two", join=False)
+    done: list[float] = []
+
+    def work() -> None:
+        now = two.now()
+        time.sleep(0.02)
+        done.append(now)
+
+    two.timer(0.01, work)
+    seen = []
+
+    def look() -> None:
+        with one.busy():
+            for _ in range(5):
+                one.sleep_step(0.01)
+                seen.append(len(done))
+
+    one.hold()
+    one.join()
+    two.join()
+    looking = threading.Thread(target=look)
+    looking.start()
+    one.release()
+    looking.join(10.0)
+    assert seen == [1, 2, 3, 4, 5]
+
+
 def test_a_pace_is_kept_and_delays_are_not_caught_up_in_a_burst(make_bench):
     bench = make_bench("one", pace=2.0)
     clock = bench.clock("one")

@@ -107,7 +107,8 @@ class PeerClients:
             future.add_done_callback(responses.put)
 
         self.check(service)
-        # Else it would be chance whether a node that works at this instant, too, has done so before the request comes.
+        # Else it would be chance whether a node that works at this instant, too, has done so before the request comes, and
+        # whether what was published because of it has been received when the response comes.
         self._clock.settle()
         waited = 0.0
         try:
@@ -115,7 +116,9 @@ class PeerClients:
             while True:
                 begin = time.monotonic()
                 with contextlib.suppress(queue.Empty):
-                    return responses.get(timeout=_POLLING_INTERVAL).result()
+                    response = responses.get(timeout=_POLLING_INTERVAL).result()
+                    self._clock.settle()
+                    return response
                 waited += time.monotonic() - begin
                 interruption()
                 self.check(service)
