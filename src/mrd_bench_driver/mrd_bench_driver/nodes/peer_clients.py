@@ -7,8 +7,8 @@ from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.node import Node
 
-from mrd_base.nodes.bench_node import BenchNode
 from mrd_base.nodes.graph import (
     ABORT_EXPERIMENT,
     DAQ_RESET_FAULT,
@@ -40,15 +40,15 @@ _SERVICES = {
 _POLLING_INTERVAL = 0.005
 # Wall time in s after which a request is repeated: a request to a node that has just been started may be lost.
 _REPEAT_AFTER = 2.0
-# Requests that begin something are not repeated.
-_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING, STOP_RECORDING, SERVO_HOME)}
+# Requests that begin something are not repeated. A servo that homes refuses to home once more, so that only one is done.
+_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING, STOP_RECORDING)}
 
 
 class PeerClients:
     """Implements `Peers` by the clients of a ROS node, for threads that may wait while its executor spins elsewhere."""
 
-    def __init__(self, node: BenchNode[Any]) -> None:
-        self._closed, self._clock = False, node.bench
+    def __init__(self, node: Node) -> None:
+        self._closed = False
         self._clients = {name: (service.node, service.client(node)) for name, service in _SERVICES.items()}
 
     def close(self) -> None:
@@ -107,18 +107,13 @@ class PeerClients:
             future.add_done_callback(responses.put)
 
         self.check(service)
-        # Else it would be chance whether a node that works at this instant, too, has done so before the request comes, and
-        # whether what was published because of it has been received when the response comes.
-        self._clock.settle()
         waited = 0.0
         try:
             send()
             while True:
                 begin = time.monotonic()
                 with contextlib.suppress(queue.Empty):
-                    response = responses.get(timeout=_POLLING_INTERVAL).result()
-                    self._clock.settle()
-                    return response
+                    return responses.get(timeout=_POLLING_INTERVAL).result()
                 waited += time.monotonic() - begin
                 interruption()
                 self.check(service)
