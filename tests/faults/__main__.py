@@ -17,12 +17,11 @@ from faults.campaign import Bench, Fault, Reaction, measure, table
 from mrd_base.domain import claim_domain
 
 FAMILIES = (people, serial_line, motor, converter, coil, machine, processes)
-SLOW_DISK = Path(__file__).parent / "slow_disk"
 
 
-def run(faults: list[Fault], moments: int, seed: int, folder: Path) -> list[tuple[Fault, list[Reaction]]]:
-    """Try every fault, those of random moments several times; return what was measured."""
-    todo = [(fault, k) for fault in faults for k in range(moments if fault.at_random else 1)]
+def run(faults: list[Fault], moments: int, repeat: int, seed: int, folder: Path) -> list[tuple[Fault, list[Reaction]]]:
+    """Try every fault several times, those of processes at random moments; return what was measured."""
+    todo = [(fault, k) for fault in faults for k in range(moments if fault.at_random else repeat)]
     measured: dict[Fault, list[Reaction]] = {fault: [] for fault in faults}
     number = 0
     while todo:
@@ -54,6 +53,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="faults", description=__doc__)
     parser.add_argument("--rows", default="", metavar="REGEX", help="only faults whose names match")
     parser.add_argument("--moments", type=int, default=3, help="random moments for each fault of a process (default: 3)")
+    parser.add_argument("--repeat", type=int, default=1, help="how often each other fault is tried (default: 1)")
     parser.add_argument("--times", type=int, default=1, help="how often the campaign is run (default: 1)")
     parser.add_argument("--seed", type=int, default=1, help="seed of the random moments and of the sensors' noise")
     arguments = parser.parse_args()
@@ -63,7 +63,7 @@ def main() -> None:
     for k in range(arguments.times):
         begin = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
-            rows = run(faults, arguments.moments, arguments.seed + 1000 * k, Path(folder))
+            rows = run(faults, arguments.moments, arguments.repeat, arguments.seed + 1000 * k, Path(folder))
         bad = sum(any(reaction.failures for reaction in reactions) for _, reactions in rows)
         failed += bad
         print(table(rows))

@@ -5,7 +5,6 @@ Motion and current are the true ones of the simulated plant, every 20 ms; all ti
 """
 
 import dataclasses
-import os
 import random
 import re
 import time
@@ -21,6 +20,7 @@ from rclpy.action import ActionClient
 from std_srvs.srv import SetBool, Trigger
 from whole_bench import WholeBench
 
+from faults.broken_machine import BrokenMachine
 from mrd_base.nodes.bench_node import LATCHED, seconds
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchState
@@ -103,11 +103,9 @@ class Bench(WholeBench):
 
     def __init__(self, folder: Path, seed: int, **environment: str) -> None:
         wired = {"servo": {"limit_switches": True}, "plant": {"motor.limit_switches": True}}
-        self.slow_disk = folder / "slow disk"
-        """Where this file is, disks are slow."""
-        python = os.pathsep.join(filter(None, [str(Path(__file__).parent / "slow_disk"), os.environ.get("PYTHONPATH")]))
-        environment |= {"PYTHONPATH": python, "MRD_SLOW_DISK": str(self.slow_disk)}
-        super().__init__(folder / "bench", wired, **environment)
+        folder.mkdir(parents=True, exist_ok=True)
+        self.machine = BrokenMachine(folder)
+        super().__init__(folder / "bench", wired, **environment, **self.machine.environment)
         self.folder = folder
         self.random = random.Random(seed)
         self.bag = folder

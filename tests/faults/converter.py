@@ -8,7 +8,13 @@ _SENSORS = "LVDT and encoder disagree"
 FAULTS = (
     Fault("converter: hangs", in_plant("freeze_daq"), "stale samples", recorded=False),
     Fault("converter: gone", in_plant("lose_daq"), "the converter is gone", recorded=False),
-    Fault("converter: blocks are lost", in_plant("drop_blocks"), "missing", Ending.COMPLAINS, told="lost_readings [1-9]"),
+    Fault(
+        "converter: blocks are lost",
+        in_plant("drop_blocks"),
+        "missing",
+        Ending.COMPLAINS,
+        told=r"\d readings of the converter were lost",
+    ),
     Fault("LVDT: saturated", in_plant("saturate_position"), r"ai0 \(position\) reads the end of its range"),
     Fault("load cell: saturated", in_plant("saturate_force"), r"ai1 \(force\) reads the end of its range"),
     Fault("current sensor: saturated", in_plant("saturate_current"), r"ai2 \(coil_current\) reads the end of its range"),

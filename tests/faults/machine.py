@@ -1,7 +1,7 @@
 """Faults of the machine: its processor, its disk, its clock."""
 
+import errno
 import os
-import resource
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,44 +14,46 @@ def _starve(bench: Bench) -> None:
         bench.background.append(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
 
 
-def _fill_disk(bench: Bench) -> None:
-    """A limit of the size of its files is to the recorder what a full disk is."""
-    size = max(file.stat().st_size for file in bench.bag.glob("*.mcap"))
-    resource.prlimit(bench.processes.running["recorder"].pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+def _break(**fault: int) -> Callable[[Bench], None]:
+    return lambda bench: bench.machine.set(**fault)
 
 
-def _empty_disk(bench: Bench) -> None:
-    unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
-    resource.prlimit(bench.processes.running["recorder"].pid, resource.RLIMIT_FSIZE, unlimited)
-
-
-def _slow_disk(bench: Bench) -> None:
-    bench.slow_disk.touch()
-
-
-def _fast_disk(bench: Bench) -> None:
-    bench.slow_disk.unlink()
-
-
-def _step_clock(seconds: float) -> Callable[[Bench], None]:
+def _step_clock(step: int) -> Callable[[Bench], None]:
     def inject(bench: Bench) -> None:
-        bench.step_clock(seconds)
+        bench.machine.set(clock_step=step)
+        # A timer of ROS that follows the wall clock would be silent for an hour.
+        bench.up.clear()
+        silent = set(bench.processes.specs)
+        bench.client.spin(lambda: silent <= bench.up, 20, watch=False)
+        assert silent <= bench.up, f"no diagnostics of {', '.join(sorted(silent - bench.up))} after the step"
 
     return inject
 
 
-FAULTS = (
-    Fault("processor: twice as many busy processes as cores", _starve, "", Ending.COMPLETE, repair=lambda bench: None),
-    Fault(
-        "disk: full",
-        _fill_disk,
-        "cannot be written",
+def _mend(bench: Bench) -> None:
+    bench.machine.set()
+
+
+def _disk_fails(name: str, error: int) -> Fault:
+    # The recorder writes within 0.25 s, and the run ends as by `stop`.
+    return Fault(
+        f"disk: {name}",
+        _break(disk_error=error),
+        rf"bag\d+: cannot be written \({os.strerror(error)}; ",
         Ending.ENDED,
-        # The recorder writes within 0.25 s, and the run ends as by `stop`.
         rest=0.5,
         coil=0.5,
-        repair=_empty_disk,
+        repair=_mend,
         recorded=False,
-    ),
-    Fault("disk: each fsync takes a second", _slow_disk, "", Ending.COMPLETE, repair=_fast_disk),
+    )
+
+
+FAULTS = (
+    Fault("processor: twice as many busy processes as cores", _starve, "", Ending.COMPLETE, repair=lambda bench: None),
+    _disk_fails("full", errno.ENOSPC),
+    _disk_fails("read-only", errno.EROFS),
+    _disk_fails("fails", errno.EIO),
+    Fault("disk: each fsync takes a second", _break(fsync_time=1), "", Ending.COMPLETE, repair=_mend),
+    Fault("clock: stepped forward by an hour", _step_clock(3600), "", Ending.COMPLETE, repair=_mend),
+    Fault("clock: stepped back by an hour", _step_clock(-3600), "", Ending.COMPLETE, repair=_mend),
 )

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
@@ -46,6 +48,14 @@ def _is_refused(name: str, kind: Any = Trigger, **fields: Any) -> Callable[[Benc
         return response.message
 
     return inject
+
+
+def _set_rate(bench: Bench) -> str:
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=100.0)
+    response = bench.service("daq/set_parameters", SetParameters, parameters=[Parameter(name="rate_hz", value=value)])
+    (result,) = response.results
+    assert not result.successful, "rate_hz was accepted"
+    return result.reason
 
 
 def _send_setpoints(bench: Bench) -> None:
@@ -102,6 +112,7 @@ FAULTS = (
             ("stop_recording", StopRecording, {}),
         )
     ),
+    Fault("daq: rate_hz in a run", _set_rate, "mode identification", Ending.COMPLETE, told=""),
     Fault("second supervisor", _start_second_supervisor, "", Ending.COMPLETE, told=""),
     Fault("second bench in the namespace", _start_second_bench, "is occupied by another bench", Ending.COMPLETE, told=""),
 )

@@ -31,7 +31,11 @@ def _send(name: str, number: signal.Signals) -> Callable[[Bench], None]:
 def _restart(name: str, number: signal.Signals) -> Callable[[Bench], None]:
     def repair(bench: Bench) -> None:
         if number is signal.SIGTERM:
-            bench.processes.running.pop(name).wait(20)
+            process = bench.processes.running.pop(name)
+            try:
+                process.wait(20)
+            finally:
+                process.kill()  # one that does not end must not outlive the campaign
         bench.restart(name)
 
     return repair

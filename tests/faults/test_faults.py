@@ -1,16 +1,22 @@
 """The fault campaign as a test: a few faults of each family, and all of them in the slow tests."""
 
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from faults.__main__ import FAMILIES
+from faults.broken_machine import BrokenMachine
 
 pytestmark = pytest.mark.realtime
 
-FEW = "^(pinion slips|coil: open|serial line: each reply comes after.*|LVDT: unplugged|disk: full|recorder: SIGTERM)$"
+FEW = (
+    "^(pinion slips|coil: open|serial line: each reply comes after.*|LVDT: unplugged|disk: (full|read-only)"
+    "|clock: stepped back.*|recorder: SIGTERM)$"
+)
 
 
 def campaign(*options: str, timeout: float) -> str:
@@ -23,7 +29,7 @@ def campaign(*options: str, timeout: float) -> str:
 @pytest.mark.timeout(150)
 def test_some_faults_are_within_their_limits() -> None:
     table = campaign("--rows", FEW, "--moments", "1", timeout=140)
-    assert table.count("| ok |") == 6
+    assert table.count("| ok |") == 8
 
 
 @pytest.mark.slow
@@ -36,3 +42,20 @@ def test_all_faults_are_within_their_limits() -> None:
 def test_no_two_faults_have_one_name() -> None:
     names = [fault.name for family in FAMILIES for fault in family.FAULTS]
     assert len(set(names)) == len(names) > 50
+
+
+def test_a_step_of_the_wall_clock_moves_no_bench_time(tmp_path: Path) -> None:
+    """The bench time of a real bench; the rows of the campaign try the simulated one."""
+    machine = BrokenMachine(tmp_path)
+    program = "import time; from mrd_base import BenchClock; clock = BenchClock(); print(flush=True); input()\n"
+    program += "print(clock.now(), time.time())"
+    command = [sys.executable, "-c", program]
+    environment = os.environ | machine.environment
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        machine.set(clock_step=-3600)
+        answer, _ = process.communicate("\n", timeout=20)
+    bench_time, wall_time = map(float, answer.split())
+    assert bench_time == pytest.approx(time.time(), abs=5)
+    assert wall_time == pytest.approx(time.time() - 3600, abs=5)

@@ -222,8 +222,13 @@ class BarrierClock(BenchClock):
         return self._origin + (math.floor((now - self._origin) / period + 1e-3) + 1) * period
 
     def sleep_step(self, period: float) -> None:
-        """Block until the next multiple of a period, an instant at which others work, too."""
+        """Block until the next multiple of a period, an instant at which others work, too, and have done so on return."""
         self.sleep_until(self.next_multiple(period))
+        self.settle()
+
+    def settle(self) -> None:
+        """Let all others end their work of the present instant: wait for one of its own, at which nobody else is due."""
+        self.sleep_until(self.now() + 3 * INSTANT)
 
     def waiter(self) -> Waiter:
         """Return a means to wait, for a thread that is `busy` otherwise."""
@@ -314,6 +319,8 @@ class BarrierClock(BenchClock):
         if self._left_behind:  # the waiter's own end has not come perhaps
             while not waiter.woken and not line and self.now() < until:
                 time.sleep(1e-3)
+                if self._left:
+                    self._note_loss_of_owner()
 
     def _wake(self, waiter: _BarrierWaiter, woken: bool = False) -> None:
         with self._lock:
@@ -325,11 +332,13 @@ class BarrierClock(BenchClock):
     def _serve(self) -> None:
         try:
             self._serve_owner()
-            if not self._left:
-                self._go_on_alone()
         except Exception as error:
             self.error = error
             self.leave()
+        # A process ends only once its threads have ended: those that wait then wait by themselves.
+        self._release_waiters()
+        if not self._left:
+            self._go_on_alone()
 
     def _serve_owner(self) -> None:
         """Do what the owner of the time grants until the connection ends."""
@@ -432,20 +441,31 @@ class BarrierClock(BenchClock):
 
     def _go_on_alone(self) -> None:
         """Go on without the owner's grants: by its time as long as it lives, then as on the wall."""
-        with self._lock:
-            self._left_behind = True
-            for waiter in list(self._waiting):
-                self._wake(waiter)
         time.sleep(_END_OF_OWNER)
         if _has_owner(self._path):
             self.on_loss("the bench has gone on without this process, which stood still")
         while not self._left:
-            if self._alone is None and not _has_owner(self._path):
-                self._alone = self._time[0] - time.monotonic()
-                self.on_loss("the owner of the bench time is lost; time goes on as on the wall")
-            self._look_for_outsiders()
-            self._call_timers(self.now())
+            self._note_loss_of_owner()
+            try:
+                self._look_for_outsiders()
+                self._call_timers(self.now())
+            except Exception as error:
+                self.error = error
+                self.leave()
             time.sleep(5e-3)
+
+    def _release_waiters(self) -> None:
+        with self._lock:
+            self._left_behind = True
+            for waiter in list(self._waiting):
+                self._wake(waiter)
+
+    def _note_loss_of_owner(self) -> None:
+        """Let time go on as on the wall if nobody owns it any more."""
+        if self._alone is None and not _has_owner(self._path):
+            self._alone = self._time[0] - time.monotonic()
+            if not self._left:
+                self.on_loss("the owner of the bench time is lost; time goes on as on the wall")
 
 
 def _has_owner(path: Path) -> bool:

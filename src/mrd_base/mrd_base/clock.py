@@ -91,6 +91,9 @@ class BenchClock:
         """Return a means to wait that another thread can end."""
         return Waiter(self)
 
+    def settle(self) -> None:
+        """Let all others of a simulated bench end their work of the present instant; on a real bench there is none."""
+
     def busy(self) -> AbstractContextManager[None]:
         """Return a context in which a simulated bench stands still, except while the thread waits for a bench time."""
         return contextlib.nullcontext()

@@ -202,6 +202,35 @@ def test_timers_of_all_participants_are_due_at_the_same_instants(make_bench):
     assert ticks["one"][:100] == pytest.approx([0.01 * k for k in range(1, 101)], abs=1e-5)
 
 
+def test_whoever_looks_at_what_others_do_sees_all_of_the_instant(make_bench):
+    bench = make_bench("one", "two")
+    one, two = bench.clock("one", join=False), bench.clock("two", join=False)
+    done: list[float] = []
+
+    def work() -> None:
+        now = two.now()
+        time.sleep(0.02)
+        done.append(now)
+
+    two.timer(0.01, work)
+    seen = []
+
+    def look() -> None:
+        with one.busy():
+            for _ in range(5):
+                one.sleep_step(0.01)
+                seen.append(len(done))
+
+    one.hold()
+    one.join()
+    two.join()
+    looking = threading.Thread(target=look)
+    looking.start()
+    one.release()
+    looking.join(10.0)
+    assert seen == [1, 2, 3, 4, 5]
+
+
 def test_a_pace_is_kept_and_delays_are_not_caught_up_in_a_burst(make_bench):
     bench = make_bench("one", pace=2.0)
     clock = bench.clock("one")
@@ -318,6 +347,29 @@ def test_without_an_owner_time_goes_on_as_on_the_wall_so_that_watchdogs_act(make
         assert one.now() - lost == pytest.approx(time.monotonic() - begin, abs=0.1)
     until(lambda: len(ticks) > count + 5)
     assert not ended
+
+
+def test_who_leaves_still_waits_by_the_time_of_the_bench_and_without_its_owner_by_the_wall(make_bench):
+    """Otherwise, the threads of a node that ends would keep its process for ever."""
+    bench = make_bench("one", "other", pace=50.0)
+    one, other = bench.clock("one"), bench.clock("other")
+    begin, ended = one.now(), []
+
+    def wait(duration: float) -> None:
+        one.sleep_until(begin + duration)
+        ended.append(one.now() - begin)
+
+    for duration in (20.0, 1e3):
+        threading.Thread(target=wait, args=[duration], daemon=True).start()
+    until(lambda: one.now() > begin + 5.0)
+    one.leave()
+    until(lambda: ended, timeout=5.0)
+    assert 20.0 <= ended[0] < 40.0
+    assert other.now() > begin + 20.0
+    now = one.now()
+    bench.lose()
+    one.sleep(0.2)
+    assert now + 0.2 <= one.now() < now + 100.0
 
 
 def test_an_error_of_a_callback_is_kept_for_the_node(make_bench):

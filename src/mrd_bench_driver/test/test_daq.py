@@ -186,14 +186,14 @@ def test_the_coil_follows_fresh_setpoints_within_its_limits(terminals: Terminals
     terminals.drive(0.5, 2.5)
     last = graph.clock.now()
     graph.until(lambda: terminals.volts() == 0.0)
-    assert 0.05 < seconds(terminals.output[-1].header.stamp) - last < 0.5
+    assert 0.05 < seconds(terminals.output[-1].header.stamp) - last < 1.0
     terminals.setpoint(0.5, age=0.3)
     graph.during(0.1)
     assert terminals.volts() == 0.0
     # A stamp from the future does not keep the coil on.
     terminals.setpoint(0.5, age=-100.0)
     graph.until(lambda: terminals.volts() != 0.0)
-    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    graph.until(lambda: terminals.volts() == 0.0)
 
 
 def test_a_coil_current_that_does_not_follow_its_command_stops_the_bench(terminals: Terminals) -> None:
@@ -217,7 +217,7 @@ def test_the_emergency_stop_latches_until_reset_fault(terminals: Terminals) -> N
     graph = terminals.graph
     terminals.drive(0.5, 2.5)
     terminals.emergency_stop.publish(Bool(data=True))
-    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    graph.until(lambda: terminals.volts() == 0.0)
     stopped = len(terminals.output)
     for _ in range(5):
         terminals.setpoint(0.5)
@@ -236,7 +236,7 @@ def test_the_coil_is_at_0_volts_when_the_node_ends(graph: Any, own_terminals: Te
     process = graph.process("daq")
     terminals.drive(0.5, 2.5)
     process.terminate()
-    graph.until(lambda: terminals.volts() == 0.0, timeout=2.0)
+    graph.until(lambda: terminals.volts() == 0.0)
     graph.until(lambda: process.poll() is not None)
     assert process.returncode == 0
     assert graph.log("daq") == ""
@@ -288,8 +288,8 @@ def test_the_coil_is_off_when_the_supervisor_falls_silent(terminals: Terminals) 
     terminals.mode = None
     silent = graph.clock.now()
     graph.node.create_timer(0.02, lambda: terminals.setpoint(0.5))
-    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
-    assert seconds(terminals.output[-1].header.stamp) - silent < 0.3
+    graph.until(lambda: terminals.volts() == 0.0)
+    assert seconds(terminals.output[-1].header.stamp) - silent < 1.1  # of which 0.6 are the patience of `graph`
     # The stop is latched, whoever comes back.
     outputs = len(terminals.output)
     terminals.enter(BenchState.IDENTIFICATION)
@@ -315,7 +315,7 @@ def test_a_button_at_the_daq_works_without_anybody_else(terminals: Terminals) ->
     states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
     terminals.drive(0.5, 2.5)
     assert graph.call("daq/emergency_stop", Trigger).success
-    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    graph.until(lambda: terminals.volts() == 0.0)
     graph.until(lambda: states and states[-1].message == "emergency stop by its service; call reset_fault")
     assert terminals.reset_fault().success
     graph.until(lambda: states[-1].level == DiagnosticStatus.OK)
@@ -325,7 +325,7 @@ def test_a_plant_that_does_not_fit_is_a_fault_that_reset_fault_clears(terminals:
     graph = terminals.graph
     terminals.drive(0.5, 2.5)
     terminals.analog_input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
-    graph.until(lambda: terminals.volts() == 0.0, timeout=1.0)
+    graph.until(lambda: terminals.volts() == 0.0)
     graph.until(lambda: "the plant has no ai1, ai2, ai4" in graph.log("daq"))
     for _ in range(3):
         terminals.send()

@@ -39,9 +39,11 @@ class Far:
 
         thread = threading.Thread(target=answer)
         thread.start()
+        begin = time.monotonic()
         try:
             return [reply for reply, _ in self.line.exchange(b"RPA\r", count, timeout)]
         finally:
+            self.took = time.monotonic() - begin
             thread.join()
 
 
@@ -94,18 +96,16 @@ def test_a_late_reply_is_not_the_next_answer(far):
 
 
 def test_trickling_bytes_do_not_stretch_the_timeout(far):
-    begin = time.monotonic()
     with pytest.raises(ReplyError):
-        far.ask(*[(0.01, b"1")] * 15)
-    assert time.monotonic() - begin < 0.25
+        far.ask(*[(0.01, b"1")] * 100)
+    assert far.took < 0.5
 
 
 def test_wake_breaks_off_at_once(far):
     threading.Timer(0.02, far.waiter.wake).start()
-    begin = time.monotonic()
     with pytest.raises(WaitInterrupted):
-        far.ask(timeout=1.0)
-    assert time.monotonic() - begin < 0.1
+        far.ask(timeout=2.0)
+    assert far.took < 1.0
 
 
 def test_unplugged(far):

@@ -34,7 +34,7 @@ class FakePeers:
         self.force, self.rate, self.state, self.recorder = 0.0, 100.0, "", "idle"
         self.modes: list[tuple[Mode, str]] = []
         self.emergency_stops: list[bool] = []
-        config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1, late=late)
+        config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1, late=late, stall=1.0)
         self.supervisor = Supervisor(
             config, self.clock, self, lambda mode: self.modes.append((mode.current, mode.reason)), self._on_emergency_stop
         )

@@ -20,6 +20,7 @@ from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
 pytestmark = pytest.mark.realtime
 
+PATIENCE = 0.6  # s, of `graph`
 EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
 SET = [EXPERIMENT.replace("short", name) for name in ("01_a", "02_b", "03_c")]
 ALL = ("servo", "daq", "generator", "recorder")
@@ -313,25 +314,26 @@ BREAKS = [
     ("current", breaking("fakes", "current", 1.3), "1.300 A through the coil, allowed -0.100 to 1.100 A"),
     ("speed", breaking("servo", "velocity", 0.3), "the rod moves at 300 mm/s by the encoder"),
     ("following error", breaking("servo", "following_error", 0.006), "6.00 mm off its setpoint"),
-    ("stale samples", breaking("fakes", "sampling", False), "limit 140 ms; check the daq"),
-    ("lost servo", breaking("fakes", "reporting", False), "limit 150 ms; check the servo node"),
+    ("stale samples", breaking("fakes", "sampling", False), "limit 600 ms; check the daq"),
+    ("lost servo", breaking("fakes", "reporting", False), "limit 600 ms; check the servo node"),
     ("lost servo", breaking("servo", "connected", False), "the motor does not answer; check its power"),
     ("servo fault", breaking("servo", "fault", True), "the motor or its driver stopped"),
-    ("stale setpoint", breaking("fakes", "generating", False), "limit 150 ms; check the generator"),
+    ("stale setpoint", breaking("fakes", "generating", False), "limit 600 ms; check the generator"),
 ]
 
 
 def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(fakes: Fakes) -> None:
     for name, break_it, line in BREAKS:
         handle = fakes.running()
+        fakes.remaining = 10_000  # so that the run does not end first
         fakes.calls.clear()
         fakes.stops.clear()
         broken = fakes.graph.clock.now()
         repair = break_it(fakes)
         fakes.graph.until(lambda: fakes.stops, timeout=5.0)
-        # 150 ms of patience, a tick of 20 ms, and what a busy machine needs.
         assert fakes.stops[0][1], name
-        assert fakes.stops[0][0] - broken < 0.3, name
+        # What a busy machine needs, beside the patience.
+        assert fakes.stops[0][0] - broken < PATIENCE + 0.5, name
         ended = fakes.result(handle)
         assert ended.status == GoalStatus.STATUS_ABORTED
         assert ended.result.message.startswith(f"interlock {name}: ")
@@ -468,7 +470,7 @@ def test_a_recording_that_fails_ends_the_experiment_at_once(fakes: Fakes) -> Non
     told = fakes.graph.clock.now()
     fakes.tell_recorder_state("failed", failure)
     fakes.graph.until(lambda: fakes.calls, timeout=5.0)
-    assert fakes.graph.clock.now() - told < 0.5
+    assert fakes.graph.clock.now() - told < 1.5
     ended = fakes.result(handle)
     assert (ended.status, ended.result.message) == (GoalStatus.STATUS_ABORTED, failure)
     assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]

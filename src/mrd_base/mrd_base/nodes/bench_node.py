@@ -218,7 +218,7 @@ class BenchNode(Node, Generic[C]):
         """Create a timer with a period in bench seconds, which no adjustment of the machine's clock delays."""
         if isinstance(self.bench, BarrierClock):
             return self.bench.timer(period, self._one_at_a_time(callback))
-        timer: BenchTimer = self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        timer: BenchTimer = self.create_timer(period, callback)
         return timer
 
     # On a simulated bench, the thread of the bench time takes the messages, so that it knows when a node has processed them.
@@ -267,11 +267,13 @@ class BenchNode(Node, Generic[C]):
             srv_type, srv_name, self._one_at_a_time(callback) if simulated else callback, **options
         )
 
-    def create_timer(self, timer_period_sec: float, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """Create a timer, as `Node` does."""
+    def create_timer(self, timer_period_sec: float, callback: Any, **options: Any) -> Any:
+        """Create a timer, as `Node` does, which no step of the machine's clock delays."""
         simulated = isinstance(self.bench, BarrierClock)
         callback = self._one_at_a_time(callback) if simulated else callback
-        return super().create_timer(timer_period_sec, callback, *arguments, **options)
+        return super().create_timer(
+            timer_period_sec, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **options}
+        )
 
     def take_part(self) -> None:
         """Take part in a simulated bench, once all publishers and subscriptions exist."""
@@ -340,17 +342,13 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(describe_node(Path(sys.argv[0]).stem, factory))
         sys.exit(0)
-    stopping = False
-
-    def stop(_signal: int, _frame: object) -> None:
-        nonlocal stopping
-        stopping = True
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
+    signals = {signal.SIGINT, signal.SIGTERM}
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # under nohup, the node outlives its terminal
-        signal.signal(signal.SIGHUP, stop)
+        signals.add(signal.SIGHUP)
+    # A handler in Python would not run before the executor returns. All threads inherit that these signals are blocked.
+    signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     node: BenchNode[Any] | None = None
+    stopping = threading.Event()
     status = 0
     try:
         _init()
@@ -361,7 +359,8 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
         gc.freeze()
         node_executor = executor()
         node_executor.add_node(node)
-        while not stopping:
+        stopping = _wait_for(signals, node.bench, node_executor.wake)
+        while not stopping.is_set():
             node_executor.spin_once(timeout_sec=0.1)
             if node.ending is not None:
                 raise node.ending
@@ -374,6 +373,8 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
         if node is not None:
             if isinstance(node.bench, BarrierClock):
                 node.bench.stop_receiving()
+            if stopping.is_set():
+                node.bench.release()
             with node.callback_lock:
                 pass  # a callback that still runs has ended now
             node.close()
@@ -382,6 +383,23 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
             node.destroy_node()
         rclpy.try_shutdown()
     sys.exit(status)
+
+
+def _wait_for(signals: set[signal.Signals], clock: BenchClock, wake: Callable[[], None]) -> threading.Event:
+    """Return an event that is set, and wake the executor, when one of the signals comes.
+
+    A simulated bench stands still from then on, until ``clock.release``: nothing happens as if the node went on.
+    """
+    came = threading.Event()
+
+    def wait() -> None:
+        signal.sigwait(signals)
+        clock.hold()
+        came.set()
+        wake()
+
+    threading.Thread(target=wait, name="signals", daemon=True).start()
+    return came
 
 
 def _init() -> None:

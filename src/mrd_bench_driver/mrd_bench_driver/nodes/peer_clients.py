@@ -40,8 +40,8 @@ _SERVICES = {
 _POLLING_INTERVAL = 0.005
 # Wall time in s after which a request is repeated: a request to a node that has just been started may be lost.
 _REPEAT_AFTER = 2.0
-# Requests that begin something are not repeated.
-_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING, STOP_RECORDING, SERVO_HOME)}
+# Requests that begin something are not repeated. A servo that homes refuses to home once more, so that only one is done.
+_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING, STOP_RECORDING)}
 
 
 class PeerClients:

@@ -374,7 +374,12 @@ class BenchOperations:
     # Internals
 
     def _call(self, service: str, timeout: float | None = None, **fields: Any) -> Any:
-        return self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
+        # Else it would be chance whether a node that works at this instant, too, has done so before the request comes, and
+        # whether what it then publishes has been received when the response comes.
+        self._clock.settle()
+        response = self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
+        self._clock.settle()
+        return response
 
     def _wait_until(self, condition: Callable[[], bool], timeout: float, failure: str | Callable[[], str]) -> None:
         """Wait for a condition, at most ``timeout`` bench seconds."""
