@@ -33,9 +33,9 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         over_time=figures.to_html(figures.force_over_time(worst)),
         command=f"{command('mrd_diagnosis', 'diagnose')} {_sources(fit)} --model {fit.model.id} --output DIR",
         residuals=figures.to_html(figures.residuals(results)),
-        front=figures.to_html(figures.pareto_front(fit)),
-        intervals=figures.to_html(figures.parameters(fit)),
-        correlation=figures.to_html(figures.correlation(fit)) if len(fit.correlation) > 1 else "",
+        front=figures.to_html(figures.pareto_front(fit), figures.HALF),
+        intervals=figures.to_html(figures.parameters(fit), figures.HALF),
+        correlation=figures.to_html(figures.correlation(fit), figures.HALF) if len(fit.correlation) > 1 else "",
         headline=[
             (f"NRMSE, {_EVALUATED_ON[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
             ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),
@@ -59,12 +59,20 @@ def _sources(fit: Fit) -> str:
 
 
 def render(
-    name: str, folder: str | Path, package: str = "mrd_identification", /, *, runs: Sequence[Run] = (), **content: Any
+    name: str,
+    folder: str | Path,
+    package: str = "mrd_identification",
+    /,
+    *,
+    runs: Sequence[Run] = (),
+    interactive: bool = False,
+    **content: Any,
 ) -> Path:
     """Write ``name``.html from the template of a package into ``folder`` and return its path.
 
-    The page ends with the version of the program, the date, and the files of the ``runs`` that it is about. The file is
-    complete or absent, even when the process is interrupted.
+    The page ends with the version of the program, the date, and the files of the ``runs`` that it is about. An
+    ``interactive`` page includes Plotly, which takes 4.7 MB. The file is complete or absent, even when the process is
+    interrupted.
     """
     loaders = [jinja2.PackageLoader(name) for name in dict.fromkeys((package, "mrd_identification"))]
     environment = jinja2.Environment(
@@ -72,7 +80,7 @@ def render(
     )
     environment.filters["figures"] = four_figures
     page = environment.get_template(f"{name}.html.j2").render(
-        plotly=get_plotlyjs(),
+        plotly=get_plotlyjs() if interactive else "",
         version=VERSION,
         written=f"{datetime.datetime.now():%Y-%m-%d %H:%M}",
         sources=list(dict.fromkeys(str(run.info["source"]) for run in runs if run.info.get("source"))),

@@ -39,7 +39,7 @@ from mrd_diagnosis.sentences import (
     where_sentence,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.figures import to_html
+from mrd_identification.figures import HALF, NARROW, to_html
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
@@ -173,10 +173,10 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
     shown = figures.most_informative_run(diagnosis.residuals)
     return {
         "headline": _headline(diagnosis, gap),
-        "errors": to_html(figures.error_chart(diagnosis, gap)),
+        "errors": to_html(figures.error_chart(diagnosis, gap), HALF),
         "error_notes": _error_notes(diagnosis, gap),
         "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],
-        "candidates": "" if nothing_removes(diagnosis) else to_html(figures.candidate_chart(diagnosis)),
+        "candidates": "" if nothing_removes(diagnosis) else to_html(figures.candidate_chart(diagnosis), HALF),
         "candidate_rows": [
             (candidate_title(candidate), " + ".join(candidate.effects), *describe_candidate(diagnosis, candidate))
             for candidate in ordered
@@ -211,9 +211,9 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         ],
         "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
         "regions": to_html(figures.region_chart(regions)) if regions else "",
-        "maps": [(capitalised(title), to_html(figure)) for title, figure in figures.map_figures(diagnosis)],
+        "maps": [(capitalised(title), to_html(figure, NARROW)) for title, figure in figures.map_figures(diagnosis)],
         "shown_run": shown.recording.run.name,
-        "loops": [to_html(figure) for figure in figures.hysteresis_loops(shown, label)],
+        "loops": [to_html(figure, HALF) for figure in figures.hysteresis_loops(shown, label)],
         "over_time": to_html(figures.error_over_time(shown, label, diagnosis.oscillation)),
         "unnoticed": _unnoticed(diagnosis, {card["id"] for card in nearest}),
         "untestable": sorted((EFFECTS[entry.effect].title, entry.effect, entry.why) for entry in diagnosis.untestable),
