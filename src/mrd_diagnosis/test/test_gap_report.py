@@ -329,6 +329,20 @@ def test_a_parameter_that_any_value_fits_has_a_remark():
     )
 
 
+def test_parameters_stand_side_by_side(tmp_path):
+    diagnosis = diagnosed("explained")
+    names = diagnosis.model.names
+    sets = [dict.fromkeys(names, value) for value in (0.0625, 0.125, 0.25)]
+    corrected = replace(diagnosis.corrected, as_given=sets[0], without_effects=sets[1], parameters=sets[2])
+    markup = markup_of(write_gap_report(replace(diagnosis, corrected=corrected), tmp_path))
+    assert re.search(r"as given</th><th[^>]*>refitted</th><th[^>]*>with the cause</th>", markup)
+    first = format_quantity(0.0625, diagnosis.model.parameters[0].unit)
+    assert re.search(rf"<code>{names[0]}</code></td><td[^>]*>{first}</td>", markup)
+    only = markup_of(write_gap_report(replace(diagnosis, corrected=replace(corrected, as_given={})), tmp_path))
+    assert "as given</th>" not in only
+    assert "refitted</th>" in only
+
+
 def test_what_removes_nothing_needs_no_table(capsys, tmp_path):
     diagnosis = diagnosed("unknown_effect")
     candidates = tuple(replace(candidate, closed_fraction=about(0.001)) for candidate in diagnosis.candidates)

@@ -105,6 +105,7 @@ def _for_page(svg: str) -> str:
     svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
     # Places are written to a hundredth of a pixel; numbers in texts, which stand between the tags, are not touched.
     svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\.\d\d)\d+", r"\1", tag.group()), svg)
+    svg = re.sub(r' d="[^"]*"', lambda line: re.sub(r"(\.\d)\d", r"\1", line.group()), svg)  # lines to a tenth
     svg = re.sub(r"\s*\n\s*", "\n", svg)
     for colour, of_page in _OF_PAGE.items():
         svg = svg.replace(colour, of_page)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 MEASURED = "#aab4c0"
 MODELLED = "#d1495b"
 ACCENT = "#00798c"
-MOST_POINTS = 2500
+MOST_POINTS = 1500
 """Points of a line; more would not be visible, and would make the page slow."""
 
 LAYOUT = {

@@ -191,6 +191,16 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
             )
             for cause in diagnosis.causes
         ],
+        "parameter_columns": [title for title, _ in _parameter_columns(diagnosis, corrected)],
+        "parameter_rows": [
+            (
+                parameter.name,
+                *(format_quantity(values.get(parameter.name, np.nan), parameter.unit) for _, values in columns),
+                parameter.meaning,
+            )
+            for columns in [_parameter_columns(diagnosis, corrected)]
+            for parameter in diagnosis.model.parameters
+        ],
         "remains": _remains(diagnosis, gap) if diagnosis.verdict == "partly_explained" else [],
         "nearest": nearest,
         "alternative_models": [
@@ -220,6 +230,16 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         "runs": [_run_row(residual) for residual in diagnosis.residuals],
         "noise_sources": join_words(list(dict.fromkeys(_NOISE_SOURCES[r.noise.source] for r in diagnosis.residuals))),
     }
+
+
+def _parameter_columns(diagnosis: Diagnosis, corrected: CorrectedSimulator) -> list[tuple[str, Mapping[str, float]]]:
+    """Return title and values of each set of the model's parameters that is known: as given, refitted, with the causes."""
+    columns = [
+        ("as given", corrected.as_given),
+        ("refitted", corrected.without_effects),
+        (corrected_label(diagnosis), corrected.parameters if corrected.effects else {}),
+    ]
+    return [(title, values) for title, values in columns if title and values]
 
 
 def significant_regions(diagnosis: Diagnosis) -> list[Region]:
