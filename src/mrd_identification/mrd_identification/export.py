@@ -11,7 +11,6 @@ from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.plant import read_damper
 
-
 PROVEN = ("no_gap", "explained", "partly_explained")
 """Verdicts of a diagnosis whose corrected simulator may be used without a further decision."""
 

@@ -4,7 +4,7 @@ import argparse
 
 from mrd_base import run_tool
 from mrd_identification.export import export_damper
-from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 
 
 def main() -> None:
@@ -28,6 +28,7 @@ def work() -> None:
         help="export the damper model alone; the effects that act with it have no translation to C",
     )
     add_effects_folder(parser)
+    add_models_folder(parser)
     parser.add_argument("--output", required=True, metavar="FILE.c|FILE.fmu", help="new file; its ending selects C or FMU")
     parser.add_argument(
         "--prefix", default="mrd", metavar="NAME", help="prefix of the names in the C file (default %(default)s)"
