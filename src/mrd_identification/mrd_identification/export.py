@@ -93,8 +93,8 @@ def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", wit
     Raises
     ------
     InputError
-        As `load_damper`; also for effects that are not to be left out, another ending, an existing file, a prefix that is not a C name, and an FMU without a C
-        compiler.
+        As `load_damper`; also for effects that are not to be left out, another ending, an existing file, a prefix that is
+        not a C name, and an FMU without a C compiler.
     """
     output = Path(output)
     if output.suffix not in (".c", ".fmu"):

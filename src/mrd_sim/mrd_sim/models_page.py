@@ -48,9 +48,10 @@ from mrd_sim.dual import tanh
 from mrd_sim.models import Coefficient, DamperModel
 from mrd_sim.named import named_row, tuple_type
 
+PER_AMPERE = (700.0, 0.0, 4000.0)
 COEFFICIENTS = (
-    Coefficient("friction_out", "f_e", "N", "friction while it extends", 120.0, 0.0, 2000.0, per_ampere=(700.0, 0.0, 4000.0)),
-    Coefficient("friction_in", "f_c", "N", "friction while it is compressed", 80.0, 0.0, 2000.0, per_ampere=(700.0, 0.0, 4000.0)),
+    Coefficient("friction_out", "f_e", "N", "friction, extending", 120.0, 0.0, 2000.0, per_ampere=PER_AMPERE),
+    Coefficient("friction_in", "f_c", "N", "friction, compressing", 80.0, 0.0, 2000.0, per_ampere=PER_AMPERE),
     Coefficient("viscous", "c", "N s/m", "viscosity", 1000.0, 0.0, 1e4),
 )
 Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
@@ -128,12 +129,12 @@ $sections
 ## Your own
 
 Write one file for each model and name their folder with `--models-folder FOLDER`, before or after `--model ID` (in Python:
-`mrd_sim.models.load_models`). The kernel fills the force, sample by sample. `q` holds the coefficients at the current of each
-sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the functions of
+`mrd_sim.models.load_models`). The kernel fills the force, sample by sample. `q` holds the coefficients at the current of
+each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the functions of
 `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs.
 
-A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that lacks
-a property that it claims: `odd` (turning the motion round turns the force round) and `dissipative` (no closed cycle yields
+A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that
+lacks a property that it claims: `odd` (turning the motion round turns the force round) and `dissipative` (no closed cycle yields
 energy). The line says which, and what to write where it is meant.
 
     mrd identify RUN... --models-folder my_models --model asymmetric_bingham --output DIR

@@ -53,7 +53,7 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
 
 
 def load_models(folder: str | Path) -> tuple[DamperModel, ...]:
-    """Add a user's own damper models to this process's catalogue: one from every ``*.py`` of a folder that assigns ``MODEL``.
+    """Add a user's own models to this process's catalogue: one from every ``*.py`` of a folder that assigns ``MODEL``.
 
     A model that is loaded again replaces the former one.
 
