@@ -68,7 +68,7 @@ def _corrected_damper(file: str | Path, report: dict[str, Any]) -> Damper:
             f"{file}: the verdict is {verdict}, so no simulator is proven; apply it to a plant file with apply --anyway, "
             "and export that"
         )
-    effects = {} if verdict == "no_gap" else {effect: {} for effect in named}
+    effects: dict[str, dict[str, float]] = {} if verdict == "no_gap" else {effect: {} for effect in named}
     own = {name: value for name, value in values.items() if name.partition(".")[0] in effects or "." not in name}
     try:
         return Damper(model, own, laws, effects)

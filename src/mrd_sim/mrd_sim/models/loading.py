@@ -87,7 +87,7 @@ def missing_property(model: DamperModel) -> str:
             if not np.allclose(found.real, force, rtol=0, atol=TINY * (1 + np.abs(force).max())):
                 return "the force differs with a derivative; compare numbers by their .real"
             if not np.isfinite(found.imag).all():
-                return f"the derivative to {parameter.name} is not finite at the {name} values; use the functions of mrd_sim.dual"
+                return f"the derivative to {parameter.name} is not finite at the {name} values; use mrd_sim.dual"
     force = model.force(model.defaults, path)
     return _claims(model, force, (time, x, v, a))
 
