@@ -49,6 +49,7 @@ ROSDEP = {
     "yaml": "python3-yaml",
     "serial": "python3-serial",
     "jsonschema": "python3-jsonschema",
+    "matplotlib": "python3-matplotlib",
     "jinja2": "python3-jinja2",
     "tqdm": "python3-tqdm",
     "psutil": "python3-psutil",

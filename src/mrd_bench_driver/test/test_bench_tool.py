@@ -1,8 +1,10 @@
 """What the tool `bench` refuses before it starts anything."""
 
+import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -46,6 +48,8 @@ def run(
         (GENTLE, ["--bench", "none.yaml"], "none.yaml: cannot be read"),
         (GENTLE, ["--simulated", "--output", "done"], "bag: exists already; choose another --output"),
         (GENTLE, ["--simulated", "--bench", "typo.yaml"], "typo.yaml: section /**/motor: no node has this name (nodes: "),
+        (GENTLE, ["--simulated", "--resume"], "--resume needs --output"),
+        (GENTLE, ["--simulated", "--resume", "--output", "done"], "--resume: expected a set"),
         (GENTLE, ["--pace", "2"], "--pace needs --simulated"),
         *((GENTLE, ["--simulated", f"--pace={x}"], "--pace is ") for x in ("0", "-2", "nan")),
         (GENTLE, ["--simulated", "--seed", "-1"], "--seed is -1, expected a whole number"),
@@ -83,3 +87,32 @@ def test_a_folder_is_checked_as_a_whole(run: Callable[..., tuple[object, str]], 
     status, said = run("set", "--simulated", "--output", "done")
     assert status == 2
     assert "done/y: exists already; choose another --output" in said
+
+
+def test_resume_records_what_is_missing_of_a_set(
+    tmp_path: Path,
+    run: Callable[..., tuple[object, str]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "set").mkdir()
+    for name in ("x", "y", "z"):
+        (tmp_path / "set" / f"{name}.yaml").write_text(GENTLE.replace("x", name, 1))
+    (tmp_path / "done" / "y").mkdir(parents=True)
+    recorded = {"y": 5.3}
+    monkeypatch.setattr(bench, "read_run", lambda bag: SimpleNamespace(duration=recorded[bag.name]))
+    given = {"bench": CONFIG / "bench.yaml", "plant": None, "simulated": True, "output": Path("done"), "resume": True}
+    session = bench._prepare(argparse.Namespace(experiments=[tmp_path / "set"], **given))
+    assert [bag.name for bag in session.bags] == ["x", "z"]
+    # A part of a recording is neither kept as if it were whole nor overwritten.
+    recorded["y"] = 0.2
+    status, said = run("set", "--simulated", "--resume", "--output", "done")
+    assert status == 2
+    assert "done/y: holds 0.2 s, expected the " in said
+    assert "move it away, then resume" in said
+    recorded.update(x=6.0, y=6.0, z=6.0)
+    for name in "xz":
+        (tmp_path / "done" / name).mkdir()
+    monkeypatch.setattr(sys, "argv", ["bench", "set", "--simulated", "--resume", "--output", "done"])
+    bench.main()
+    assert capsys.readouterr().out.endswith("done: nothing is missing\n")

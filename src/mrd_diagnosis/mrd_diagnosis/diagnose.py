@@ -287,7 +287,12 @@ def _diagnose_physics(
         held_out_by=_held_out_by(runs, set_aside),
         reference=reference,
         gap=gap,
-        corrected=CorrectedSimulator(complete.best.effects, complete.best.values),
+        corrected=CorrectedSimulator(
+            complete.best.effects,
+            complete.best.values,
+            complete.without_effects().best.values,
+            {} if theta_as_given is None else dict(zip(model.names, map(float, theta_as_given), strict=True)),
+        ),
         where=where,
         oscillation=oscillation,
         causes=name_causes(replace(explanation, comparison=complete), rng),

@@ -280,10 +280,16 @@ class CorrectedSimulator:
         matter.
     parameters : mapping
         Parameters of the model with these effects, by name, in SI units.
+    without_effects : mapping
+        Parameters of the model refitted without any effect.
+    as_given : mapping
+        Parameters of the simulator before anything was fitted; empty where they are not known.
     """
 
     effects: tuple[str, ...]
     parameters: Mapping[str, float]
+    without_effects: Mapping[str, float] = field(default_factory=dict)
+    as_given: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

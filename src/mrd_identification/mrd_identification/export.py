@@ -1,51 +1,116 @@
 """Fitted models for use in other software: as a Python callable, a C file or an FMU."""
 
+import json
 from pathlib import Path
+from typing import Any
 
 from mrd_base import InputError
 from mrd_identification.fit_file import read_fit
 from mrd_sim.c_code import c_source
 from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
+from mrd_sim.plant import read_damper
+
+PROVEN = ("no_gap", "explained", "partly_explained")
+"""Verdicts of a diagnosis whose corrected simulator may be used without a further decision."""
 
 
-def load_damper(fit: str | Path) -> Damper:
-    """Return the damper that a fit.json describes: ``load_damper("fit.json").force(time, position, current)``.
+def load_damper(file: str | Path) -> Damper:
+    """Return the damper that a file describes: ``load_damper("fit.json").force(time, position, current)``.
+
+    Parameters
+    ----------
+    file : path
+        A fit.json of `identify`, a gap_report.json of `diagnose`, whose corrected simulator is meant, or a plant.yaml, for
+        instance of `apply`.
 
     Raises
     ------
     InputError
-        When the file cannot be read, is not a fit.json of this version, or names a model or effect that does not exist.
+        When the file cannot be read, is none of these or of another version, names a model or effect that does not exist,
+        or is a diagnosis that proves nothing.
     """
-    stored = read_fit(fit)
+    if Path(file).suffix in (".yaml", ".yml"):
+        plant = read_damper(file)
+        try:
+            return plant.build()
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+    report = _gap_report(file)
+    if report is not None:
+        return _corrected_damper(file, report)
+    stored = read_fit(file)
     try:
         return Damper(stored.model, stored.values, stored.laws, {effect: {} for effect in stored.effects})
     except InputError as error:
-        raise InputError(f"{fit}: {error}") from None
+        raise InputError(f"{file}: {error}") from None
 
 
-def export_damper(fit: str | Path, output: str | Path, prefix: str = "mrd") -> Damper:
-    """Write the damper of a fit.json as a C file or an FMU; an existing file is never overwritten.
+def _gap_report(file: str | Path) -> dict[str, Any] | None:
+    """Return the content of a file if it is a report of a diagnosis; whether it is a readable fit is told by `read_fit`."""
+    try:
+        content = json.loads(Path(file).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    is_report = isinstance(content, dict) and str(content.get("schema")).startswith("mrd-gap/")
+    return content if is_report else None
+
+
+def _corrected_damper(file: str | Path, report: dict[str, Any]) -> Damper:
+    """Return the corrected simulator of a diagnosis; this package knows of the file only what it reads here."""
+    try:
+        verdict, model, laws, corrected = (report[name] for name in ("verdict", "model", "laws", "corrected"))
+        named, values = ((), {}) if corrected is None else (corrected["effects"], corrected["parameters"])
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{file}: has no field {error}, expected a gap_report.json as diagnose writes it") from None
+    if verdict not in PROVEN:
+        raise InputError(
+            f"{file}: the verdict is {verdict}, so no simulator is proven; apply it to a plant file with apply --anyway, "
+            "and export that"
+        )
+    effects: dict[str, dict[str, float]] = {} if verdict == "no_gap" else {effect: {} for effect in named}
+    own = {name: value for name, value in values.items() if name.partition(".")[0] in effects or "." not in name}
+    try:
+        return Damper(model, own, laws, effects)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+
+
+def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", without_effects: bool = False) -> Damper:
+    """Write the damper of a file as a C file or an FMU; an existing file is never overwritten.
 
     Parameters
     ----------
-    fit : path
-        Path of the fit.json.
+    file : path
+        As of `load_damper`.
     output : path
         Path of the new file: ``.c`` (see `mrd_sim.c_code.c_source`) or ``.fmu`` (see `mrd_sim.fmu.fmu_archive`).
     prefix : str
         Prefix of the names in the C file.
+    without_effects : bool
+        Leave out the effects that act with the model, which have no translation to C.
 
     Raises
     ------
     InputError
-        As `load_damper`; also for another ending, an existing file, a prefix that is not a C name, and an FMU without a C
-        compiler.
+        As `load_damper`; also for effects that are not to be left out, another ending, an existing file, a prefix that is
+        not a C name, and an FMU without a C compiler.
     """
     output = Path(output)
     if output.suffix not in (".c", ".fmu"):
         raise InputError(f"{output}: expected a name that ends in .c (C99 source) or .fmu (FMI 2.0 co-simulation)")
-    damper = load_damper(fit)
+    damper = load_damper(file)
+    if damper.model.effects:
+        names = ", ".join(effect.id for effect in damper.model.effects)
+        if not without_effects:
+            raise InputError(
+                f"{file}: acts with the effects {names}, which have no translation to C; simulate it in Python "
+                "(simulate --plant), or leave them out with --without-effects"
+            )
+        values_of_all = zip(damper.model.names, map(float, damper.theta), strict=True)
+        damper = Damper(
+            damper.model.id, {name: value for name, value in values_of_all if "." not in name}, damper.model.laws
+        )
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
     source = output.suffix == ".c"
     content = c_source(damper.model, values, prefix).encode() if source else fmu_archive(damper.model, values)

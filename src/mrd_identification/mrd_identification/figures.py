@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from mrd_identification.drawing import draw
 from mrd_identification.fit import Fit, RunResult
 
 Array = NDArray[np.float64]
@@ -17,7 +18,7 @@ Array = NDArray[np.float64]
 MEASURED = "#aab4c0"
 MODELLED = "#d1495b"
 ACCENT = "#00798c"
-MOST_POINTS = 2500
+MOST_POINTS = 1500
 """Points of a line; more would not be visible, and would make the page slow."""
 
 LAYOUT = {
@@ -231,9 +232,28 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
     return np.arange(best, best + length, -(-length // MOST_POINTS))
 
 
-def to_html(figure: go.Figure) -> str:
-    """Return a figure, with its description for those who cannot see it, as a part of a page that includes Plotly."""
-    drawing = figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
+FULL, HALF, NARROW = 1130, 550, 360
+"""Widths in pixels: of a page, of a column of two, and of a telephone, where every figure takes the page."""
+
+
+def to_html(figure: go.Figure, width: int = FULL) -> str:
+    """Return a figure, with its description for those who cannot see it, as a part of a page that is drawn without script.
+
+    A figure that would be too small to read on a telephone is drawn for it as well; the page shows one of the two.
+    """
+    if width <= NARROW:
+        return _in_page(figure, draw(figure, width))
+    return _in_page(figure, f'<div class="wide">{draw(figure, width)}</div><div class="narrow">{draw(figure, NARROW)}</div>')
+
+
+def interactive_html(figure: go.Figure) -> str:
+    """Return a figure, with its description, as a part of a page that includes Plotly (see `render`)."""
+    return _in_page(
+        figure, figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
+    )
+
+
+def _in_page(figure: go.Figure, drawing: str) -> str:
     return f'<figure class="plot" role="img" aria-label="{html.escape(describe(figure), quote=True)}">{drawing}</figure>'
 
 

@@ -120,3 +120,59 @@ def test_what_cannot_be_exported_is_refused(path, tmp_path):
     (tmp_path / "fit.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"fit\.json: unknown model bingam"):
         load_damper(tmp_path / "fit.json")
+
+
+GAP = {
+    "schema": "mrd-gap/3",
+    "verdict": "explained",
+    "model": "bingham",
+    "laws": {},
+    "corrected": {"effects": ["gas_spring"], "parameters": {"viscous": 1234.0, "gas_spring.stiffness": 500.0}},
+}
+PLANT = """\
+/**/plant:
+  ros__parameters:
+    damper:
+      model: bingham
+      parameters: "viscous: 1234.0"
+      effects: "gas_spring: {stiffness: 500.0}"
+"""
+
+
+@pytest.fixture(params=["gap_report.json", "corrected.yaml"])
+def corrected(request, tmp_path):
+    """A corrected simulator in each of its files."""
+    file = tmp_path / request.param
+    file.write_text(json.dumps(GAP) if file.suffix == ".json" else PLANT)
+    return file
+
+
+def test_a_corrected_simulator_is_read_with_its_effects(corrected):
+    damper = load_damper(corrected)
+    found = dict(zip(damper.model.names, damper.theta, strict=True))
+    assert damper.description == "bingham with gas_spring"
+    assert (found["viscous"], found["gas_spring.stiffness"]) == (1234.0, 500.0)
+
+
+def test_effects_are_left_out_of_an_export_only_where_that_is_asked_for(corrected, tmp_path):
+    with pytest.raises(InputError, match=r"acts with the effects gas_spring, .* or leave them out with --without-effects"):
+        export_damper(corrected, tmp_path / "damper.c")
+    assert not (tmp_path / "damper.c").exists()
+    damper = export_damper(corrected, tmp_path / "damper.c", without_effects=True)
+    assert damper.description == "bingham"
+    assert '{"viscous", "N s/m", 1234' in (tmp_path / "damper.c").read_text()
+
+
+def test_a_diagnosis_that_proves_nothing_is_not_exported(tmp_path):
+    report = tmp_path / "gap_report.json"
+    for change, message in (
+        ({"verdict": "ambiguous"}, "the verdict is ambiguous, so no simulator is proven"),
+        ({"verdict": "data_fault", "corrected": None}, "the verdict is data_fault"),
+        ({"model": "nosuch"}, "gap_report.json: unknown model nosuch"),
+        ({"corrected": {}}, "has no field 'effects', expected a gap_report.json"),
+    ):
+        report.write_text(json.dumps({**GAP, **change}))
+        with pytest.raises(InputError, match=message):
+            load_damper(report)
+    report.write_text(json.dumps({**GAP, "verdict": "no_gap"}))
+    assert load_damper(report).description == "bingham"

@@ -2,6 +2,7 @@
 
 import datetime
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import find_knee
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
-from mrd_identification.report import write_report
+from mrd_identification.report import quantity, write_report
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -296,7 +297,32 @@ def test_report_needs_no_network(bouc_wen_fit, tmp_path):
     page = write_report(bouc_wen_fit, tmp_path).read_text()
     assert "<script src=" not in page
     assert "yield_force_per_A" in page
-    assert page.count("Plotly.newPlot") >= 4
+    assert page.count("<figure") >= 4
+    assert "<script" not in page
+
+
+def test_the_page_writes_quantities_with_prefixes():
+    assert quantity(0.0001247, "m") == "124.7 µm"
+    assert quantity(-0.0123, "m/A") == "-12.3 mm/A".replace("-", "\N{MINUS SIGN}")
+    assert quantity(80.0, "N") == "80 N"
+    assert quantity(123456.0, "N s/m") == "123.5 kN s/m"
+    assert quantity(0.0, "s") == "0 s"
+    assert quantity(0.001, "1/A") == "0.001 1/A"
+    assert quantity(1.5, "") == "1.5"
+
+
+def test_every_run_can_be_chosen_the_worst_first(bouc_wen_fit, tmp_path):
+    (result, *_) = bouc_wen_fit.fitted
+    runs = tuple(
+        replace(result, run=replace(result.run, name=name), metrics=replace(result.metrics, nrmse=error))
+        for name, error in (("good", 0.1), ("bad", 0.9), *((f"other_{i}", 0.5) for i in range(3)))
+    )
+    page = write_report(replace(bouc_wen_fit, fitted=runs, held_out=()), tmp_path).read_text()
+    assert re.findall(r'<details name="run"( open|)><summary>(\w+), ', page)[0] == (" open", "bad")
+    assert page.count('<details name="run"') == 4
+    assert "The 1 runs" not in page
+    assert "The run with the least error is left out." in page
+    assert len(page.encode()) < 1_000_000
 
 
 def test_a_fit_says_and_draws_itself(bouc_wen_fit):
@@ -331,9 +357,10 @@ def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_pat
     files = [replace(of, run=replace(of.run, info={"source": f"rig/{of.run.name}.csv"})) for of in bouc_wen_fit.fitted]
     page = write_report(replace(bouc_wen_fit, fitted=tuple(files)), tmp_path).read_text()
     # Somebody who cannot see the figures is told what each of them draws.
-    assert page.count('role="img"') == page.count('class="plotly-graph-div')
+    assert page.count('role="img"') == page.count('class="plot"')
     assert 'aria-label="Chart of force, N over velocity, mm/s and position, mm: measured, model"' in page
     assert f"diagnose {' '.join(of.run.info['source'] for of in files)} --model bouc_wen --output DIR</code>" in page
+    assert len(page.encode()) < 1_000_000
     footer = page.partition("<footer>")[2]
     assert f"mrd {VERSION} on {datetime.date.today().year}-" in footer
     assert all(f"<code>rig/{of.run.name}.csv</code>" in footer for of in files)

@@ -1,5 +1,6 @@
 """Identification and comparison look at the recordings before they fit them."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -84,3 +85,15 @@ def test_what_narrows_the_conclusions_is_said_before_the_fit(tool, recorded, tmp
     code, _, error = tool(identify, str(tmp_path / "one_current.csv"), "--model", "bingham", "--no-profile")
     assert code == 0
     assert "limitation: " in error
+
+
+def test_a_comparison_of_hours_has_to_be_asked_for(monkeypatch, capsys, recorded, tmp_path):
+    """The word stands before the work: nothing is fitted, and nothing is written."""
+    arguments = [*map(str, recorded), "--generations", "100000", "--output", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["compare", *arguments])
+    with pytest.raises(SystemExit) as end:
+        compare.main()
+    said = capsys.readouterr().err
+    assert end.value.code == 2
+    assert re.search(r"this takes about \d+ min with 16 models; .* or ask for it with --long", said)
+    assert not (tmp_path / "out").exists()

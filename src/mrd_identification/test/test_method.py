@@ -50,4 +50,4 @@ def test_options_of_the_tools_become_a_method():
         profile=False,
     )
     with pytest.raises(InputError, match="workers of a cluster do not know the effects"):
-        read_method(argparse.Namespace(scheduler="tcp://host:8786", effects_folder="effects"))
+        read_method(argparse.Namespace(scheduler="tcp://host:8786", effects_folder="effects", models_folder=""))

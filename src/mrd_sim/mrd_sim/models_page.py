@@ -39,6 +39,44 @@ _CHOICE = (
     ("no damper yet, only a drawing", "quasi_static", "computes the force from geometry and fluid"),
 )
 
+EXAMPLE = '''\
+"""A Bingham damper whose friction differs between extension and compression."""
+
+from numba import njit
+
+from mrd_sim.dual import tanh
+from mrd_sim.models import Coefficient, DamperModel
+from mrd_sim.named import named_row, tuple_type
+
+PER_AMPERE = (700.0, 0.0, 4000.0)
+COEFFICIENTS = (
+    Coefficient("friction_out", "f_e", "N", "friction, extending", 120.0, 0.0, 2000.0, per_ampere=PER_AMPERE),
+    Coefficient("friction_in", "f_c", "N", "friction, compressing", 80.0, 0.0, 2000.0, per_ampere=PER_AMPERE),
+    Coefficient("viscous", "c", "N s/m", "viscosity", 1000.0, 0.0, 1e4),
+)
+Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
+
+
+@njit(cache=True, nogil=True)
+def _force(q, state, dt, x, v, a, force):
+    for k in range(len(x)):
+        c = named_row(Coefficients, q, k)
+        friction = c.friction_out if v[k].real > 0.0 else c.friction_in
+        force[k] = friction * tanh(v[k] / 2e-3) + c.viscous * v[k]
+
+
+MODEL = DamperModel(
+    id="asymmetric_bingham",
+    title="Asymmetric Bingham",
+    equation="F = f tanh(x' / 2 mm/s) + c x', f = f_e for x' > 0 and f_c for x' < 0",
+    source="my measurements",
+    coefficients=COEFFICIENTS,
+    kernel=_force,
+    odd=False,
+)
+'''
+"""A model of one's own; a test fits it."""
+
 _PAGE = f"""\
 <!-- Written by `{COMMAND}`; changes belong in the catalogue or in models_page.py. -->
 
@@ -87,7 +125,24 @@ $laws
 p0 is the value at 0 A and p1 the slope there, whatever the law. A coefficient in which the force is not linear stays at
 its lower bound where its law would take it below.
 
-$sections"""
+$sections
+## Your own
+
+Write one file for each model and name their folder with `--models-folder FOLDER`, before or after `--model ID` (in Python:
+`mrd_sim.models.load_models`). The kernel fills the force, sample by sample. `q` holds the coefficients at the current of
+each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the
+functions of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit
+needs.
+
+A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that
+lacks a property that it claims: `odd` (turning the motion round turns the force round) and `dissipative` (no closed cycle
+yields energy). The line says which, and what to write where it is meant.
+
+    mrd identify RUN... --models-folder my_models --model asymmetric_bingham --output DIR
+
+```python
+{EXAMPLE}```
+"""
 
 
 def page() -> str:

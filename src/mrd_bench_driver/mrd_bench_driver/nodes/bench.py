@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,13 @@ from mrd_base.domain import claim_domain
 from mrd_base.nodes.graph import NODES
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
+from mrd_runs import read_run
 from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
+
+SHORTER = 0.5
+"""Seconds by which a whole recording may be shorter than its experiment: it consists of whole blocks of samples."""
 
 
 class SignalCounter:
@@ -106,6 +110,9 @@ def main() -> None:
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of bags and logs (default: runs/NAME-TIME)")
     parser.add_argument(
+        "--resume", action="store_true", help="record what is missing of a set in the folder --output, and keep the rest"
+    )
+    parser.add_argument(
         "--pace",
         type=float,
         metavar="X",
@@ -116,6 +123,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.bench is None:
         parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
+    if arguments.resume and arguments.output is None:
+        parser.error("--resume needs --output, the folder of the set that is to be completed")
     if arguments.pace is not None and not arguments.simulated:
         parser.error("--pace needs --simulated: a real bench has one time")
     if arguments.pace is not None and not arguments.pace > 0:
@@ -129,6 +138,9 @@ def main() -> None:
 
 def _work(arguments: argparse.Namespace) -> None:
     session = _prepare(arguments)
+    if arguments.resume and not session.experiments:
+        print(f"{session.output}: nothing is missing")
+        return
     port = session.logs / "motor"
     specs = bench_processes(arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed)
     namespace = "/" + arguments.namespace.strip("/")
@@ -192,10 +204,35 @@ def _prepare(arguments: argparse.Namespace) -> Session:
             raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
     session = Session(name, experiments, is_set, plant, output.resolve())
+    if arguments.resume:
+        return replace(session, experiments=_missing(session))
     for bag in session.bags:
         if bag.exists():
             raise InputError(f"{bag}: exists already; choose another --output, nothing recorded is overwritten")
     return session
+
+
+def _missing(session: Session) -> dict[Experiment, float]:
+    """Return the experiments of a set that are not recorded yet.
+
+    Raises
+    ------
+    InputError
+        For what is no set, and for a bag that does not hold its whole experiment: nothing recorded is overwritten.
+    """
+    if not session.is_set:
+        raise InputError("--resume: expected a set, several experiments or a folder of them; one experiment is run anew")
+    missing = {}
+    for (experiment, duration), bag in zip(session.experiments.items(), session.bags, strict=True):
+        if not bag.exists():
+            missing[experiment] = duration
+            continue
+        recorded = read_run(bag).duration
+        if recorded < duration - SHORTER:
+            raise InputError(
+                f"{bag}: holds {recorded:.1f} s, expected the {duration:.1f} s of its experiment; move it away, then resume"
+            )
+    return missing
 
 
 def _read_experiments(paths: list[Path], settings: GeneratorSettings) -> dict[Experiment, float]:

@@ -7,7 +7,7 @@ from mrd_base import run_tool
 from mrd_base.tool import command
 from mrd_diagnosis.correction import Correction, correction, write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
-from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.models import find_model
 
 
@@ -29,6 +29,7 @@ def work() -> None:
     parser.add_argument("--output", required=True, metavar="PLANT.yaml", help="plant file to write; must not exist yet")
     parser.add_argument("--anyway", action="store_true", help="apply the diagnosis even if it does not prove an effect")
     add_effects_folder(parser)
+    add_models_folder(parser)
     arguments = parser.parse_args()
     report = read_gap_report(arguments.report)
     refitted = report["corrected"] or {"parameters": {}, "effects": []}  # null where the recordings are faulty

@@ -25,7 +25,7 @@ from mrd_identification.cli.options import add_run_arguments, announce, read_arg
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
 from mrd_runs.read import describe_runs
-from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
@@ -75,6 +75,7 @@ def work() -> None:
         "--effects", default="", metavar="ID,...", help="effects to try (default: all); `effects` lists them"
     )
     add_effects_folder(parser)
+    add_models_folder(parser)
     parser.add_argument(
         "--bench",
         metavar="FILE",

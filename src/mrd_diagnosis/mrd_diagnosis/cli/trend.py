@@ -16,7 +16,7 @@ from mrd_diagnosis.trend.trend_file import write_trend
 from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_identification.json_file import make_folder
 from mrd_runs import Run, read_runs
-from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS
@@ -81,6 +81,7 @@ def _parse_arguments() -> argparse.Namespace:
         "--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws of the model: {', '.join(LAWS)}"
     )
     add_effects_folder(parser)
+    add_models_folder(parser)
     parser.add_argument(
         "--dates",
         default="",

@@ -39,7 +39,7 @@ from mrd_diagnosis.sentences import (
     where_sentence,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.figures import to_html
+from mrd_identification.figures import HALF, NARROW, to_html
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
@@ -173,10 +173,10 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
     shown = figures.most_informative_run(diagnosis.residuals)
     return {
         "headline": _headline(diagnosis, gap),
-        "errors": to_html(figures.error_chart(diagnosis, gap)),
+        "errors": to_html(figures.error_chart(diagnosis, gap), HALF),
         "error_notes": _error_notes(diagnosis, gap),
         "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],
-        "candidates": "" if nothing_removes(diagnosis) else to_html(figures.candidate_chart(diagnosis)),
+        "candidates": "" if nothing_removes(diagnosis) else to_html(figures.candidate_chart(diagnosis), HALF),
         "candidate_rows": [
             (candidate_title(candidate), " + ".join(candidate.effects), *describe_candidate(diagnosis, candidate))
             for candidate in ordered
@@ -190,6 +190,16 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
                 cause.effect, _cause_facts(diagnosis, cause, gap), cause.parameters, diagnosis.verdict == "ambiguous"
             )
             for cause in diagnosis.causes
+        ],
+        "parameter_columns": [title for title, _ in _parameter_columns(diagnosis, corrected)],
+        "parameter_rows": [
+            (
+                parameter.name,
+                *(format_quantity(values.get(parameter.name, np.nan), parameter.unit) for _, values in columns),
+                parameter.meaning,
+            )
+            for columns in [_parameter_columns(diagnosis, corrected)]
+            for parameter in diagnosis.model.parameters
         ],
         "remains": _remains(diagnosis, gap) if diagnosis.verdict == "partly_explained" else [],
         "nearest": nearest,
@@ -211,15 +221,25 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         ],
         "advice": _advice(diagnosis.next_experiment) if diagnosis.next_experiment else None,
         "regions": to_html(figures.region_chart(regions)) if regions else "",
-        "maps": [(capitalised(title), to_html(figure)) for title, figure in figures.map_figures(diagnosis)],
+        "maps": [(capitalised(title), to_html(figure, NARROW)) for title, figure in figures.map_figures(diagnosis)],
         "shown_run": shown.recording.run.name,
-        "loops": [to_html(figure) for figure in figures.hysteresis_loops(shown, label)],
+        "loops": [to_html(figure, HALF) for figure in figures.hysteresis_loops(shown, label)],
         "over_time": to_html(figures.error_over_time(shown, label, diagnosis.oscillation)),
         "unnoticed": _unnoticed(diagnosis, {card["id"] for card in nearest}),
         "untestable": sorted((EFFECTS[entry.effect].title, entry.effect, entry.why) for entry in diagnosis.untestable),
         "runs": [_run_row(residual) for residual in diagnosis.residuals],
         "noise_sources": join_words(list(dict.fromkeys(_NOISE_SOURCES[r.noise.source] for r in diagnosis.residuals))),
     }
+
+
+def _parameter_columns(diagnosis: Diagnosis, corrected: CorrectedSimulator) -> list[tuple[str, Mapping[str, float]]]:
+    """Return title and values of each set of the model's parameters that is known: as given, refitted, with the causes."""
+    columns = [
+        ("as given", corrected.as_given),
+        ("refitted", corrected.without_effects),
+        (corrected_label(diagnosis), corrected.parameters if corrected.effects else {}),
+    ]
+    return [(title, values) for title, values in columns if title and values]
 
 
 def significant_regions(diagnosis: Diagnosis) -> list[Region]:

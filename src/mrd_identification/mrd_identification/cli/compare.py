@@ -5,7 +5,7 @@ import argparse
 from rich.console import Console
 from rich.table import Column, Table
 
-from mrd_base import run_tool
+from mrd_base import InputError, run_tool
 from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
@@ -19,11 +19,23 @@ from mrd_identification.cli.options import (
 from mrd_identification.compare import compare, parse_row
 from mrd_identification.compare_file import COLUMNS, fit_folder, ranking, selections, sentence, write_comparison
 from mrd_identification.json_file import make_folder
+from mrd_identification.method import Method
 from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS
 
 TABLE_WIDTH = 110
 """Characters; a narrower terminal breaks the lines of the table, and no figure is cut off."""
+
+SECONDS_PER_SAMPLE = 2.5e-7
+"""Seconds for a sample of a candidate of the search, with all that follows it; of two cores and the cheapest models."""
+
+LONG, TOO_LONG = 60.0, 3600.0
+"""Estimated seconds from which the time is announced, and from which it has to be asked for by ``--long``."""
+
+
+def estimated_seconds(models: int, samples: int, method: Method) -> float:
+    """Return about how long a comparison takes in s; models differ by a factor of three, machines by as much."""
+    return SECONDS_PER_SAMPLE * models * samples * method.population * method.generations * method.seeds
 
 
 def main() -> None:
@@ -46,12 +58,20 @@ def work() -> None:
     )
     add_method_arguments(parser, one_model=False)
     add_anyway(parser)
+    parser.add_argument("--long", action="store_true", help="compare even if that takes more than an hour")
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the results")
     arguments = parser.parse_args()
     method = read_method(arguments)
     runs, held_out = read_arguments_runs(arguments)
     look_at_runs([*runs, *held_out], arguments.anyway)
     models = arguments.models.split(",")
+    seconds = estimated_seconds(len(models), sum(map(len, runs)), method)
+    minutes = f"this takes about {max(seconds / 60, 1):.0f} min"
+    if seconds > TOO_LONG and not arguments.long:
+        raise InputError(
+            f"{describe_runs(runs)}: {minutes} with {len(models)} models; give fewer --models, fewer runs or fewer "
+            "--generations, or ask for it with --long"
+        )
     make_folder(arguments.output)
     for name in models:
         parse_row(name, method)
@@ -60,6 +80,7 @@ def work() -> None:
     announce(
         describe_runs([*runs, *held_out]),
         f"{len(models)} model{'s' if len(models) > 1 else ''} (--models), each fitted {each}",
+        *([minutes] if seconds > LONG else []),
     )
     with shown_progress("comparing") as report:
         comparison = compare(

@@ -15,7 +15,7 @@ from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
 from mrd_runs.faults import find_faults
-from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import DamperModel
 
@@ -59,6 +59,7 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         "auto adds effects one after the other while runs that are left out are predicted better",
     )
     add_effects_folder(parser)
+    add_models_folder(parser)
     parser.add_argument("--offsets", action="store_true", help="let each fitted run have its own force offset")
     parser.add_argument(
         "--weights",
@@ -122,6 +123,10 @@ def read_method(arguments: argparse.Namespace) -> Method:
     if arguments.scheduler and arguments.effects_folder:
         raise InputError(
             "--scheduler: the workers of a cluster do not know the effects of --effects-folder; leave one of the two out"
+        )
+    if arguments.scheduler and arguments.models_folder:
+        raise InputError(
+            "--scheduler: the workers of a cluster do not know the models of --models-folder; leave one of the two out"
         )
     return parse_method(**{field.name: getattr(arguments, field.name) for field in fields(Method)})
 

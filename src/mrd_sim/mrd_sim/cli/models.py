@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mrd_base import run_tool
+from mrd_sim.cli.options import add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, DamperModel, find_model
 from mrd_sim.models_page import bounds, clauses, integration, memory, page, section, slope
@@ -23,6 +24,7 @@ def work() -> None:
     parser.add_argument(
         "--markdown", action="store_true", help="print the page of the documentation, or the model's section of it"
     )
+    add_models_folder(parser)
     arguments = parser.parse_args()
     model = find_model(arguments.model) if arguments.model else None
     if arguments.markdown:

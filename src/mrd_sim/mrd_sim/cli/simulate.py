@@ -9,7 +9,7 @@ import numpy as np
 
 from mrd_base import InputError, run_tool
 from mrd_runs import read_run
-from mrd_sim.cli.options import add_effects_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.models import MODELS
@@ -107,6 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
     add_effects_folder(parser)
+    add_models_folder(parser)
     parser.add_argument(
         "--noise",
         action="store_true",

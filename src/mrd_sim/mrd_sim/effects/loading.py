@@ -31,18 +31,23 @@ def read_effects(folder: str | Path) -> dict[Path, Effect]:
         For a folder without effects, for a file that fails when it is imported, and for an effect that fails when it is
         used or is not neutral at its defaults.
     """
-    try:
-        files = [file for file in sorted(Path(folder).iterdir()) if file.suffix == ".py"]
-        files = [file for file in files if re.search(r"^EFFECT\b", file.read_text(encoding="utf-8"), re.MULTILINE)]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{folder}: cannot be read ({_line(error)})") from None
+    files = files_that_assign("EFFECT", folder)
     if not files:
         raise InputError(f"{folder}: no effects, expected *.py files that assign EFFECT")
     return {file: _read(file) for file in files}
 
 
+def files_that_assign(name: str, folder: str | Path) -> list[Path]:
+    """Return the ``*.py`` files of a folder that assign a name; `InputError` for a folder that cannot be read."""
+    try:
+        files = [file for file in sorted(Path(folder).iterdir()) if file.suffix == ".py"]
+        return [file for file in files if re.search(rf"^{name}\b", file.read_text(encoding="utf-8"), re.MULTILINE)]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{folder}: cannot be read ({in_one_line(error)})") from None
+
+
 def _read(file: Path) -> Effect:
-    effect = _import(file)
+    effect = import_from("EFFECT", file)
     if not isinstance(effect, Effect):
         raise InputError(f"{file}: EFFECT is {type(effect).__name__}, expected mrd_sim.effects.Effect")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", effect.id):
@@ -55,8 +60,9 @@ def _read(file: Path) -> Effect:
     return effect
 
 
-def _import(file: Path) -> object:
-    name = f"mrd_effect_{file.stem}"
+def import_from(attribute: str, file: Path) -> Any:
+    """Import a user's file and return what it assigns to a name; `InputError` when it cannot be imported."""
+    name = f"mrd_{attribute.lower()}_{file.stem}"
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None
     assert spec.loader is not None
@@ -65,8 +71,8 @@ def _import(file: Path) -> object:
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever a user's file may raise
-        raise InputError(f"{file}: cannot be imported ({_line(error)})") from None
-    return module.EFFECT
+        raise InputError(f"{file}: cannot be imported ({in_one_line(error)})") from None
+    return getattr(module, attribute)
 
 
 def _check_parameters(file: Path, effect: Effect) -> None:
@@ -106,12 +112,12 @@ def _check_function(file: Path, effect: Effect) -> None:
             function(defaults, np.zeros(effect.states), np.array([0.0, 1e-3, 1e-3, 2e-3]), *signals)
             changed = not np.allclose(signals, before, rtol=1e-9, atol=1e-12)
     except Exception as error:  # numba's among them, of many lines
-        raise InputError(f"{file}: the effect fails ({_line(error)})") from None
+        raise InputError(f"{file}: the effect fails ({in_one_line(error)})") from None
     if changed:
         raise InputError(f"{file}: the effect acts at its parameters' defaults, expected neutral ones")
 
 
-def _line(error: Exception) -> str:
+def in_one_line(error: Exception) -> str:
     """Return an error in one line, without the colours that numba adds."""
     plain = re.sub(r"\x1b\[[0-9;]*m", "", str(error)).split()
     text = f"{type(error).__name__}: {' '.join(plain)}"

@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
 
 from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_sim.effects import find_effects
 from mrd_sim.models.coefficient import Coefficient
+from mrd_sim.models.loading import read_models
 from mrd_sim.models.model import DamperModel, SeriesSolutions
 from mrd_sim.parameter import Parameter
 
@@ -33,6 +35,8 @@ MODELS: dict[str, DamperModel] = {
 }
 """Catalogue, by id. Each entry is the file of its name."""
 
+_SHIPPED = frozenset(MODELS)
+
 
 def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:
     """Return a model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
@@ -48,4 +52,23 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
     return model.with_effects(find_effects(effects)) if effects else model
 
 
-__all__ = ["MODELS", "Coefficient", "DamperModel", "Parameter", "SeriesSolutions", "find_model"]
+def load_models(folder: str | Path) -> tuple[DamperModel, ...]:
+    """Add a user's own models to this process's catalogue: one from every ``*.py`` of a folder that assigns ``MODEL``.
+
+    A model that is loaded again replaces the former one.
+
+    Raises
+    ------
+    InputError
+        When a model cannot be used, or its id is in use; names the file.
+    """
+    loaded: dict[str, DamperModel] = {}
+    for file, model in read_models(folder).items():
+        if model.id in _SHIPPED or model.id in loaded:
+            raise InputError(f"{file}: there is a model {model.id} already, expected another id")
+        loaded[model.id] = model
+    MODELS.update(loaded)
+    return tuple(loaded.values())
+
+
+__all__ = ["MODELS", "Coefficient", "DamperModel", "Parameter", "SeriesSolutions", "find_model", "load_models"]

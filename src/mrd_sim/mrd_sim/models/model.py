@@ -57,6 +57,8 @@ class DamperModel:
         Order of convergence over the step; 0 where the force is exact along a polyline.
     dissipative : bool
         Whether no closed cycle at constant current can yield energy, for any values within the bounds.
+    odd : bool
+        Whether turning the motion round turns the force round, apart from the offset, for any values within the bounds.
     observables : callable, optional
         ``observables(values)``: what recordings can determine, as {name: (value, unit)}, from the coefficients by name at
         one current.
@@ -73,6 +75,7 @@ class DamperModel:
     states: int = 0
     order: int = 0
     dissipative: bool = True
+    odd: bool = True
     observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
     effects: tuple[Effect, ...] = ()
 

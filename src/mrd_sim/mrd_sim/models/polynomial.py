@@ -48,4 +48,5 @@ MODEL = DamperModel(
     coefficients=(*_branch("rising", "rises"), *_branch("falling", "falls")),
     kernel=_force,
     dissipative=False,
+    odd=False,
 )

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from mrd_identification.figures import to_html
+from mrd_identification.figures import interactive_html
 from mrd_identification.report import render
 from mrd_trials.scoring import figures
 from mrd_trials.scoring.score import TrialScore
@@ -14,7 +14,7 @@ _BADGES = {"yes": "met", "NO": "missed", "not measured": "open"}
 
 def write_score_report(score: TrialScore, folder: str | Path, title: str = "Blind trial") -> Path:
     """Write score.html, which needs no network, into ``folder``, and return its path; the file is complete or not there."""
-    return render("score", folder, "mrd_trials", title=title, **_content(score))
+    return render("score", folder, "mrd_trials", interactive=True, title=title, **_content(score))
 
 
 def _content(score: TrialScore) -> dict[str, Any]:
@@ -35,13 +35,13 @@ def _content(score: TrialScore) -> dict[str, Any]:
         "goals": [_BADGES[goal_verdict(goal)] for goal in score.goals],
         "tables": {table.title: table for table in tabulate(score)},
         "naming": [
-            (factor, to_html(figures.naming([rates for rates in score.by_stratum if rates.factor == factor])))
+            (factor, interactive_html(figures.naming([rates for rates in score.by_stratum if rates.factor == factor])))
             for factor in factors
         ],
         "rich": score.has_rich,
-        "methods": to_html(figures.methods(score.methods)),
-        "reliability": to_html(figures.reliability(rich.calibration, rich.calibration_with_candidates)),
-        "distributions": to_html(figures.distributions(shown)) if shown else "",
-        "coverage": to_html(figures.coverage(rich.coverage_by_effect)) if rich.coverage_by_effect else "",
-        "confusion": to_html(figures.confusion(score.confusion)) if score.confusion.rows else "",
+        "methods": interactive_html(figures.methods(score.methods)),
+        "reliability": interactive_html(figures.reliability(rich.calibration, rich.calibration_with_candidates)),
+        "distributions": interactive_html(figures.distributions(shown)) if shown else "",
+        "coverage": interactive_html(figures.coverage(rich.coverage_by_effect)) if rich.coverage_by_effect else "",
+        "confusion": interactive_html(figures.confusion(score.confusion)) if score.confusion.rows else "",
     }

@@ -1,0 +1,85 @@
+"""Tests of the drawing of figures for pages."""
+
+import html
+import re
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from plotly.subplots import make_subplots
+
+from mrd_identification.drawing import draw
+from mrd_identification.figures import LAYOUT, to_html
+
+
+def texts(svg: str) -> list[str]:
+    """Return the texts of a drawing."""
+    return [html.unescape(text) for text in re.findall(r">([^<>]*\S[^<>]*)</(?:text|tspan)>", svg)]
+
+
+def bars() -> go.Figure:
+    error = {"type": "data", "symmetric": False, "array": [0.1, None], "arrayminus": [0.1, None]}
+    figure = go.Figure(go.Bar(x=[0.0181, 0.5], y=["first<br>bar", "$second$"], orientation="h", error_x=error))
+    figure.add_annotation(x=0.6, y=1, text="<b>50.125 %</b>", showarrow=False)
+    figure.update_xaxes(title_text="share", tickformat=".0%", range=[0, 1])
+    return figure.update_layout(**LAYOUT, height=300)
+
+
+def test_texts_are_written_as_they_are():
+    written = texts(draw(bars(), 600))
+    # A number in a text keeps its digits, a tag becomes what it means, and a dollar is a dollar.
+    assert {"share", "first", "bar", "$second$", "50.125 %", "0 %", "100 %"} <= {text.strip() for text in written}
+
+
+def test_a_drawing_is_the_same_each_time_and_has_names_of_its_own():
+    assert draw(bars(), 600) == draw(bars(), 600)
+    lines = go.Figure([go.Scatter(x=[0, 1], y=[0, 1], mode="lines+markers")]).update_layout(height=300)
+    names = [set(re.findall(r' id="(m[0-9a-f]+|p[0-9a-f]+)"', draw(lines, width))) for width in (360, 600)]
+    assert all(names)
+    assert not names[0] & names[1]
+
+
+def test_colours_follow_the_page():
+    svg = draw(bars(), 600)
+    assert "var(--ink)" in svg
+    assert "#010203" not in svg
+
+
+def test_a_long_line_is_thinned_to_what_can_be_seen():
+    time = np.linspace(0, 10, 20_000)
+    long = go.Figure(go.Scatter(x=time, y=np.sin(time))).update_layout(height=300)
+    assert len(draw(long, 600)) < 40_000
+
+
+def test_rows_columns_titles_and_maps_have_their_places():
+    figure = make_subplots(rows=2, cols=1, subplot_titles=["above", "below"])
+    for row in (1, 2):
+        figure.add_trace(go.Heatmap(x=[0, 1, 2], y=[0, 1], z=[[1.0, np.nan]], coloraxis="coloraxis"), row, 1)
+    figure.update_layout(height=400, coloraxis={"colorscale": "RdBu", "cmin": 0, "cmax": 1})
+    svg = draw(figure, 360)
+    assert svg.count("<image") >= 2
+    assert [text for text in texts(svg) if text in ("above", "below")] == ["above", "below"]
+
+
+def test_dates_are_dates():
+    figure = go.Figure(go.Scatter(x=["2026-01-01", "2026-03-01"], y=[1, 2])).update_layout(height=300)
+    assert any("2026" in text for text in texts(draw(figure, 600)))
+
+
+def test_ticks_of_a_narrow_drawing_do_not_touch():
+    figure = bars().update_xaxes(tickvals=[-0.5, -0.25, 0, 0.25, 0.5, 0.75, 1], range=[-0.5, 1])
+    labels = [text for text in texts(draw(figure, 300)) if re.fullmatch(r"\D?\d+ %", text)]
+    assert "0 %" in labels
+    assert len(labels) <= 5
+    assert len([text for text in texts(draw(figure, 900)) if re.fullmatch(r"\D?\d+ %", text)]) == 7
+
+
+def test_a_trace_that_cannot_be_drawn_is_refused():
+    with pytest.raises(ValueError, match="trace pie: expected one of scatter, bar, heatmap"):
+        draw(go.Figure(go.Pie(values=[1])).update_layout(height=300), 600)
+
+
+def test_a_wide_figure_is_also_drawn_for_a_telephone():
+    part = to_html(bars())
+    assert part.count("<svg") == 2
+    assert part.count("aria-label") == 1
