@@ -18,13 +18,10 @@ from mrd_control.catalogue import build_entry
 from mrd_control.controller import Actuator
 from mrd_control.excitations import EXCITATIONS, Excitation
 from mrd_control.laws import Law, find_law
-from mrd_control.loop import LoopResult, run_loop
-from mrd_control.prediction import find_predictor
-from mrd_control.stability import Margin, check_stability
+from mrd_control.prediction import MODEL, PREDICTORS, find_predictor
 from mrd_control.systems import SYSTEMS, System
 from mrd_identification.export import load_damper
 from mrd_sim.damper import Damper
-from mrd_trajectory.limits import Limits
 
 Array = NDArray[np.float64]
 
@@ -32,8 +29,6 @@ ENDING = 1.5
 """s at the end of a run, over which the motion of the base fades, so that the rod comes to rest."""
 BEGINNING = 2.0
 """s at its beginning that do not count in the metrics."""
-CURRENTS = 9
-"""Coil currents at which the stability margin is computed."""
 _DAMPER_KEYS = ("fit", "model", "laws", "parameters", "effects")
 
 
@@ -52,21 +47,27 @@ class ControlExperiment:
     cycle: float = quantity(0.004, "ms", "longest time from one setpoint to the next", lower=0.001, upper=0.02)
     most_current: float = quantity(1.0, "A", "largest coil current that the law may command", lower=0, upper=5)
     supply_lag: float = quantity(0.003, "ms", "of the coil supply, in the offline twin", lower=0, upper=0.2)
-    delay: float = quantity(0.0, "ms", "dead time from setpoint to rod", lower=0, upper=0.2)
-    lag: float = quantity(0.0, "ms", "first-order lag after it", lower=0, upper=0.2)
-    predictor: str = quantity("polynomial", doc="compensation of the delay")
+    delay: float = quantity(0.0, "ms", "by which a setpoint has to come before the servo can follow it", lower=0, upper=0.1)
+    lag: float = quantity(0.0, "ms", "of the rod behind what the servo follows", lower=0, upper=0.1)
+    predictor: str = quantity(MODEL, doc=f"compensation of both: {', '.join([MODEL, *PREDICTORS])}")
     description: str = quantity("", doc="purpose of the experiment")
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name):
             raise InputError(f"name: found {self.name!r}, expected 1 to 64 letters, digits, - and _")
         find_law(self.law).values(self.gains)
-        find_predictor(self.predictor)
+        if self.predictor != MODEL:
+            find_predictor(self.predictor)
 
     @property
     def actuator(self) -> Actuator:
         """What brings the emulated motion to the damper."""
         return Actuator(self.delay, self.lag, self.predictor)
+
+    @property
+    def modelled_actuator(self) -> Actuator:
+        """The same for the controller and the offline twin: where the system predicts itself, the rod is in time."""
+        return Actuator(0.0) if self.predictor == MODEL else self.actuator
 
     @property
     def control_law(self) -> Law:
@@ -165,58 +166,3 @@ def _damper(mapping: Any, where: str, folder: Path) -> Damper:
         raise InputError(f"{where}: {error}") from None
     except (TypeError, ValueError, AttributeError):
         raise InputError(f"{where}: expected names with numbers, {{NAME: VALUE}}, as parameters and effects") from None
-
-
-def run_twin(experiment: ControlExperiment) -> LoopResult:
-    """Run the offline twin of an experiment: the same controller, with the modelled damper and the modelled actuator.
-
-    Raises
-    ------
-    InputError
-        As `mrd_control.loop.run_loop`, and for an excitation that is too short.
-    """
-    return run_loop(
-        experiment.system.linear(),
-        experiment.damper,
-        experiment.control_law,
-        experiment.base,
-        experiment.rate,
-        gains=experiment.gains,
-        most_current=experiment.most_current,
-        supply_lag=experiment.supply_lag,
-        actuator=experiment.actuator,
-    )
-
-
-def check_experiment(experiment: ControlExperiment, limits: Limits) -> tuple[Margin, LoopResult]:
-    """Return stability margin and offline twin of an experiment that the bench can run.
-
-    Raises
-    ------
-    InputError
-        For a hybrid loop that is unstable or trembles beyond all limits, and for a twin that leaves the limits of the bench;
-        the message names the number, the limit, and what would help.
-    """
-    if experiment.most_current > limits.current_max:
-        raise InputError(
-            f"most_current_A is {experiment.most_current:g}, expected at most {limits.current_max:g}, the limit of this bench"
-        )
-    currents = [float(current) for current in np.linspace(0.0, experiment.most_current, CURRENTS)]
-    margin = check_stability(experiment.system.linear(), experiment.damper, experiment.actuator, experiment.rate, currents)
-    twin = run_twin(experiment)
-    if twin.diverged:
-        raise InputError(
-            f"the offline twin diverges after {twin.time[-1]:.2f} s; reduce the excitation or compensate the delay"
-        )
-    for what, series, limit, scale, unit in (
-        ("travel", twin.travel, limits.reach, 1e3, "mm"),
-        ("speed", twin.speed, limits.speed, 1e3, "mm/s"),
-        ("force", twin.force, limits.force, 1.0, "N"),
-    ):
-        most = int(np.argmax(np.abs(series)))
-        if not abs(series[most]) <= limit:
-            raise InputError(
-                f"the offline twin has a {what} of {scale * series[most]:.4g} {unit} at {twin.time[most]:.2f} s, limit "
-                f"±{scale * limit:.4g} {unit}; reduce the excitation, or the lever ratio of the system"
-            )
-    return margin, twin

@@ -10,6 +10,8 @@ from mrd_base import InputError
 from mrd_control.controller import Controller
 from mrd_control.experiment import ControlExperiment
 from mrd_control.laws.law import Signals
+from mrd_control.linear import propagate
+from mrd_control.prediction import MODEL
 
 Array = NDArray[np.float64]
 
@@ -25,7 +27,8 @@ class Cycle:
     Attributes
     ----------
     time : float
-        Bench time in s at which the setpoint holds: one sampling period after the last sample.
+        Bench time in s at which the setpoint holds: one sampling period after the last sample, or later where the emulated
+        system predicts its own motion.
     position, velocity, acceleration : float
         Motion to command then, in m, m/s and m/s².
     current : float
@@ -58,6 +61,45 @@ class Cycle:
     done: bool
 
 
+class Prediction:
+    """Motion of the damper in an emulated system some time ahead, if the force stays as it is.
+
+    Parameters
+    ----------
+    experiment : ControlExperiment
+    base : ndarray (k, 2)
+        Motion of the base at the samples.
+    ahead : float
+        s.
+    """
+
+    def __init__(self, experiment: ControlExperiment, base: Array, ahead: float) -> None:
+        system, order = experiment.system.linear(), experiment.system.linear().order
+        steps = max(1, math.ceil(ahead * experiment.rate))
+        step = propagate(system.a, system.b, ahead / steps)
+        self._transition, force = np.eye(order), np.zeros(order)
+        # What the base adds is known beforehand; where the run ends, it stays where it is.
+        samples = np.arange(len(base))
+        self._added = np.zeros((len(base), order))
+
+        def base_at(i: int) -> Array:
+            places = np.minimum(samples + i * ahead / steps * experiment.rate, samples[-1])
+            return np.stack([np.interp(places, samples, column) for column in base.T], axis=1)
+
+        for i in range(steps):
+            self._transition = step.transition @ self._transition
+            force = step.transition @ force + step.before[:, 2] + step.after[:, 2]
+            self._added = self._added @ step.transition.T
+            self._added += base_at(i) @ step.before[:, :2].T + base_at(i + 1) @ step.after[:, :2].T
+        self._force, self._base, self._outputs = force, base_at(steps), system.outputs[3:6]
+
+    def motion(self, state: Array, force: float, sample: int) -> Array:
+        """Return travel in m, speed in m/s and acceleration in m/s² (3,) ahead of a sample, from state and force there."""
+        sample = min(sample, len(self._base) - 1)
+        later = self._transition @ state + self._force * force + self._added[sample]
+        return np.asarray(self._outputs @ np.concatenate([later, self._base[sample], [force]]), np.float64)
+
+
 class OnlineLoop:
     """Advances the emulated system by measured forces, sample by sample.
 
@@ -80,13 +122,20 @@ class OnlineLoop:
             experiment.damper,
             experiment.control_law,
             experiment.rate,
-            experiment.actuator,
+            experiment.modelled_actuator,
             experiment.gains,
             experiment.most_current,
         )
+        self._ahead = experiment.actuator.total_delay if experiment.predictor == MODEL else 0.0
+        self._prediction = Prediction(experiment, self._base, self._ahead) if self._ahead else None
         self._command = 0.0  # m, the latest
         self._rod = math.nan
         self._work, self._left = 0.0, math.exp(-1.0 / (experiment.rate * MEMORY))
+
+    @property
+    def state(self) -> Array:
+        """State of the emulated system (2 N,) at the next sample."""
+        return self._controller.state
 
     def add_block(self, time: float, period: float, force: Array, rod: Array) -> Cycle:
         """Take a block of samples and return what to command.
@@ -133,13 +182,19 @@ class OnlineLoop:
         self._rod = float(rod[-1])
         self.samples += n
         self._command = float(command[-1])
-        # The slope of the commands is what the predictor makes of the velocity; it holds half a block earlier.
-        slope = (self._command - before) / (n * period)
+        end = time + len(force) * period
+        if self._prediction is None:
+            # The slope of the commands is what the predictor makes of the velocity; it holds half a block earlier.
+            velocity = (self._command - before) / (n * period) + 0.5 * n * period * answer[4]
+            motion = np.array([self._command, velocity, answer[4]])
+        else:
+            end += experiment.delay
+            motion = self._prediction.motion(self._controller.state, float(force[n - 1]), self.samples)
         return Cycle(
-            time=time + len(force) * period,
-            position=self._command,
-            velocity=float(slope + 0.5 * n * period * answer[4]),
-            acceleration=float(answer[4]),
+            time=end,
+            position=float(motion[0]),
+            velocity=float(motion[1]),
+            acceleration=float(motion[2]),
             current=float(answer[0]),
             states=states,
             travel=travel,

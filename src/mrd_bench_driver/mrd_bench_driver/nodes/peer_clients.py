@@ -44,8 +44,10 @@ _SERVICES = {
 _POLLING_INTERVAL = 0.005
 # Wall time in s after which a request is repeated: a request to a node that has just been started may be lost.
 _REPEAT_AFTER = 2.0
-# Requests that begin something are not repeated.
-_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_CONTROL, START_RECORDING, STOP_RECORDING, SERVO_HOME)}
+# Requests that begin something are not repeated, nor are those that take long.
+_NOT_REPEATED = {
+    service.name for service in (LOAD_CONTROL, START_EXPERIMENT, START_CONTROL, START_RECORDING, STOP_RECORDING, SERVO_HOME)
+}
 
 
 class PeerClients:

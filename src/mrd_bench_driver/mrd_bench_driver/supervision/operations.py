@@ -91,7 +91,9 @@ CONTROLLER = Source("controller", "load_control", "start_control", "abort_contro
 
 
 class Peers(Protocol):
-    """Services of the other nodes: ``servo``, ``daq``, ``generator``, ``controller`` and ``recorder``. Timeouts are in wall seconds.
+    """Services of the other nodes: ``servo``, ``daq``, ``generator``, ``controller`` and ``recorder``.
+
+    Timeouts are in wall seconds.
 
     While a call waits, it calls ``interruption``, which ends the wait by raising an exception, and whose own time does not
     count.

@@ -23,12 +23,12 @@ from mrd_base.nodes.graph import (
     START_CONTROL,
 )
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
-from mrd_control.experiment import ControlExperiment, check_experiment, parse_control_experiment
+from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_control.online import Cycle, OnlineLoop
+from mrd_control.twin import check_experiment
 from mrd_interfaces.msg import BenchSamples, ControlCycle, Setpoint
 from mrd_interfaces.srv import LoadExperiment
 from mrd_trajectory.limits import Limits
-
 
 # Age in s at which the lease is void, as for servo and DAQ.
 _LEASE_TIMEOUT = 0.15
@@ -50,7 +50,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
 
     Each block of samples is a cycle. The setpoints carry the number of the lease that the supervisor has granted for the
     test; without one, nobody follows them. When a sample is lost or late, the lease ends, or the motion leaves the limits,
-    the controller commands 0 A, ends the setpoints, and tells why on ``experiment_state``; the supervisor then holds the rod.
+    the controller commands 0 A, ends the setpoints, and tells why on ``experiment_state``; the supervisor holds the rod.
     """
 
     def __init__(self) -> None:
@@ -92,8 +92,8 @@ class ControllerNode(BenchNode[ControllerSettings]):
             margin, _ = check_experiment(experiment, self.config.limits)
             if self._block > experiment.cycle * (1.0 + 1e-6):
                 raise InputError(
-                    f"samples come in blocks of {1e3 * self._block:g} ms, expected at most cycle_ms, {1e3 * experiment.cycle:g} "
-                    "ms; start the bench with a smaller block_ms of the daq"
+                    f"samples come in blocks of {1e3 * self._block:g} ms, expected at most cycle_ms, "
+                    f"{1e3 * experiment.cycle:g} ms; start the bench with a smaller block_ms of the daq"
                 )
             # The first cycle compiles, which must not happen while anything moves.
             OnlineLoop(experiment).add_block(0.0, 1.0 / experiment.rate, np.zeros(1), np.zeros(1))

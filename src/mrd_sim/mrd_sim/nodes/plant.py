@@ -95,7 +95,8 @@ class PlantNode(BenchNode[PlantConfig]):
 
     def advance(self, now: float) -> bool:
         """Simulate and publish the next block once it is due; return whether it was."""
-        if now < self.plant.time + self.config.block - 1e-5:
+        # Half of the tolerance of `Plant.advance`: a block that came earlier would lack a reading, and shift all later ones.
+        if now < self.plant.time + self.config.block - 5e-4 / self.config.hardware_rate:
             return False
         with self.port.lock:
             block = self.plant.advance(now)
