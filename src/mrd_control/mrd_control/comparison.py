@@ -98,7 +98,7 @@ def compare_with_twin(run: HybridRun) -> Comparison:
 
 
 def _part(result: LoopResult, kept: slice) -> LoopResult:
-    series = {name: value[kept] for name, value in vars(result).items() if isinstance(value, np.ndarray)}
+    series: dict[str, Any] = {name: value[kept] for name, value in vars(result).items() if isinstance(value, np.ndarray)}
     return replace(result, **series)
 
 
@@ -134,7 +134,7 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
 
 def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
     """Write hybrid_test.json and hybrid_test.html into ``folder``; return the path of the page, which needs no network."""
-    make_folder(folder)
+    make_folder(str(folder))
     write_json(to_json(comparison), "mrd_control", "hybrid_test", folder)
     return render(
         "hybrid_test",

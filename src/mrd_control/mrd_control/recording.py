@@ -110,8 +110,10 @@ def read_hybrid_run(path: str | Path) -> HybridRun:
         experiment,
         _result(experiment, cycles),
         Timing(
-            *(np.array([getattr(c, name) for c in cycles]) for name in ("interval", "latency", "computation")),
-            missed=int(cycles[-1].missed),
+            np.array([cycle.interval for cycle in cycles]),
+            np.array([cycle.latency for cycle in cycles]),
+            np.array([cycle.computation for cycle in cycles]),
+            int(cycles[-1].missed),
         ),
         np.array([cycle.work for cycle in cycles]),
         str(path),

@@ -81,7 +81,7 @@ def _run_in_blocks(experiment: ControlExperiment) -> LoopResult:
     states, base = states[:n], experiment.base[:n]
     derivative = states @ system.a.T + base @ system.b[:, :2].T + force[:n, None] * system.b[:, 2]
     return LoopResult(
-        time=period * np.arange(n),
+        time=period * np.arange(n, dtype=np.float64),
         state=states,
         base=base,
         acceleration=derivative[:, len(system.mass) + system.ride],

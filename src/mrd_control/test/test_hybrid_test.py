@@ -66,9 +66,10 @@ def test_bad_input_is_refused_in_one_line(old, new, said):
 
 
 def test_an_unstable_loop_is_refused_with_the_number_and_what_would_help(shipped):
+    stiff = replace(shipped.system, passive_damping=0.0, lever_ratio=1.0)
+    late = replace(shipped, system=stiff, delay=0.08, lag=0.0, predictor="none")
     with pytest.raises(InputError, match=r"it bears [\d.]+ ms at .* and has 80 ms .*; stable would be a total delay below"):
-        stiff = replace(shipped.system, passive_damping=0.0, lever_ratio=1.0)
-        check_experiment(replace(shipped, system=stiff, delay=0.08, lag=0.0, predictor="none"), Limits())
+        check_experiment(late, Limits())
 
 
 def test_a_motion_beyond_the_limits_of_the_bench_is_refused(shipped):
