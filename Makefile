@@ -2,13 +2,13 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -e -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help build demo test lint bench faults fuzz soak trials lock audit clean
+.PHONY: help build demo demo-control test lint bench faults fuzz soak trials lock audit clean
 
 PACKAGES := $(patsubst src/%/,%,$(wildcard src/*/))
 TYPED := $(filter-out mrd_interfaces mrd_bringup,$(PACKAGES))
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' Makefile
 
 build:  ## make the environment (.venv) and build the packages (install/)
 	@setup/build
@@ -17,6 +17,9 @@ build:  ## make the environment (.venv) and build the packages (install/)
 SEED ?= 1
 demo: build  ## hide a fault in the simulated bench, record and identify it, and let the diagnosis find the fault
 	@. ./env.sh; exec python setup/demo.py --seed $(SEED)
+
+demo-control: build  ## run a hybrid test on the simulated bench: an emulated quarter car under a control law
+	@. ./env.sh; exec ros2 run mrd_control hybrid_test config/control/hybrid_test.yaml --simulated
 
 test: build lint  ## check style and types, then run all tests but the slow ones
 	@. ./env.sh; python -m pytest -n logical -m 'not slow and not realtime'; python -m pytest -m 'realtime and not slow'

@@ -132,7 +132,12 @@ class Stranger:
         return answer
 
     def send_goals(self, experiment, folder):
+        hybrid = Path(__file__).resolve().parents[1] / "config/control/hybrid_test.yaml"
         goals = {
+            "run_control": {
+                "experiment": hybrid.read_text().replace("duration_s: 10", "duration_s: 5"),
+                "bag": f"{folder}/hybrid",
+            },
             "run_experiment": {"experiment": experiment, "bag": f"{folder}/one"},
             "run_set": {"experiments": [Path(experiment).read_text()], "folder": f"{folder}/set"},
             "identify": {

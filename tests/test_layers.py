@@ -25,7 +25,8 @@ BELOW = {
     "mrd_bench_driver": {"mrd_base", "mrd_trajectory", "mrd_runs"},
     "mrd_identification": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim"},
     "mrd_diagnosis": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
-    "mrd_control": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
+    # Its tool starts the processes of the bench.
+    "mrd_control": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_bench_driver"},
     "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
     "mrd_cli": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
@@ -38,7 +39,7 @@ EXECUTABLES = {
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
-    "mrd_control": {"evaluate"},
+    "mrd_control": {"controller", "evaluate", "hybrid_test", "review"},
     "mrd_trials": {"make", "run", "score", "withhold"},
     "mrd_cli": {"mrd"},
 }

@@ -64,7 +64,7 @@ def test_the_names_of_the_graph_stand_in_one_place() -> None:
 @pytest.fixture
 def again(whole_bench: Any, tmp_path: Path) -> Iterator[Any]:
     """The whole bench, the nodes that analyse, and a replay of a first run in a namespace of its own."""
-    with whole_bench(tmp_path) as bench:
+    with whole_bench(tmp_path, control_cycle=0.004) as bench:
         first = bench.client.run_experiment(SHORT, tmp_path / "first", 0)
         assert first.success, first.message
         for package, name in (("mrd_identification", "identifier"), ("mrd_diagnosis", "diagnoser")):
@@ -95,7 +95,7 @@ def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> 
     assert {row["service"] for row in rows(section(page, "services"))} == set(report["services"])
     assert [name for name, (success, message) in report["services"].items() if not (success or message)] == []
     answers = report["actions"]
-    for name in ("run_experiment", "run_set", "identify"):
+    for name in ("run_experiment", "run_control", "run_set", "identify"):
         assert answers[name]["good"][0] == "succeeded", answers[name]
     assert answers["diagnose"]["good"][0] == "aborted"
     assert answers["diagnose"]["good"][1].startswith(f"{tmp_path}/stranger/nowhere: no such file")
@@ -275,7 +275,7 @@ def test_only_supervisor_and_operator_may_command() -> None:
 
     assert may("topics", "publish", "lease") == {"/bench/supervisor"}
     assert may("topics", "publish", "emergency_stop") == {"/bench/supervisor", "/bench/operator"}
-    assert may("topics", "publish", "setpoint") == {"/bench/generator", "/bench/replay"}
+    assert may("topics", "publish", "setpoint") == {"/bench/generator", "/bench/controller", "/bench/replay"}
     assert may("services", "request") == {"/bench/supervisor", "/bench/operator"}
     assert may("actions", "call") == {"/bench/operator"}
     assert set(enclaves["/bench/observer"]["topics", "publish"]) == {"/rosout", "/parameter_events"}

@@ -33,13 +33,22 @@ class WholeBench:
         Folder of the logs.
     parameters : mapping, optional
         Parameters of nodes that differ from the shipped files.
+    control_cycle : float, optional
+        Time in s between two setpoints of a hybrid test, for which the bench then has a controller.
     environment : str
         Environment variables of the nodes.
     """
 
-    def __init__(self, folder: Path, parameters: Mapping[str, Mapping[str, Any]] | None = None, **environment: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        parameters: Mapping[str, Mapping[str, Any]] | None = None,
+        *,
+        control_cycle: float | None = None,
+        **environment: str,
+    ) -> None:
         self._folder = folder
-        specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1)
+        specs = bench_processes(BENCH, PLANT, folder / "motor", seed=1, control_cycle=control_cycle)
         # The procedure asks a killed node to stop, too. Its silence ends the wait sooner than by default.
         given = {"supervisor": {"answer_timeout_s": 2.5, "close_timeout_s": 15.0}, **(parameters or {})}
         specs = [

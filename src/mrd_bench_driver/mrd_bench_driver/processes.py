@@ -17,7 +17,7 @@ import yaml
 from mrd_base import InputError, read_node_parameters
 
 # Nodes that command a motion end first. Then end those that release rod and coil, while motor and recorder still run.
-_STOP_ORDER = (("supervisor", "generator"), ("servo", "daq"), ("recorder", "plant"))
+_STOP_ORDER = (("supervisor", "generator", "controller"), ("servo", "daq"), ("recorder", "plant"))
 
 # Those for whom the time of a simulated bench begins: the nodes, and the client that lets them run experiments.
 PARTICIPANTS = "servo,daq,recorder,generator,supervisor,bench"
@@ -61,7 +61,13 @@ def find_executable(package: str, executable: str) -> Path:
 
 
 def bench_processes(
-    bench: Path, plant: Path | None, port: Path, *, pace: float | None = None, seed: int = 0
+    bench: Path,
+    plant: Path | None,
+    port: Path,
+    *,
+    pace: float | None = None,
+    seed: int = 0,
+    control_cycle: float | None = None,
 ) -> list[ProcessSpec]:
     """Return the processes of a bench.
 
@@ -77,13 +83,20 @@ def bench_processes(
         Largest number of bench seconds in a wall second of a simulated bench, by default as many as the machine computes.
     seed : int
         Seed of the plant's noise.
+    control_cycle : float, optional
+        Time in s between two setpoints of a hybrid test: the length of a block of samples. With it, the bench has a
+        controller.
     """
     # On a simulated bench, all nodes wait for each other.
     common: dict[str, Any] = {} if plant is None else {"clock": str(clock_of(port))}
     servo, daq, supervisor = dict(common), dict(common), dict(common)
+    block = {} if control_cycle is None else {"block_ms": 1e3 * control_cycle}
+    daq |= block
+    controllers = [] if control_cycle is None else [ProcessSpec("mrd_control", "controller", common, (bench,))]
     specs = []
     if plant is not None:
-        simulation = {"port_link": str(port), "seed": seed, "participants": PARTICIPANTS}
+        participants = ",".join([PARTICIPANTS, *(spec.executable for spec in controllers)])
+        simulation = {"port_link": str(port), "seed": seed, "participants": participants, **block}
         if pace is not None:
             simulation["pace"] = float(pace)
         specs.append(ProcessSpec("mrd_sim", "plant", {**common, **simulation}, (bench, plant)))
@@ -98,6 +111,7 @@ def bench_processes(
         ProcessSpec("mrd_bench_driver", "daq", daq, (bench,)),
         ProcessSpec("mrd_runs", "recorder", common, (bench,)),
         ProcessSpec("mrd_trajectory", "generator", common, (bench,)),
+        *controllers,
         ProcessSpec("mrd_bench_driver", "supervisor", supervisor, (bench,)),
     ]
 

@@ -13,8 +13,16 @@ from hypothesis import strategies as st
 from mrd_base import from_mapping, read_node_parameters
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.errors import RefusedError, TrippedError
-from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCKS, RESET_INTERLOCKS, Tolerances, first_trip
+from mrd_bench_driver.supervision.interlocks import (
+    CONTROL_INTERLOCKS,
+    HOMING_INTERLOCKS,
+    INTERLOCKS,
+    RESET_INTERLOCKS,
+    Tolerances,
+    first_trip,
+)
 from mrd_bench_driver.supervision.modes import TRANSITIONS, BenchMode, Mode
+from mrd_bench_driver.supervision.run_requests import control_run
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
@@ -207,3 +215,32 @@ def test_a_refused_mode_says_what_to_do_first_and_the_first_fault_stays() -> Non
 def test_modes_have_the_numbers_of_the_message() -> None:
     messages = pytest.importorskip("mrd_interfaces.msg")
     assert {mode.name: int(mode) for mode in Mode} == {mode.name: getattr(messages.BenchState, mode.name) for mode in Mode}
+
+
+@pytest.mark.parametrize(
+    ("change", "interlock", "said"),
+    [
+        ({"power": 130.0}, "power", "130 W into the damper, limit 120 W"),
+        (
+            {"work": -2.5},
+            "energy balance",
+            "have given 2.5 J within half a second, limit 2 J; the hybrid loop is becoming unstable",
+        ),
+        ({"work": math.nan}, "energy balance", "have given nan J"),
+        ({"setpoint_age": 0.2, "setpoint_source": "controller"}, "stale setpoint", "check the controller"),
+    ],
+)
+def test_a_hybrid_test_has_interlocks_of_its_own(change: dict[str, Any], interlock: str, said: str) -> None:
+    assert first_trip(HEALTHY, LIMITS, TOLERANCES, CONTROL_INTERLOCKS) is None
+    trip = first_trip(dataclasses.replace(HEALTHY, **change), LIMITS, TOLERANCES, CONTROL_INTERLOCKS)
+    assert trip is not None
+    assert trip.interlock == interlock
+    assert said in trip.message
+
+
+@pytest.mark.parametrize("text", ["name: a/b", "duration_s: 3", "[1, 2]", "/no/such/file.yaml", "name: ["])
+def test_a_hybrid_test_without_a_usable_name_is_refused(text: str, tmp_path: Path) -> None:
+    assert control_run("name: car", "", 0, tmp_path).name.startswith("car-")
+    with pytest.raises(RefusedError) as error:
+        control_run(text, "", 0, tmp_path)
+    assert "\n" not in str(error.value)

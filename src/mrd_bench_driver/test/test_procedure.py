@@ -7,7 +7,7 @@ import pytest
 
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
 from mrd_bench_driver.supervision.modes import Mode
-from mrd_bench_driver.supervision.operations import BagSummary, LoadedExperiment
+from mrd_bench_driver.supervision.operations import CONTROLLER, GENERATOR, BagSummary, LoadedExperiment
 from mrd_bench_driver.supervision.procedure import RunOutcome, run_experiment, run_set
 from mrd_bench_driver.supervision.run_requests import RunRequest
 
@@ -33,6 +33,8 @@ END = ("halt", "stop_recording")
 class FakeBench:
     """Notes what is asked of it; ``fail`` raises at a step."""
 
+    source = GENERATOR
+
     def __init__(self, fail: dict[str, Exception] | None = None, recorded: BagSummary | None = None) -> None:
         self.done: list[str] = []
         self.fail = fail or {}
@@ -57,7 +59,8 @@ class FakeBench:
     def require_punctual_machine(self) -> None:
         self._do("require_punctual_machine")
 
-    def enter(self, mode: Mode) -> None:
+    def enter(self, mode: Mode, reason: str) -> None:
+        assert reason == self.source.action
         self._do(f"enter {mode}")
 
     def centre(self) -> None:
@@ -103,6 +106,13 @@ def test_an_experiment_goes_its_course_and_reports_it() -> None:
     assert outcome.message == "1500 samples in 60.0 s, none lost"
     assert [phase for phase, _, _ in progress] == ["arming", "recording", "running", "running", "stopping", "closing"]
     assert ("running", 30.0, 60.0) in progress
+
+
+def test_a_hybrid_test_is_the_same_procedure_in_mode_control() -> None:
+    bench = FakeBench()
+    bench.source = CONTROLLER
+    assert run_experiment(bench, REQUEST, lambda *_report: None).success
+    assert bench.done == [step.replace("identification", "control") for step in (*STEPS, *END)]
 
 
 @pytest.mark.parametrize("step", STEPS)

@@ -288,6 +288,8 @@ class Controller:
     ----------
     state : ndarray (2 n,)
         Of the emulated system.
+    signals : ndarray (8 + 2 n,)
+        What the law saw in the latest cycle (`mrd_control.laws.law.Signals`).
     """
 
     def __init__(
@@ -302,9 +304,9 @@ class Controller:
     ) -> None:
         self.state = np.zeros(system.order)
         self._entries = controller_entries(system, damper, law, rate, actuator, gains, most_current)
-        self._signals, self._answer = np.zeros(STATE + system.order), np.zeros(5 + system.order)
+        self.signals, self._answer = np.zeros(STATE + system.order), np.zeros(5 + system.order)
 
     def step(self, base: Array, base_after: Array, force: float, rod: float) -> Array:
         """Return current, command and motion (5,), the first entries of `control_cycle`'s answer, for these arguments."""
-        _cycle(*self._entries, self.state, base, base_after, force, rod, self._signals, self._answer)
+        _cycle(*self._entries, self.state, base, base_after, force, rod, self.signals, self._answer)
         return self._answer[:5].copy()

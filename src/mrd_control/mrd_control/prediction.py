@@ -23,6 +23,9 @@ PREDICTOR = types.FunctionType(
 )
 """Compiled type of a predictor."""
 
+MODEL = "model"
+"""Id of the prediction by the emulated system itself, which `mrd_control.online.OnlineLoop` makes: it knows its state and
+how its base will move, and lets the force stay as it is."""
 ORDER = 3
 """Of the extrapolating polynomial: Horiuchi et al. (1999) found the third order best."""
 FORGETTING_TIME = 1.0

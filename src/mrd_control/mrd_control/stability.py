@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_control.controller import Actuator, step_matrix
-from mrd_control.linear import LinearSystem
-from mrd_control.prediction import find_predictor
+from mrd_control.linear import LinearSystem, propagate
+from mrd_control.prediction import MODEL, find_predictor
 from mrd_sim.damper import Damper
 from mrd_sim.path import make_path
 
@@ -220,9 +220,14 @@ def _characteristic(
     angular = _frequencies(np.abs(np.angle(poles)) * rate, rate)
     z = np.exp((SLOWEST_GROWTH + 1j * angular) * period)
     ahead = actuator.predicted
-    weights, _ = find_predictor(actuator.predictor).prepare(period, ahead)
     row, direct, prediction = system.outputs[3], 0.0, np.ones_like(z)
-    if actuator.predictor == "polynomial":
+    if actuator.predictor == MODEL:
+        # The travel of the emulated system ``ahead``, if the force stayed as it is; the base is no part of the loop.
+        future = propagate(system.a, system.b, max(ahead, 1e-9))
+        direct = float(row[:order] @ (future.before + future.after)[:, 2])
+        row = row[:order] @ future.transition
+    elif actuator.predictor == "polynomial":
+        weights, _ = find_predictor(actuator.predictor).prepare(period, ahead)
         spacing = max(round(ahead * rate), 1)
         prediction = sum(weight * z ** (-i * spacing) for i, weight in enumerate(weights))
     elif actuator.predictor == "adaptive":

@@ -26,6 +26,7 @@ from mrd_interfaces.msg import (
     BenchSamples,
     BenchState,
     Calibration,
+    ControlCycle,
     Lease,
     Measurement,
     ServoState,
@@ -124,7 +125,7 @@ LEASE = Topic(
     COMMAND,
     "leave to move rod and coil, every 40 ms; no setpoint is followed without its number",
     publishers=("supervisor",),
-    subscribers=("servo", "daq", "generator", "recorder", "supervisor"),
+    subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor"),
 )
 EMERGENCY_STOP = Topic(
     "emergency_stop",
@@ -133,15 +134,15 @@ EMERGENCY_STOP = Topic(
     "true stops rod and coil and is latched; false has no effect but from the supervisor's reset_fault. It is heard from "
     "publishers of any quality of service",
     publishers=("supervisor", "bench"),
-    subscribers=("servo", "daq", "generator", "recorder", "supervisor"),
+    subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor"),
     recorded=True,
 )
 SETPOINT = Topic(
     "setpoint",
     Setpoint,
     COMMAND,
-    "what rod and coil are to do, 100 Hz while an experiment runs",
-    publishers=("generator", "replay"),
+    "what rod and coil are to do: 100 Hz while an experiment runs, once for each block of samples in a hybrid test",
+    publishers=("generator", "controller", "replay"),
     subscribers=("servo", "daq", "supervisor", "recorder"),
     recorded=True,
 )
@@ -152,9 +153,9 @@ SAMPLES = Topic(
     "samples",
     BenchSamples,
     RECORDED,
-    "blocks of samples, every 20 ms or at the sample rate if that is lower",
+    "blocks of samples, every block_ms (20 ms; a hybrid test needs less) or at the sample rate if that is lower",
     publishers=("daq", "replay"),
-    subscribers=("servo", "supervisor", "recorder", "identifier", "diagnoser"),
+    subscribers=("servo", "controller", "supervisor", "recorder", "identifier", "diagnoser"),
     recorded=True,
 )
 MEASUREMENT = Topic(
@@ -209,9 +210,18 @@ EXPERIMENT_STATE = Topic(
     "experiment_state",
     String,
     LATCHED,
-    "idle, loaded, running, done or aborted, on every change",
-    publishers=("generator",),
+    "idle, loaded, running, done, or `aborted: reason`, on every change",
+    publishers=("generator", "controller"),
     subscribers=("supervisor",),
+)
+CONTROL_CYCLE = Topic(
+    "control_cycle",
+    ControlCycle,
+    RECORDED,
+    "what the controller made of a block of samples, once for each block of a hybrid test",
+    publishers=("controller",),
+    subscribers=("supervisor", "recorder"),
+    recorded=True,
 )
 DAQ_STATE = Topic(
     "daq_state",
@@ -242,7 +252,9 @@ DIAGNOSTICS = Topic(
     DiagnosticArray,
     COMMAND,
     "health of each node, 1 Hz of the wall's clock",
-    publishers=("servo", "daq", "generator", "recorder", "supervisor", "plant", "replay", "identifier", "diagnoser"),
+    publishers=(
+        *("servo", "daq", "generator", "controller", "recorder", "supervisor", "plant", "replay", "identifier", "diagnoser"),
+    ),
     subscribers=("bench",),
 )
 
@@ -252,7 +264,7 @@ ANALOG_INPUT = Topic(
     "analog_input",
     AnalogInput,
     RECORDED,
-    "readings of the simulated converter, every 20 ms",
+    "readings of the simulated converter, every block_ms of the plant",
     publishers=("plant",),
     subscribers=("daq",),
 )
@@ -268,10 +280,12 @@ TRUE_STATE = Topic(
     "plant/true_state",
     JointState,
     COMMAND,
-    "true state of the rod, which no real bench knows, every 20 ms",
+    "true state of the rod, which no real bench knows, every block_ms of the plant",
     publishers=("plant",),
 )
-CLOCK = Topic("/clock", Clock, LATEST, "bench time of the simulated bench, every 20 ms of it", publishers=("plant",))
+CLOCK = Topic(
+    "/clock", Clock, LATEST, "bench time of the simulated bench, every block_ms of the plant", publishers=("plant",)
+)
 
 # Services
 
@@ -299,12 +313,18 @@ DAQ_RESET_FAULT = Service("daq/reset_fault", Trigger, "daq", "release the stop a
 LOAD_EXPERIMENT = Service("load_experiment", LoadExperiment, "generator", "plan an experiment; nothing moves")
 START_EXPERIMENT = Service("start_experiment", Trigger, "generator", "send the setpoints of the loaded experiment")
 ABORT_EXPERIMENT = Service("abort_experiment", Trigger, "generator", "end the setpoints")
+LOAD_CONTROL = Service(
+    "load_control", LoadExperiment, "controller", "check a hybrid test, its stability and its offline twin; nothing moves"
+)
+START_CONTROL = Service("start_control", Trigger, "controller", "close the loop of the loaded hybrid test")
+ABORT_CONTROL = Service("abort_control", Trigger, "controller", "end the setpoints")
 START_RECORDING = Service("start_recording", StartRecording, "recorder", "open a bag and record into it")
 STOP_RECORDING = Service("stop_recording", StopRecording, "recorder", "close the bag once rod and coil are at rest")
 
 # Actions
 
 RUN_EXPERIMENT = Action("run_experiment", RunExperiment, "supervisor", "home, tare, record one experiment, close the bag")
+RUN_CONTROL = Action("run_control", RunExperiment, "supervisor", "home, tare, record one hybrid test, close the bag")
 RUN_SET = Action("run_set", RunSet, "supervisor", "record experiments one after the other")
 IDENTIFY = Action("identify", Identify, "identifier", "fit a damper model, as the tool identify does")
 DIAGNOSE = Action("diagnose", Diagnose, "diagnoser", "explain the gap between simulator and runs, as the tool diagnose does")

@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 
 from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
-from mrd_base.nodes.graph import DIAGNOSTICS, EMERGENCY_STOP, NODES, REFUSALS, RUN_EXPERIMENT, RUN_SET, Action
+from mrd_base.nodes.graph import DIAGNOSTICS, EMERGENCY_STOP, NODES, REFUSALS, RUN_CONTROL, RUN_EXPERIMENT, RUN_SET, Action
 from mrd_bench_driver.processes import ProcessDiedError
 from mrd_interfaces.action import RunExperiment, RunSet
 
@@ -100,6 +100,7 @@ class BenchClient:
         self._held = False
         self.time = BenchClock()
         self._run_experiment = RUN_EXPERIMENT.client(self.node)
+        self._run_control = RUN_CONTROL.client(self.node)
         self._run_set = RUN_SET.client(self.node)
         self._emergency_stop = EMERGENCY_STOP.publisher(self.node)
         self._nodes_up: set[str] = set()
@@ -121,6 +122,7 @@ class BenchClient:
         if isinstance(self.time, BarrierClock):
             self.time.leave()
         self._run_experiment.destroy()
+        self._run_control.destroy()
         self._run_set.destroy()
         self._executor.shutdown()
         self.node.destroy_node()
@@ -141,7 +143,7 @@ class BenchClient:
         """Wait until all nodes work and the supervisor is ready; on a real bench, their diagnostics show it."""
         namespace = self.node.get_namespace().strip("/")
         begun = self._join_simulated_bench(timeout) if self._clock else lambda: False
-        actions = self._run_experiment, self._run_set
+        actions = self._run_experiment, self._run_control, self._run_set
 
         def missing() -> list[str]:
             nodes = sorted(name for name in names if f"{namespace}/{name}" not in self._nodes_up and not begun())
@@ -180,6 +182,11 @@ class BenchClient:
         """
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
         return self._run(RUN_EXPERIMENT, self._run_experiment, goal, feedback)
+
+    def run_control(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
+        """Run a hybrid test, given by the text of its file; otherwise as `run_experiment`."""
+        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
+        return self._run(RUN_CONTROL, self._run_control, goal, feedback)
 
     def run_set(self, experiments: list[str], folder: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
         """Run experiments one after the other, each into its own bag in the folder; otherwise as `run_experiment`."""

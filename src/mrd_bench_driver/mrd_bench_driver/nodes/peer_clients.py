@@ -10,14 +10,17 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 
 from mrd_base.nodes.graph import (
+    ABORT_CONTROL,
     ABORT_EXPERIMENT,
     DAQ_RESET_FAULT,
     DAQ_TARE,
+    LOAD_CONTROL,
     LOAD_EXPERIMENT,
     SERVO_ENABLE,
     SERVO_HOME,
     SERVO_RESET_FAULT,
     SERVO_STOP,
+    START_CONTROL,
     START_EXPERIMENT,
     START_RECORDING,
     STOP_RECORDING,
@@ -33,6 +36,7 @@ _SERVICES = {
     service.name: service
     for service in (
         *(SERVO_ENABLE, SERVO_HOME, SERVO_STOP, SERVO_RESET_FAULT, DAQ_TARE, DAQ_RESET_FAULT, _DAQ_PARAMETERS),
+        *(LOAD_CONTROL, START_CONTROL, ABORT_CONTROL),
         *(LOAD_EXPERIMENT, START_EXPERIMENT, ABORT_EXPERIMENT, START_RECORDING, STOP_RECORDING),
     )
 }
@@ -40,8 +44,11 @@ _SERVICES = {
 _POLLING_INTERVAL = 0.005
 # Wall time in s after which a request is repeated: a request to a node that has just been started may be lost.
 _REPEAT_AFTER = 2.0
-# Requests that begin something are not repeated. A servo that homes refuses to home once more, so that only one is done.
-_NOT_REPEATED = {service.name for service in (START_EXPERIMENT, START_RECORDING, STOP_RECORDING)}
+# Requests that begin something or take long are not repeated. A servo that homes refuses to home once more, so that only one
+# homing is done.
+_NOT_REPEATED = {
+    service.name for service in (LOAD_CONTROL, START_EXPERIMENT, START_CONTROL, START_RECORDING, STOP_RECORDING)
+}
 
 
 class PeerClients:

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     BENCH_STATE,
     CONTROL,
+    CONTROL_CYCLE,
     DAQ_STATE,
     EMERGENCY_STOP,
     EMERGENCY_STOP_SERVICE,
@@ -32,6 +34,7 @@ from mrd_base.nodes.graph import (
     LEASE,
     RECORDER_STATE,
     RESET_FAULT,
+    RUN_CONTROL,
     RUN_EXPERIMENT,
     RUN_SET,
     SAMPLES,
@@ -52,7 +55,7 @@ from mrd_bench_driver.supervision.procedure import RunOutcome, SetOutcome
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.supervisor import Supervisor
 from mrd_interfaces.action import RunExperiment, RunSet
-from mrd_interfaces.msg import BenchSamples, BenchState, Lease, Recording, ServoState
+from mrd_interfaces.msg import BenchSamples, BenchState, ControlCycle, Lease, Recording, ServoState
 
 _STATUS_FIELDS = [field.name for field in dataclasses.fields(ServoStatus) if field.name != "time"]
 # Threads for requests: one runs a procedure, the others refuse, cancel and stop.
@@ -90,6 +93,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         SERVO_STATE.subscription(self, self._on_servo_state)
         SAMPLES.subscription(self, self._on_samples)
         SETPOINT.subscription(self, self._on_setpoint, raw=True)
+        CONTROL_CYCLE.subscription(self, self._on_control_cycle)
         EXPERIMENT_STATE.subscription(self, self._on_experiment_state)
         RECORDER_STATE.subscription(self, self._on_recorder_state)
         EMERGENCY_STOP_SERVICE.serve(self, self._on_emergency_stop_service)
@@ -120,11 +124,15 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         def check_experiment(goal: RunExperiment.Goal) -> None:
             supervisor.check_experiment(goal.experiment, goal.bag, goal.seed)
 
+        def check_control(goal: RunExperiment.Goal) -> None:
+            supervisor.check_control(goal.experiment, goal.bag, goal.seed)
+
         def check_set(goal: RunSet.Goal) -> None:
             supervisor.check_set(goal.experiments, goal.folder, goal.seed)
 
         actions: dict[Action, tuple[Callable[[Any], Any], Callable[[Any], None]]] = {
-            RUN_EXPERIMENT: (self._run_experiment, check_experiment),
+            RUN_EXPERIMENT: (partial(self._run_one, supervisor.run_experiment), check_experiment),
+            RUN_CONTROL: (partial(self._run_one, supervisor.run_control), check_control),
             RUN_SET: (self._run_set, check_set),
         }
         self._action_servers = [
@@ -170,6 +178,9 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
 
     def _on_setpoint(self, _cdr: bytes) -> None:
         self._supervisor.monitor.add_setpoint(self.bench.now())
+
+    def _on_control_cycle(self, cycle: ControlCycle) -> None:
+        self._supervisor.monitor.add_control_cycle(cycle.work, cycle.power)
 
     def _on_experiment_state(self, state: String) -> None:
         self._supervisor.monitor.add_experiment_state(state.data, self.bench.now())
@@ -226,16 +237,14 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
 
     # Actions
 
-    def _run_experiment(self, goal: ServerGoalHandle) -> RunExperiment.Result:
+    def _run_one(self, run: Callable[..., RunOutcome], goal: ServerGoalHandle) -> RunExperiment.Result:
         request = goal.request
 
         def progress(phase: str, elapsed: float, duration: float) -> None:
             goal.publish_feedback(RunExperiment.Feedback(phase=phase, elapsed=elapsed, duration=duration))
 
         with self._active(goal):
-            outcome = self._supervisor.run_experiment(
-                request.experiment, request.bag, request.seed, progress, lambda: goal.is_cancel_requested
-            )
+            outcome = run(request.experiment, request.bag, request.seed, progress, lambda: goal.is_cancel_requested)
             self._end(goal, outcome)
         return RunExperiment.Result(success=outcome.success, message=outcome.message, **_bag_fields(outcome.recorded))
 

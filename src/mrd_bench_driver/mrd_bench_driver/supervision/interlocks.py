@@ -23,6 +23,13 @@ class Tolerances:
     samples_stale: float = quantity(0.14, "ms", "age of the latest sample", lower=0.08, upper=1)
     servo_stale: float = quantity(0.15, "ms", "age of the latest servo_state", lower=0.02, upper=1)
     setpoint_stale: float = quantity(0.15, "ms", "age of the latest setpoint of an experiment", lower=0.02, upper=1)
+    power: float = quantity(120.0, "W", "mean power that the rod puts into the damper in a cycle of a hybrid test", lower=1)
+    energy: float = quantity(
+        2.0,
+        "J",
+        "energy that the damper of a hybrid test may seem to give in half a second, more than it can store",
+        lower=0.01,
+    )
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,8 @@ def check_servo_fault(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -
 
 
 def check_setpoint(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
-    """Trip if the generator has fallen silent during an experiment."""
-    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, "check the generator")
+    """Trip if the generator, or the controller, has fallen silent during an experiment."""
+    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, f"check the {now.setpoint_source}")
 
 
 def check_position_sensors(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
@@ -154,6 +161,23 @@ def check_current(now: Snapshot, limits: Limits, tolerances: Tolerances) -> str:
     )
 
 
+def check_power(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the damper of a hybrid test takes too much power."""
+    if abs(now.power) <= tolerances.power:
+        return ""
+    return f"the rod puts {now.power:.0f} W into the damper, limit {tolerances.power:g} W; reduce the excitation"
+
+
+def check_energy(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the damper of a hybrid test seems to give energy: the late rod feeds the loop, which becomes unstable."""
+    if now.work >= -tolerances.energy:
+        return ""
+    return (
+        f"the damper seems to have given {-now.work:.1f} J within half a second, limit {tolerances.energy:g} J; the hybrid "
+        "loop is becoming unstable: compensate the delay, reduce the largest current, or emulate larger masses"
+    )
+
+
 Interlocks = Mapping[str, Callable[[Snapshot, Limits, Tolerances], str]]
 
 STALE_SAMPLES, LOST_SERVO = "stale samples", "lost servo"
@@ -173,6 +197,9 @@ INTERLOCKS: Interlocks = {
     "following error": check_following_error,
     "current": check_current,
 }
+
+# A hybrid test has limits of its own, which a rod that follows a plan cannot reach unseen.
+CONTROL_INTERLOCKS: Interlocks = {**INTERLOCKS, "power": check_power, "energy balance": check_energy}
 
 # Homing brings the rod back from wherever it stands, so that it may begin beyond the limit of the stroke. It sets the
 # encoder by the LVDT, with a comparison of its own.

@@ -61,8 +61,39 @@ def never_interrupted() -> None:
     """Interrupt nothing."""
 
 
+@dataclass(frozen=True)
+class Source:
+    """Where the setpoints of a run come from.
+
+    Attributes
+    ----------
+    node : str
+    load, start, abort : str
+        Its services.
+    mode : Mode
+        Mode of the bench during the run.
+    action : str
+        Action of the supervisor that begins the run.
+    """
+
+    node: str
+    load: str
+    start: str
+    abort: str
+    mode: Mode
+    action: str
+
+
+GENERATOR = Source(
+    "generator", "load_experiment", "start_experiment", "abort_experiment", Mode.IDENTIFICATION, "run_experiment"
+)
+CONTROLLER = Source("controller", "load_control", "start_control", "abort_control", Mode.CONTROL, "run_control")
+
+
 class Peers(Protocol):
-    """Services of the other nodes: ``servo``, ``daq``, ``generator`` and ``recorder``. Timeouts are in wall seconds.
+    """Services of the other nodes: ``servo``, ``daq``, ``generator``, ``controller`` and ``recorder``.
+
+    Timeouts are in wall seconds.
 
     While a call waits, it calls ``interruption``, which ends the wait by raising an exception, and whose own time does not
     count.
@@ -122,7 +153,9 @@ class BenchOperations:
         monitor: BenchMonitor,
         mode: BenchMode,
         interruption: Interruption,
+        source: Source = GENERATOR,
     ) -> None:
+        self.source = source
         self._config, self._clock, self._peers = config, clock, peers
         self._monitor, self._mode, self._interruption = monitor, mode, interruption
         self._rate, self._loads, self._lease = math.nan, 0, 0
@@ -133,7 +166,9 @@ class BenchOperations:
         """Wait until all nodes are present and know that the bench is idle; refuse unless it is."""
         self._mode.require_idle()
         self._clock.sleep(_LEASE_DELAY)
-        self._peers.require(("servo", "daq", "generator", "recorder"), self._config.discovery_timeout, self._interruption)
+        self._peers.require(
+            ("servo", "daq", self.source.node, "recorder"), self._config.discovery_timeout, self._interruption
+        )
 
     def require_ready_to_move(self) -> None:
         """Wait until servo and DAQ are present and healthy; refuse unless the bench is idle."""
@@ -167,19 +202,21 @@ class BenchOperations:
     # The experiment
 
     def load(self, experiment: str) -> LoadedExperiment:
-        """Let the generator plan an experiment. Nothing moves."""
+        """Let the generator plan an experiment, or the controller check a hybrid test. Nothing moves."""
         loads = self._monitor.loads
-        response = self._call("load_experiment", _PLANNING_TIMEOUT, experiment=experiment)
+        response = self._call(self.source.load, _PLANNING_TIMEOUT, experiment=experiment)
         # The state of an earlier experiment must not be taken for the state of this one.
-        self._wait_until(lambda: self._monitor.loads > loads, _EFFECT_TIMEOUT, "generator: did not announce `loaded`")
+        self._wait_until(
+            lambda: self._monitor.loads > loads, _EFFECT_TIMEOUT, f"{self.source.node}: did not announce `loaded`"
+        )
         self._loads = loads + 1
         return LoadedExperiment(response.duration, response.rate)
 
     def start_experiment(self) -> None:
         """Start the setpoints of the loaded experiment."""
         if self._monitor.loads != self._loads:
-            raise RefusedError("generator: somebody has loaded another experiment meanwhile; run this one again")
-        self._call("start_experiment")
+            raise RefusedError(f"{self.source.node}: somebody has loaded another experiment meanwhile; run this one again")
+        self._call(self.source.start)
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
         """Wait for the end of the experiment and report its progress in s.
@@ -195,10 +232,11 @@ class BenchOperations:
             elapsed = clock.now() - begin
             self._require_undisturbed(begin)
             if monitor.experiment_state == "aborted":
-                raise RefusedError("the generator aborted the experiment; look at its log")
+                reason = monitor.abort_reason or "look at its log"
+                raise RefusedError(f"the {self.source.node} aborted the experiment; {reason}")
             self._require_recording()
             if elapsed > latest:
-                raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the generator")
+                raise RefusedError(f"the experiment should have ended after {duration:.1f} s; check the {self.source.node}")
             if time.monotonic() - reported > _PROGRESS_INTERVAL:
                 self._peers.check("stop_recording")
                 reported = time.monotonic()
@@ -236,7 +274,7 @@ class BenchOperations:
 
     def abort_experiment(self) -> None:
         """Stop the setpoints; the coil current follows them to 0 A."""
-        self._peers.call("abort_experiment", self._config.answer_timeout)
+        self._peers.call(self.source.abort, self._config.answer_timeout)
 
     # Samples and recording
 
@@ -399,5 +437,5 @@ class BenchOperations:
         return first_trip(self._snapshot(), self._config.limits, self._config.interlocks, interlocks)
 
     def _snapshot(self) -> Snapshot:
-        identifies = self._mode.current is Mode.IDENTIFICATION
-        return self._monitor.snapshot(self._clock.now(), follows_experiment=identifies)
+        follows = self._mode.current.takes_setpoints
+        return self._monitor.snapshot(self._clock.now(), follows_experiment=follows, setpoint_source=self.source.node)

@@ -50,11 +50,11 @@ class _Experiment:
         self._duration = plan.duration
         bench.set_sample_rate(plan.rate)
         bench.require_punctual_machine()
-        bench.enter(Mode.HOMING)
+        bench.enter(Mode.HOMING, bench.source.action)
         self._undo.append(bench.halt)
         bench.centre()
         bench.tare()
-        bench.enter(Mode.IDENTIFICATION)
+        bench.enter(bench.source.mode, bench.source.action)
         bench.enable()
         self._progress("recording", 0.0, self._duration)
         self._undo.append(self._close_bag)

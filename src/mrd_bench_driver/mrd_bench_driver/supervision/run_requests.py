@@ -1,12 +1,13 @@
 """Requests for runs: which experiment to run, and where to record it."""
 
 import datetime
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_base.config import named_path
+from mrd_base.config import named_path, parse_yaml
 from mrd_bench_driver.supervision.errors import RefusedError
 from mrd_trajectory.experiment import experiment_text, parse_experiment
 
@@ -44,6 +45,21 @@ def single_run(experiment: str, bag: str, seed: int, runs: Path) -> RunRequest:
         If the experiment is invalid.
     """
     text, name = _read(experiment, "experiment")
+    return RunRequest(text, _folder(bag) if bag else runs.resolve() / f"{name}-{_now()}", seed)
+
+
+def control_run(experiment: str, bag: str, seed: int, runs: Path) -> RunRequest:
+    """Return the request for one hybrid test, whose content the controller checks; otherwise as `single_run`."""
+    try:
+        line = experiment.strip()
+        text = experiment if "\n" in line or ":" in line else named_path(line).read_text(encoding="utf-8")
+        name = parse_yaml(text, "control experiment").get("name")
+    except InputError as error:
+        raise RefusedError(str(error)) from None
+    except (OSError, ValueError) as error:
+        raise RefusedError(f"{experiment}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
+        raise RefusedError(f"control experiment: name: found {name!r}, expected 1 to 64 letters, digits, - and _")
     return RunRequest(text, _folder(bag) if bag else runs.resolve() / f"{name}-{_now()}", seed)
 
 

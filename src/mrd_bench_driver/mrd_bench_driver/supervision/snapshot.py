@@ -37,8 +37,14 @@ class Snapshot:
     servo : ServoStatus
     setpoint_age : float
         Age in s of the latest setpoint while an experiment runs, else 0.
+    setpoint_source : str
+        Node that sends the setpoints of a run.
     daq_problem : str
         Why the DAQ has stopped, or "".
+    work : float
+        Work in J that the emulated system of a hybrid test has lately done on the damper; 0 without one.
+    power : float
+        Mean power in W that the rod puts into the damper over the latest cycle of the controller; 0 without one.
     """
 
     sample_age: float = math.inf
@@ -50,7 +56,10 @@ class Snapshot:
     servo_age: float = math.inf
     servo: ServoStatus = ServoStatus()
     setpoint_age: float = 0.0
+    setpoint_source: str = "generator"
     daq_problem: str = ""
+    work: float = 0.0
+    power: float = 0.0
 
 
 class BenchMonitor:
@@ -64,6 +73,8 @@ class BenchMonitor:
         Latest status of the servo.
     experiment_state : str
         Latest state of the experiment: loaded, running, done or aborted.
+    abort_reason : str
+        Why it was aborted, as far as its node has told.
     loads : int
         How often an experiment was loaded.
     daq_problem : str
@@ -81,7 +92,8 @@ class BenchMonitor:
         self.sample_period = math.nan
         self.servo: ServoStatus | None = None
         self._track: deque[tuple[float, float]] = deque(maxlen=_TRACK_LENGTH)  # times and positions by the encoder
-        self.experiment_state = ""
+        self.experiment_state = self.abort_reason = ""
+        self._work = self._power = 0.0  # of a hybrid test, in J and W
         self.loads = 0
         self.daq_problem = ""
         self.recorder_state = self.recording_problem = ""
@@ -136,8 +148,14 @@ class BenchMonitor:
     def add_experiment_state(self, state: str, now: float) -> None:
         """Note a state of the experiment. Its first setpoint may come after it, so the age of setpoints counts from now."""
         self._setpoint_time = max(self._setpoint_time, now)
+        state, _, self.abort_reason = state.partition(": ")
+        self._work = self._power = 0.0
         self.loads += state == "loaded"
         self.experiment_state = state
+
+    def add_control_cycle(self, work: float, power: float) -> None:
+        """Note the balance of energy in a cycle of the controller: work in J, power in W."""
+        self._work, self._power = work, power
 
     def add_recorder_state(self, state: str, problem: str, now: float) -> None:
         """Note a state of the recorder, which repeats it, and the problem of its recording, if there is one."""
@@ -146,7 +164,7 @@ class BenchMonitor:
         if changed:
             self.recorder_changed.wake()
 
-    def snapshot(self, now: float, *, follows_experiment: bool) -> Snapshot:
+    def snapshot(self, now: float, *, follows_experiment: bool, setpoint_source: str = "generator") -> Snapshot:
         """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""
         servo = self.servo
         running = follows_experiment and self.experiment_state == "running"
@@ -156,6 +174,9 @@ class BenchMonitor:
             servo_age=math.inf if servo is None else now - servo.time,
             servo=servo or ServoStatus(),
             setpoint_age=now - self._setpoint_time if running else 0.0,
+            setpoint_source=setpoint_source,
+            work=self._work if running else 0.0,
+            power=self._power if running else 0.0,
             daq_problem=self.daq_problem,
         )
 

@@ -11,12 +11,20 @@ from typing import TypeVar
 from mrd_base import BenchClock
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError
-from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCKS, first_trip
+from mrd_bench_driver.supervision.interlocks import CONTROL_INTERLOCKS, HOMING_INTERLOCKS, INTERLOCKS, first_trip
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
-from mrd_bench_driver.supervision.operations import BenchOperations, Interruption, Peers, never_interrupted
+from mrd_bench_driver.supervision.operations import (
+    CONTROLLER,
+    GENERATOR,
+    BenchOperations,
+    Interruption,
+    Peers,
+    Source,
+    never_interrupted,
+)
 from mrd_bench_driver.supervision.procedure import Progress, RunOutcome, SetOutcome, run_experiment, run_set
 from mrd_bench_driver.supervision.punctuality import Punctuality
-from mrd_bench_driver.supervision.run_requests import RunRequest, require_new, set_of_runs, single_run
+from mrd_bench_driver.supervision.run_requests import RunRequest, control_run, require_new, set_of_runs, single_run
 from mrd_bench_driver.supervision.snapshot import BenchMonitor
 
 # Receives the number of a run in its set, from 1, its request, the phase, elapsed time in s and duration in s.
@@ -77,8 +85,10 @@ class Supervisor:
         self._checked = self._clock.now()
         mode, servo = self.mode.current, self.monitor.servo
         if mode.may_move:
-            interlocks = HOMING_INTERLOCKS if mode is Mode.HOMING else INTERLOCKS
-            snapshot = self.monitor.snapshot(self._clock.now(), follows_experiment=mode is Mode.IDENTIFICATION)
+            interlocks = {Mode.HOMING: HOMING_INTERLOCKS, Mode.CONTROL: CONTROL_INTERLOCKS}.get(mode, INTERLOCKS)
+            snapshot = self.monitor.snapshot(
+                self._clock.now(), follows_experiment=mode.takes_setpoints, setpoint_source=self._source.node
+            )
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
                 self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
@@ -176,6 +186,11 @@ class Supervisor:
         self._require_free()
         require_new(single_run(experiment, bag, seed, self._runs))
 
+    def check_control(self, experiment: str, bag: str, seed: int) -> None:
+        """Raise `RefusedError` if `run_control` would refuse at once."""
+        self._require_free()
+        require_new(control_run(experiment, bag, seed, self._runs))
+
     def check_set(self, experiments: Sequence[str], folder: str, seed: int) -> None:
         """Raise `RefusedError` if `run_set` would refuse at once."""
         self._require_free()
@@ -190,6 +205,16 @@ class Supervisor:
             return self._run(bench, single_run(experiment, bag, seed, self._runs), progress)
 
         return self._run_exclusively("run_experiment", RunOutcome, work, cancelled)
+
+    def run_control(
+        self, experiment: str, bag: str, seed: int, progress: Progress, cancelled: Callable[[], bool]
+    ) -> RunOutcome:
+        """Run one hybrid test, given by the text of its file. ``cancelled`` is asked during every wait."""
+
+        def work(bench: BenchOperations) -> RunOutcome:
+            return self._run(bench, control_run(experiment, bag, seed, self._runs), progress)
+
+        return self._run_exclusively("run_control", RunOutcome, work, cancelled)
 
     def run_set(
         self, experiments: Sequence[str], folder: str, seed: int, progress: SetProgress, cancelled: Callable[[], bool]
@@ -215,7 +240,12 @@ class Supervisor:
 
     def _operations(self, interruption: Interruption | None = None) -> BenchOperations:
         interruption = interruption or self._raise_if_interrupted
-        return BenchOperations(self._config, self._clock, self._peers, self.monitor, self.mode, interruption)
+        return BenchOperations(self._config, self._clock, self._peers, self.monitor, self.mode, interruption, self._source)
+
+    @property
+    def _source(self) -> Source:
+        """Where the setpoints of the present procedure come from."""
+        return CONTROLLER if self.procedure == "run_control" else GENERATOR
 
     def _raise_if_interrupted(self) -> None:
         self._check_stall()

@@ -18,7 +18,6 @@ from mrd_interfaces.msg import AnalogInput, AnalogOutput
 from mrd_sim.motor import MotorSerialPort
 from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
 
-_BLOCK = 0.02  # bench seconds
 _SWITCHED_ON = 1.0  # bench seconds before the start
 
 
@@ -31,7 +30,7 @@ class PlantNode(BenchNode[PlantConfig]):
         super().__init__("plant", PlantConfig)
         self.hardware_id = "simulated"
         # The very first run compiles for seconds; that must not happen while anything moves.
-        Plant(self.config).advance(_BLOCK)
+        Plant(self.config).advance(self.config.block)
         # Everything was switched on a moment before the bench time begins: the motor has booted, the filters have settled.
         self.plant = Plant(self.config, self.bench.now() - _SWITCHED_ON)
         self.plant.advance(self.bench.now())
@@ -84,7 +83,7 @@ class PlantNode(BenchNode[PlantConfig]):
 
     def next_event(self) -> float:
         """Return the bench time of the next block, or of an event on the serial line before it."""
-        return min(self.plant.time + _BLOCK, self.plant.motor.next_event())
+        return min(self.plant.time + self.config.block, self.plant.motor.next_event())
 
     def read_line(self, count: int, now: float) -> None:
         """Receive what was sent to the motor."""
@@ -96,7 +95,8 @@ class PlantNode(BenchNode[PlantConfig]):
 
     def advance(self, now: float) -> bool:
         """Simulate and publish the next block once it is due; return whether it was."""
-        if now < self.plant.time + _BLOCK - 1e-5:
+        # Half of the tolerance of `Plant.advance`: a block that came earlier would lack a reading, and shift all later ones.
+        if now < self.plant.time + self.config.block - 5e-4 / self.config.hardware_rate:
             return False
         with self.port.lock:
             block = self.plant.advance(now)

@@ -1,0 +1,168 @@
+"""Control experiments: an emulated system, what excites it, a law, a damper and an actuator, in a YAML file."""
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
+from mrd_base.config import parse_yaml, unknown_key, yaml_key
+from mrd_control.catalogue import build_entry
+from mrd_control.controller import Actuator
+from mrd_control.excitations import EXCITATIONS, Excitation
+from mrd_control.laws import Law, find_law
+from mrd_control.prediction import MODEL, PREDICTORS, find_predictor
+from mrd_control.systems import SYSTEMS, System
+from mrd_identification.export import load_damper
+from mrd_sim.damper import Damper
+
+Array = NDArray[np.float64]
+
+ENDING = 1.5
+"""s at the end of a run, over which the motion of the base fades, so that the rod comes to rest."""
+BEGINNING = 2.0
+"""s at its beginning that do not count in the metrics."""
+_DAMPER_KEYS = ("fit", "model", "laws", "parameters", "effects")
+
+
+@dataclass(frozen=True, eq=False)
+class ControlExperiment:
+    """A hybrid test: the emulated system is computed, the damper is on the bench."""
+
+    name: str = quantity(unit="", doc="letters, digits, - and _; names the recording")
+    duration: float = quantity(unit="s", doc="of the run; the excitation fades at its end", lower=5, upper=3600)
+    system: System = quantity(doc="emulated system with its parameters")
+    excitation: Excitation = quantity(doc="motion of its base with its parameters")
+    law: str = quantity(doc="control law of the coil current")
+    damper: Damper = quantity(doc="model of the damper, {fit: FILE} or {model: ID, parameters: {...}}")
+    gains: dict = quantity(dataclasses.MISSING, doc="parameters of the law, {NAME: VALUE} in SI; {} for its defaults")  # type: ignore[type-arg]
+    rate: float = quantity(1000.0, "Hz", "samples per second; each is a cycle of the law", lower=50, upper=2000)
+    cycle: float = quantity(0.004, "ms", "longest time from one setpoint to the next", lower=0.001, upper=0.02)
+    most_current: float = quantity(1.0, "A", "largest coil current that the law may command", lower=0, upper=5)
+    supply_lag: float = quantity(0.003, "ms", "of the coil supply, in the offline twin", lower=0, upper=0.2)
+    delay: float = quantity(0.0, "ms", "by which a setpoint has to come before the servo can follow it", lower=0, upper=0.1)
+    lag: float = quantity(0.0, "ms", "of the rod behind what the servo follows", lower=0, upper=0.1)
+    predictor: str = quantity(MODEL, doc=f"compensation of both: {', '.join([MODEL, *PREDICTORS])}")
+    description: str = quantity("", doc="purpose of the experiment")
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name):
+            raise InputError(f"name: found {self.name!r}, expected 1 to 64 letters, digits, - and _")
+        find_law(self.law).values(self.gains)
+        if self.predictor != MODEL:
+            find_predictor(self.predictor)
+
+    @property
+    def actuator(self) -> Actuator:
+        """What brings the emulated motion to the damper."""
+        return Actuator(self.delay, self.lag, self.predictor)
+
+    @property
+    def modelled_actuator(self) -> Actuator:
+        """The same for the controller and the offline twin: where the system predicts itself, the rod is in time."""
+        return Actuator(0.0) if self.predictor == MODEL else self.actuator
+
+    @property
+    def control_law(self) -> Law:
+        """The law."""
+        return find_law(self.law)
+
+    @property
+    def samples(self) -> int:
+        """Cycles of the law in a run."""
+        return round(self.duration * self.rate) + 1
+
+    @cached_property
+    def base(self) -> Array:
+        """Position in m and velocity in m/s of the base (samples, 2); it fades over the last `ENDING` s.
+
+        Raises
+        ------
+        InputError
+            When the excitation is shorter than the run, or its file cannot be used.
+        """
+        motion = self.excitation.base(self.samples, self.rate)
+        left = np.clip((self.duration - np.arange(self.samples) / self.rate) / ENDING, 0.0, 1.0)
+        fade, slope = left**3 * (10.0 - 15.0 * left + 6.0 * left**2), -30.0 * left**2 * (1.0 - left) ** 2 / ENDING
+        return np.stack([fade * motion[:, 0], fade * motion[:, 1] + slope * motion[:, 0]], axis=1)
+
+    @property
+    def counted(self) -> slice:
+        """Samples that count in the metrics: without the beginning and the end of a run."""
+        return slice(round(BEGINNING * self.rate), round((self.duration - ENDING) * self.rate))
+
+
+def read_control_experiment(path: str | Path) -> ControlExperiment:
+    """Read a control experiment from a YAML file.
+
+    Raises
+    ------
+    InputError
+        With one line: file, field, what was found and what was expected.
+    """
+    return _build(read_yaml(path), str(path), Path(path).resolve().parent)
+
+
+def parse_control_experiment(text: str, where: str) -> ControlExperiment:
+    """Read a control experiment from YAML text; ``where`` is the prefix of error messages. Raises as the above."""
+    return _build(parse_yaml(text, where), where, Path())
+
+
+def format_control_experiment(experiment: ControlExperiment) -> str:
+    """Return the YAML text of an experiment, complete without other files; `parse_control_experiment` reads it back."""
+    damper, mapping = experiment.damper, {}
+    for field in dataclasses.fields(experiment):
+        value = getattr(experiment, field.name)
+        key, factor = yaml_key(field)
+        mapping[key] = float(f"{value / factor:.15g}") if isinstance(value, float) else value
+    values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
+    effects = {
+        effect.id: {parameter.name: values.pop(f"{effect.id}.{parameter.name}") for parameter in effect.parameters}
+        for effect in damper.model.effects
+    }
+    mapping |= {
+        "system": _entry("system", SYSTEMS, experiment.system),
+        "excitation": _entry("excitation", EXCITATIONS, experiment.excitation),
+        "damper": {"model": damper.model.id, "laws": damper.model.laws, "parameters": values, "effects": effects},
+    }
+    return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
+
+
+def _entry(kind: str, catalogue: Mapping[str, type[Any]], entry: Any) -> dict[str, Any]:
+    return {kind: next(name for name, cls in catalogue.items() if cls is type(entry)), **to_mapping(entry)}
+
+
+def _build(mapping: dict[str, Any], where: str, folder: Path) -> ControlExperiment:
+    built: dict[str, Any] = {}
+    if "system" in mapping:
+        built["system"] = build_entry(SYSTEMS, "system", mapping["system"], f"{where}: system")
+    if "excitation" in mapping:
+        built["excitation"] = build_entry(EXCITATIONS, "excitation", mapping["excitation"], f"{where}: excitation")
+    if "damper" in mapping:
+        built["damper"] = _damper(mapping["damper"], f"{where}: damper", folder)
+    return from_mapping(ControlExperiment, {"gains": {}, **mapping, **built}, where)
+
+
+def _damper(mapping: Any, where: str, folder: Path) -> Damper:
+    if not isinstance(mapping, Mapping) or ("fit" in mapping) == ("model" in mapping):
+        raise InputError(f"{where}: expected {{fit: FILE}}, or {{model: ID, parameters: {{NAME: VALUE}}}}")
+    for key in mapping:
+        if key not in _DAMPER_KEYS or ("fit" in mapping and key != "fit"):
+            raise InputError(f"{where}: unknown key {unknown_key(key, ('fit',) if 'fit' in mapping else _DAMPER_KEYS[1:])}")
+    if "fit" in mapping:
+        return load_damper(folder / str(mapping["fit"]))
+    try:
+        return Damper(
+            str(mapping["model"]), mapping.get("parameters") or {}, mapping.get("laws") or {}, mapping.get("effects") or {}
+        )
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    except (TypeError, ValueError, AttributeError):
+        raise InputError(f"{where}: expected names with numbers, {{NAME: VALUE}}, as parameters and effects") from None

@@ -1,0 +1,88 @@
+"""A hybrid test through the real graph on the simulated bench: recorded, reviewed, and stopped by what must stop it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.action import ActionClient
+
+from mrd_base.nodes.bench_node import RECORDED
+from mrd_control.comparison import compare_with_twin, write_comparison
+from mrd_control.experiment import format_control_experiment, read_control_experiment
+from mrd_control.recording import read_hybrid_run
+from mrd_interfaces.action import RunExperiment
+from mrd_interfaces.msg import ControlCycle
+from mrd_runs import read_run
+
+pytestmark = pytest.mark.realtime
+
+ROOT = Path(__file__).resolve().parents[1]
+SHIPPED = read_control_experiment(ROOT / "config/control/hybrid_test.yaml")
+
+
+@pytest.fixture
+def bench(tmp_path: Path, whole_bench: Any) -> Iterator[Any]:
+    with whole_bench(tmp_path, control_cycle=SHIPPED.cycle) as bench:
+        yield bench
+
+
+@pytest.mark.timeout(300)
+def test_a_hybrid_test_is_recorded_and_agrees_with_its_offline_twin(bench: Any, tmp_path: Path) -> None:
+    result = bench.client.run_control(format_control_experiment(SHIPPED), tmp_path / "bag", 1)
+    assert result.success, result.message
+    assert result.lost == 0
+    assert read_run(tmp_path / "bag").info["experiment_name"] == SHIPPED.name
+
+    comparison = compare_with_twin(read_hybrid_run(tmp_path / "bag"))
+    assert len(comparison.run.bench.time) == SHIPPED.samples
+    assert comparison.motion <= 0.02
+    assert abs(comparison.tracking.delay) <= 1e-3
+    assert comparison.tracking.nrms <= 0.03
+    timing = comparison.run.timing
+    assert timing.rate == pytest.approx(1 / SHIPPED.cycle, rel=1e-3)
+    assert timing.missed == 0
+    assert timing.latency.max() < 1e-3  # the bench stands still while a cycle is computed
+    assert write_comparison(comparison, tmp_path / "page").stat().st_size > 100_000
+
+    # What cannot run is refused before anything moves, with its number.
+    stiff = replace(SHIPPED.system, passive_damping=0.0, lever_ratio=1.0)
+    unstable = replace(SHIPPED, system=stiff, delay=0.08, lag=0.0, predictor="none", name="unstable")
+    result = bench.client.run_control(format_control_experiment(unstable), tmp_path / "unstable", 1)
+    assert not result.success
+    assert "the hybrid loop is unstable: it bears" in result.message
+    assert not (tmp_path / "unstable").exists()
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        ("freeze_daq", ("stale force", "stale samples")),
+        ("drop_blocks", ("samples were lost",)),
+        ("kill", ("controller", "setpoint")),
+    ],
+)
+def test_what_breaks_the_loop_ends_it_and_is_named(bench: Any, tmp_path: Path, fault: str, named: tuple[str, ...]) -> None:
+    cycles = bench.subscribe("control_cycle", ControlCycle, RECORDED)
+    client = ActionClient(bench.client.node, RunExperiment, "run_control")
+    assert bench.client.spin(client.server_is_ready, 10)
+    goal = RunExperiment.Goal(experiment=format_control_experiment(SHIPPED), bag=str(tmp_path / "bag"))
+    accepted = client.send_goal_async(goal)
+    assert bench.client.spin(accepted.done, 30)
+    ended = accepted.result().get_result_async()
+    # Until the rod moves, some seconds after the start of the sweep.
+    assert bench.client.spin(lambda: len(cycles) > 500 or ended.done(), 120)
+    assert not ended.done(), ended.result().result.message
+    if fault == "kill":
+        bench.processes.kill("controller")
+    else:
+        bench.set_fault(fault)
+    assert bench.client.spin(ended.done, 120, watch=False)
+    result = ended.result().result
+    assert not result.success
+    assert any(name in result.message for name in named), result.message
+    # The coil is without current, and the rod stands.
+    truth = bench.truth
+    assert bench.client.spin(lambda: abs(truth[-1].velocity[0]) < 2e-3 and truth[-1].effort[1] < 0.01, 60, watch=False)
