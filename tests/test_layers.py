@@ -27,6 +27,15 @@ BELOW = {
     "mrd_diagnosis": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
     "mrd_control": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification"},
     "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
+    "mrd_dashboard": {
+        "mrd_base",
+        "mrd_trajectory",
+        "mrd_runs",
+        "mrd_sim",
+        "mrd_bench_driver",
+        "mrd_identification",
+        "mrd_diagnosis",
+    },
     "mrd_cli": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
 
@@ -40,6 +49,7 @@ EXECUTABLES = {
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
     "mrd_control": {"evaluate"},
     "mrd_trials": {"make", "run", "score", "withhold"},
+    "mrd_dashboard": {"page", "access"},
     "mrd_cli": {"mrd"},
 }
 
@@ -54,7 +64,20 @@ ROSDEP = {
     "psutil": "python3-psutil",
     "argcomplete": "python3-argcomplete",
 }
-WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich"}
+WITHOUT_ROSDEP_KEY = {
+    "fastapi",
+    "nicegui",
+    "starlette",
+    "uvicorn",
+    "distributed",
+    "numba",
+    "pymoo",
+    "rosbags",
+    "zstandard",
+    "lz4",
+    "plotly",
+    "rich",
+}
 OPTIONAL = {"nidaqmx"}
 
 

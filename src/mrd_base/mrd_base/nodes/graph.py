@@ -124,7 +124,7 @@ LEASE = Topic(
     COMMAND,
     "leave to move rod and coil, every 40 ms; no setpoint is followed without its number",
     publishers=("supervisor",),
-    subscribers=("servo", "daq", "generator", "recorder", "supervisor"),
+    subscribers=("servo", "daq", "generator", "recorder", "supervisor", "page"),
 )
 EMERGENCY_STOP = Topic(
     "emergency_stop",
@@ -132,7 +132,7 @@ EMERGENCY_STOP = Topic(
     LATCHED,
     "true stops rod and coil and is latched; false has no effect but from the supervisor's reset_fault. It is heard from "
     "publishers of any quality of service",
-    publishers=("supervisor", "bench"),
+    publishers=("supervisor", "bench", "page"),
     subscribers=("servo", "daq", "generator", "recorder", "supervisor"),
     recorded=True,
 )
@@ -142,7 +142,7 @@ SETPOINT = Topic(
     COMMAND,
     "what rod and coil are to do, 100 Hz while an experiment runs",
     publishers=("generator", "replay"),
-    subscribers=("servo", "daq", "supervisor", "recorder"),
+    subscribers=("servo", "daq", "supervisor", "recorder", "page"),
     recorded=True,
 )
 
@@ -154,7 +154,7 @@ SAMPLES = Topic(
     RECORDED,
     "blocks of samples, every 20 ms or at the sample rate if that is lower",
     publishers=("daq", "replay"),
-    subscribers=("servo", "supervisor", "recorder", "identifier", "diagnoser"),
+    subscribers=("servo", "supervisor", "recorder", "identifier", "diagnoser", "page"),
     recorded=True,
 )
 MEASUREMENT = Topic(
@@ -172,7 +172,7 @@ SERVO_STATE = Topic(
     RECORDED,
     "position by the encoder, state and faults of the motor, at rate_hz",
     publishers=("servo", "replay"),
-    subscribers=("supervisor", "recorder"),
+    subscribers=("supervisor", "recorder", "page"),
     recorded=True,
 )
 JOINT_STATES = Topic(
@@ -202,7 +202,7 @@ BENCH_STATE = Topic(
     LATCHED,
     "mode of the bench and its reason, on every change",
     publishers=("supervisor",),
-    subscribers=("recorder",),
+    subscribers=("recorder", "page"),
     recorded=True,
 )
 EXPERIMENT_STATE = Topic(
@@ -211,7 +211,7 @@ EXPERIMENT_STATE = Topic(
     LATCHED,
     "idle, loaded, running, done or aborted, on every change",
     publishers=("generator",),
-    subscribers=("supervisor",),
+    subscribers=("supervisor", "page"),
 )
 DAQ_STATE = Topic(
     "daq_state",
@@ -219,7 +219,7 @@ DAQ_STATE = Topic(
     LATCHED,
     "whether the DAQ works or why it has stopped, on every change",
     publishers=("daq",),
-    subscribers=("supervisor",),
+    subscribers=("supervisor", "page"),
 )
 RECORDER_STATE = Topic(
     "recorder_state",
@@ -227,7 +227,7 @@ RECORDER_STATE = Topic(
     LATCHED,
     "whether a bag is recorded and why recording fails, on every change",
     publishers=("recorder",),
-    subscribers=("supervisor",),
+    subscribers=("supervisor", "page"),
 )
 REFUSALS = Topic(
     "refusals",
@@ -235,15 +235,15 @@ REFUSALS = Topic(
     COMMAND,
     "`ACTION: reason` of every goal that is rejected",
     publishers=("supervisor", "identifier", "diagnoser"),
-    subscribers=("bench",),
+    subscribers=("bench", "page"),
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
     DiagnosticArray,
     COMMAND,
     "health of each node, 1 Hz of the wall's clock",
-    publishers=("servo", "daq", "generator", "recorder", "supervisor", "plant", "replay", "identifier", "diagnoser"),
-    subscribers=("bench",),
+    publishers=("servo", "daq", "generator", "recorder", "supervisor", "plant", "replay", "identifier", "diagnoser", "page"),
+    subscribers=("bench", "page"),
 )
 
 # The simulated bench.
