@@ -18,14 +18,14 @@ from mrd_dashboard.look import Look, cached_look, keep_look, look_at
 from mrd_dashboard.recordings import CACHE_FOLDER, Recording, Recordings
 from mrd_dashboard.run_queue import RunQueue
 
-FRAME_PERIOD = 0.04
-"""Wall time in s between two frames of the live plots."""
+FRAME_PERIOD = 1 / 30
+"""Wall time in s between two frames of the live plots; a browser that is late at times still draws 25 a second."""
 
 # Receives the phase of a run and the time in s since the experiment began.
 Progress = Callable[[str, float], None]
 
 CALLS = {
-    "stop": "end the run, with braking",
+    "end run": "end what runs, with braking; it needs no control",
     "home": "home the rod, and leave it at mid-stroke with the drive off",
     "tare": "set the zeros of the channels marked for it",
     "enable": "switch the drive on; the bench permits it under the lease only",
@@ -142,9 +142,9 @@ class Dashboard:
 
     async def call(self, who: Visitor, name: str) -> Answer:
         """Make one of the requests `CALLS`. Whoever sees the page may end a run."""
-        if name == "stop":
+        if name == "end run":
             self.queue.paused = True  # else the next run would begin
-        return await self.act(who, name, lambda: self.commands.call(name), watching=name == "stop")
+        return await self.act(who, name, lambda: self.commands.call(name), watching=name == "end run")
 
     def emergency_stop(self, who: Visitor) -> None:
         """Ask for the emergency stop; it needs no control, and waits for nobody."""

@@ -68,7 +68,11 @@ def _text(value: Any, factor: float) -> str:
         return ""
     if isinstance(value, tuple):
         return ", ".join(_text(item, factor) for item in value)
-    return f"{value / factor:.12g}" if isinstance(value, float) else str(value)
+    return f"{value / factor:.12g}" if isinstance(value, float) else _word(value)
+
+
+def _word(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def form_of(experiment: Experiment) -> dict[str, Any]:
@@ -79,7 +83,7 @@ def form_of(experiment: Experiment) -> dict[str, Any]:
 
 def _entries(mapping: Mapping[str, Any]) -> dict[str, str]:
     return {
-        key: ", ".join(map(str, value)) if isinstance(value, list) else "" if value is None else str(value)
+        key: ", ".join(map(str, value)) if isinstance(value, list) else "" if value is None else _word(value)
         for key, value in mapping.items()
     }
 

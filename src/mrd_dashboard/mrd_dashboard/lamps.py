@@ -44,7 +44,7 @@ Reading = Callable[[Snapshot, Limits, Tolerances], tuple[str, str]]
 
 
 def _milliseconds(age: float, limit: float) -> tuple[str, str]:
-    return f"{1e3 * age:.0f} ms" if math.isfinite(age) else "none", f"{1e3 * limit:.0f} ms"
+    return f"{max(0.0, 1e3 * age):.0f} ms" if math.isfinite(age) else "none", f"{1e3 * limit:.0f} ms"
 
 
 def _state(problem: object) -> tuple[str, str]:
@@ -64,7 +64,7 @@ READINGS: dict[str, Reading] = {
     "stale setpoint": lambda now, _limits, t: _milliseconds(now.setpoint_age, t.setpoint_stale),
     "position sensors": lambda now, _limits, t: _millimetres(now.position_difference, t.position_difference),
     "stroke": lambda now, limits, _t: _millimetres(now.position, limits.stroke / 2 - limits.margin / 2),
-    "speed": lambda now, limits, t: (f"{1e3 * now.speed:.0f} mm/s", f"±{1e3 * t.overspeed * limits.speed:.0f} mm/s"),
+    "speed": lambda now, limits, t: (f"{1e3 * abs(now.speed):.0f} mm/s", f"{1e3 * t.overspeed * limits.speed:.0f} mm/s"),
     "force": lambda now, limits, _t: (f"{now.force:.0f} N", f"±{limits.force:.0f} N"),
     "following error": lambda now, _limits, t: _millimetres(now.servo.following_error, t.following_error),
     "current": lambda now, limits, t: (

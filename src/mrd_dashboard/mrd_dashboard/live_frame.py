@@ -55,7 +55,7 @@ class LivePrediction:
         """Return the modelled force (n,) in N at the samples."""
         velocity, acceleration = motion(samples)
         path = make_path(samples.time - samples.time[0], samples.position, velocity, acceleration, samples.current)
-        return np.asarray(self.model.force(self.theta, path))[path.samples]
+        return np.asarray(self.model.force(self.theta, path))
 
 
 def motion(samples: Samples) -> tuple[Array, Array]:

@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument(
         "--page",
         action="store_true",
-        help="serve the operator's page at the host and port of section page of --bench; a simulated bench then keeps --pace 1",
+        help="serve the operator's page (section page of --bench); a simulated bench then keeps --pace 1",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     arguments = parser.parse_args()

@@ -90,7 +90,7 @@ class RosCommands:
     def __init__(self, node: BenchNode[Any]) -> None:
         self._emergency_stop = EMERGENCY_STOP.publisher(node)
         self._services = {
-            "stop": (STOP.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
+            "end run": (STOP.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
             "home": (HOME.client(node), Trigger.Request(), _HOME_TIMEOUT),
             "tare": (DAQ_TARE.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
             "enable": (SERVO_ENABLE.client(node), SetBool.Request(data=True), _ANSWER_TIMEOUT),

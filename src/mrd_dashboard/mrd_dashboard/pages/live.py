@@ -47,7 +47,7 @@ def live_page(dashboard: Dashboard, who: Visitor) -> None:
         with ui.column().classes("grow min-w-0 gap-2"):
             _requests(dashboard, who)
             _plots(dashboard)
-        with ui.column().classes("w-80 max-lg:w-full shrink-0 gap-4"):
+        with ui.column().classes("w-96 max-lg:w-full shrink-0 gap-4"):
             _lamps(dashboard)
             _state(dashboard)
 
@@ -114,9 +114,9 @@ class _LampRow:
     def __init__(self, lamp: Lamp) -> None:
         with ui.row().classes("w-full items-center no-wrap gap-2 leading-7"):
             self._icon = ui.icon("check_circle").classes("text-lg")
-            ui.label(lamp.name).classes("grow")
-            self._value = ui.label().classes("text-right font-mono text-xs")
-            self._limit = ui.label().classes("text-right font-mono text-xs opacity-60 w-28")
+            ui.label(lamp.name).classes("grow whitespace-nowrap")
+            self._value = ui.label().classes("text-right font-mono text-xs whitespace-nowrap")
+            self._limit = ui.label().classes("text-right font-mono text-xs opacity-60 w-28 whitespace-nowrap")
         self._cause = ui.label().classes("text-sm pl-7 pb-1").mark(f"cause {lamp.name}")
         self._shown: Lamp | None = None
         self.show(lamp)

@@ -83,7 +83,8 @@ def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping
             series.append(curve)
     return {
         "animation": False,
-        "dataset": {"source": dict(columns or {})},
+        # Without columns, ECharts does not know what kind of table it is.
+        "dataset": {"source": dict(columns or {name: [] for panel in panels for name in (panel.x, panel.curves[0][0])})},
         "grid": grids,
         "xAxis": x_axes,
         "yAxis": y_axes,

@@ -47,6 +47,9 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         list(experiments), label="start from", with_input=True, on_change=lambda event: start_from(event.value)
     ).classes("w-full").props("dense").mark("start from")
     entries = ui.column().classes("w-full gap-1")
+    with ui.row():
+        ui.button("Preview", on_click=lambda: look()).props("outline no-caps")
+        ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated")
     answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
     shown = ui.column().classes("w-full gap-2")
 
@@ -88,9 +91,6 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, "queue a run", work, found.experiment.name))
 
     draw()
-    with ui.row():
-        ui.button("Preview", on_click=look).props("outline no-caps")
-        ui.button("Add to queue", on_click=add).props("no-caps unelevated")
 
 
 def _waveform(form: dict[str, Any], channel: str, draw: Callable[[], None]) -> None:
