@@ -98,9 +98,19 @@ def page(bench: PageBench) -> Iterator[Any]:
         page.get_by_text("Take control").click()
         page.get_by_text("you hold control").first.wait_for()
         yield page
-        page.get_by_text("Release control").click()
-        page.get_by_text("nobody in control").wait_for()
+        # The next browser takes control at once; the test that kills the page has nothing to give back.
+        if page.get_by_text("Release control").count() and _answers(bench.url):
+            page.get_by_text("Release control").click()
+            page.get_by_text("nobody in control").wait_for()
         browser.close()
+
+
+def _answers(url: str) -> bool:
+    try:
+        with urllib.request.urlopen(url, timeout=5):
+            return True
+    except OSError:
+        return False
 
 
 def start_run(page: Any, duration: str = "60") -> None:
@@ -138,6 +148,12 @@ def test_a_run_is_started_seen_and_stopped_by_the_button(bench: PageBench, page:
     page.get_by_text("idle", exact=True).wait_for(timeout=20_000)
 
 
+def test_the_page_loads_nothing_from_elsewhere(bench: PageBench) -> None:
+    with urllib.request.urlopen(bench.url, timeout=20) as answer:
+        text = answer.read().decode()
+    assert "cdn" not in text.lower()
+
+
 def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page: Any) -> None:
     start_run(page, "12")
     bag = max((bench.folder / "runs").glob("sine-*"))
@@ -155,9 +171,3 @@ def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page:
     assert run.duration > 12.0
     assert run.info["lost"] == 0
     assert bench.process.poll() is None
-
-
-def test_the_page_loads_nothing_from_elsewhere(bench: PageBench) -> None:
-    with urllib.request.urlopen(bench.url, timeout=20) as answer:
-        text = answer.read().decode()
-    assert "cdn" not in text.lower()

@@ -149,8 +149,8 @@ class Jobs:
 
     def cancel(self) -> None:
         """End the running job."""
-        if self.running is not None:
-            self.running.state, self.running.message = "cancelled", "cancelled"
+        if (job := self.running) is not None:
+            job.state, job.message = "cancelled", "cancelled"
             self._end()
 
     def _end(self) -> None:

@@ -93,7 +93,7 @@ def test_points_do_not_jump_from_frame_to_frame() -> None:
 
 def test_the_prediction_of_the_true_model_leaves_no_residual() -> None:
     model = find_model("linear_viscous")
-    theta = model.vector({name: 0.0 for name in model.names} | {model.names[0]: 1000.0})
+    theta = model.vector(dict.fromkeys(model.names, 0.0) | {model.names[0]: 1000.0})
     history = SampleHistory()
     fill(history, 8.0, 1000)
     measured = live_frame(history, LivePrediction("true", model, theta))

@@ -23,10 +23,10 @@ _PULL = """
 (() => {
   let busy = false;
   window.mrdFrames = 0;
-  const timer = setInterval(async () => {
+  setInterval(async () => {
+    // Under another tab of the page, the chart is not there; later it is there again.
     const chart = getElement(ID)?.chart;
-    if (!document.getElementById('cID')) { clearInterval(timer); return; }
-    if (!chart || busy || document.hidden || !document.getElementById('cID').offsetParent) return;
+    if (!chart || busy || document.hidden || !document.getElementById('cID')?.offsetParent) return;
     busy = true;
     try {
       const answer = await fetch('/live.json');
