@@ -47,7 +47,7 @@ def measure(folder: Path, port: int, duration: float) -> None:
     parameters = folder / "bench.yaml"
     section = f"/**/page:\n  ros__parameters: {{port: {port}, runs: {folder / 'runs'}}}\n"
     shipped = (ROOT / "config/bench.yaml").read_text()
-    parameters.write_text(re.sub(r"^/\*\*/page:\n(?: .*\n|\n)*", "", shipped, flags=re.MULTILINE) + "\n" + section)
+    parameters.write_text(re.sub(r"^/\*\*/page:.*\n(?: .*\n|\n)*", "", shipped, flags=re.MULTILINE) + "\n" + section)
     command = [sys.executable, "-m", "mrd_bench_driver.nodes.bench", "--simulated", "--page", "--bench", str(parameters)]
     command += ["--plant", str(ROOT / "config/plant.yaml"), "--output", str(folder / "out")]
     with (folder / "log").open("w") as log:

@@ -1,6 +1,7 @@
 """Fits and diagnoses that the page starts: each in a process of its own, by the same functions as the tools."""
 
 import multiprocessing
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -99,7 +100,7 @@ class Jobs:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.all: list[Job] = []
+        self.all: list[Job] = [Job(number, *found) for number, found in enumerate(_earlier(folder), 1)]
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
 
@@ -162,6 +163,15 @@ class Jobs:
         self._process = self._connection = None
 
 
+def _earlier(folder: Path) -> list[tuple[JobRequest, Path, State]]:
+    """Return what earlier pages have computed in a folder, in its order."""
+    found: list[tuple[JobRequest, Path, State]] = []
+    for kind, report in REPORTS.items():
+        for path in folder.glob(f"{kind}-*/{report}"):
+            found.append((JobRequest(kind, (), "of an earlier day"), path.parent, "done"))  # type: ignore[arg-type]
+    return sorted(found, key=lambda entry: entry[1].stat().st_mtime)
+
+
 def _note(job: Job, message: Mapping[str, Any]) -> None:
     """Put a message of the process into its job."""
     job.stage, job.share = message.get("stage", job.stage), message.get("share", job.share)
@@ -174,6 +184,7 @@ def _note(job: Job, message: Mapping[str, Any]) -> None:
 
 def work(request: JobRequest, folder: str, connection: Connection) -> None:
     """Do a job and send its progress and its end; the body of its process."""
+    os.nice(10)  # bench and page come first
     try:
         done = {"identify": _identify, "diagnose": _diagnose}[request.kind](request, Path(folder), connection)
         connection.send({"state": "done", "share": 1.0, "stage": "", **done})

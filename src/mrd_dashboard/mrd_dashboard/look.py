@@ -21,7 +21,7 @@ WIDTH, HEIGHT = 120, 60
 """Size of the picture in pixels."""
 MOST_POINTS = 2000
 """Points of the series that the comparison of two runs draws."""
-_PICTURE_POINTS = 240
+_PICTURE_POINTS = 600
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,15 @@ def test_a_fit_shows_its_progress_and_writes_what_the_tool_writes(tmp_path: Path
     assert read_fit(job.folder / "fit.json").model == "bingham"
 
 
+def test_earlier_reports_are_listed_again(tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "diagnose-20261123-120000"
+    folder.mkdir(parents=True)
+    (folder / "gap_report.html").touch()
+    (tmp_path / "results" / "identify-20261123-120000").mkdir()  # was cancelled
+    (job,) = Jobs(tmp_path / "results").all
+    assert (job.request.kind, job.state, job.folder) == ("diagnose", "done", folder)
+
+
 def test_an_unusable_recording_fails_the_job_in_one_line(tmp_path: Path) -> None:
     jobs = Jobs(tmp_path / "results")
     jobs.start(JobRequest("diagnose", (str(tmp_path / "missing.csv"),), "bingham"))

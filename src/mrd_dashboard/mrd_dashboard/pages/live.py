@@ -72,8 +72,12 @@ def _plots(dashboard: Dashboard) -> None:
     with ui.row().classes("w-full items-center gap-4"):
         limits = ui.switch("axes reach to the limits", on_change=lambda event: show(event.value)).props("dense")
         fits = {str(path): str(path.parent.name) for path in _fits(dashboard)}
+        shown = dashboard.prediction.name if dashboard.prediction else ""  # one for all who look
         ui.select(
-            {"": "no prediction", **fits}, value="", label="predicted by", on_change=lambda event: predict(event.value)
+            {"": "no prediction", **fits},
+            value=shown if shown in fits else "",
+            label="predicted by",
+            on_change=lambda event: predict(event.value),
         ).props("dense").classes("w-64").mark("prediction")
     plots = ui.echart(options(False)).classes("w-full").style("height: max(560px, calc(100vh - 210px))").mark("plots")
 

@@ -37,7 +37,7 @@ class Panel:
 def title(column: str) -> str:
     """Return the title of an axis: the quantity and its unit, from the name of the column."""
     name, _, unit = column.partition("_")
-    return f"{name} / {unit.replace('_per_', '/')}"
+    return f"{name} / {unit.replace('_per_', '/')}" if unit else name
 
 
 def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -100,7 +100,8 @@ def _axis(index: int, name: str, limits: tuple[float, ...], show_limits: bool, g
         "nameLocation": "middle",
         "nameGap": gap,
         "nameTextStyle": {"color": _AXIS},
-        "axisLabel": {"color": _AXIS, "hideOverlap": True},
+        # The ends of an axis are no round numbers.
+        "axisLabel": {"color": _AXIS, "hideOverlap": True, "showMinLabel": False, "showMaxLabel": False},
         "axisLine": {"lineStyle": {"color": _AXIS}},
         "splitLine": {"lineStyle": {"color": _GRID}},
         "scale": True,

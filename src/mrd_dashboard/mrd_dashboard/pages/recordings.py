@@ -66,7 +66,7 @@ def recordings_list(dashboard: Dashboard, who: Visitor) -> None:
 
     def draw() -> None:
         found = state["found"]
-        count.text = f"{len(found)} recordings"
+        count.text = f"{len(found)} found"
         sheets.max = max(1, -(-len(found) // ROWS))
         state["sheet"] = min(state["sheet"], sheets.max)
         content = [(recording, dashboard.known_look(recording)) for recording in on_sheet()]
