@@ -28,6 +28,15 @@ BELOW = {
     # Its tool starts the processes of the bench.
     "mrd_control": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_bench_driver"},
     "mrd_trials": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
+    "mrd_dashboard": {
+        "mrd_base",
+        "mrd_trajectory",
+        "mrd_runs",
+        "mrd_sim",
+        "mrd_bench_driver",
+        "mrd_identification",
+        "mrd_diagnosis",
+    },
     "mrd_cli": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }
 
@@ -41,6 +50,7 @@ EXECUTABLES = {
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
     "mrd_control": {"controller", "evaluate", "hybrid_test", "review"},
     "mrd_trials": {"make", "run", "score", "withhold"},
+    "mrd_dashboard": {"page", "access"},
     "mrd_cli": {"mrd"},
 }
 
@@ -56,7 +66,20 @@ ROSDEP = {
     "psutil": "python3-psutil",
     "argcomplete": "python3-argcomplete",
 }
-WITHOUT_ROSDEP_KEY = {"distributed", "numba", "pymoo", "rosbags", "zstandard", "lz4", "plotly", "rich"}
+WITHOUT_ROSDEP_KEY = {
+    "fastapi",
+    "nicegui",
+    "starlette",
+    "uvicorn",
+    "distributed",
+    "numba",
+    "pymoo",
+    "rosbags",
+    "zstandard",
+    "lz4",
+    "plotly",
+    "rich",
+}
 OPTIONAL = {"nidaqmx"}
 
 

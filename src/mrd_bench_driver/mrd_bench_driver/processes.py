@@ -41,12 +41,16 @@ class ProcessDiedError(Exception):
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """A process to start: an executable of a package, its parameter files, and parameters that override them."""
+    """A process to start: an executable of a package, its parameter files, and parameters that override them.
+
+    The bench goes on without a ``guest``.
+    """
 
     package: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
+    guest: bool = False
 
 
 def find_executable(package: str, executable: str) -> Path:
@@ -68,6 +72,7 @@ def bench_processes(
     pace: float | None = None,
     seed: int = 0,
     control_cycle: float | None = None,
+    page: bool = False,
 ) -> list[ProcessSpec]:
     """Return the processes of a bench.
 
@@ -86,6 +91,8 @@ def bench_processes(
     control_cycle : float, optional
         Time in s between two setpoints of a hybrid test: the length of a block of samples. With it, the bench has a
         controller.
+    page : bool
+        Whether the operator's page is served.
     """
     # On a simulated bench, all nodes wait for each other.
     common: dict[str, Any] = {} if plant is None else {"clock": str(clock_of(port))}
@@ -113,7 +120,14 @@ def bench_processes(
         ProcessSpec("mrd_trajectory", "generator", common, (bench,)),
         *controllers,
         ProcessSpec("mrd_bench_driver", "supervisor", supervisor, (bench,)),
+        *([_page(bench, plant)] if page else []),
     ]
+
+
+def _page(bench: Path, plant: Path | None) -> ProcessSpec:
+    """Return the process of the operator's page, which takes no part in the time of a simulated bench."""
+    parameters = {"bench": str(bench.resolve())} | ({"plant": str(plant.resolve())} if plant else {})
+    return ProcessSpec("mrd_dashboard", "page", parameters, (bench,), guest=True)
 
 
 class BenchProcesses:
@@ -214,7 +228,8 @@ class BenchProcesses:
         """Raise if a process has ended: `InputError` if it refused its configuration, else `ProcessDiedError`."""
         for name, process in self.running.items():
             status = process.poll()
-            if status is None:
+            # One that refuses its configuration is named in every case.
+            if status is None or (self.specs[name].guest and status != 2):
                 continue
             lines = self.log(name).read_text(errors="replace").splitlines()[-_LOG_LINES:]
             if status == 2 and lines:

@@ -125,7 +125,7 @@ LEASE = Topic(
     COMMAND,
     "leave to move rod and coil, every 40 ms; no setpoint is followed without its number",
     publishers=("supervisor",),
-    subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor"),
+    subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor", "page"),
 )
 EMERGENCY_STOP = Topic(
     "emergency_stop",
@@ -133,7 +133,7 @@ EMERGENCY_STOP = Topic(
     LATCHED,
     "true stops rod and coil and is latched; false has no effect but from the supervisor's reset_fault. It is heard from "
     "publishers of any quality of service",
-    publishers=("supervisor", "bench"),
+    publishers=("supervisor", "bench", "page"),
     subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor"),
     recorded=True,
 )
@@ -143,7 +143,7 @@ SETPOINT = Topic(
     COMMAND,
     "what rod and coil are to do: 100 Hz while an experiment runs, once for each block of samples in a hybrid test",
     publishers=("generator", "controller", "replay"),
-    subscribers=("servo", "daq", "supervisor", "recorder"),
+    subscribers=("servo", "daq", "supervisor", "recorder", "page"),
     recorded=True,
 )
 
@@ -155,7 +155,7 @@ SAMPLES = Topic(
     RECORDED,
     "blocks of samples, every block_ms (20 ms; a hybrid test needs less) or at the sample rate if that is lower",
     publishers=("daq", "replay"),
-    subscribers=("servo", "controller", "supervisor", "recorder", "identifier", "diagnoser"),
+    subscribers=("servo", "controller", "supervisor", "recorder", "identifier", "diagnoser", "page"),
     recorded=True,
 )
 MEASUREMENT = Topic(
@@ -173,7 +173,7 @@ SERVO_STATE = Topic(
     RECORDED,
     "position by the encoder, state and faults of the motor, at rate_hz",
     publishers=("servo", "replay"),
-    subscribers=("supervisor", "recorder"),
+    subscribers=("supervisor", "recorder", "page"),
     recorded=True,
 )
 JOINT_STATES = Topic(
@@ -203,7 +203,7 @@ BENCH_STATE = Topic(
     LATCHED,
     "mode of the bench and its reason, on every change",
     publishers=("supervisor",),
-    subscribers=("recorder",),
+    subscribers=("recorder", "page"),
     recorded=True,
 )
 EXPERIMENT_STATE = Topic(
@@ -212,7 +212,7 @@ EXPERIMENT_STATE = Topic(
     LATCHED,
     "idle, loaded, running, done, or `aborted: reason`, on every change",
     publishers=("generator", "controller"),
-    subscribers=("supervisor",),
+    subscribers=("supervisor", "page"),
 )
 CONTROL_CYCLE = Topic(
     "control_cycle",
@@ -229,7 +229,7 @@ DAQ_STATE = Topic(
     LATCHED,
     "whether the DAQ works or why it has stopped, on every change",
     publishers=("daq",),
-    subscribers=("supervisor",),
+    subscribers=("supervisor", "page"),
 )
 RECORDER_STATE = Topic(
     "recorder_state",
@@ -237,7 +237,7 @@ RECORDER_STATE = Topic(
     LATCHED,
     "whether a bag is recorded and why recording fails, on every change",
     publishers=("recorder",),
-    subscribers=("supervisor",),
+    subscribers=("supervisor", "page"),
 )
 REFUSALS = Topic(
     "refusals",
@@ -245,7 +245,7 @@ REFUSALS = Topic(
     COMMAND,
     "`ACTION: reason` of every goal that is rejected",
     publishers=("supervisor", "identifier", "diagnoser"),
-    subscribers=("bench",),
+    subscribers=("bench", "page"),
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
@@ -253,9 +253,21 @@ DIAGNOSTICS = Topic(
     COMMAND,
     "health of each node, 1 Hz of the wall's clock",
     publishers=(
-        *("servo", "daq", "generator", "controller", "recorder", "supervisor", "plant", "replay", "identifier", "diagnoser"),
+        *(
+            "servo",
+            "daq",
+            "generator",
+            "controller",
+            "recorder",
+            "supervisor",
+            "plant",
+            "replay",
+            "identifier",
+            "diagnoser",
+            "page",
+        ),
     ),
-    subscribers=("bench",),
+    subscribers=("bench", "page"),
 )
 
 # The simulated bench.

@@ -119,12 +119,19 @@ def main() -> None:
         help="at most X bench seconds in a wall second, 1 for real time (default: as many as the machine computes); "
         "needs --simulated",
     )
+    parser.add_argument(
+        "--page",
+        action="store_true",
+        help="serve the operator's page (section page of --bench); a simulated bench then keeps --pace 1",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     arguments = parser.parse_args()
     if arguments.bench is None:
         parser.error("give --bench, or set MRD_BENCH by `. ./env.sh`")
     if arguments.resume and arguments.output is None:
         parser.error("--resume needs --output, the folder of the set that is to be completed")
+    if arguments.page and arguments.simulated and arguments.pace is None:
+        arguments.pace = 1.0  # people watch
     if arguments.pace is not None and not arguments.simulated:
         parser.error("--pace needs --simulated: a real bench has one time")
     if arguments.pace is not None and not arguments.pace > 0:
@@ -142,7 +149,9 @@ def _work(arguments: argparse.Namespace) -> None:
         print(f"{session.output}: nothing is missing")
         return
     port = session.logs / "motor"
-    specs = bench_processes(arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed)
+    specs = bench_processes(
+        arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed, page=arguments.page
+    )
     namespace = "/" + arguments.namespace.strip("/")
     if arguments.simulated and "ROS_DOMAIN_ID" not in os.environ:
         # A simulated bench that shared a domain with a real one might command it.

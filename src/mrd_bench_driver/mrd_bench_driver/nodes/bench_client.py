@@ -39,7 +39,7 @@ _DISCOVERY_TIME = 5.0
 # Wall time in s for the reason of a rejection, which comes on a topic of its own.
 _REASON_TIMEOUT = 2.0
 # Nodes that a namespace may have besides a bench.
-_GUESTS = {"replay", "identifier", "diagnoser"}
+_GUESTS = {"replay", "identifier", "diagnoser", "page"}
 
 # Receives the feedback messages of an action.
 Feedback = Callable[[Any], None]

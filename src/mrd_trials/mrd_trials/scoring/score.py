@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mrd_base import InputError
+from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
 from mrd_trials.records import Evaluation, GroundTruth, Submission
 from mrd_trials.scoring.altered import AlteredScore
 from mrd_trials.scoring.certainty import calibration_of, claims_of_causes, claims_of_first_candidates, coverage_by_effect
@@ -20,7 +21,6 @@ from mrd_trials.scoring.naming import (
 from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 from mrd_trials.scoring.verdict_counts import Counts, MistakeRates, count_confusion, count_verdicts, excitations
-from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
 from mrd_trials.trial_design import ALTERED_TIERS
 
 

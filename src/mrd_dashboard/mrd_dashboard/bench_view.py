@@ -1,0 +1,88 @@
+"""What the page knows of the bench: everything that it heard, without ROS."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mrd_base import BenchClock
+from mrd_base.lease import Mode
+from mrd_bench_driver.supervision.config import SupervisorConfig
+from mrd_bench_driver.supervision.snapshot import BenchMonitor
+from mrd_dashboard.lamps import Lamp, lamps
+from mrd_dashboard.sample_history import SampleHistory
+from mrd_trajectory.settings import GeneratorSettings
+
+SILENT_AFTER = 1.0
+"""Wall time in s without a lease after which the page says that nobody supervises the bench."""
+
+
+@dataclass(frozen=True)
+class NodeHealth:
+    """Latest diagnostics of a node: its level (0 ok, 1 warning, 2 error), message, values, and when they came (wall)."""
+
+    level: int
+    message: str
+    values: Mapping[str, str]
+    heard: float
+
+
+@dataclass
+class BenchView:
+    """State of the bench, as far as the page has heard it.
+
+    One thread writes what it hears, any thread reads. Ages are by bench time: the time of the latest lease counts as now.
+
+    Attributes
+    ----------
+    supervisor : SupervisorConfig
+        Limits and tolerances of the interlocks.
+    generator : GeneratorSettings
+        Limits against which experiments are checked.
+    samples : SampleHistory
+    monitor : BenchMonitor
+        What the supervisor would know by the same messages.
+    mode, reason : Mode, str
+        Mode of the bench and why it is in it; the reason is empty until the supervisor was heard.
+    bench_time : float
+        Bench time in s of the latest lease.
+    lease_heard : float
+        Wall time in s at which it came, by `time.monotonic`.
+    nodes : dict of str to NodeHealth
+        Diagnostics by the name of the node.
+    """
+
+    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+    generator: GeneratorSettings = field(default_factory=GeneratorSettings)
+    samples: SampleHistory = field(default_factory=SampleHistory)
+    monitor: BenchMonitor = field(default_factory=lambda: BenchMonitor(BenchClock()))
+    mode: Mode = Mode.IDLE
+    reason: str = ""
+    bench_time: float = float("nan")
+    lease_heard: float = -float("inf")
+    nodes: dict[str, NodeHealth] = field(default_factory=dict)
+
+    def hear_lease(self, bench_time: float) -> None:
+        """Note that the supervisor has renewed its lease."""
+        self.bench_time, self.lease_heard = bench_time, time.monotonic()
+
+    @property
+    def supervised(self) -> bool:
+        """Whether the supervisor lives."""
+        return time.monotonic() - self.lease_heard < SILENT_AFTER
+
+    def lamps(self) -> list[Lamp]:
+        """Return a lamp for each interlock, the first one for the supervisor itself."""
+        silence = time.monotonic() - self.lease_heard
+        first = Lamp("supervisor", "ok", "watches")
+        if not self.supervised:
+            first = Lamp(
+                "supervisor",
+                "tripped",
+                "silent" if self.reason else "not heard",
+                f"{1e3 * SILENT_AFTER:.0f} ms",
+                f"the supervisor has been silent for {silence:.1f} s" if self.reason else "no supervisor was heard yet",
+                "look at its log, or start the bench",
+            )
+        now = self.monitor.snapshot(self.bench_time, follows_experiment=self.mode is Mode.IDENTIFICATION)
+        config = self.supervisor
+        return [first, *lamps(now, config.limits, config.interlocks, self.mode, self.reason)]

@@ -1,0 +1,221 @@
+"""The state behind the page, and the one way by which the page acts."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from mrd_base import InputError
+from mrd_dashboard.audit import AuditLog
+from mrd_dashboard.bench_view import BenchView
+from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.jobs import Jobs
+from mrd_dashboard.live_frame import LivePrediction, live_frame
+from mrd_dashboard.look import Look, cached_look, keep_look, look_at
+from mrd_dashboard.recordings import CACHE_FOLDER, Recording, Recordings
+from mrd_dashboard.run_queue import RunQueue
+
+FRAME_PERIOD = 1 / 30
+"""Wall time in s between two frames of the live plots; a browser that is late at times still draws 25 a second."""
+
+# Receives the phase of a run and the time in s since the experiment began.
+Progress = Callable[[str, float], None]
+
+CALLS = {
+    "end run": "end what runs, with braking; it needs no control",
+    "home": "home the rod, and leave it at mid-stroke with the drive off",
+    "tare": "set the zeros of the channels marked for it",
+    "enable": "switch the drive on; the bench permits it under the lease only",
+    "disable": "switch the drive off",
+    "reset fault": "release the emergency stop; moves nothing",
+}
+"""Requests to the bench that take no argument, and what they do."""
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """How a run ended: whether everything is recorded, one line, and the folder of the bag, "" without one."""
+
+    success: bool
+    message: str
+    bag: str
+
+
+class Commands(Protocol):
+    """Requests to the bench. Each is refused by the bench as that of any other client, with an `InputError`."""
+
+    def emergency_stop(self) -> None:
+        """Ask rod and coil to stop at once; returns before they do."""
+
+    async def call(self, name: str) -> str:
+        """Make one of the requests `CALLS`; return the answer."""
+
+    async def run_experiment(self, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+        """Record an experiment, given by the text of its file; return when it has ended."""
+
+
+@dataclass(frozen=True)
+class Visitor:
+    """Somebody who looks at the page: the session of the browser, and how page and audit log name it."""
+
+    session: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of an action: whether it was done, and one line."""
+
+    success: bool
+    message: str
+
+
+@dataclass
+class Dashboard:
+    """Everything that the pages show and change.
+
+    Attributes
+    ----------
+    bench : BenchView
+    commands : Commands
+    recordings : Recordings
+    queue : RunQueue
+    jobs : Jobs
+        Fits and diagnoses.
+    control : ControlRight
+    audit : AuditLog
+    experiments : Path
+        Folder of the experiments to choose from.
+    workers : Executor or None
+        Processes that look at recordings; None looks in the calling thread.
+    prediction : LivePrediction or None
+        Model that is drawn over the measured force.
+    bench_file, plant : str
+        Parameter files of the bench and of its simulated plant, or "".
+    looks : dict of str to Look
+        Looks at recordings, by id.
+    """
+
+    bench: BenchView
+    commands: Commands
+    recordings: Recordings
+    queue: RunQueue
+    jobs: Jobs
+    control: ControlRight
+    audit: AuditLog
+    experiments: Path
+    workers: Executor | None = None
+    prediction: LivePrediction | None = None
+    bench_file: str = ""
+    plant: str = ""
+    looks: dict[str, Look] = field(default_factory=dict)
+    _frame: tuple[float, dict[str, list[float]]] = (float("-inf"), {})
+
+    async def act(
+        self, who: Visitor, action: str, work: Callable[[], Awaitable[str]], detail: str = "", *, watching: bool = False
+    ) -> Answer:
+        """Do what somebody asks for, if they hold control; write it into the audit log.
+
+        Parameters
+        ----------
+        who : Visitor
+        action, detail : str
+            What is asked for, as the log names it.
+        work : callable
+            Does it and returns one line; raises `InputError` where that is refused.
+        watching : bool
+            Whether it needs no control.
+        """
+        try:
+            if not watching:
+                self.control.require(who.session)
+            answer = Answer(True, await work())
+        except InputError as error:
+            answer = Answer(False, str(error))
+        except OSError as error:
+            answer = Answer(False, f"{error.filename or action}: {error.strerror or error}")
+        self.audit.write(who.name, action, detail, answer.message if answer.success else f"refused: {answer.message}")
+        return answer
+
+    async def call(self, who: Visitor, name: str) -> Answer:
+        """Make one of the requests `CALLS`. Whoever sees the page may end a run."""
+        if name == "end run":
+            self.queue.paused = True  # else the next run would begin
+        return await self.act(who, name, lambda: self.commands.call(name), watching=name == "end run")
+
+    def emergency_stop(self, who: Visitor) -> None:
+        """Ask for the emergency stop; it needs no control, and waits for nobody."""
+        self.commands.emergency_stop()
+        self.queue.paused = True
+        self.audit.write(who.name, "emergency stop", "", "requested")
+
+    def frame(self) -> dict[str, list[float]]:
+        """Return the table of the live plots, computed once for all who look."""
+        made, table = self._frame
+        if time.monotonic() - made > 0.8 * FRAME_PERIOD:
+            table = live_frame(self.bench.samples, self.prediction)
+            self._frame = time.monotonic(), table
+        return table
+
+    def known_look(self, recording: Recording) -> Look | None:
+        """Return the look at a recording if there was one."""
+        if recording.id not in self.looks and (look := cached_look(recording.path, self._cache(recording))):
+            self.looks[recording.id] = look
+        return self.looks.get(recording.id)
+
+    async def look(self, recording: Recording) -> Look:
+        """Look at a recording: the preflight, and a picture."""
+        look = self.known_look(recording)
+        if look is None:
+            look = await asyncio.get_running_loop().run_in_executor(self.workers, look_at, str(recording.path))
+            self.looks[recording.id] = look
+            keep_look(look, recording.path, self._cache(recording))
+        return look
+
+    def _cache(self, recording: Recording) -> Path:
+        return self.recordings.folder / CACHE_FOLDER / f"{recording.id.replace('/', '~')}.json"
+
+    def delete(self, recording: str) -> None:
+        """Delete a recording, unless it is being made."""
+        found = self.recordings.find(recording)
+        if self.queue.running is not None and Path(self.queue.running.bag) == found.path:
+            raise InputError(f"{recording}: is being recorded; stop the run first")
+        self.recordings.delete(recording)
+        self.looks.pop(recording, None)
+        self._cache(found).unlink(missing_ok=True)
+
+
+async def run_next(dashboard: Dashboard) -> bool:
+    """Record the run whose turn it is, and look at its recording; return whether there was one."""
+    queue = dashboard.queue
+    run = queue.next()
+    if run is None:
+        return False
+    bag = dashboard.recordings.new_folder(run.name)
+    queue.start(run.number, bag)
+    dashboard.audit.write("page", "run", f"{run.number} {run.name}", "sent")
+    try:
+        outcome = await dashboard.commands.run_experiment(
+            run.experiment, bag, run.seed, lambda phase, elapsed: queue.progress(run.number, phase, elapsed)
+        )
+    except InputError as error:
+        outcome = RunOutcome(False, str(error), "")
+    queue.end(run.number, "done" if outcome.success else "failed", outcome.message, outcome.bag)
+    dashboard.audit.write("page", "run", f"{run.number} {run.name}", outcome.message)
+    if outcome.bag:
+        try:
+            recording = dashboard.recordings.find(Path(outcome.bag).relative_to(dashboard.recordings.folder).as_posix())
+            await dashboard.look(recording)
+        except (InputError, ValueError, OSError):
+            pass  # somebody has moved it; the list shows what is there
+    return True
+
+
+async def work_through_queue(dashboard: Dashboard, period: float = 0.2) -> None:
+    """Record one run after the other, for ever; look every ``period`` s whether one waits."""
+    while True:
+        if not await run_next(dashboard):
+            await asyncio.sleep(period)

@@ -1,0 +1,157 @@
+"""The form of an experiment, made from the catalogue of waveforms, and its preview against the limits."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from mrd_base import InputError
+from mrd_base.config import yaml_key
+from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment, read_experiment
+from mrd_trajectory.plan import Peak, plan
+from mrd_trajectory.settings import GeneratorSettings
+from mrd_trajectory.waveforms import CHANNEL_UNITS, waveform_type
+
+MOST_POINTS = 1000
+"""Points of each curve of a preview."""
+
+
+@dataclass(frozen=True)
+class FormField:
+    """A field of the form: the key in the experiment's file, its meaning, and its default as text; "" if required."""
+
+    key: str
+    doc: str
+    default: str
+
+
+@dataclass(frozen=True)
+class Preview:
+    """An experiment that keeps the limits.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    text : str
+        Its file.
+    duration : float
+        In s, with the ways from and to rest.
+    peaks : tuple of Peak
+        Largest values and their limits.
+    curves : mapping of str to list of float
+        ``time_s``, ``position_mm``, ``velocity_mm_per_s``, ``current_mA``.
+    """
+
+    experiment: Experiment
+    text: str
+    duration: float
+    peaks: tuple[Peak, ...]
+    curves: Mapping[str, list[float]]
+
+
+def waveform_fields(channel: str, waveform: str) -> list[FormField]:
+    """Return the fields of a waveform of the channel ``rod`` or ``coil``."""
+    fields = []
+    for declared in dataclasses.fields(waveform_type(waveform)):  # type: ignore[arg-type]
+        key, factor = yaml_key(declared, CHANNEL_UNITS[channel])
+        required = declared.default is dataclasses.MISSING
+        fields.append(FormField(key, declared.metadata["doc"], "" if required else _text(declared.default, factor)))
+    return fields
+
+
+def _text(value: Any, factor: float) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        return ", ".join(_text(item, factor) for item in value)
+    return f"{value / factor:.12g}" if isinstance(value, float) else _word(value)
+
+
+def _word(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def form_of(experiment: Experiment) -> dict[str, Any]:
+    """Return the entries of the form for an experiment: texts, and a mapping of texts for rod and coil."""
+    mapping = yaml.safe_load(format_experiment(experiment))
+    return {key: _entries(value) if isinstance(value, dict) else str(value) for key, value in mapping.items()}
+
+
+def _entries(mapping: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        key: ", ".join(map(str, value)) if isinstance(value, list) else "" if value is None else _word(value)
+        for key, value in mapping.items()
+    }
+
+
+def form_text(form: Mapping[str, Any]) -> str:
+    """Return the file of the experiment that a form describes; what is left empty keeps its default.
+
+    A text becomes what it would be in the file: a number where it is one, a list where it has commas.
+    """
+    mapping: dict[str, Any] = {}
+    for key, value in form.items():
+        if isinstance(value, Mapping):
+            mapping[key] = {name: _value(text) for name, text in value.items() if str(text).strip()}
+        elif str(value).strip():
+            mapping[key] = str(value) if key in ("name", "description", "transition") else _value(value)
+    return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True)
+
+
+def _value(text: Any) -> Any:
+    words = [word.strip() for word in str(text).split(",")]
+    values = [_number(word) for word in words if word]
+    return values if len(words) > 1 else values[0]
+
+
+def _number(word: str) -> Any:
+    if word in ("true", "false"):
+        return word == "true"
+    for kind in (int, float):
+        try:
+            return kind(word)
+        except ValueError:
+            continue
+    return word
+
+
+def preview(text: str, settings: GeneratorSettings) -> Preview:
+    """Plan an experiment and check it against the limits; nothing moves.
+
+    Raises
+    ------
+    InputError
+        With one line: the field or the limit, and a remedy.
+    """
+    experiment = parse_experiment(text, "experiment")
+    planned = plan(experiment, settings.limits, settings.force_envelope)
+    time = np.linspace(0, planned.duration, min(MOST_POINTS, int(planned.duration * 1000) + 2))
+    setpoints = planned.at(time)
+    columns = {
+        "time_s": time,
+        "position_mm": 1e3 * setpoints.position,
+        "velocity_mm_per_s": 1e3 * setpoints.velocity,
+        "current_mA": 1e3 * setpoints.current,
+    }
+    curves = {name: np.round(column, 4).tolist() for name, column in columns.items()}
+    return Preview(experiment, format_experiment(experiment), planned.duration, planned.peaks, curves)
+
+
+def find_experiments(folder: Path) -> dict[str, Path]:
+    """Return the experiment files in a folder and its folders, by the name under which the page lists them."""
+    return {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.rglob("*.yaml"))}
+
+
+def read_experiments(folder: Path) -> dict[str, Experiment]:
+    """Return the experiments in a folder; files that are none are left out."""
+    found = {}
+    for name, file in find_experiments(folder).items():
+        try:
+            found[name] = read_experiment(file)
+        except InputError:
+            continue
+    return found

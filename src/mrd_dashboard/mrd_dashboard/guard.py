@@ -1,0 +1,106 @@
+"""What stands before the page: only this bench's own pages, in logged-in browsers, reach it."""
+
+from collections.abc import Awaitable, Callable, MutableMapping
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
+
+from mrd_dashboard.access import Sessions, is_local
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+LOGIN = "/login"
+SESSION = "mrd_session"
+"""Key under which the scope of a request tells its session."""
+
+_HEADERS = {
+    "x-frame-options": "SAMEORIGIN",  # no other site shows the stop button in a frame
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+}
+
+
+class Guard:
+    """Refuses requests that other sites send, and lets in who has a session.
+
+    Parameters
+    ----------
+    app : callable
+        The application behind it (ASGI).
+    sessions : Sessions
+    host : str
+        Address at which the page is served.
+    port : int
+        It is part of the cookie's name: cookies do not tell ports apart, and two benches may be open.
+    """
+
+    def __init__(self, app: App, sessions: Sessions, host: str, port: int) -> None:
+        self._app, self._sessions, self._local = app, sessions, is_local(host)
+        self.cookie = f"mrd_session_{port}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve a request (ASGI)."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        if refusal := self._foreign(scope, headers):
+            await self._refuse(PlainTextResponse(refusal, 403), scope, receive, send)
+            return
+        session, new = self._session(headers), False
+        if not session and not self._sessions.needs_login:
+            session, new = self._sessions.open(), True
+        if not session and scope["path"] != LOGIN:
+            wants_page = scope["type"] == "http" and scope["method"] == "GET" and "text/html" in headers.get("accept", "")
+            answer: Response = RedirectResponse(LOGIN, 303) if wants_page else PlainTextResponse("log in first", 401)
+            await self._refuse(answer, scope, receive, send)
+            return
+        scope[SESSION] = session
+
+        async def send_with_headers(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                answer_headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    answer_headers.setdefault(name, value)
+                if new:
+                    answer_headers.append("set-cookie", self.set_cookie(session))
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+    def set_cookie(self, session: str) -> str:
+        """Return the header that gives a browser its session; no script can read it, and no other site can send it."""
+        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Lax"
+
+    def _session(self, headers: Headers) -> str:
+        try:
+            morsel = SimpleCookie(headers.get("cookie", "")).get(self.cookie)
+        except CookieError:
+            return ""
+        return morsel.value if morsel and self._sessions.is_open(morsel.value) else ""
+
+    def _foreign(self, scope: Scope, headers: Headers) -> str:
+        """Return why a request is taken for one that another site sends, or ""."""
+        host = headers.get("host", "")
+        # Another site may let its own name lead to this machine; the browser would then take it for the same site.
+        if self._local and not is_local(host.rsplit(":", 1)[0].strip("[]")):
+            return f"the page is served to this machine only, not as {host[:100]}"
+        origin = headers.get("origin")
+        if origin is not None and origin.partition("://")[2] != host:
+            return f"the request comes from {origin[:100]}, not from this page"
+        opens_page = scope["type"] == "http" and scope["method"] == "GET" and headers.get("sec-fetch-mode") == "navigate"
+        if headers.get("sec-fetch-site", "none") not in ("same-origin", "none") and not opens_page:
+            return "the request comes from another site"
+        return ""
+
+    @staticmethod
+    async def _refuse(response: Response, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await response(scope, receive, send)

@@ -1,0 +1,244 @@
+"""Fits and diagnoses that the page starts: each in a process of its own, by the same functions as the tools."""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal
+
+from mrd_base import InputError
+
+Kind = Literal["identify", "diagnose"]
+State = Literal["running", "done", "failed", "cancelled"]
+
+REPORTS = {"identify": "fit.html", "diagnose": "gap_report.html"}
+"""Report of each kind of job, in its folder."""
+
+
+@dataclass(frozen=True)
+class JobRequest:
+    """What a job is to compute.
+
+    Attributes
+    ----------
+    kind : {"identify", "diagnose"}
+    runs, held_out, reference : tuple of str
+        Paths of recordings: fitted, held out, and of before something changed (diagnose only).
+    model : str
+        Id of a damper model; for a diagnosis also ``auto``.
+    parameters : str
+        fit.json of the simulator as it is (diagnose only), or "".
+    method : mapping
+        Options of `mrd_identification.method.Method` (identify only).
+    seed : int
+    bench : str
+        bench.yaml whose limits an advised experiment must not exceed, or "".
+    """
+
+    kind: Kind
+    runs: tuple[str, ...]
+    model: str
+    held_out: tuple[str, ...] = ()
+    reference: tuple[str, ...] = ()
+    parameters: str = ""
+    method: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    bench: str = ""
+
+
+@dataclass
+class Job:
+    """A job and how far it is.
+
+    Attributes
+    ----------
+    number : int
+    request : JobRequest
+    folder : Path
+        Where its files are written.
+    state : {"running", "done", "failed", "cancelled"}
+    stage : str
+        What it does at present.
+    share : float
+        Finished share, 0 to 1.
+    history : list of (float, float)
+        Share and error (NRMSE) of the best candidate, while a model is fitted.
+    message : str
+        Its result in a sentence, or why it failed.
+    command : str
+        Command that a diagnosis advises next, or "".
+    """
+
+    number: int
+    request: JobRequest
+    folder: Path
+    state: State = "running"
+    stage: str = "starting"
+    share: float = 0.0
+    history: list[tuple[float, float]] = field(default_factory=list)
+    message: str = ""
+    command: str = ""
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def report(self) -> Path:
+        """Its report, once it is done."""
+        return self.folder / REPORTS[self.request.kind]
+
+
+class Jobs:
+    """Starts jobs, one at a time, and hears of their progress.
+
+    Parameters
+    ----------
+    folder : Path
+        Each job writes into a new folder therein.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.all: list[Job] = [Job(number, *found) for number, found in enumerate(_earlier(folder), 1)]
+        self._process: multiprocessing.process.BaseProcess | None = None
+        self._connection: Connection | None = None
+
+    @property
+    def running(self) -> Job | None:
+        """The job that is under way."""
+        return next((job for job in self.all if job.state == "running"), None)
+
+    def start(self, request: JobRequest) -> Job:
+        """Start a job.
+
+        Raises
+        ------
+        InputError
+            While another one runs, or without runs.
+        """
+        if self.running is not None:
+            raise InputError(f"job {self.running.number} ({self.running.request.kind}) runs; wait for its end or cancel it")
+        if not request.runs:
+            raise InputError(f"{request.kind}: no runs are chosen; choose some in the list of recordings")
+        folder = self.folder / f"{request.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+        number = 2
+        while folder.exists():
+            folder, number = folder.with_name(f"{folder.name}-{number}"), number + 1
+        folder.mkdir(parents=True)
+        # A fresh interpreter: a fork of the page would share its sockets and threads.
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe(duplex=False)
+        self._process = context.Process(target=work, args=(request, str(folder), other), daemon=True, name=request.kind)
+        self._process.start()
+        other.close()
+        self.all.append(Job(len(self.all) + 1, request, folder))
+        return self.all[-1]
+
+    def poll(self) -> None:
+        """Hear what the running job has sent; called now and then."""
+        job = self.running
+        if job is None or self._connection is None:
+            return
+        try:
+            while job.state == "running" and self._connection.poll():
+                _note(job, self._connection.recv())
+        except (EOFError, OSError):
+            job.state, job.message = "failed", "its process has ended without a result; there may be too little memory"
+        if job.state != "running":
+            self._end()
+
+    def cancel(self) -> None:
+        """End the running job."""
+        if (job := self.running) is not None:
+            job.state, job.message = "cancelled", "cancelled"
+            self._end()
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.terminate()
+            self._process.join()
+        if self._connection is not None:
+            self._connection.close()
+        self._process = self._connection = None
+
+
+def _earlier(folder: Path) -> list[tuple[JobRequest, Path, State]]:
+    """Return what earlier pages have computed in a folder, in its order."""
+    found: list[tuple[JobRequest, Path, State]] = []
+    for kind, report in REPORTS.items():
+        for path in folder.glob(f"{kind}-*/{report}"):
+            found.append((JobRequest(kind, (), "of an earlier day"), path.parent, "done"))  # type: ignore[arg-type]
+    return sorted(found, key=lambda entry: entry[1].stat().st_mtime)
+
+
+def _note(job: Job, message: Mapping[str, Any]) -> None:
+    """Put a message of the process into its job."""
+    job.stage, job.share = message.get("stage", job.stage), message.get("share", job.share)
+    error = message.get("nrmse")
+    if error is not None and error == error:
+        job.history.append((job.share, error))
+    if "state" in message:
+        job.state, job.message, job.command = message["state"], message["message"], message.get("command", "")
+
+
+def work(request: JobRequest, folder: str, connection: Connection) -> None:
+    """Do a job and send its progress and its end; the body of its process."""
+    os.nice(10)  # bench and page come first
+    try:
+        done = {"identify": _identify, "diagnose": _diagnose}[request.kind](request, Path(folder), connection)
+        connection.send({"state": "done", "share": 1.0, "stage": "", **done})
+    except InputError as error:
+        connection.send({"state": "failed", "message": str(error)})
+    except Exception as error:  # the page must say that the process has failed
+        connection.send({"state": "failed", "message": f"{type(error).__name__}: {error}; please report this"})
+
+
+def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
+    from mrd_identification.fit_file import write_fit
+    from mrd_identification.identify import identify
+    from mrd_identification.method import parse_method
+    from mrd_identification.report import write_report
+    from mrd_runs import read_runs
+
+    method = parse_method(**{**request.method, "seed": request.seed})
+    runs = read_runs([*request.runs, *request.held_out])
+    total = method.total_generations
+
+    def progress(generation: int, nrmse: float) -> None:
+        stage = "assessing" if generation == total else f"generation {generation} of {total}"
+        connection.send({"stage": stage, "share": generation / total, "nrmse": nrmse})
+
+    chosen = len(request.runs)
+    fit = identify(runs[:chosen], request.model, held_out=runs[chosen:], method=method, progress=progress)
+    write_fit(fit, folder)
+    write_report(fit, folder)
+    return {"message": fit.sentence}
+
+
+def _diagnose(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
+    from mrd_diagnosis.diagnose import diagnose
+    from mrd_diagnosis.report.page import write_gap_report
+    from mrd_diagnosis.sentences import next_command
+    from mrd_identification.fit_file import read_fit
+    from mrd_runs import read_runs
+    from mrd_trajectory.settings import read_settings
+
+    runs = read_runs([*request.runs, *request.held_out, *request.reference])
+    chosen, held_out = len(request.runs), len(request.held_out)
+
+    def progress(stage: str, share: float) -> None:
+        connection.send({"stage": stage, "share": share})
+
+    diagnosis = diagnose(
+        runs[:chosen],
+        request.model,
+        held_out=runs[chosen : chosen + held_out],
+        reference=runs[chosen + held_out :],
+        parameters=read_fit(request.parameters) if request.parameters else None,
+        bench=read_settings(request.bench or None),
+        seed=request.seed,
+        progress=progress,
+    )
+    write_gap_report(diagnosis, folder)
+    return {"message": diagnosis.sentence, "command": next_command(diagnosis, str(folder))}

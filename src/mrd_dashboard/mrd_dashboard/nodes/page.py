@@ -1,0 +1,254 @@
+"""The node ``page``: it hears the bench, asks it for what operators want, and serves the page."""
+
+import asyncio
+import concurrent.futures
+import multiprocessing
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from ament_index_python import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from mrd_base import InputError, from_mapping, quantity, read_node_parameters
+from mrd_base.lease import Mode
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import (
+    BENCH_STATE,
+    DAQ_STATE,
+    DAQ_TARE,
+    DIAGNOSTICS,
+    EMERGENCY_STOP,
+    EXPERIMENT_STATE,
+    HOME,
+    LEASE,
+    RECORDER_STATE,
+    REFUSALS,
+    RESET_FAULT,
+    RUN_EXPERIMENT,
+    SAMPLES,
+    SERVO_ENABLE,
+    SERVO_STATE,
+    SETPOINT,
+    STOP,
+)
+from mrd_bench_driver.servo.status import ServoStatus
+from mrd_bench_driver.supervision.config import SupervisorConfig
+from mrd_dashboard.access import read_credentials
+from mrd_dashboard.audit import AuditLog
+from mrd_dashboard.bench_view import BenchView, NodeHealth
+from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
+from mrd_dashboard.jobs import Jobs
+from mrd_dashboard.recordings import Recordings
+from mrd_dashboard.run_queue import RunQueue
+from mrd_dashboard.server import PageServer
+from mrd_interfaces.action import RunExperiment
+from mrd_interfaces.msg import BenchSamples, BenchState, Lease, ServoState
+from mrd_trajectory.settings import read_settings
+
+# Wall time in s for a response. Homing takes up to a minute of bench time.
+_ANSWER_TIMEOUT, _HOME_TIMEOUT = 30.0, 180.0
+# Wall time in s for the reason of a rejection, which comes on a topic of its own.
+_REASON_TIMEOUT = 2.0
+_STATUS_FIELDS = ("position", "velocity", "following_error", "bus_voltage", "temperature", "status", "connected", "enabled")
+_STATUS_FLAGS = ("homed", "moving", "fault", "stopped", "message")
+# The page must never make a publisher of the bench wait: what it misses, it does not draw.
+_BEST_EFFORT = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@dataclass(frozen=True)
+class PageConfig:
+    """Section ``page`` of bench.yaml."""
+
+    host: str = quantity("127.0.0.1", doc="address at which the page is served; another than this machine's needs access")
+    port: int = quantity(8080, doc="port of the page", lower=1, upper=65535)
+    access: str = quantity("", doc="file with password and tokens, written by the tool access; empty: no login")
+    runs: str = quantity("runs", doc="folder of the recordings")
+    experiments: str = quantity("", doc="folder of the experiments to choose from; empty: those that are shipped")
+    bench: str = quantity("", doc="bench.yaml with the limits; empty: $MRD_BENCH")
+    plant: str = quantity(
+        "", doc="plant.yaml of the simulated bench, into which a diagnosis is put; empty: beside bench.yaml"
+    )
+
+
+class RosCommands:
+    """Requests to the bench by services and actions, made from the thread of the web server.
+
+    Parameters
+    ----------
+    node : BenchNode
+        The node whose executor receives the answers, in another thread.
+    """
+
+    def __init__(self, node: BenchNode[Any]) -> None:
+        self._emergency_stop = EMERGENCY_STOP.publisher(node)
+        self._services = {
+            "end run": (STOP.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
+            "home": (HOME.client(node), Trigger.Request(), _HOME_TIMEOUT),
+            "tare": (DAQ_TARE.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
+            "enable": (SERVO_ENABLE.client(node), SetBool.Request(data=True), _ANSWER_TIMEOUT),
+            "disable": (SERVO_ENABLE.client(node), SetBool.Request(data=False), _ANSWER_TIMEOUT),
+            "reset fault": (RESET_FAULT.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
+        }
+        self._run = RUN_EXPERIMENT.client(node)
+        self._refusals: list[str] = []
+        REFUSALS.subscription(node, lambda refusal: self._refusals.append(refusal.data))
+
+    def emergency_stop(self) -> None:
+        """Send the emergency stop, which servo and DAQ hear without the supervisor, too."""
+        self._emergency_stop.publish(Bool(data=True))
+
+    async def call(self, name: str) -> str:
+        """Call a service; raise `InputError` with its refusal."""
+        client, request, timeout = self._services[name]
+        if not client.service_is_ready():
+            raise InputError(f"{name}: the bench does not answer; look whether it is up (service {client.srv_name})")
+        response = await _answer(client.call_async(request), timeout, name)
+        if not response.success:
+            raise InputError(f"{name} is refused: {response.message}")
+        return f"{name}: {response.message or 'done'}"
+
+    async def run_experiment(self, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+        """Send an experiment to the supervisor, and return when it has ended."""
+        if not self._run.server_is_ready():
+            raise InputError("the bench does not answer; look whether its supervisor is up, then try again")
+        self._refusals.clear()
+        goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
+        accepted = self._run.send_goal_async(
+            goal, feedback_callback=lambda message: progress(message.feedback.phase, message.feedback.elapsed)
+        )
+        handle = await _answer(accepted, _ANSWER_TIMEOUT, "the run")
+        if not handle.accepted:
+            raise InputError(await self._reason())
+        result = (await _answer(handle.get_result_async(), None, "the run")).result
+        return RunOutcome(result.success, result.message, result.bag)
+
+    async def _reason(self) -> str:
+        prefix = f"{RUN_EXPERIMENT.name}: "
+        for _ in range(int(_REASON_TIMEOUT / 0.05)):
+            if reasons := [text.removeprefix(prefix) for text in self._refusals if text.startswith(prefix)]:
+                return reasons[-1]
+            await asyncio.sleep(0.05)
+        return "the supervisor has rejected the run; its log tells why"
+
+
+async def _answer(future: Any, timeout: float | None, what: str) -> Any:
+    """Wait, in the loop of the web server, for a future that the executor of the node completes."""
+    bridge: concurrent.futures.Future[Any] = concurrent.futures.Future()
+    future.add_done_callback(lambda done: bridge.set_result(done) if not bridge.done() else None)
+    try:
+        return (await asyncio.wait_for(asyncio.wrap_future(bridge), timeout)).result()
+    except TimeoutError:
+        raise InputError(f"{what}: no answer within {timeout:g} s; look at the log of the node") from None
+
+
+class Page(BenchNode[PageConfig]):
+    """Hears the bench and serves the page. It takes no part in the time of a simulated bench, and may fail at any time."""
+
+    def __init__(self) -> None:
+        super().__init__("page", PageConfig)
+        config = self.config
+        credentials = read_credentials(config.access) if config.access else None
+        bench_file = config.bench or os.environ.get("MRD_BENCH", "")
+        plant = Path(config.plant or Path(bench_file).with_name("plant.yaml")).expanduser()
+        self._view = BenchView(_supervisor_config(bench_file), read_settings(bench_file or None))
+        recordings = Recordings(Path(config.runs))
+        folder = recordings.folder
+        self._workers = concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        self._audit = AuditLog(folder / "audit.jsonl")
+        dashboard = Dashboard(
+            bench=self._view,
+            commands=RosCommands(self),
+            recordings=recordings,
+            queue=RunQueue(folder / "queue.json"),
+            jobs=Jobs(folder / "results"),
+            control=ControlRight(),
+            audit=self._audit,
+            experiments=_experiments(config.experiments),
+            workers=self._workers,
+            bench_file=bench_file,
+            plant=str(plant) if plant.is_file() else "",
+        )
+        self._listen()
+        self._server = PageServer(dashboard, config.host, config.port, credentials)
+        self.get_logger().info(f"the page is at {self._server.url}")
+
+    def _listen(self) -> None:
+        view = self._view
+        LEASE.subscription(self, self._on_lease, _BEST_EFFORT)
+        SAMPLES.subscription(self, self._on_samples, _BEST_EFFORT)
+        SERVO_STATE.subscription(self, self._on_servo_state, _BEST_EFFORT)
+        SETPOINT.subscription(self, lambda message: view.monitor.add_setpoint(seconds(message.header.stamp)), _BEST_EFFORT)
+        BENCH_STATE.subscription(self, self._on_bench_state)
+        EXPERIMENT_STATE.subscription(self, lambda state: view.monitor.add_experiment_state(state.data, view.bench_time))
+        DAQ_STATE.subscription(self, self._on_daq_state)
+        RECORDER_STATE.subscription(self, self._on_recorder_state)
+        DIAGNOSTICS.subscription(self, self._on_diagnostics)
+
+    def _on_lease(self, lease: Lease) -> None:
+        self._view.hear_lease(seconds(lease.header.stamp))
+
+    def _on_samples(self, block: BenchSamples) -> None:
+        time, period = seconds(block.header.stamp), block.sample_period
+        series = np.asarray(block.position), np.asarray(block.force), np.asarray(block.coil_current)
+        self._view.monitor.add_samples(time, period, *series)
+        self._view.samples.add(block.sequence, time, period, *series)
+
+    def _on_servo_state(self, state: ServoState) -> None:
+        fields = {name: getattr(state, name) for name in (*_STATUS_FIELDS, *_STATUS_FLAGS)}
+        self._view.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
+
+    def _on_bench_state(self, state: BenchState) -> None:
+        self._view.mode, self._view.reason = Mode(state.mode), state.message
+
+    def _on_daq_state(self, status: DiagnosticStatus) -> None:
+        self._view.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""
+
+    def _on_recorder_state(self, status: DiagnosticStatus) -> None:
+        state = next((value.value for value in status.values if value.key == "state"), "")
+        problem = status.message if status.level == DiagnosticStatus.ERROR else ""
+        self._view.monitor.add_recorder_state(state, problem, self._view.bench_time)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        prefix = f"{self.get_namespace().strip('/')}/"
+        for status in message.status:
+            name = status.name.partition(":")[0]
+            if name.startswith(prefix):
+                values = {value.key: value.value for value in status.values}
+                level = int.from_bytes(status.level, "little")
+                self._view.nodes[name.removeprefix(prefix)] = NodeHealth(level, status.message, values, self.bench.now())
+
+    def close(self) -> None:
+        """End the web server. The bench goes on."""
+        self._server.close()
+        self._workers.shutdown(wait=False, cancel_futures=True)
+        self._audit.close()
+
+
+def _supervisor_config(bench_file: str) -> SupervisorConfig:
+    if not bench_file:
+        return SupervisorConfig()
+    return from_mapping(SupervisorConfig, read_node_parameters(bench_file, "supervisor"), bench_file)
+
+
+def _experiments(folder: str) -> Path:
+    if folder:
+        return Path(folder).expanduser()
+    return Path(get_package_share_directory("mrd_bringup"), "config", "experiments")
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_dashboard page``."""
+    # Commands are sent from the thread of the web server; this executor may be used from two threads.
+    run_node(Page, SingleThreadedExecutor)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""The live page: plots, requests to the bench, its state, and a lamp for each interlock."""
+
+from pathlib import Path
+
+from nicegui import ui
+
+from mrd_base import InputError
+from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
+from mrd_dashboard.lamps import Lamp
+from mrd_dashboard.live_frame import LivePrediction
+from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.plots import chart, live_panels
+from mrd_identification.fit_file import read_fit
+
+REFRESH = 0.2
+"""Wall time in s between two looks at the state of the bench."""
+
+_ICONS = {"ok": ("check_circle", "positive"), "warning": ("warning", "warning"), "tripped": ("cancel", "negative")}
+_LEVELS = ("ok", "warning", "tripped", "tripped")
+
+# The browser asks for a frame once it has drawn the one before, so that a slow one never has frames waiting for it.
+_PULL = """
+(() => {
+  let busy = false;
+  window.mrdFrames = 0;
+  setInterval(async () => {
+    // Under another tab of the page, the chart is not there; later it is there again.
+    const chart = getElement(ID)?.chart;
+    if (!chart || busy || document.hidden || !document.getElementById('cID')?.offsetParent) return;
+    busy = true;
+    try {
+      const answer = await fetch('/live.json');
+      if (answer.ok) {
+        chart.setOption({dataset: {source: await answer.json()}}, {lazyUpdate: false});
+        window.mrdFrames += 1;
+      }
+    } catch (error) { /* the server is away; the page says so */ }
+    busy = false;
+  }, PERIOD);
+})();
+"""
+
+
+def live_page(dashboard: Dashboard, who: Visitor) -> None:
+    """Build the live page."""
+    with ui.row().classes("w-full no-wrap items-start gap-4 max-lg:flex-wrap"):
+        with ui.column().classes("grow min-w-0 gap-2"):
+            _requests(dashboard, who)
+            _plots(dashboard)
+        with ui.column().classes("w-96 max-lg:w-full shrink-0 gap-4"):
+            _lamps(dashboard)
+            _state(dashboard)
+
+
+def _requests(dashboard: Dashboard, who: Visitor) -> None:
+    async def ask(name: str) -> None:
+        tell(await dashboard.call(who, name))
+
+    with ui.row().classes("items-center gap-2"):
+        for name, doc in CALLS.items():
+            ui.button(name, on_click=lambda name=name: ask(name)).props("outline dense no-caps padding='4px 12px'").tooltip(
+                doc
+            )
+
+
+def _plots(dashboard: Dashboard) -> None:
+    panels = live_panels(dashboard.bench.supervisor.limits)
+
+    def options(show_limits: bool) -> dict[str, object]:
+        return chart(panels, show_limits=show_limits)
+
+    with ui.row().classes("w-full items-center gap-4"):
+        limits = ui.switch("axes reach to the limits", on_change=lambda event: show(event.value)).props("dense")
+        fits = {str(path): str(path.parent.name) for path in _fits(dashboard)}
+        shown = dashboard.prediction.name if dashboard.prediction else ""  # one for all who look
+        ui.select(
+            {"": "no prediction", **fits},
+            value=shown if shown in fits else "",
+            label="predicted by",
+            on_change=lambda event: predict(event.value),
+        ).props("dense").classes("w-64").mark("prediction")
+    plots = ui.echart(options(False)).classes("w-full").style("height: max(560px, calc(100vh - 210px))").mark("plots")
+
+    def show(show_limits: bool) -> None:
+        plots.options.update(options(show_limits))
+
+    def predict(path: str) -> None:
+        try:
+            dashboard.prediction = LivePrediction.of_fit(read_fit(path), path) if path else None
+        except InputError as error:
+            ui.notify(str(error), type="negative")
+
+    limits.value = True
+    script = _PULL.replace("ID", str(plots.id)).replace("PERIOD", str(int(1e3 * FRAME_PERIOD)))
+    ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
+
+
+def _fits(dashboard: Dashboard) -> list[Path]:
+    """Return the fits among the results, the latest first."""
+    return sorted(dashboard.jobs.folder.glob("*/fit.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+
+
+def _lamps(dashboard: Dashboard) -> None:
+    with ui.card().classes("w-full gap-0 p-3"):
+        ui.label("Interlocks").classes("text-base font-medium")
+        rows = {lamp.name: _LampRow(lamp) for lamp in dashboard.bench.lamps()}
+
+    def refresh() -> None:
+        for lamp in dashboard.bench.lamps():
+            rows[lamp.name].show(lamp)
+
+    ui.timer(REFRESH, refresh)
+
+
+class _LampRow:
+    """A lamp with value and limit, and beneath it cause and remedy while there is one."""
+
+    def __init__(self, lamp: Lamp) -> None:
+        with ui.row().classes("w-full items-center no-wrap gap-2 leading-7"):
+            self._icon = ui.icon("check_circle").classes("text-lg")
+            ui.label(lamp.name).classes("grow whitespace-nowrap")
+            self._value = ui.label().classes("text-right font-mono text-xs whitespace-nowrap")
+            self._limit = ui.label().classes("text-right font-mono text-xs opacity-60 w-28 whitespace-nowrap")
+        self._cause = ui.label().classes("text-sm pl-7 pb-1").mark(f"cause {lamp.name}")
+        self._shown: Lamp | None = None
+        self.show(lamp)
+
+    def show(self, lamp: Lamp) -> None:
+        """Show a state of the lamp."""
+        if lamp == self._shown:
+            return
+        if self._shown is None or lamp.status != self._shown.status:
+            icon, colour = _ICONS[lamp.status]
+            self._icon.props(f"name={icon} color={colour} aria-label={lamp.status}")
+        self._shown = lamp
+        self._value.text, self._limit.text = lamp.value, lamp.limit
+        self._cause.text = "; ".join(filter(None, (lamp.cause, lamp.remedy)))
+        self._cause.set_visibility(bool(lamp.cause))
+
+
+def _state(dashboard: Dashboard) -> None:
+    with ui.card().classes("w-full gap-1 p-3"):
+        ui.label("Servo, DAQ, recorder").classes("text-base font-medium")
+        servo = ui.label().classes("text-sm whitespace-pre-line")
+        others = ui.label().classes("text-sm whitespace-pre-line")
+    with ui.card().classes("w-full gap-0 p-3"):
+        ui.label("Diagnostics").classes("text-base font-medium")
+        nodes = ui.column().classes("w-full gap-0")
+    shown: list[object] = [None]
+
+    def refresh() -> None:
+        servo.text, others.text = _servo_text(dashboard), _others_text(dashboard)
+        health = [(name, node.level, node.message) for name, node in sorted(dashboard.bench.nodes.items())]
+        if health == shown[0]:
+            return
+        shown[0] = health
+        nodes.clear()
+        with nodes:
+            for name, level, message in health:
+                icon, colour = _ICONS[_LEVELS[min(level, 3)]]
+                with ui.row().classes("w-full items-start no-wrap gap-2"):
+                    ui.icon(icon, color=colour).classes("text-lg")
+                    ui.label(name).classes("w-24 text-sm")
+                    ui.label(message).classes("grow text-sm opacity-80")
+
+    ui.timer(REFRESH, refresh)
+
+
+def _servo_text(dashboard: Dashboard) -> str:
+    servo = dashboard.bench.monitor.servo
+    if servo is None:
+        return "servo: not heard yet"
+    words = [word for word, on in (("homed", servo.homed), ("drive on", servo.enabled), ("moves", servo.moving)) if on]
+    return (
+        f"servo: {', '.join(words) or 'drive off, not homed'}{'; ' + servo.message if servo.message else ''}\n"
+        f"position {1e3 * servo.position:.2f} mm, {1e3 * servo.velocity:.0f} mm/s\n"
+        f"supply {servo.bus_voltage:.1f} V, motor {servo.temperature:.0f} °C"
+    )
+
+
+def _others_text(dashboard: Dashboard) -> str:
+    monitor = dashboard.bench.monitor
+    rate = f"{1 / monitor.sample_period:.0f} Hz" if monitor.sample_period > 0 else "no samples yet"
+    recorder = monitor.recorder_state or "not heard yet"
+    return (
+        f"DAQ: {monitor.daq_problem or rate}\nrecorder: {monitor.recording_problem or recorder}\n"
+        f"experiment: {monitor.experiment_state or 'none'}"
+    )

@@ -1,0 +1,134 @@
+"""Options of the plots (ECharts): colours that can be told apart in both themes, one table behind all curves."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mrd_trajectory.limits import Limits
+
+# Measured, predicted, residual: distinguishable with red-green blindness, on white and on black (Okabe and Ito, 2008).
+MEASURED, PREDICTED, RESIDUAL, LIMIT = "#2b8cd6", "#e69f00", "#009e73", "#d55e00"
+_AXIS, _GRID = "#808080", "#80808040"
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One plot: its place in percent of the chart, its curves, and its limits.
+
+    Attributes
+    ----------
+    x, y : str
+        Columns; ``y`` of the first curve names the axis.
+    place : tuple of float
+        Left, top, width, height in percent.
+    curves : sequence of (str, str, str)
+        Column, colour, and name of each curve.
+    x_limits, y_limits : tuple of float
+        Where lines are drawn, in the unit of the axis.
+    """
+
+    x: str
+    place: tuple[float, float, float, float]
+    curves: Sequence[tuple[str, str, str]]
+    x_limits: tuple[float, ...] = ()
+    y_limits: tuple[float, ...] = ()
+
+
+def title(column: str) -> str:
+    """Return the title of an axis: the quantity and its unit, from the name of the column."""
+    name, _, unit = column.partition("_")
+    return f"{name} / {unit.replace('_per_', '/')}" if unit else name
+
+
+def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the options of a chart with several plots over one table.
+
+    Parameters
+    ----------
+    show_limits : bool
+        Whether the axes reach to the limits; else they follow the curves.
+    columns : mapping, optional
+        The table.
+    """
+    grids, x_axes, y_axes, series = [], [], [], []
+    for index, panel in enumerate(panels):
+        left, top, width, height = panel.place
+        grids.append({"left": f"{left}%", "top": f"{top}%", "width": f"{width}%", "height": f"{height}%"})
+        x_axes.append(_axis(index, title(panel.x), panel.x_limits, show_limits, gap=22))
+        y_axes.append(_axis(index, title(panel.curves[0][0]), panel.y_limits, show_limits, gap=44))
+        if panel.x == "time_s":
+            x_axes[-1] |= {"min": "dataMin", "max": "dataMax", "scale": True}
+        lines = [{"yAxis": limit} for limit in panel.y_limits] + [{"xAxis": limit} for limit in panel.x_limits]
+        for number, (column, colour, name) in enumerate(panel.curves):
+            curve: dict[str, Any] = {
+                "type": "line",
+                "name": name,
+                "xAxisIndex": index,
+                "yAxisIndex": index,
+                "encode": {"x": panel.x, "y": column},
+                "showSymbol": False,
+                "silent": True,
+                "lineStyle": {"width": 1.5, "color": colour},
+                "itemStyle": {"color": colour},
+            }
+            if number == 0 and lines:
+                style = {"color": LIMIT, "type": "dashed", "width": 1}
+                curve["markLine"] = {
+                    "symbol": "none",
+                    "silent": True,
+                    "label": {"show": False},
+                    "lineStyle": style,
+                    "data": lines,
+                }
+            series.append(curve)
+    return {
+        "animation": False,
+        # Without columns, ECharts does not know what kind of table it is.
+        "dataset": {"source": dict(columns or {name: [] for panel in panels for name in (panel.x, panel.curves[0][0])})},
+        "grid": grids,
+        "xAxis": x_axes,
+        "yAxis": y_axes,
+        "series": series,
+    }
+
+
+def _axis(index: int, name: str, limits: tuple[float, ...], show_limits: bool, gap: int) -> dict[str, Any]:
+    axis: dict[str, Any] = {
+        "type": "value",
+        "gridIndex": index,
+        "name": name,
+        "nameLocation": "middle",
+        "nameGap": gap,
+        "nameTextStyle": {"color": _AXIS},
+        # The ends of an axis are no round numbers.
+        "axisLabel": {"color": _AXIS, "hideOverlap": True, "showMinLabel": False, "showMaxLabel": False},
+        "axisLine": {"lineStyle": {"color": _AXIS}},
+        "splitLine": {"lineStyle": {"color": _GRID}},
+        "scale": True,
+    }
+    if limits and show_limits:
+        margin = 0.06 * (max(limits) - min(limits))
+        axis |= {"min": min(limits) - margin, "max": max(limits) + margin}
+    return axis
+
+
+def live_panels(limits: Limits) -> list[Panel]:
+    """Return the plots of the live page: over time force, residual, position and current; then the two loops."""
+    force = (-limits.force, limits.force)
+    reach = (-1e3 * limits.reach, 1e3 * limits.reach)
+    speed = (-1e3 * limits.speed, 1e3 * limits.speed)
+    current = (1e3 * limits.current_min, 1e3 * limits.current_max)
+    both = [("force_N", MEASURED, "measured"), ("predicted_N", PREDICTED, "predicted")]
+    return [
+        Panel("time_s", (6, 2, 42, 24), both, (), force),
+        Panel("time_s", (6, 33, 42, 10), [("residual_N", RESIDUAL, "residual")]),
+        Panel("time_s", (6, 51, 42, 17), [("position_mm", MEASURED, "position")], (), reach),
+        Panel("time_s", (6, 76, 42, 17), [("current_mA", MEASURED, "current")], (), current),
+        Panel("velocity_mm_per_s", (56, 2, 42, 40), both, speed, force),
+        Panel("position_mm", (56, 51, 42, 42), both, reach, force),
+    ]
+
+
+def zoomed(panel: Panel) -> bool:
+    """Return whether the axes of a plot follow its curves at first: the shape of a loop matters more than its limits."""
+    return panel.x != "time_s"

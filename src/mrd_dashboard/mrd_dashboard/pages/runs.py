@@ -1,0 +1,193 @@
+"""The page of the runs: choose an experiment, look at it before it runs, the queue, the recordings."""
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import ui
+
+from mrd_base import InputError
+from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.experiment_form import Preview, form_of, form_text, preview, read_experiments, waveform_fields
+from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
+from mrd_dashboard.pages.recordings import recordings_list
+from mrd_trajectory.waveforms import WAVEFORMS
+
+_FIRST = {
+    "name": "sine",
+    "duration_s": "10",
+    "rate_hz": "500",
+    "rod": {"waveform": "sine", "amplitude_mm": "8", "frequency_hz": "1"},
+    "coil": {"waveform": "constant", "level_mA": "100"},
+}
+_TOP = {
+    "name": "names the recording",
+    "duration_s": "of one pass, without transitions",
+    "rate_hz": "samples per second",
+    "repeats": "number of passes",
+}
+
+
+def runs_page(dashboard: Dashboard, who: Visitor) -> None:
+    """Build the page of the runs."""
+    with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
+        with ui.card().classes("grow min-w-0 p-3 gap-2"):
+            _form(dashboard, who)
+        with ui.card().classes("w-96 max-lg:w-full shrink-0 p-3 gap-2"):
+            _queue(dashboard, who)
+    with ui.card().classes("w-full p-3 gap-2 mt-4"):
+        recordings_list(dashboard, who)
+
+
+def _form(dashboard: Dashboard, who: Visitor) -> None:
+    form: dict[str, Any] = {key: dict(value) if isinstance(value, dict) else value for key, value in _FIRST.items()}
+    ui.label("New run").classes("text-base font-medium")
+    experiments = read_experiments(dashboard.experiments)
+    ui.select(
+        list(experiments), label="start from", with_input=True, on_change=lambda event: start_from(event.value)
+    ).classes("w-full").props("dense").mark("start from")
+    entries = ui.column().classes("w-full gap-1")
+    with ui.row():
+        ui.button("Preview", on_click=lambda: look()).props("outline no-caps")
+        ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated")
+    answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
+    shown = ui.column().classes("w-full gap-2")
+
+    def start_from(name: str) -> None:
+        form.clear()
+        form.update(form_of(experiments[name]))
+        draw()
+
+    def draw() -> None:
+        entries.clear()
+        with entries:
+            with ui.row().classes("w-full gap-3"):
+                for key, doc in _TOP.items():
+                    ui.input(key).bind_value(form, key).props("dense").classes("w-36").tooltip(doc).mark(key)
+            for channel in ("rod", "coil"):
+                _waveform(form, channel, draw)
+
+    def look() -> Preview | None:
+        shown.clear()
+        try:
+            found = preview(form_text(form), dashboard.bench.generator)
+        except InputError as error:
+            answer.text = str(error)
+            return None
+        answer.text = ""
+        with shown:
+            _show_preview(found)
+        return found
+
+    async def add() -> None:
+        found = look()
+        if found is None:
+            return
+
+        async def work() -> str:
+            run = dashboard.queue.add(found.experiment.name, found.text, found.duration)
+            return f"run {run.number}, {found.experiment.name}, waits in the queue"
+
+        tell(await dashboard.act(who, "queue a run", work, found.experiment.name))
+
+    draw()
+
+
+def _waveform(form: dict[str, Any], channel: str, draw: Callable[[], None]) -> None:
+    chosen: dict[str, str] = form.setdefault(channel, {"waveform": "constant"})
+
+    def choose(waveform: str) -> None:
+        known = {field.key for field in waveform_fields(channel, waveform)}
+        kept = {key: value for key, value in chosen.items() if key in known}
+        chosen.clear()
+        chosen.update(waveform=waveform, **kept)
+        draw()
+
+    with ui.row().classes("w-full gap-3 items-end"):
+        ui.select(
+            list(WAVEFORMS), label=channel, value=chosen["waveform"], on_change=lambda event: choose(event.value)
+        ).props("dense").classes("w-36").mark(f"{channel} waveform")
+        for field in waveform_fields(channel, chosen["waveform"]):
+            ui.input(field.key, placeholder=field.default).bind_value(chosen, field.key).props("dense stack-label").classes(
+                "w-36"
+            ).tooltip(field.doc).mark(f"{channel} {field.key}")
+
+
+def _show_preview(found: Preview) -> None:
+    ui.label(f"{found.experiment.name}: {found.duration:.1f} s, within the limits").classes("text-sm").mark("preview")
+    panels = [
+        Panel("time_s", (8, 4, 88, 24), [("position_mm", MEASURED, "position")]),
+        Panel("time_s", (8, 37, 88, 22), [("velocity_mm_per_s", MEASURED, "velocity")]),
+        Panel("time_s", (8, 68, 88, 20), [("current_mA", PREDICTED, "current")]),
+    ]
+    ui.echart(chart(panels, columns=found.curves)).classes("w-full h-96")
+    columns = [{"name": name, "label": name, "field": name, "align": "left"} for name in ("peak", "value", "limit", "unit")]
+    rows = [
+        {"peak": peak.quantity, "value": f"{peak.value:.4g}", "limit": f"{peak.limit:.4g}", "unit": peak.unit}
+        for peak in found.peaks
+    ]
+    ui.table(columns=columns, rows=rows).props("dense flat").classes("w-full")
+
+
+_STATES = {
+    "waiting": ("schedule", "grey"),
+    "running": ("play_circle", "primary"),
+    "done": ("check_circle", "positive"),
+    "failed": ("cancel", "negative"),
+    "stopped": ("stop_circle", "warning"),
+}
+
+
+def _queue(dashboard: Dashboard, who: Visitor) -> None:
+    ui.label("Queue").classes("text-base font-medium")
+    with ui.row().classes("w-full items-center"):
+        left = ui.label().classes("text-sm grow").mark("time left")
+        pause = ui.button("Pause", on_click=lambda: change_pause()).props("outline dense no-caps padding='2px 10px'")
+    bar = ui.linear_progress(0.0, show_value=False).props("rounded")
+    rows = ui.column().classes("w-full gap-1")
+    shown: list[object] = [None]
+
+    async def change_pause() -> None:
+        async def work() -> str:
+            dashboard.queue.paused = not dashboard.queue.paused
+            return "the queue waits" if dashboard.queue.paused else "the queue goes on"
+
+        tell(await dashboard.act(who, "pause or resume the queue", work))
+
+    async def act(action: str, number: int) -> None:
+        async def work() -> str:
+            if action == "retry":
+                return f"run {dashboard.queue.retry(number).number} waits in the queue"
+            dashboard.queue.remove(number)
+            return f"run {number} is out of the queue"
+
+        tell(await dashboard.act(who, f"{action} a run", work, str(number)))
+
+    def refresh() -> None:
+        queue = dashboard.queue
+        waiting = sum(run.state == "waiting" for run in queue.runs)
+        paused = ", paused" if queue.paused else ""
+        left.text = f"{waiting} waiting, about {queue.time_left:.0f} s left{paused}" if queue.time_left else f"empty{paused}"
+        pause.text = "Resume" if queue.paused else "Pause"
+        running = queue.running
+        bar.value = min(1.0, running.elapsed / running.duration) if running else 0.0
+        state = [(run.number, run.state, run.phase, run.message) for run in queue.runs]
+        if state == shown[0]:
+            return
+        shown[0] = state
+        rows.clear()
+        with rows:
+            for run in reversed(queue.runs):
+                icon, colour = _STATES[run.state]
+                with ui.row().classes("w-full items-start no-wrap gap-2"):
+                    ui.icon(icon, color=colour).classes("text-lg").tooltip(run.state)
+                    ui.label(f"{run.number} {run.name}").classes("text-sm")
+                    ui.label(run.phase or run.message).classes("grow text-sm opacity-80 break-words min-w-0")
+                    if run.state in ("failed", "stopped", "done"):
+                        button = ui.button(icon="replay", on_click=lambda n=run.number: act("retry", n))
+                        button.props("flat dense size=sm").tooltip("try again").mark(f"retry {run.number}")
+                    if run.state != "running":
+                        button = ui.button(icon="close", on_click=lambda n=run.number: act("remove", n))
+                        button.props("flat dense size=sm").tooltip("take out of the list")
+
+    ui.timer(0.2, refresh)

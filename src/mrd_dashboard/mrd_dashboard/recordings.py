@@ -1,0 +1,207 @@
+"""The recordings of the bench: finding, describing, searching and deleting them.
+
+What people add to a recording stands in a file of the recording's own folder, so that it moves with it.
+"""
+
+import dataclasses
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
+
+NOTES_FILE = "notes.yaml"
+CACHE_FOLDER = ".page"
+"""Folder, among the recordings, of what the page can compute again."""
+LONGEST_NOTE = 10_000
+"""Characters."""
+
+
+@dataclass(frozen=True)
+class Notes:
+    """What people add to a recording; units in the names."""
+
+    damper: str = quantity("", "", "serial number of the damper")
+    temperature: float | None = quantity(None, "degC", "of the damper", lower=-60, upper=200)
+    tags: tuple[str, ...] = quantity((), "", "words to find the recording by")
+    text: str = quantity("", "", "anything else")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recorded bag.
+
+    Attributes
+    ----------
+    id : str
+        Path within the folder of the recordings, with /.
+    path : Path
+    modified : float
+        Unix time in s of the last change of its folder.
+    notes : Notes
+    problem : str
+        Why its notes cannot be read, or "".
+    """
+
+    id: str
+    path: Path
+    modified: float
+    notes: Notes = Notes()
+    problem: str = ""
+
+    @property
+    def date(self) -> str:
+        """The time of the recording's end as people read it, UTC."""
+        return f"{datetime.fromtimestamp(self.modified, UTC):%Y-%m-%d %H:%M}"
+
+    def matches(self, search: str) -> bool:
+        """Return whether all words of a search stand in its name, its notes, or its date."""
+        notes = self.notes
+        text = " ".join([self.id, self.date, notes.damper, *notes.tags, notes.text]).casefold()
+        return all(word in text for word in search.casefold().split())
+
+
+def new_name(name: str) -> str:
+    """Return the name of a run, or refuse it.
+
+    Raises
+    ------
+    InputError
+        For a name that is more, or less, than the name of one folder.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
+        raise InputError(f"name: found {name[:80]!r}, expected 1 to 64 letters, digits, - and _")
+    return name
+
+
+@dataclass
+class Recordings:
+    """The recordings in a folder, and in the folders therein.
+
+    Attributes
+    ----------
+    folder : Path
+    """
+
+    folder: Path
+    _notes: dict[Path, tuple[int, Notes, str]] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        self.folder = self.folder.expanduser().resolve()
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def search(self, search: str = "") -> list[Recording]:
+        """Return the recordings that match a search, the latest first."""
+        found = [recording for recording in self._scan(self.folder, 2) if recording.matches(search)]
+        return sorted(found, key=lambda recording: (-recording.modified, recording.id))
+
+    def _scan(self, folder: Path, depth: int) -> list[Recording]:
+        found = []
+        try:
+            entries = list(os.scandir(folder))
+        except OSError:
+            return []  # somebody has just deleted it
+        for entry in entries:
+            # A link could lead out of the folder.
+            if not entry.is_dir(follow_symlinks=False) or entry.name.startswith("."):
+                continue
+            path = Path(entry.path)
+            if _is_bag(path):
+                notes, problem = self._read_notes(path)
+                modified = entry.stat(follow_symlinks=False).st_mtime
+                found.append(Recording(path.relative_to(self.folder).as_posix(), path, modified, notes, problem))
+            elif depth > 1:
+                found += self._scan(path, depth - 1)
+        return found
+
+    def _read_notes(self, path: Path) -> tuple[Notes, str]:
+        file = path / NOTES_FILE
+        try:
+            changed = file.stat().st_mtime_ns
+        except OSError:
+            return Notes(), ""
+        known = self._notes.get(file)
+        if known is None or known[0] != changed:
+            try:
+                content = {key: value for key, value in read_yaml(file).items() if value not in ([], None)}
+                known = changed, from_mapping(Notes, content, str(file)), ""
+            except InputError as error:
+                known = changed, Notes(), str(error)
+            self._notes[file] = known
+        return known[1:]
+
+    def find(self, recording: str) -> Recording:
+        """Return a recording by its id.
+
+        Raises
+        ------
+        InputError
+            When there is none; a path that leads elsewhere is none.
+        """
+        parts = recording.split("/")
+        path = self.folder.joinpath(*parts)
+        inside = 1 <= len(parts) <= 2 and all(part and part[0] != "." and "\0" not in part for part in parts)
+        if not inside or path.resolve() != path or not _is_bag(path):
+            raise InputError(f"{recording[:200]}: no recording of {self.folder} has this name; look at the list again")
+        notes, problem = self._read_notes(path)
+        return Recording(recording, path, path.stat().st_mtime, notes, problem)
+
+    def new_folder(self, name: str) -> Path:
+        """Return the path for a new recording of a run, named after it and the time."""
+        path = self.folder / f"{new_name(name)}-{datetime.now():%Y%m%d-%H%M%S}"
+        number = 2
+        while path.exists():
+            path, number = path.with_name(f"{path.name}-{number}"), number + 1
+        return path
+
+    def write_notes(self, recording: str, notes: Notes) -> None:
+        """Keep notes with a recording."""
+        found = self.find(recording)
+        modified = found.path.stat()
+        if len(notes.text) > LONGEST_NOTE:
+            raise InputError(f"note: has {len(notes.text)} characters, expected at most {LONGEST_NOTE}")
+        file = found.path / NOTES_FILE
+        part = file.with_name(f".{NOTES_FILE}.part")
+        part.write_text(yaml.safe_dump(to_mapping(notes), sort_keys=False, allow_unicode=True), encoding="utf-8")
+        part.replace(file)
+        # The order of the list is that of the recordings, not of their notes.
+        os.utime(found.path, ns=(modified.st_atime_ns, modified.st_mtime_ns))
+
+    def delete(self, recording: str) -> None:
+        """Delete a recording for ever."""
+        shutil.rmtree(self.find(recording).path)
+
+
+def make_notes(mapping: Mapping[str, Any]) -> Notes:
+    """Return the notes of a form: texts ``damper``, ``tags`` (words with commas), ``text``, number ``temperature_degC``.
+
+    Raises
+    ------
+    InputError
+        For a temperature out of range.
+    """
+    tags = [word.strip() for word in str(mapping.get("tags") or "").split(",") if word.strip()]
+    content: dict[str, Any] = {
+        "damper": str(mapping.get("damper") or "").strip(),
+        "text": str(mapping.get("text") or ""),
+        "temperature_degC": mapping.get("temperature_degC"),
+    }
+    if tags:
+        content["tags"] = tags
+    return from_mapping(Notes, {key: value for key, value in content.items() if value is not None}, "notes")
+
+
+def notes_form(notes: Notes) -> dict[str, Any]:
+    """Return the texts of the form for notes; `make_notes` reads them back."""
+    return {**dataclasses.asdict(notes), "tags": ", ".join(notes.tags), "temperature_degC": notes.temperature}
+
+
+def _is_bag(path: Path) -> bool:
+    return (path / "metadata.yaml").is_file()

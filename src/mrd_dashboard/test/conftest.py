@@ -1,0 +1,77 @@
+"""A dashboard without a bench: what it asks for is noted, and a run writes a small bag."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mrd_base import InputError
+from mrd_dashboard.audit import AuditLog
+from mrd_dashboard.bench_view import BenchView
+from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
+from mrd_dashboard.jobs import Jobs
+from mrd_dashboard.recordings import Recordings
+from mrd_dashboard.run_queue import RunQueue
+
+EXPERIMENTS = Path(__file__).resolve().parents[3] / "config/experiments"
+
+
+class NotedCommands:
+    """Notes what is asked for. ``refusal`` is the reason for which everything but the emergency stop is refused."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+        self.refusal = ""
+
+    def emergency_stop(self) -> None:
+        self.asked.append("emergency stop")
+
+    async def call(self, name: str) -> str:
+        self.asked.append(name)
+        if self.refusal:
+            raise InputError(self.refusal)
+        return f"{name}: done"
+
+    async def run_experiment(self, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+        self.asked.append((experiment, bag.name, seed))
+        if self.refusal:
+            raise InputError(self.refusal)
+        progress("running", 1.0)
+        make_bag(bag)
+        return RunOutcome(True, "12 samples in 0.1 s, none lost", str(bag))
+
+
+def make_bag(path: Path) -> Path:
+    """Make a folder that looks like a bag, whose samples cannot be read."""
+    path.mkdir(parents=True)
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    return path
+
+
+@pytest.fixture
+def commands() -> NotedCommands:
+    return NotedCommands()
+
+
+@pytest.fixture
+def dashboard(tmp_path: Path, commands: NotedCommands) -> Iterator[Dashboard]:
+    recordings = Recordings(tmp_path / "runs")
+    audit = AuditLog(recordings.folder / "audit.jsonl")
+    yield Dashboard(
+        BenchView(),
+        commands,
+        recordings,
+        RunQueue(recordings.folder / "queue.json"),
+        Jobs(recordings.folder / "results"),
+        ControlRight(),
+        audit,
+        EXPERIMENTS,
+    )
+    audit.close()
+
+
+@pytest.fixture
+def new_bag() -> Callable[[Path], Path]:
+    return make_bag

@@ -1,0 +1,272 @@
+"""Recordings, the form of an experiment, the queue, and what the page does with them."""
+
+import asyncio
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from mrd_base import InputError
+from mrd_dashboard.dashboard import Visitor, run_next
+from mrd_dashboard.experiment_form import form_of, form_text, preview, read_experiments, waveform_fields
+from mrd_dashboard.look import Look, cached_look, keep_look, look_at
+from mrd_dashboard.recordings import Notes, make_notes, notes_form
+from mrd_dashboard.run_queue import RunQueue
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.settings import GeneratorSettings
+from mrd_trajectory.waveforms import CHANNEL_UNITS, WAVEFORMS
+
+ANN, BOB = Visitor("a", "Ann"), Visitor("b", "Bob")
+SINE = """
+name: sine
+duration_s: 5
+rate_hz: 500
+rod: {waveform: sine, amplitude_mm: 8, frequency_hz: 1}
+coil: {waveform: constant, level_mA: 100}
+"""
+
+
+# Recordings
+
+
+def test_recordings_are_found_with_their_notes(dashboard, new_bag) -> None:
+    recordings = dashboard.recordings
+    for number, name in enumerate(("sine-1", "set/a", "set/b")):
+        new_bag(recordings.folder / name)
+        os.utime(recordings.folder / name, (1e9 + number, 1e9 + number))
+    (recordings.folder / "set/notes").mkdir()
+    recordings.write_notes("set/a", Notes(damper="RD-17", temperature=31.5, tags=("hot", "worn"), text="Rückseite schabt"))
+    assert [recording.id for recording in recordings.search()] == ["set/b", "set/a", "sine-1"]
+    assert [recording.id for recording in recordings.search("rd-17 HOT")] == ["set/a"]
+    assert recordings.search("cold") == []
+    assert recordings.find("set/a").notes.temperature == 31.5
+
+
+def test_notes_are_kept_in_the_folder_of_the_recording(dashboard, new_bag) -> None:
+    path = new_bag(dashboard.recordings.folder / "sine-1")
+    notes = Notes(text="<script>alert(1)</script>: 'x'\nsecond line", tags=("a", "b"))
+    dashboard.recordings.write_notes("sine-1", notes)
+    path.rename(dashboard.recordings.folder / "moved")
+    assert dashboard.recordings.find("moved").notes == notes
+
+
+def test_the_form_of_notes_reads_what_it_shows() -> None:
+    notes = Notes("RD-17", 22.0, ("a", "b"), "text")
+    assert make_notes(notes_form(notes)) == notes
+    assert make_notes(notes_form(Notes())) == Notes()
+    with pytest.raises(InputError, match="temperature_degC"):
+        make_notes({"temperature_degC": 900.0})
+
+
+def test_notes_that_cannot_be_read_hide_no_recording(dashboard, new_bag) -> None:
+    (new_bag(dashboard.recordings.folder / "sine-1") / "notes.yaml").write_text("damper: [unclosed\n")
+    (found,) = dashboard.recordings.search()
+    assert "notes.yaml" in found.problem
+
+
+def test_a_link_is_no_recording(dashboard, new_bag, tmp_path: Path) -> None:
+    new_bag(tmp_path / "elsewhere")
+    (dashboard.recordings.folder / "link").symlink_to(tmp_path / "elsewhere")
+    assert dashboard.recordings.search() == []
+    with pytest.raises(InputError, match="no recording"):
+        dashboard.recordings.find("link")
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", "x" * 65, "a b", ".", "a\n"])
+def test_the_name_of_a_run_is_the_name_of_one_folder(dashboard, name: str) -> None:
+    with pytest.raises(InputError, match="name"):
+        dashboard.recordings.new_folder(name)
+
+
+def test_a_new_recording_has_a_folder_of_its_own(dashboard, new_bag) -> None:
+    first = new_bag(dashboard.recordings.new_folder("sine"))
+    assert dashboard.recordings.new_folder("sine") != first
+
+
+def test_ten_thousand_recordings_are_listed_within_seconds(dashboard) -> None:
+    for number in range(10_000):
+        path = dashboard.recordings.folder / f"run-{number}"
+        path.mkdir()
+        (path / "metadata.yaml").touch()
+    begun = time.process_time()
+    assert len(dashboard.recordings.search()) == 10_000
+    assert len(dashboard.recordings.search("run-77 ")) == 111
+    assert time.process_time() - begun < 10.0
+
+
+def test_a_recording_is_deleted_with_what_is_known_of_it(dashboard, new_bag) -> None:
+    path = new_bag(dashboard.recordings.folder / "set/a")
+    asyncio.run(dashboard.look(dashboard.recordings.find("set/a")))
+    assert list(dashboard.recordings.folder.glob(".page/*.json"))
+    dashboard.delete("set/a")
+    assert not path.exists()
+    assert not list(dashboard.recordings.folder.glob(".page/*.json"))
+    with pytest.raises(InputError, match="no recording"):
+        dashboard.delete("set/a")
+
+
+def test_what_is_being_recorded_is_not_deleted(dashboard, new_bag) -> None:
+    path = new_bag(dashboard.recordings.folder / "sine-1")
+    dashboard.queue.start(dashboard.queue.add("sine", SINE, 5.0).number, path)
+    with pytest.raises(InputError, match="stop the run"):
+        dashboard.delete("sine-1")
+    assert path.exists()
+
+
+# A look at a recording
+
+
+def test_a_look_finds_facts_and_faults(recorded: list[str]) -> None:
+    look = look_at(recorded[0])
+    assert look.duration == pytest.approx(5.996)
+    assert look.rate == pytest.approx(250)
+    assert look.picture.count(",") > 100
+    assert not look.problem
+
+
+def test_a_look_at_what_is_no_recording_says_so(new_bag, tmp_path: Path) -> None:
+    assert look_at(str(new_bag(tmp_path / "x"))).problem
+
+
+def test_a_look_is_kept_until_the_recording_changes(new_bag, tmp_path: Path) -> None:
+    bag, cache = new_bag(tmp_path / "x"), tmp_path / "cache.json"
+    (bag / "x.mcap").write_text("1")
+    look = Look(duration=1.5, findings=(("fault", "the clock stands"),))
+    keep_look(look, bag, cache)
+    assert cached_look(bag, cache) == look
+    assert look.verdict == "fault"
+    (bag / "x.mcap").write_text("12")
+    assert cached_look(bag, cache) is None
+    cache.write_text("no JSON")
+    assert cached_look(bag, cache) is None
+
+
+# The form
+
+
+@pytest.mark.parametrize("waveform", WAVEFORMS)
+@pytest.mark.parametrize("channel", CHANNEL_UNITS)
+def test_every_waveform_has_a_form(channel: str, waveform: str) -> None:
+    fields = waveform_fields(channel, waveform)
+    assert fields
+    assert all(field.key and field.doc for field in fields)
+
+
+def test_every_shipped_experiment_passes_through_the_form(dashboard) -> None:
+    experiments = read_experiments(dashboard.experiments)
+    assert len(experiments) > 10
+    for experiment in experiments.values():
+        assert parse_experiment(form_text(form_of(experiment)), "form") == experiment
+
+
+def test_a_preview_shows_peaks_and_curves() -> None:
+    found = preview(SINE, GeneratorSettings())
+    assert found.duration > 5.0
+    assert max(found.curves["position_mm"]) == pytest.approx(8.0, abs=0.1)
+    assert all(peak.value <= peak.limit for peak in found.peaks if peak.quantity != "least current")
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [(("8,", "80,"), "exceeds ±26 mm"), (("sine,", "sin,"), "unknown waveform sin"), (("8,", "eight,"), "amplitude_mm")],
+)
+def test_a_preview_refuses_in_one_line(change: tuple[str, str], found: str) -> None:
+    with pytest.raises(InputError, match=found) as caught:
+        preview(SINE.replace(*change), GeneratorSettings())
+    assert "\n" not in str(caught.value)
+
+
+# The queue
+
+
+def test_runs_are_recorded_in_their_order(dashboard, commands) -> None:
+    for name in ("first", "second"):
+        dashboard.queue.add(name, SINE.replace("sine\n", f"{name}\n"), 5.0)
+    assert dashboard.queue.time_left > 10.0
+    assert asyncio.run(run_next(dashboard))
+    assert asyncio.run(run_next(dashboard))
+    assert not asyncio.run(run_next(dashboard))
+    assert [bag.partition("-")[0] for _, bag, _ in commands.asked] == ["first", "second"]
+    assert [run.state for run in dashboard.queue.runs] == ["done", "done"]
+    assert dashboard.queue.time_left == 0.0
+    # The data check came at once.
+    assert len(dashboard.looks) == 2
+
+
+def test_after_a_refusal_the_other_runs_wait(dashboard, commands) -> None:
+    commands.refusal = "the bench is in mode fault (interlock force); remove the cause, then call reset_fault"
+    for _ in range(2):
+        dashboard.queue.add("sine", SINE, 5.0)
+    assert asyncio.run(run_next(dashboard))
+    assert not asyncio.run(run_next(dashboard))
+    assert [run.state for run in dashboard.queue.runs] == ["failed", "waiting"]
+    assert "reset_fault" in dashboard.queue.runs[0].message
+    commands.refusal = ""
+    dashboard.queue.retry(1)
+    dashboard.queue.paused = False
+    assert asyncio.run(run_next(dashboard))
+    assert asyncio.run(run_next(dashboard))
+    assert [run.state for run in dashboard.queue.runs] == ["failed", "done", "done"]
+
+
+def test_the_queue_outlives_the_page(tmp_path: Path) -> None:
+    file = tmp_path / "queue.json"
+    queue = RunQueue(file)
+    queue.start(queue.add("first", SINE, 5.0).number, tmp_path / "bag")
+    queue.add("second", SINE, 5.0)
+    again = RunQueue(file)
+    assert [run.state for run in again.runs] == ["stopped", "waiting"]
+    # Nothing moves because somebody has started a page.
+    assert again.next() is None
+    assert again.add("third", SINE, 5.0).number == 3
+    file.write_text("no JSON")
+    assert RunQueue(file).runs == []
+
+
+def test_the_run_under_way_stays_in_the_queue(tmp_path: Path) -> None:
+    queue = RunQueue()
+    run = queue.add("sine", SINE, 5.0)
+    queue.start(run.number, tmp_path)
+    with pytest.raises(InputError, match="stop it first"):
+        queue.remove(run.number)
+    queue.end(run.number, "done", "", "")
+    queue.remove(run.number)
+    assert queue.runs == []
+
+
+# Acting
+
+
+def test_only_who_holds_control_commands(dashboard, commands) -> None:
+    refused = asyncio.run(dashboard.call(ANN, "home"))
+    assert not refused.success
+    assert "Take control" in refused.message
+    assert commands.asked == []
+    dashboard.control.take("a", "Ann")
+    assert asyncio.run(dashboard.call(ANN, "home")).success
+    assert not asyncio.run(dashboard.call(BOB, "home")).success
+    assert commands.asked == ["home"]
+    log = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert [(entry["who"], entry["action"], entry["result"].split(":")[0]) for entry in log] == [
+        ("Ann", "home", "refused"),
+        ("Ann", "home", "home"),
+        ("Bob", "home", "refused"),
+    ]
+
+
+def test_everybody_may_stop(dashboard, commands) -> None:
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.add("sine", SINE, 5.0)
+    assert asyncio.run(dashboard.call(BOB, "end run")).success
+    dashboard.emergency_stop(BOB)
+    assert commands.asked == ["end run", "emergency stop"]
+    assert dashboard.queue.next() is None
+
+
+def test_a_refusal_of_the_bench_reaches_the_operator(dashboard, commands) -> None:
+    dashboard.control.take("a", "Ann")
+    commands.refusal = "home is refused: the bench is in mode fault"
+    answer = asyncio.run(dashboard.call(ANN, "home"))
+    assert (answer.success, answer.message) == (False, commands.refusal)
