@@ -75,7 +75,7 @@ MODEL = DamperModel(
     odd=False,
 )
 '''
-"""A model of one's own; a test fits it."""
+"""A model of one's own; a test loads it and computes its force."""
 
 _PAGE = f"""\
 <!-- Written by `{COMMAND}`; changes belong in the catalogue or in models_page.py. -->
