@@ -70,6 +70,7 @@ def test_a_command_of_the_pages_is_one_of_its_tool(page, command, monkeypatch, t
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parse)
     monkeypatch.setattr(sys, "argv", [f"mrd {tool}", *arguments])
     monkeypatch.setattr("mrd_sim.cli.options.load_effects", lambda _folder: None)
+    monkeypatch.setattr("mrd_sim.cli.options.load_models", lambda _folder: None)
     monkeypatch.chdir(ROOT)
     with pytest.raises(ParsedError):
         import_module(entry.module).main()

@@ -22,7 +22,7 @@ SHIPPED = {Path(folder).name for folder in PROJECT["tool"]["hatch"]["build"]["ta
 
 def test_all_packages_but_the_driver_of_the_machine_are_shipped():
     packages = {file.parent.name for file in ROOT.glob("src/*/package.xml")}
-    assert packages - SHIPPED == {"mrd_interfaces", "mrd_bringup", "mrd_bench_driver"}
+    assert packages - SHIPPED == {"mrd_interfaces", "mrd_bringup", "mrd_bench_driver", "mrd_dashboard"}
 
 
 def test_all_packages_have_the_version_of_the_distribution():

@@ -274,7 +274,7 @@ def test_only_supervisor_and_operator_may_command() -> None:
         }
 
     assert may("topics", "publish", "lease") == {"/bench/supervisor"}
-    assert may("topics", "publish", "emergency_stop") == {"/bench/supervisor", "/bench/operator"}
+    assert may("topics", "publish", "emergency_stop") == {"/bench/supervisor", "/bench/operator", "/bench/page"}
     assert may("topics", "publish", "setpoint") == {"/bench/generator", "/bench/controller", "/bench/replay"}
     assert may("services", "request") == {"/bench/supervisor", "/bench/operator"}
     assert may("actions", "call") == {"/bench/operator"}

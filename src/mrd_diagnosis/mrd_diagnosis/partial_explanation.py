@@ -238,10 +238,7 @@ def _search_beside_remainder(
     causes = {}
     for effect, others in compared.alternatives.items():
         p = p_value(gains[effect], null_gains)
-        closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
-        if closed.value < THRESHOLDS.least_share_beside_form or p > THRESHOLDS.p_value:
-            continue
-        if not _holds_in_halves(others[NO_EFFECT], others[effect]):
+        if p > THRESHOLDS.p_value or not _holds_in_halves(others[NO_EFFECT], others[effect]):
             continue
         of_forms = [(others[effect], others[NO_EFFECT])] + [
             _with_and_without(*space, compared.best, effect) for space in spaces[1:]
@@ -251,6 +248,7 @@ def _search_beside_remainder(
             continue
         shares = map(float, probabilities(list(others.values()), rng))
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
+        closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
     return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
 

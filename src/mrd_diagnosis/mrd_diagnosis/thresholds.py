@@ -78,12 +78,6 @@ class Thresholds:
         "share that effects of the form must close by their own formulas to be named",
         "other forms with one effect, seed 990",
     )
-    least_share_beside_form: float = threshold(
-        0.03,
-        "of the gap",
-        "share that an effect must close beside a flexible form: less than that, the form may be wrong by",
-        "measured recordings with known errors, development seed 51",
-    )
     least_information: float = threshold(
         0.01,
         "of the most informative run before or after, whichever is less",
