@@ -96,7 +96,7 @@ def test_serial_port_to_analog_volts(graph, tmp_path):
     assert volts[0].mean() == pytest.approx(0.002 + 200 * position, abs=0.02)
     assert volts[2].mean() == pytest.approx(2.508 + 0.5 * 0.185, abs=0.01)
     assert graph.states[-1].position[0] == pytest.approx(position, abs=5e-5)
-    assert len(graph.states[-1].velocity) == len(graph.states[-1].effort) == 1
+    assert len(graph.states[-1].velocity) == len(graph.states[-1].effort) == 2
 
     assert graph.end()[1] == ""
     assert graph.process.returncode == 0
