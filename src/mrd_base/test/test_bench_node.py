@@ -198,5 +198,7 @@ def test_a_mistyped_section_of_a_parameter_file_is_named(section, hint, tmp_path
     file.write_text(f"{section}:\n  ros__parameters: {{port: /dev/file}}\n")
     node = subprocess.run([*NODE, "--ros-args", "--params-file", file], capture_output=True, text=True, timeout=20)
     assert node.returncode == 2
-    assert node.stderr.startswith(f"error: {file}: section {section}: no node has this name; {hint} (nodes: controller, daq, ")
+    assert node.stderr.startswith(
+        f"error: {file}: section {section}: no node has this name; {hint} (nodes: controller, daq, "
+    )
     assert node.stderr.count("\n") == 1
