@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -33,6 +34,7 @@ from stranger import load, rows, section
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/ros.md"
+BENCH = ROOT / "config/bench.yaml"
 SHORT = """
 name: short
 duration_s: 1.0
@@ -70,6 +72,13 @@ def again(whole_bench: Any, tmp_path: Path) -> Iterator[Any]:
         for package, name in (("mrd_identification", "identifier"), ("mrd_diagnosis", "diagnoser")):
             bench.processes.specs[name] = ProcessSpec(package, name)
             bench.processes.start(name)
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        bench.processes.specs["page"] = ProcessSpec(
+            "mrd_dashboard", "page", {"port": port, "runs": str(tmp_path), "bench": str(BENCH)}, (BENCH,), guest=True
+        )
+        bench.processes.start("page")
         options = ["-r", "__ns:=/again", "-p", f"bag:={tmp_path / 'first'}", "-p", "wait_for_subscriber:=true"]
         replay = subprocess.Popen([find_executable("mrd_runs", "replay"), "--ros-args", *options])
         yield bench
@@ -130,7 +139,7 @@ def test_the_running_graph_is_the_declared_one(again: Any) -> None:
                     found.append(f"{topic.name}: {profile}")
         return found
 
-    again.client.spin(lambda: not wrong(), 20)
+    again.client.spin(lambda: not wrong(), 60)  # the page takes some seconds to start
     assert wrong() == []
 
 

@@ -573,6 +573,29 @@ def test_the_motor_is_found_and_its_baud_rate_raised(fake):
     until(lambda: fake.motor.log[-2:] == ["X", "OFF"])
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_requests_at_any_moment_are_no_fault(seed):
+    """The drive is switched on and off while replies are on their way, and some of these are lost."""
+    bench, rng = SimulatedServo(), random.Random(seed)
+    requests = (
+        bench.servo.stop,
+        lambda: bench.servo.home(bench.now),
+        lambda: bench.servo.enable(True, bench.now),
+        lambda: bench.servo.enable(False, bench.now),
+    )
+
+    def tamper(replies):
+        if rng.random() > 0.05:
+            return replies
+        for _ in range(rng.randint(1, 2)):
+            rng.choice(requests)()
+        return replies if rng.random() < 0.8 else None
+
+    bench.tamper = tamper
+    bench.run(30.0)
+    assert not bench.servo.status(bench.now).fault, bench.servo.status(bench.now).message
+
+
 def test_a_stop_interrupts_the_wait_for_replies_and_the_drive_is_left_off(fake):
     with communicating(fake) as (controller, statuses):
         until(lambda: statuses and statuses[-1].connected)

@@ -308,9 +308,21 @@ def breaking(target: str, name: str, value: Any) -> Callable[[Fakes], Callable[[
     return break_it
 
 
+def at_the_end_of_the_stroke(fakes: Fakes) -> Callable[[], None]:
+    """Move the rod, in steps that the comparison of both sensors admits, to where they see it beyond the limit."""
+    for millimetres in (*(1.5 * step for step in range(18)), 27.1):
+        fakes.position = fakes.servo.position = 1e-3 * millimetres
+        fakes.await_ticks(1)
+
+    def repair() -> None:
+        fakes.position = fakes.servo.position = 0.0
+
+    return repair
+
+
 BREAKS = [
     ("force", breaking("fakes", "force", 850.0), "850 N on the load cell, limit ±800 N; reduce"),
-    ("stroke", breaking("fakes", "position", 0.0271), "the rod is at 27.10 mm by the LVDT, limit ±26.75 mm"),
+    ("stroke", at_the_end_of_the_stroke, "the rod is at 27.10 mm by the LVDT, limit ±26.75 mm"),
     ("current", breaking("fakes", "current", 1.3), "1.300 A through the coil, allowed -0.100 to 1.100 A"),
     ("speed", breaking("servo", "velocity", 0.3), "the rod moves at 300 mm/s by the encoder"),
     ("following error", breaking("servo", "following_error", 0.006), "6.00 mm off its setpoint"),
@@ -328,8 +340,8 @@ def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(fakes: Fakes)
         fakes.remaining = 10_000  # so that the run does not end first
         fakes.calls.clear()
         fakes.stops.clear()
-        broken = fakes.graph.clock.now()
         repair = break_it(fakes)
+        broken = fakes.graph.clock.now()
         fakes.graph.until(lambda: fakes.stops, timeout=5.0)
         assert fakes.stops[0][1], name
         # What a busy machine needs, beside the patience.

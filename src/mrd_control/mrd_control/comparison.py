@@ -205,8 +205,13 @@ def cycles(comparison: Comparison) -> go.Figure:
     """Draw how long the cycles of the controller took, and the balance of energy."""
     run = comparison.run
     figure = make_subplots(rows=1, cols=2, subplot_titles=("computation of a cycle, ms", "work on the damper, J in 0.5 s"))
-    figure.add_histogram(x=np.round(1e3 * run.timing.computation, 3), marker={"color": MEASURED}, row=1, col=1)
-    figure.add_scatter(y=np.round(run.work, 3), line={"color": MEASURED, "width": 1}, row=1, col=2)
+    counts, edges = np.histogram(1e3 * run.timing.computation, bins=40)
+    middles = np.round((edges[:-1] + edges[1:]) / 2, 4)
+    figure.add_bar(x=middles, y=counts, width=float(edges[1] - edges[0]), marker={"color": MEASURED}, row=1, col=1)
+    figure.add_scatter(
+        x=np.arange(len(run.work)), y=np.round(run.work, 3), line={"color": MEASURED, "width": 1}, row=1, col=2
+    )
+    figure.update_xaxes(title_text="cycle", row=1, col=2)
     figure.update_layout(**LAYOUT, height=320)
     figure.update_layout(showlegend=False)
     return figure

@@ -515,7 +515,8 @@ class ServoController:
 
     def _check_motor_status(self, query: Query, queried: float) -> None:
         motor = self._motor_status
-        settled = STATUS_0 in self._values and queried >= self._switched + _STATUS_DELAY
+        # Only status word 0 tells whether the drive is on, and only a word that was read after the drive was switched.
+        settled = query is STATUS_0 and queried >= self._switched + _STATUS_DELAY
         if ((motor.faults and not self._fault) or (settled and self._drive_on and motor.off)) and self._suspect is None:
             # A reply to another query may look like a fault. The motor stops by itself; so there is time to ask again.
             self._suspect, self._in_step = query, False
