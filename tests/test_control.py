@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
 
 from mrd_base.nodes.bench_node import RECORDED
 from mrd_control.comparison import compare_with_twin, write_comparison
@@ -14,6 +15,7 @@ from mrd_control.experiment import format_control_experiment, read_control_exper
 from mrd_control.recording import read_hybrid_run
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import ControlCycle
+from mrd_interfaces.srv import LoadExperiment
 from mrd_runs import read_run
 
 pytestmark = pytest.mark.realtime
@@ -86,3 +88,44 @@ def test_what_breaks_the_loop_ends_it_and_is_named(bench: Any, tmp_path: Path, f
     # The coil is without current, and the rod stands.
     truth = bench.truth
     assert bench.client.spin(lambda: abs(truth[-1].velocity[0]) < 2e-3 and truth[-1].effort[1] < 0.01, 60, watch=False)
+
+
+LONG = """
+name: long
+duration_s: 12.0
+rate_hz: 500.0
+rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
+coil: {waveform: constant, level_mA: 100.0}
+"""
+
+
+@pytest.mark.timeout(300)
+def test_a_hybrid_test_of_somebody_else_does_not_end_a_run(bench: Any, tmp_path: Path) -> None:
+    """Its end would look like that of the run, which would be short and called complete."""
+
+    def call(name: str, kind: Any, **fields: Any) -> Any:
+        client = bench.client.node.create_client(kind, name)
+        assert bench.client.spin(client.service_is_ready, 10)
+        response = bench.call(client, kind.Request(**fields))
+        client.destroy()
+        return response
+
+    test = format_control_experiment(replace(SHIPPED, duration=5.0, rate=500.0))
+    assert call("load_control", LoadExperiment, experiment=test).success
+    ended = bench.run_at_speed(LONG, tmp_path / "bag")
+    begun = bench.clock.now()
+    attempts: tuple[tuple[str, Any, dict[str, str]], ...] = (
+        ("start_control", Trigger, {}),
+        ("load_control", LoadExperiment, {"experiment": test}),
+        ("load_experiment", LoadExperiment, {"experiment": LONG}),
+    )
+    for name, kind, fields in attempts:
+        answer = call(name, kind, **fields)
+        assert not answer.success, name
+        assert "the bench is in mode identification; call stop of /bench/supervisor" in answer.message
+    assert "the bench is busy: run_experiment" in bench.client.run_control(test, tmp_path / "again", 0).message
+    assert bench.client.spin(ended.done, 90)
+    result = ended.result().result
+    assert result.success, result.message
+    assert bench.clock.now() - begun > 10.0
+    assert len(read_run(tmp_path / "bag")) == result.samples > 6000

@@ -36,6 +36,7 @@ BELOW = {
         "mrd_bench_driver",
         "mrd_identification",
         "mrd_diagnosis",
+        "mrd_control",
     },
     "mrd_cli": {"mrd_base", "mrd_trajectory", "mrd_runs", "mrd_sim", "mrd_identification", "mrd_diagnosis"},
 }

@@ -26,6 +26,8 @@ pytestmark = [pytest.mark.realtime, pytest.mark.timeout(300)]
 
 ROOT = Path(__file__).resolve().parents[1]
 CHROMIUM = next((path for path in ("/usr/bin/chromium", "/usr/bin/google-chrome") if os.path.exists(path)), "")
+EXAMPLES = ("1_multisine", "3_current_steps")
+"""Of `examples/worn_joint`."""
 SLOW = 2e-3
 """m/s; the rod counts as stopped below it."""
 
@@ -39,7 +41,7 @@ def free_port() -> int:
 class PageBench:
     """A simulated bench with its page, as `bench --page` starts them."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *options: str) -> None:
         self.folder, self.port = folder, free_port()
         self.url = f"http://127.0.0.1:{self.port}/"
         bench = folder / "bench.yaml"
@@ -51,6 +53,7 @@ class PageBench:
             [
                 *(sys.executable, "-m", "mrd_bench_driver.nodes.bench", "--simulated", "--page", "--bench", str(bench)),
                 *("--plant", str(ROOT / "config/plant.yaml"), "--output", str(folder / "out")),
+                *options,
             ],
             env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
             stdout=(folder / "bench.log").open("w"),
@@ -89,6 +92,10 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageBench]:
 @pytest.fixture
 def page(bench: PageBench) -> Iterator[Any]:
     """A browser that has opened the page and holds control."""
+    yield from open_page(bench)
+
+
+def open_page(bench: PageBench) -> Iterator[Any]:
     if not CHROMIUM:
         pytest.skip("there is no Chromium")
     with playwright.sync_playwright() as driver:
@@ -146,6 +153,67 @@ def test_a_run_is_started_seen_and_stopped_by_the_button(bench: PageBench, page:
     page.get_by_text("fault", exact=True).wait_for()
     page.get_by_role("button", name="reset fault").click()
     page.get_by_text("idle", exact=True).wait_for(timeout=20_000)
+
+
+def choose(page: Any, label: str, *texts: str) -> None:
+    """Choose recordings in a field of the form for fits and diagnoses."""
+    field = page.get_by_label(label, exact=True)
+    for text in texts:
+        field.fill(text)
+        page.get_by_role("option", name=text).first.click()
+    page.keyboard.press("Escape")
+
+
+def wait_for_job(page: Any, title: str) -> None:
+    """Wait until a job has ended; fail at once, with its reason, where it has failed."""
+    words = f"document.body.innerText.match(/{title}: (done|failed)[^]{{0,300}}/)"
+    page.wait_for_function(f"() => {words}", timeout=250_000)
+    assert f"{title}: done" in page.inner_text("body"), page.evaluate(f"() => {words}[0]")
+
+
+@pytest.mark.timeout(600)
+def test_recordings_are_identified_diagnosed_and_applied(bench: PageBench, page: Any) -> None:
+    files = [ROOT / f"examples/worn_joint/{name}.csv" for name in EXAMPLES]
+    subprocess.run(
+        [sys.executable, "-m", "mrd_runs.cli.import_", *files, "--output", bench.folder / "runs"],
+        check=True,
+        capture_output=True,
+    )
+    page.get_by_role("tab", name="Identify and diagnose").click()
+    choose(page, "recordings", *EXAMPLES)
+    page.get_by_role("button", name="Diagnose").click()
+    wait_for_job(page, "1 diagnose bouc_wen")
+    page.get_by_role("button", name="Apply to the simulator").click()
+    page.get_by_text("Start the simulated bench with --plant").first.wait_for()
+    (plant,) = (bench.folder / "runs/results").glob("diagnose-*/plant.yaml")
+    assert "joint_play" in plant.read_text()
+    page.get_by_role("button", name="Report").click()
+    page.frame_locator("iframe[title=report]").get_by_text("mm (").first.wait_for()
+    page.get_by_role("button", name="Identify", exact=True).click()
+    page.wait_for_function("() => document.body.innerText.includes('generation ')", timeout=60_000)
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_text("2 identify bouc_wen: cancelled").wait_for()
+
+
+@pytest.mark.timeout(600)
+def test_a_hybrid_test_is_chosen_recorded_and_seen(tmp_path: Path) -> None:
+    bench = PageBench(tmp_path, "--control")
+    try:
+        bench.wait_until_up()
+        for page in open_page(bench):
+            page.get_by_role("tab", name="Control").click()
+            page.get_by_role("button", name="Add to queue").last.click()
+            page.get_by_text("waits in the queue").first.wait_for(timeout=200_000)
+            page.wait_for_function("() => /NRMS of the tracking/.test(document.body.innerText)", timeout=200_000)
+            frame = page.evaluate("async () => (await fetch('/hybrid.json')).json()")
+            assert max(frame["rod_mm"]) > 1.0
+            page.get_by_text("no hybrid test of this page is under way").wait_for(timeout=200_000)
+            page.get_by_role("button", name="Compare with the offline twin").click()
+            page.get_by_role("tab", name="Identify and diagnose").click()
+            wait_for_job(page, "1 review")
+            assert "The rod followed the emulated motion" in page.inner_text("body")
+    finally:
+        bench.close()
 
 
 def test_the_page_loads_nothing_from_elsewhere(bench: PageBench) -> None:

@@ -114,12 +114,35 @@ def test_without_its_supervisor_the_bench_stops_by_itself(bench: Any, end: signa
         modes = bench.subscribe("bench_state", BenchState, LATCHED)
         assert bench.client.spin(lambda: modes and modes[-1].mode == BenchState.FAULT, 60)
         assert "has been silent for" in modes[-1].message
+        # The recorder does not cling to the run of the dead.
+        assert service(bench, "reset_fault").success
+        again = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
+        assert again.success, again.message
+        assert len(read_run(tmp_path / "bag")) > 100
         return
     supervisor.send_signal(signal.SIGCONT)
     result = result_of(bench, ended)
     assert result.message.startswith("the supervisor was stalled for "), result.message
     assert not result.success
     assert len(read_run(tmp_path / "bag")) == result.samples > 100
+
+
+@pytest.mark.parametrize("victim", ["servo", "daq", "generator"])
+def test_a_node_that_goes_on_after_a_pause_moves_nothing(victim: str, bench: Any, tmp_path: Path) -> None:
+    """It finds the commands of its absence waiting, which are old, and a lease in mode fault."""
+    output = bench.subscribe("analog_output", AnalogOutput, LATCHED)
+    ended = bench.run_at_speed(LONG, tmp_path / "bag")
+    bench.processes.running[victim].send_signal(signal.SIGSTOP)
+    result = result_of(bench, ended)
+    assert not result.success
+    begun = bench.clock.now()
+    bench.processes.running[victim].send_signal(signal.SIGCONT)
+    bench.time_to_rest(begun, 3.0)
+    afterwards = [state for state in bench.truth if seconds(state.header.stamp) > begun]
+    assert np.ptp([state.position[0] for state in afterwards]) < 2e-4
+    assert all(state.effort[1] < 0.02 for state in afterwards[-10:])
+    assert output[-1].coil_command == 0
+    assert not service(bench, "home").success
 
 
 def find_node(tool: "subprocess.Popen[str]", name: str) -> psutil.Process:
@@ -320,6 +343,30 @@ def test_a_stop_ends_the_homing_whenever_it_comes(shared_bench: Any, tmp_path: P
     home.destroy()
     stop.destroy()
     result = bench.client.run_experiment(SHORT, tmp_path / "bag", 0)
+    assert result.success, result.message
+
+
+def test_a_stop_in_any_phase_of_a_run_leaves_a_bench_that_runs_again(shared_bench: Any, tmp_path: Path) -> None:
+    bench = shared_bench
+    stop = bench.client.node.create_client(Trigger, "stop")
+    assert bench.client.spin(stop.service_is_ready, 10)
+    for phase in ("arming", "recording", "running", "stopping", "closing"):
+        answers: list[Any] = []
+
+        def on_feedback(feedback: Any, phase: str = phase, answers: list[Any] = answers) -> None:
+            if feedback.phase == phase and not answers:
+                answers.append(stop.call_async(Trigger.Request()))
+
+        result = bench.client.run_experiment(SHORT, tmp_path / phase, 0, on_feedback)
+        assert bench.client.spin(answers[0].done, 20), phase
+        # A stop that comes after the last setpoint may find the run complete.
+        assert result.message.startswith("cancelled") or (phase in ("stopping", "closing") and result.success), phase
+        assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.IDLE, 10), phase
+        bench.time_to_rest(bench.clock.now(), 0.3)
+        assert abs(bench.truth[-1].velocity[0]) < 2e-3, phase
+        assert bench.output[-1].coil_command == 0, phase
+    stop.destroy()
+    result = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
     assert result.success, result.message
 
 

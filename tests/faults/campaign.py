@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from whole_bench import WholeBench
 
@@ -73,6 +74,8 @@ class Fault:
         Whether it is injected at a random moment of the procedure instead of at full speed.
     recorded : bool
         Whether the recording must go on until the rod stands.
+    homes_on : bool
+        Whether a homing that is under way may go on, because it needs nothing of what was broken.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Fault:
     repair: Callable[["Bench"], None] = lambda bench: bench.set_fault("")
     at_random: bool = False
     recorded: bool = True
+    homes_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -186,6 +190,11 @@ class Bench(WholeBench):
         end = self.clock.now() + duration
         self.client.spin(lambda: bool(self.truth) and seconds(self.truth[-1].header.stamp) > end, 30, watch=False)
 
+    def homes(self, state: JointState) -> bool:
+        """Whether the bench was in mode homing at the time of a true state."""
+        before = [mode.mode for mode in self.modes if seconds(mode.header.stamp) <= seconds(state.header.stamp)]
+        return bool(before) and before[-1] == BenchState.HOMING
+
     def last_time(self, begun: float, what: Callable[[Any], bool]) -> float:
         """Return how long after a bench time something true of the plant has last been so, in s."""
         return max((0.0, *(seconds(state.header.stamp) - begun for state in self.truth if what(state))))
@@ -207,7 +216,9 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         answer = fault.inject(bench) or ""
     ends = bench.client.spin(lambda: ended.done() or _is_gone(bench, "supervisor"), 120, watch=False)
     bench.advance(max(0.0, begun + 1.0 - bench.clock.now()))
-    rest = bench.last_time(begun, lambda state: abs(state.velocity[0]) > MOVES)
+    rest = bench.last_time(
+        begun, lambda state: abs(state.velocity[0]) > MOVES and not (fault.homes_on and bench.homes(state))
+    )
     coil = bench.last_time(begun, lambda state: state.effort[1] > FLOWS)
     result = ended.result().result if ended.done() else None
     said = answer or (result.message if result is not None else bench.servo[-1].message)

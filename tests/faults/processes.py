@@ -11,7 +11,8 @@ _CAUSES = {
     "daq": "daq|sample",
     "recorder": "recorder|recording",
     "generator": "generator|setpoint|experiment",
-    "supervisor": "supervisor",
+    # Before anything may move, nobody misses it.
+    "supervisor": "the supervisor|^$",
 }
 # Bench time in s in which the rod stands. A recorder that is gone is no danger: the run ends as by `stop`.
 _REST = {"recorder": 1.0}
@@ -54,6 +55,8 @@ FAULTS = tuple(
         repair=_restart(name, number),
         at_random=True,
         recorded=name not in ("daq", "recorder", "supervisor"),
+        # Its silence is noticed once its setpoints are due; until then, servo and interlocks do without it.
+        homes_on=name == "generator",
     )
     for name, cause in _CAUSES.items()
     for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)

@@ -133,6 +133,10 @@ class LeaseWatch:
             return f"the bench is in mode {self.lease.mode}; call stop of {self.lease.holder} first"
         return ""
 
+    def reason_not_to_start(self, mode: Mode, now: float) -> str:
+        """Return why the setpoints of a run in a mode must not be started, or ""; without a lease nobody follows them."""
+        return "" if self.lease.mode is mode else self.reason_not_to_change(now)
+
     def is_lost(self, now: float) -> bool:
         """Whether the supervisor has fallen silent while rod or coil may move."""
         return self.lease.mode.may_move and not self.is_valid(now)

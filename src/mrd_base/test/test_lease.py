@@ -41,6 +41,15 @@ def test_setpoints_need_the_number_of_the_lease() -> None:
     assert lease.was_granted(7)
 
 
+def test_a_run_of_one_kind_permits_none_of_the_other_to_start() -> None:
+    watch = LeaseWatch(0.15)
+    assert watch.reason_not_to_start(Mode.CONTROL, 100.0) == ""  # nobody is there who would follow it
+    watch.renew(OWN, 100.0)
+    assert watch.reason_not_to_start(Mode.IDENTIFICATION, 100.0) == ""
+    assert "the bench is in mode identification; call stop of one" in watch.reason_not_to_start(Mode.CONTROL, 100.0)
+    assert watch.reason_not_to_start(Mode.CONTROL, 101.0) == ""
+
+
 def test_a_lease_is_void_once_it_is_not_renewed() -> None:
     lease = watch()
     assert not lease.is_lost(100.149)

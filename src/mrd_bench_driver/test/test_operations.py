@@ -45,7 +45,8 @@ class FakePeers:
         monitor = self.supervisor.monitor
         monitor.add_samples(now - 9 / self.rate, 1 / self.rate, 0 * ones, self.force * ones, 0 * ones)
         monitor.add_servo_status(dataclasses.replace(self.servo, time=now))
-        monitor.add_recorder_state(self.recorder, "", now)
+        if self.recorder:  # "" is silent
+            monitor.add_recorder_state(self.recorder, "", now)
         if self.state != monitor.experiment_state:
             monitor.add_experiment_state(self.state, now)
         self.supervisor.check_interlocks()
@@ -322,6 +323,20 @@ def test_whatever_spoils_a_run_ends_it(peers: FakePeers, disturb: Callable[[Fake
     assert not outcome.success
     assert outcome.message == line
     assert peers.supervisor.mode.current is Mode.IDLE
+
+
+def test_a_recorder_that_falls_silent_ends_the_homing_of_a_run(peers: FakePeers) -> None:
+    def home() -> None:
+        peers.servo = dataclasses.replace(peers.servo, homed=False, enabled=True)  # it takes its time
+        peers.recorder = ""
+
+    peers.effects["servo/home"] = home
+    begin = peers.clock.now()
+    outcome = run(peers)
+    assert outcome.message.startswith("recorder: has been silent for 0.8"), outcome.message
+    assert peers.clock.now() - begin < 5.0
+    assert "start_recording" not in peers.calls
+    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
 
 
 def test_an_experiment_that_somebody_else_loaded_is_not_run(peers: FakePeers) -> None:

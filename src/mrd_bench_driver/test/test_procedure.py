@@ -63,7 +63,11 @@ class FakeBench:
         assert reason == self.source.action
         self._do(f"enter {mode}")
 
-    def centre(self) -> None:
+    def require_recorder(self) -> None:
+        pass
+
+    def centre(self, require: Callable[[], None]) -> None:
+        assert require == self.require_recorder
         self._do("centre")
 
     def tare(self) -> None:

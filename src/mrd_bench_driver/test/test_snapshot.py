@@ -8,7 +8,7 @@ import pytest
 
 from mrd_base import BenchClock
 from mrd_bench_driver.servo.status import ServoStatus
-from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
+from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot, SourceState
 
 
 def test_nothing_is_known_before_the_first_message() -> None:
@@ -68,6 +68,22 @@ def test_the_age_of_setpoints_counts_only_while_an_experiment_runs_that_is_follo
     assert age(10.3) == pytest.approx(0.1)
     monitor.add_experiment_state("done", 10.4)
     assert age(20.0) == 0.0
+
+
+def test_each_source_of_setpoints_speaks_for_itself() -> None:
+    monitor = BenchMonitor(BenchClock())
+    monitor.add_experiment_state("loaded", 9.0)
+    monitor.add_experiment_state("running", 10.0)
+    for now, state in ((10.1, "loaded"), (10.2, "running"), (10.3, "aborted: on request")):
+        monitor.add_experiment_state(state, now, "controller")
+    assert monitor.sources == {
+        "generator": SourceState("running", "", 1, 10.0),
+        "controller": SourceState("aborted", "on request", 1, 10.3),
+    }
+    assert monitor.experiment_state == "aborted"
+    # What the controller tells is no sign of life of the generator.
+    assert monitor.snapshot(10.4, follows_experiment=True).setpoint_age == pytest.approx(0.4)
+    assert monitor.snapshot(10.4, follows_experiment=True, setpoint_source="controller").setpoint_age == 0.0
 
 
 def test_lvdt_and_encoder_are_compared_at_the_same_instants_once_the_rod_is_homed() -> None:

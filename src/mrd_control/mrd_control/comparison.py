@@ -1,6 +1,7 @@
-"""A recorded hybrid test beside its offline twin: tracking, ride metrics, and the files of both."""
+"""A recorded hybrid test beside its offline twin: tracking, ride metrics, what explains the difference; page and file."""
 
-from dataclasses import asdict, dataclass, replace
+import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,30 +11,22 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from mrd_control.experiment import ControlExperiment
+from mrd_control.explanation import PARAMETERS, TRACKING, Explanation, explain_difference
 from mrd_control.loop import LoopResult
 from mrd_control.recording import DEADLINE, HybridRun
-from mrd_control.ride import Ride, ride_metrics
+from mrd_control.ride import METRICS, Ride, ride_metrics
 from mrd_control.tracking import Tracking, tracking
 from mrd_control.twin import run_twin
 from mrd_identification.figures import LAYOUT, MEASURED, MODELLED, to_html
 from mrd_identification.json_file import finite_or_none, make_folder, write_json
 from mrd_identification.report import render
+from mrd_sim.damper import Damper
+from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-SCHEMA = "mrd-hybrid-test/1"
+SCHEMA = "mrd-hybrid-test/2"
 SHOWN_SECONDS = 3.0
-_METRICS = {
-    "acceleration": ("a, m/s²", 1.0),
-    "weighted": ("a W_k, m/s²", 1.0),
-    "travel": ("travel, mm", 1e3),
-    "peak_travel": ("peak travel, mm", 1e3),
-    "contact": ("tyre load, N", 1.0),
-    "drift": ("drift, mm", 1e3),
-    "energy": ("power, W", 1.0),
-    "switching": ("switching, 1/s", 1.0),
-}
-"""Title and factor of the metrics in the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +42,10 @@ class Comparison:
     motion, force : float
         rms difference of bench and twin over the rms of the twin: of the emulated travel, and of the force.
     bench_ride, twin_ride : Ride
+    explanation : Explanation or None
+        Of the difference in ride, where a diagnosis of the recording is given.
+    explained_motion, explained_force : float
+        ``motion`` and ``force`` with the twin that has all causes; nan without an explanation.
     """
 
     run: HybridRun
@@ -58,34 +55,73 @@ class Comparison:
     force: float
     bench_ride: Ride
     twin_ride: Ride
+    explanation: Explanation | None = None
+    explained_motion: float = math.nan
+    explained_force: float = math.nan
 
     @property
     def sentence(self) -> str:
         """What was found, in one sentence."""
-        return (
+        found = (
             f"The rod followed the emulated motion with a delay of {1e3 * self.tracking.delay:.2f} ms and an NRMS of "
             f"{100 * self.tracking.nrms:.1f} %; the emulated motion differs from that of the offline twin by "
             f"{100 * self.motion:.1f} %."
         )
+        if self.explanation is None:
+            return found
+        causes = ", ".join(self.explanation.causes)
+        return f"{found} With {causes} in the twin, they differ by {100 * self.explained_motion:.1f} %."
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Return name, value on the bench, value of the twin and difference of every ride metric."""
         rows = []
-        for name, (title, factor) in _METRICS.items():
+        for name, (title, factor) in METRICS.items():
             bench, twin = factor * getattr(self.bench_ride, name), factor * getattr(self.twin_ride, name)
             if np.isfinite(bench):
                 difference = f"{100 * (bench / twin - 1):+.1f} %" if twin else ""
                 rows.append((title, f"{bench:.4g}", f"{twin:.4g}", difference))
         return rows
 
+    def explained_rows(self) -> list[tuple[str, ...]]:
+        """Return name, difference, the part of each cause and the rest of every ride metric, in per cent of the twin's."""
+        if self.explanation is None:
+            return []
+        rows = []
+        for name, (title, *_) in METRICS.items():
+            twin, parts = getattr(self.twin_ride, name), self.explanation.parts.get(name)
+            if parts and twin:
+                changes = [getattr(self.bench_ride, name) - twin, *parts.values(), self.explanation.rest[name]]
+                rows.append((title.partition(",")[0], *(f"{100 * change / twin:+.1f}" for change in changes)))
+        return rows
 
-def compare_with_twin(run: HybridRun) -> Comparison:
-    """Compare a hybrid test with its offline twin, without the beginning and the end of the run."""
+
+def title_of(cause: str) -> str:
+    """Return what a cause is called."""
+    titles = {PARAMETERS: "Refitted parameters", TRACKING: "Tracking of the rod"}
+    return titles.get(cause) or EFFECTS[cause].title
+
+
+def compare_with_twin(run: HybridRun, damper: Damper | None = None) -> Comparison:
+    """Compare a hybrid test with its offline twin, without the beginning and the end of the run.
+
+    Parameters
+    ----------
+    run : HybridRun
+    damper : Damper, optional
+        As a diagnosis found it (`mrd_identification.load_damper`); with it, the difference in ride is explained.
+
+    Raises
+    ------
+    InputError
+        As `mrd_control.twin.run_twin` and `mrd_control.explanation.explain_difference`.
+    """
     experiment, twin = run.experiment, run_twin(run.experiment)
     kept = slice(experiment.counted.start, min(experiment.counted.stop, len(run.bench.time), len(twin.time)))
-    bench = _part(run.bench, kept)
-    modelled = _part(twin, kept)
+    bench = run.bench.part(kept)
+    modelled = twin.part(kept)
     system = experiment.system.linear()
+    explanation = None if damper is None else explain_difference(run, damper)
+    explained = None if explanation is None else explanation.twin.part(kept)
     return Comparison(
         run,
         twin,
@@ -94,12 +130,10 @@ def compare_with_twin(run: HybridRun) -> Comparison:
         _nrms(bench.force, modelled.force),
         ride_metrics(system, bench, 0.0),
         ride_metrics(system, modelled, 0.0),
+        explanation,
+        math.nan if explained is None else _nrms(bench.travel, explained.travel),
+        math.nan if explained is None else _nrms(bench.force, explained.force),
     )
-
-
-def _part(result: LoopResult, kept: slice) -> LoopResult:
-    series: dict[str, Any] = {name: value[kept] for name, value in vars(result).items() if isinstance(value, np.ndarray)}
-    return replace(result, **series)
 
 
 def _nrms(series: Array, reference: Array) -> float:
@@ -118,6 +152,14 @@ def to_json(comparison: Comparison) -> dict[str, Any]:
         "ride": {
             "bench": {name: finite_or_none(value) for name, value in asdict(comparison.bench_ride).items()},
             "twin": {name: finite_or_none(value) for name, value in asdict(comparison.twin_ride).items()},
+        },
+        "explanation": None
+        if comparison.explanation is None
+        else {
+            "parts": comparison.explanation.parts,
+            "rest": comparison.explanation.rest,
+            "motion_nrms": comparison.explained_motion,
+            "force_nrms": comparison.explained_force,
         },
         "timing": {
             "cycles": len(timing.interval),
@@ -146,6 +188,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         loops=to_html(loops(comparison)),
         cycles=to_html(cycles(comparison)),
         comparison=comparison,
+        causes=[title_of(cause) for cause in comparison.explanation.causes] if comparison.explanation else [],
         experiment=comparison.run.experiment,
         deadline=DEADLINE,
     )

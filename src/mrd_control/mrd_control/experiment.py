@@ -117,22 +117,27 @@ def parse_control_experiment(text: str, where: str) -> ControlExperiment:
 
 def format_control_experiment(experiment: ControlExperiment) -> str:
     """Return the YAML text of an experiment, complete without other files; `parse_control_experiment` reads it back."""
-    damper, mapping = experiment.damper, {}
+    mapping: dict[str, Any] = {}
     for field in dataclasses.fields(experiment):
         value = getattr(experiment, field.name)
         key, factor = yaml_key(field)
         mapping[key] = float(f"{value / factor:.15g}") if isinstance(value, float) else value
+    mapping |= {
+        "system": _entry("system", SYSTEMS, experiment.system),
+        "excitation": _entry("excitation", EXCITATIONS, experiment.excitation),
+        "damper": damper_entry(experiment.damper),
+    }
+    return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
+
+
+def damper_entry(damper: Damper) -> dict[str, Any]:
+    """Return model, laws, parameters and effects of a damper: its entry in the file, and the arguments of a new one."""
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
     effects = {
         effect.id: {parameter.name: values.pop(f"{effect.id}.{parameter.name}") for parameter in effect.parameters}
         for effect in damper.model.effects
     }
-    mapping |= {
-        "system": _entry("system", SYSTEMS, experiment.system),
-        "excitation": _entry("excitation", EXCITATIONS, experiment.excitation),
-        "damper": {"model": damper.model.id, "laws": damper.model.laws, "parameters": values, "effects": effects},
-    }
-    return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
+    return {"model": damper.model.id, "laws": damper.model.laws, "parameters": values, "effects": effects}
 
 
 def _entry(kind: str, catalogue: Mapping[str, type[Any]], entry: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ model, effects, law and predictor come as first-class functions.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -86,6 +86,11 @@ class LoopResult:
     rod: Array
     command: Array
     diverged: bool
+
+    def part(self, kept: slice) -> "LoopResult":
+        """Return what happened at some of the samples."""
+        series: dict[str, Any] = {name: value[kept] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return replace(self, **series)
 
 
 @njit(cache=True, nogil=True)

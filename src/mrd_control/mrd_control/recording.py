@@ -1,5 +1,6 @@
 """Recordings of hybrid tests: what the controller did on the bench, as the result of a loop."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,7 +109,7 @@ def read_hybrid_run(path: str | Path) -> HybridRun:
         )
     return HybridRun(
         experiment,
-        _result(experiment, cycles),
+        loop_of_cycles(experiment, cycles),
         Timing(
             np.array([cycle.interval for cycle in cycles]),
             np.array([cycle.latency for cycle in cycles]),
@@ -120,18 +121,20 @@ def read_hybrid_run(path: str | Path) -> HybridRun:
     )
 
 
-def _result(experiment: ControlExperiment, cycles: list[Any]) -> LoopResult:
+def loop_of_cycles(experiment: ControlExperiment, cycles: Sequence[Any]) -> LoopResult:
+    """Return consecutive cycles of the controller, messages `control_cycle`, as the result of a loop."""
+
     def series(name: str) -> Array:
         return np.concatenate([getattr(cycle, name) for cycle in cycles])
 
     system = experiment.system.linear()
     force, travel = series("force"), series("travel")
-    n = len(travel)
-    state, base = series("state").reshape(n, system.order), experiment.base[:n]
+    first, n = int(cycles[0].number), len(travel)
+    state, base = series("state").reshape(n, system.order), experiment.base[first : first + n]
     derivative = state @ system.a.T + base @ system.b[:, :2].T + force[:, None] * system.b[:, 2]
     speed = np.hstack([state, base, force[:, None]]) @ system.outputs[4]
     return LoopResult(
-        time=np.arange(n) / experiment.rate,
+        time=(first + np.arange(n)) / experiment.rate,
         state=state,
         base=base,
         acceleration=derivative[:, len(system.mass) + system.ride],

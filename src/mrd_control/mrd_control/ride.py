@@ -13,6 +13,17 @@ Array = NDArray[np.float64]
 
 COIL_RESISTANCE = 5.0
 """Ohm, of the RD-8040-1 at ambient temperature (LORD technical data)."""
+METRICS = {
+    "acceleration": ("a, m/s²", 1.0),
+    "weighted": ("a W_k, m/s²", 1.0),
+    "travel": ("travel, mm", 1e3),
+    "peak_travel": ("peak travel, mm", 1e3),
+    "contact": ("tyre load, N", 1.0),
+    "drift": ("drift, mm", 1e3),
+    "energy": ("power, W", 1.0),
+    "switching": ("switching, 1/s", 1.0),
+}
+"""Title and factor of the metrics of a `Ride` that people read."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,15 @@ CURRENTS = 9
 """Coil currents at which the stability margin is computed."""
 
 
-def run_twin(experiment: ControlExperiment) -> LoopResult:
+def run_twin(experiment: ControlExperiment, error: Array | None = None) -> LoopResult:
     """Run the offline twin of an experiment: the same controller, with the modelled damper and the modelled actuator.
+
+    Parameters
+    ----------
+    experiment : ControlExperiment
+    error : ndarray (samples, 3), optional
+        What the rod has more than the emulated motion in m, m/s and m/s², where the predictor is `MODEL`, with which the rod
+        is in time otherwise.
 
     Raises
     ------
@@ -29,7 +36,7 @@ def run_twin(experiment: ControlExperiment) -> LoopResult:
         As `mrd_control.loop.run_loop`, and for an excitation that is too short.
     """
     if experiment.predictor == MODEL:
-        return _run_in_blocks(experiment)
+        return _run_in_blocks(experiment, np.zeros((experiment.samples, 3)) if error is None else error)
     return run_loop(
         experiment.system.linear(),
         experiment.damper,
@@ -43,8 +50,8 @@ def run_twin(experiment: ControlExperiment) -> LoopResult:
     )
 
 
-def _run_in_blocks(experiment: ControlExperiment) -> LoopResult:
-    """Run the twin whose rod is in time, block by block as on the bench: the current waits for the end of each block."""
+def _run_in_blocks(experiment: ControlExperiment, error: Array) -> LoopResult:
+    """Run the twin whose rod is in time but for the error, in blocks as on the bench: the current waits for their end."""
     system, period = experiment.system.linear(), 1.0 / experiment.rate
     damper = copy.copy(experiment.damper)  # at rest, as that one stays
     loop = OnlineLoop(experiment)
@@ -61,11 +68,11 @@ def _run_in_blocks(experiment: ControlExperiment) -> LoopResult:
         coils = np.empty(count)
         for i in range(count):
             coil = coils[i] = held + (coil - held) * left
-        rod, rate, acceleration = np.ascontiguousarray(motion[:count].T)
+        rod, rate, acceleration = np.ascontiguousarray((motion[:count] + error[part]).T)
         force[part] = damper.advance(period, rod, rate, acceleration, coils)
         cycle = loop.add_block(begin * period, period, force[part], rod)
         states[part], travel[part], commanded[part], current[part] = cycle.states, cycle.travel, cycle.commanded, coils
-        speed[part] = rate
+        speed[part] = rate - error[part, 1]
         command[part] = np.concatenate([[command_now], cycle.command])[:count]
         command_now, held = float(cycle.command[-1]), cycle.current
         if not abs(travel[part]).max() < DIVERGED:
@@ -90,7 +97,7 @@ def _run_in_blocks(experiment: ControlExperiment) -> LoopResult:
         force=force[:n],
         commanded=commanded[:n],
         current=current[:n],
-        rod=travel[:n],
+        rod=travel[:n] + error[:n, 0],
         command=command[:n],
         diverged=n < experiment.samples,
     )

@@ -8,6 +8,7 @@ from mrd_base import BenchClock
 from mrd_base.lease import Mode
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.snapshot import BenchMonitor
+from mrd_dashboard.hybrid_view import CycleHistory
 from mrd_dashboard.lamps import Lamp, lamps
 from mrd_dashboard.sample_history import SampleHistory
 from mrd_trajectory.settings import GeneratorSettings
@@ -39,6 +40,8 @@ class BenchView:
     generator : GeneratorSettings
         Limits against which experiments are checked.
     samples : SampleHistory
+    cycles : CycleHistory
+        Of the controller, in a hybrid test.
     monitor : BenchMonitor
         What the supervisor would know by the same messages.
     mode, reason : Mode, str
@@ -54,6 +57,7 @@ class BenchView:
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
     generator: GeneratorSettings = field(default_factory=GeneratorSettings)
     samples: SampleHistory = field(default_factory=SampleHistory)
+    cycles: CycleHistory = field(default_factory=CycleHistory)
     monitor: BenchMonitor = field(default_factory=lambda: BenchMonitor(BenchClock()))
     mode: Mode = Mode.IDLE
     reason: str = ""
@@ -83,6 +87,7 @@ class BenchView:
                 f"the supervisor has been silent for {silence:.1f} s" if self.reason else "no supervisor was heard yet",
                 "look at its log, or start the bench",
             )
-        now = self.monitor.snapshot(self.bench_time, follows_experiment=self.mode is Mode.IDENTIFICATION)
+        source = "controller" if self.mode is Mode.CONTROL else "generator"
+        now = self.monitor.snapshot(self.bench_time, follows_experiment=self.mode.takes_setpoints, setpoint_source=source)
         config = self.supervisor
         return [first, *lamps(now, config.limits, config.interlocks, self.mode, self.reason)]

@@ -9,17 +9,22 @@ from pathlib import Path
 from typing import Protocol
 
 from mrd_base import InputError
+from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.hybrid_view import LiveMetrics, live_metrics
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.live_frame import LivePrediction, live_frame
 from mrd_dashboard.look import Look, cached_look, keep_look, look_at
 from mrd_dashboard.recordings import CACHE_FOLDER, Recording, Recordings
-from mrd_dashboard.run_queue import RunQueue
+from mrd_dashboard.run_queue import Kind, RunQueue
 
 FRAME_PERIOD = 1 / 30
 """Wall time in s between two frames of the live plots; a browser that is late at times still draws 25 a second."""
+
+METRICS_PERIOD = 0.8
+"""Wall time in s between two computations of the metrics of a hybrid test."""
 
 # Receives the phase of a run and the time in s since the experiment began.
 Progress = Callable[[str, float], None]
@@ -53,8 +58,8 @@ class Commands(Protocol):
     async def call(self, name: str) -> str:
         """Make one of the requests `CALLS`; return the answer."""
 
-    async def run_experiment(self, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
-        """Record an experiment, given by the text of its file; return when it has ended."""
+    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+        """Record an experiment or a hybrid test, given by the text of its file; return when it has ended."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,8 @@ class Dashboard:
         Processes that look at recordings; None looks in the calling thread.
     prediction : LivePrediction or None
         Model that is drawn over the measured force.
+    hybrid_test : Path
+        File of the shipped hybrid test, from which the form of the control page starts.
     bench_file, plant : str
         Parameter files of the bench and of its simulated plant, or "".
     looks : dict of str to Look
@@ -107,12 +114,15 @@ class Dashboard:
     control: ControlRight
     audit: AuditLog
     experiments: Path
+    hybrid_test: Path
     workers: Executor | None = None
     prediction: LivePrediction | None = None
     bench_file: str = ""
     plant: str = ""
     looks: dict[str, Look] = field(default_factory=dict)
     _frame: tuple[float, dict[str, list[float]]] = (float("-inf"), {})
+    _metrics: tuple[float, LiveMetrics] = (float("-inf"), LiveMetrics())
+    _hybrid_test: tuple[int, ControlExperiment | None] = (0, None)
 
     async def act(
         self, who: Visitor, action: str, work: Callable[[], Awaitable[str]], detail: str = "", *, watching: bool = False
@@ -160,6 +170,23 @@ class Dashboard:
             self._frame = time.monotonic(), table
         return table
 
+    def hybrid_metrics(self) -> LiveMetrics:
+        """Return the metrics of the hybrid test under way, or of the latest one, computed once for all who look."""
+        made, metrics = self._metrics
+        if time.monotonic() - made > METRICS_PERIOD:
+            metrics = live_metrics(self._running_test(), self.bench.cycles.latest())
+            self._metrics = time.monotonic(), metrics
+        return metrics
+
+    def _running_test(self) -> ControlExperiment | None:
+        """Return the hybrid test that the page has begun last; None where it has begun none."""
+        runs = [run for run in self.queue.runs if run.kind == "control" and run.state != "waiting"]
+        if not runs:
+            return None
+        if self._hybrid_test[0] != runs[-1].number:
+            self._hybrid_test = runs[-1].number, parse_control_experiment(runs[-1].experiment, runs[-1].name)
+        return self._hybrid_test[1]
+
     def known_look(self, recording: Recording) -> Look | None:
         """Return the look at a recording if there was one."""
         if recording.id not in self.looks and (look := cached_look(recording.path, self._cache(recording))):
@@ -198,8 +225,8 @@ async def run_next(dashboard: Dashboard) -> bool:
     queue.start(run.number, bag)
     dashboard.audit.write("page", "run", f"{run.number} {run.name}", "sent")
     try:
-        outcome = await dashboard.commands.run_experiment(
-            run.experiment, bag, run.seed, lambda phase, elapsed: queue.progress(run.number, phase, elapsed)
+        outcome = await dashboard.commands.run(
+            run.kind, run.experiment, bag, run.seed, lambda phase, elapsed: queue.progress(run.number, phase, elapsed)
         )
     except InputError as error:
         outcome = RunOutcome(False, str(error), "")

@@ -55,9 +55,14 @@ class Preview:
 
 def waveform_fields(channel: str, waveform: str) -> list[FormField]:
     """Return the fields of a waveform of the channel ``rod`` or ``coil``."""
+    return fields_of(waveform_type(waveform), CHANNEL_UNITS[channel])
+
+
+def fields_of(cls: type[Any], units: Mapping[str, str] | None = None) -> list[FormField]:
+    """Return the fields of a dataclass that is declared by `mrd_base.quantity`; ``units`` as in `mrd_base.from_mapping`."""
     fields = []
-    for declared in dataclasses.fields(waveform_type(waveform)):  # type: ignore[arg-type]
-        key, factor = yaml_key(declared, CHANNEL_UNITS[channel])
+    for declared in dataclasses.fields(cls):
+        key, factor = yaml_key(declared, units)
         required = declared.default is dataclasses.MISSING
         fields.append(FormField(key, declared.metadata["doc"], "" if required else _text(declared.default, factor)))
     return fields
@@ -78,10 +83,11 @@ def _word(value: Any) -> str:
 def form_of(experiment: Experiment) -> dict[str, Any]:
     """Return the entries of the form for an experiment: texts, and a mapping of texts for rod and coil."""
     mapping = yaml.safe_load(format_experiment(experiment))
-    return {key: _entries(value) if isinstance(value, dict) else str(value) for key, value in mapping.items()}
+    return {key: entries_of(value) if isinstance(value, dict) else str(value) for key, value in mapping.items()}
 
 
-def _entries(mapping: Mapping[str, Any]) -> dict[str, str]:
+def entries_of(mapping: Mapping[str, Any]) -> dict[str, str]:
+    """Return the texts of the form for the values of a mapping."""
     return {
         key: ", ".join(map(str, value)) if isinstance(value, list) else "" if value is None else _word(value)
         for key, value in mapping.items()
@@ -89,7 +95,12 @@ def _entries(mapping: Mapping[str, Any]) -> dict[str, str]:
 
 
 def form_text(form: Mapping[str, Any]) -> str:
-    """Return the file of the experiment that a form describes; what is left empty keeps its default.
+    """Return the file of the experiment that a form describes."""
+    return yaml.safe_dump(values_of(form), sort_keys=False, allow_unicode=True)
+
+
+def values_of(form: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of the file that a form describes; what is left empty keeps its default.
 
     A text becomes what it would be in the file: a number where it is one, a list where it has commas.
     """
@@ -99,7 +110,7 @@ def form_text(form: Mapping[str, Any]) -> str:
             mapping[key] = {name: _value(text) for name, text in value.items() if str(text).strip()}
         elif str(value).strip():
             mapping[key] = str(value) if key in ("name", "description", "transition") else _value(value)
-    return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True)
+    return mapping
 
 
 def _value(text: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Fits and diagnoses that the page starts: each in a process of its own, by the same functions as the tools."""
+"""Fits, diagnoses and reviews that the page starts: each in a process of its own, by the same functions as the tools."""
 
 import multiprocessing
 import os
@@ -11,10 +11,10 @@ from typing import Any, Literal
 
 from mrd_base import InputError
 
-Kind = Literal["identify", "diagnose"]
+Kind = Literal["identify", "diagnose", "review"]
 State = Literal["running", "done", "failed", "cancelled"]
 
-REPORTS = {"identify": "fit.html", "diagnose": "gap_report.html"}
+REPORTS = {"identify": "fit.html", "diagnose": "gap_report.html", "review": "hybrid_test.html"}
 """Report of each kind of job, in its folder."""
 
 
@@ -24,7 +24,8 @@ class JobRequest:
 
     Attributes
     ----------
-    kind : {"identify", "diagnose"}
+    kind : {"identify", "diagnose", "review"}
+        ``review`` compares the recording of a hybrid test with its offline twin.
     runs, held_out, reference : tuple of str
         Paths of recordings: fitted, held out, and of before something changed (diagnose only).
     model : str
@@ -186,7 +187,9 @@ def work(request: JobRequest, folder: str, connection: Connection) -> None:
     """Do a job and send its progress and its end; the body of its process."""
     os.nice(10)  # bench and page come first
     try:
-        done = {"identify": _identify, "diagnose": _diagnose}[request.kind](request, Path(folder), connection)
+        done = {"identify": _identify, "diagnose": _diagnose, "review": _review}[request.kind](
+            request, Path(folder), connection
+        )
         connection.send({"state": "done", "share": 1.0, "stage": "", **done})
     except InputError as error:
         connection.send({"state": "failed", "message": str(error)})
@@ -242,3 +245,12 @@ def _diagnose(request: JobRequest, folder: Path, connection: Connection) -> dict
     )
     write_gap_report(diagnosis, folder)
     return {"message": diagnosis.sentence, "command": next_command(diagnosis, str(folder))}
+
+
+def _review(request: JobRequest, folder: Path, _connection: Connection) -> dict[str, str]:
+    from mrd_control.comparison import compare_with_twin, write_comparison
+    from mrd_control.recording import read_hybrid_run
+
+    comparison = compare_with_twin(read_hybrid_run(request.runs[0]))
+    write_comparison(comparison, folder)
+    return {"message": comparison.sentence}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mrd_base.lease import Mode
-from mrd_bench_driver.supervision.interlocks import HOMING_INTERLOCKS, INTERLOCKS, Tolerances
+from mrd_bench_driver.supervision.interlocks import CONTROL_INTERLOCKS, HOMING_INTERLOCKS, Tolerances
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
@@ -71,6 +71,8 @@ READINGS: dict[str, Reading] = {
         f"{now.current:.3f} A",
         f"{limits.current_min - t.current:g} to {limits.current_max + t.current:g} A",
     ),
+    "power": lambda now, _limits, t: (f"{now.power:.0f} W", f"±{t.power:g} W"),
+    "energy balance": lambda now, _limits, t: (f"{now.work:.1f} J", f"≥ {-t.energy:g} J"),
 }
 
 
@@ -87,7 +89,8 @@ def lamps(now: Snapshot, limits: Limits, tolerances: Tolerances, mode: Mode, rea
         Mode of the bench and its reason. In a fault, the interlock that has tripped is named by the reason, and keeps its
         lamp until the reset although its value may be within the limit again.
     """
-    checks = HOMING_INTERLOCKS if mode is Mode.HOMING else INTERLOCKS
+    # Power and energy balance are zero but in a hybrid test.
+    checks = HOMING_INTERLOCKS if mode is Mode.HOMING else CONTROL_INTERLOCKS
     found = []
     for name, reading in READINGS.items():
         value, limit = reading(now, limits, tolerances)

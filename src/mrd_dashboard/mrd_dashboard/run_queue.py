@@ -9,6 +9,7 @@ from typing import Literal
 
 from mrd_base import InputError
 
+Kind = Literal["identification", "control"]
 State = Literal["waiting", "running", "done", "failed", "stopped"]
 
 # Wall time in s between two runs, for homing, tare, and the closing of the bag, by which the time left is estimated.
@@ -38,6 +39,8 @@ class QueuedRun:
         How it ended.
     bag : str
         Folder of its recording, once it has one.
+    kind : {"identification", "control"}
+        Mode of the bench that it needs: ``control`` for a hybrid test.
     """
 
     number: int
@@ -50,6 +53,7 @@ class QueuedRun:
     elapsed: float = 0.0
     message: str = ""
     bag: str = ""
+    kind: Kind = "identification"
 
 
 @dataclass
@@ -101,16 +105,16 @@ class RunQueue:
             part.write_text(json.dumps([dataclasses.asdict(run) for run in self.runs]), encoding="utf-8")
             part.replace(self.file)
 
-    def add(self, name: str, experiment: str, duration: float, seed: int = 0) -> QueuedRun:
+    def add(self, name: str, experiment: str, duration: float, seed: int = 0, kind: Kind = "identification") -> QueuedRun:
         """Append a run."""
-        self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed))
+        self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed, kind=kind))
         self._keep()
         return self.runs[-1]
 
     def retry(self, number: int) -> QueuedRun:
         """Append a run that has ended once more."""
         run = self._replace(number)
-        return self.add(run.name, run.experiment, run.duration, run.seed)
+        return self.add(run.name, run.experiment, run.duration, run.seed, run.kind)
 
     def remove(self, number: int) -> None:
         """Take a run out that does not run."""

@@ -15,6 +15,7 @@ from mrd_base import InputError
 from mrd_dashboard.access import Sessions
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.guard import LOGIN, SESSION, Guard
+from mrd_dashboard.hybrid_view import hybrid_frame
 from mrd_runs.csv_export import export_csv
 
 _LONGEST_LOGIN = 4096  # bytes
@@ -42,6 +43,10 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
     @app.get("/live.json")
     def live() -> dict[str, list[float]]:
         return dashboard.frame()
+
+    @app.get("/hybrid.json")
+    def hybrid() -> dict[str, list[float]]:
+        return hybrid_frame(dashboard.bench.cycles.latest())
 
     @app.get(LOGIN)
     def login_page() -> HTMLResponse:

@@ -13,7 +13,7 @@ from mrd_dashboard.control_right import ControlRight
 from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.recordings import Recordings
-from mrd_dashboard.run_queue import RunQueue
+from mrd_dashboard.run_queue import Kind, RunQueue
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "config/experiments"
 
@@ -23,6 +23,7 @@ class NotedCommands:
 
     def __init__(self) -> None:
         self.asked: list[Any] = []
+        self.kinds: list[Kind] = []
         self.refusal = ""
 
     def emergency_stop(self) -> None:
@@ -34,8 +35,9 @@ class NotedCommands:
             raise InputError(self.refusal)
         return f"{name}: done"
 
-    async def run_experiment(self, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
         self.asked.append((experiment, bag.name, seed))
+        self.kinds.append(kind)
         if self.refusal:
             raise InputError(self.refusal)
         progress("running", 1.0)
@@ -68,6 +70,7 @@ def dashboard(tmp_path: Path, commands: NotedCommands) -> Iterator[Dashboard]:
         ControlRight(),
         audit,
         EXPERIMENTS,
+        EXPERIMENTS.parent / "control/hybrid_test.yaml",
     )
     audit.close()
 

@@ -8,7 +8,7 @@ import pytest
 
 from mrd_base.lease import Mode
 from mrd_bench_driver.servo.status import ServoStatus
-from mrd_bench_driver.supervision.interlocks import INTERLOCKS, Tolerances
+from mrd_bench_driver.supervision.interlocks import CONTROL_INTERLOCKS, Tolerances
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.lamps import READINGS, lamps
@@ -102,7 +102,7 @@ def test_the_prediction_of_the_true_model_leaves_no_residual() -> None:
 
 
 def test_there_is_a_lamp_for_each_interlock() -> None:
-    assert READINGS.keys() == INTERLOCKS.keys()
+    assert READINGS.keys() == CONTROL_INTERLOCKS.keys()
     found = lamps(HEALTHY, Limits(), Tolerances(), Mode.IDLE, "started")
     assert {lamp.status for lamp in found} == {"ok"}, found
 
@@ -116,6 +116,8 @@ def test_there_is_a_lamp_for_each_interlock() -> None:
         ({"current": 1.25}, "current", "1.250 A", "-0.1 to 1.1 A"),
         ({"sample_age": 0.2}, "stale samples", "200 ms", "140 ms"),
         ({"position_difference": 0.003}, "position sensors", "3.00 mm", "±2 mm"),
+        ({"power": 130.0}, "power", "130 W", "±120 W"),
+        ({"work": -9.0}, "energy balance", "-9.0 J", "≥ -2 J"),
         ({"daq_problem": "the converter is silent; check its cable"}, "daq fault", "stopped", ""),
     ],
 )

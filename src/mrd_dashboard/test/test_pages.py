@@ -164,3 +164,34 @@ def test_a_job_without_recordings_is_refused(visit, dashboard) -> None:
         await user.should_see("no runs are chosen")
 
     visit(work)
+
+
+def test_a_hybrid_test_goes_from_the_form_into_the_queue(visit, dashboard) -> None:
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.paused = True
+
+    async def work(user: User) -> None:
+        user.find("Control").click()
+        await user.should_see("No controller is up")
+        user.find(marker="excitation amplitude_mm").clear().type("900")
+        user.find(marker="check test").click()
+        await user.should_see("limit", retries=300)
+        user.find(marker="excitation amplitude_mm").clear().type("50")
+        user.find(marker="queue test").click()
+        await user.should_see("waits in the queue", retries=300)
+
+    visit(work)
+    (run,) = dashboard.queue.runs
+    assert run.kind == "control"
+    assert "amplitude_mm: 50" in run.experiment
+
+
+def test_without_a_finished_hybrid_test_nothing_is_compared(visit, dashboard) -> None:
+    dashboard.control.take("a", "Ann")
+
+    async def work(user: User) -> None:
+        user.find("Control").click()
+        user.find(marker="review").click()
+        await user.should_see("record one first")
+
+    visit(work)

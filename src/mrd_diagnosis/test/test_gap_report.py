@@ -359,7 +359,8 @@ def test_an_effect_that_imitates_the_cause_is_called_so():
     assert not describe_candidate(diagnosed("unknown_effect"), diagnosis.candidates[3]).remark
 
 
-def test_what_a_wrong_form_may_imitate_is_called_unproven(capsys, tmp_path):
+def test_what_a_wrong_form_may_imitate_is_called_unproven(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("COLUMNS", "200")
     diagnosis = diagnosed("partly_explained")
     texts = {candidate.effects[0]: describe_candidate(diagnosis, candidate) for candidate in ordered_candidates(diagnosis)}
     assert texts["channel_delay"].remark == "named as a cause"
@@ -661,7 +662,7 @@ def test_the_next_step_follows_from_the_findings():
 
 
 def test_the_terminal_shows_all_of_its_summary(monkeypatch, capsys, tmp_path):
-    monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setenv("COLUMNS", "80")
     diagnosis = diagnosed("ambiguous")
     effects = ("rate_dependent_hysteresis", "pre_yield_hysteresis", "channel_delay")
     together = replace(diagnosis.candidates[0], effects=effects)
@@ -670,8 +671,9 @@ def test_the_terminal_shows_all_of_its_summary(monkeypatch, capsys, tmp_path):
     step, command = next_step(diagnosis), next_command(diagnosis, str(tmp_path))
     assert output.startswith(f"{diagnosis.sentence}\nnext step: {step}\nnext command: {command}\n")
     lines = output.splitlines()
-    assert any("rate_dependent_hysteresis + pre_yield_hysteresis + channel_delay" in line for line in lines)
+    assert all(any(effect in line for line in lines) for effect in effects)
     assert not any("…" in line for line in lines)
+    assert max(len(line) for line in lines if line.startswith(" ")) <= 80
     assert "The table shows the best 8 of 16 candidates; the report lists all." in lines
     paths = [str(tmp_path / name) for name in ("gap_report.html", "gap_report.json", "next_experiment.yaml")]
     assert lines[-4:] == [f"note: {diagnosis.notes[0]}", *paths]

@@ -210,8 +210,16 @@ EXPERIMENT_STATE = Topic(
     "experiment_state",
     String,
     LATCHED,
-    "idle, loaded, running, done, or `aborted: reason`, on every change",
-    publishers=("generator", "controller"),
+    "of the generator: idle, loaded, running, done or aborted, on every change",
+    publishers=("generator",),
+    subscribers=("supervisor", "page"),
+)
+CONTROL_STATE = Topic(
+    "control_state",
+    String,
+    LATCHED,
+    "of the controller: idle, loaded, running, done, or `aborted: reason`, on every change",
+    publishers=("controller",),
     subscribers=("supervisor", "page"),
 )
 CONTROL_CYCLE = Topic(
@@ -220,7 +228,7 @@ CONTROL_CYCLE = Topic(
     RECORDED,
     "what the controller made of a block of samples, once for each block of a hybrid test",
     publishers=("controller",),
-    subscribers=("supervisor", "recorder"),
+    subscribers=("supervisor", "recorder", "page"),
     recorded=True,
 )
 DAQ_STATE = Topic(

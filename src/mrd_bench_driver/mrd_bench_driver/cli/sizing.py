@@ -1,12 +1,11 @@
 """``ros2 run mrd_bench_driver sizing``: evaluate the paper's Eqs 4–8 for its drive or another one."""
 
 import argparse
-import sys
 
-from rich.console import Console
 from rich.table import Table
 
 from mrd_base import run_tool
+from mrd_base.console import print_table
 from mrd_bench_driver.sizing import Sizing, compare
 
 # By option: field, number of the option's units in an SI unit, and meaning.
@@ -41,14 +40,13 @@ def _work() -> None:
     sizing = Sizing(**{field: given[field] / factor for field, factor, _ in _OPTIONS.values()})
 
     table = Table(title="Drive of the bench")
-    table.add_column("quantity", overflow="fold")
+    table.add_column("quantity")
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("paper prints", justify="right", no_wrap=True)
-    table.add_column("remark", overflow="fold")
+    table.add_column("remark")
     for row in compare(sizing):
         table.add_row(row.name, row.value, row.printed, row.remark)
-    # A file or a pipe has no width for which the table must be folded.
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    print_table(table)
 
 
 def main() -> None:

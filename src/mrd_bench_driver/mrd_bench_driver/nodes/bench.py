@@ -124,6 +124,14 @@ def main() -> None:
         action="store_true",
         help="serve the operator's page (section page of --bench); a simulated bench then keeps --pace 1",
     )
+    parser.add_argument(
+        "--control",
+        type=float,
+        nargs="?",
+        const=4.0,
+        metavar="MS",
+        help="start a controller, too, for hybrid tests; samples then come in blocks of MS milliseconds (default: 4)",
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     arguments = parser.parse_args()
     if arguments.bench is None:
@@ -136,6 +144,8 @@ def main() -> None:
         parser.error("--pace needs --simulated: a real bench has one time")
     if arguments.pace is not None and not arguments.pace > 0:
         parser.error(f"--pace is {arguments.pace:g}, expected > 0")
+    if arguments.control is not None and not 1 <= arguments.control <= 20:
+        parser.error(f"--control is {arguments.control:g}, expected 1 to 20 ms")
     if not 0 <= arguments.seed < 2**31:
         parser.error(f"--seed is {arguments.seed}, expected a whole number from 0 to 2147483647")
     if not re.fullmatch(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", arguments.namespace):
@@ -150,7 +160,13 @@ def _work(arguments: argparse.Namespace) -> None:
         return
     port = session.logs / "motor"
     specs = bench_processes(
-        arguments.bench, session.plant, port, pace=arguments.pace, seed=arguments.seed, page=arguments.page
+        arguments.bench,
+        session.plant,
+        port,
+        pace=arguments.pace,
+        seed=arguments.seed,
+        control_cycle=None if arguments.control is None else 1e-3 * arguments.control,
+        page=arguments.page,
     )
     namespace = "/" + arguments.namespace.strip("/")
     if arguments.simulated and "ROS_DOMAIN_ID" not in os.environ:

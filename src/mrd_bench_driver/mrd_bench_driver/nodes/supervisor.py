@@ -26,6 +26,7 @@ from mrd_base.nodes.graph import (
     BENCH_STATE,
     CONTROL,
     CONTROL_CYCLE,
+    CONTROL_STATE,
     DAQ_STATE,
     EMERGENCY_STOP,
     EMERGENCY_STOP_SERVICE,
@@ -55,7 +56,7 @@ from mrd_bench_driver.supervision.procedure import RunOutcome, SetOutcome
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.supervisor import Supervisor
 from mrd_interfaces.action import RunExperiment, RunSet
-from mrd_interfaces.msg import BenchSamples, BenchState, ControlCycle, Lease, Recording, ServoState
+from mrd_interfaces.msg import BenchSamples, BenchState, ControlCycle, Lease, Recording, ServoState, Setpoint
 
 _STATUS_FIELDS = [field.name for field in dataclasses.fields(ServoStatus) if field.name != "time"]
 # Threads for requests: one runs a procedure, the others refuse, cancel and stop.
@@ -92,9 +93,10 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         DAQ_STATE.subscription(self, self._on_daq_state)
         SERVO_STATE.subscription(self, self._on_servo_state)
         SAMPLES.subscription(self, self._on_samples)
-        SETPOINT.subscription(self, self._on_setpoint, raw=True)
+        SETPOINT.subscription(self, self._on_setpoint)
         CONTROL_CYCLE.subscription(self, self._on_control_cycle)
-        EXPERIMENT_STATE.subscription(self, self._on_experiment_state)
+        EXPERIMENT_STATE.subscription(self, partial(self._on_experiment_state, "generator"))
+        CONTROL_STATE.subscription(self, partial(self._on_experiment_state, "controller"))
         RECORDER_STATE.subscription(self, self._on_recorder_state)
         EMERGENCY_STOP_SERVICE.serve(self, self._on_emergency_stop_service)
         self.create_bench_timer(self.config.check, self._tick)
@@ -176,14 +178,16 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
         self._supervisor.check_interlocks()
 
-    def _on_setpoint(self, _cdr: bytes) -> None:
-        self._supervisor.monitor.add_setpoint(self.bench.now())
+    def _on_setpoint(self, setpoint: Setpoint) -> None:
+        # A setpoint that nobody follows must not hide that the others have ended.
+        if setpoint.lease == self._supervisor.mode.lease:
+            self._supervisor.monitor.add_setpoint(self.bench.now())
 
     def _on_control_cycle(self, cycle: ControlCycle) -> None:
         self._supervisor.monitor.add_control_cycle(cycle.work, cycle.power)
 
-    def _on_experiment_state(self, state: String) -> None:
-        self._supervisor.monitor.add_experiment_state(state.data, self.bench.now())
+    def _on_experiment_state(self, source: str, state: String) -> None:
+        self._supervisor.monitor.add_experiment_state(state.data, self.bench.now(), source)
 
     def _on_recorder_state(self, status: DiagnosticStatus) -> None:
         state = next((value.value for value in status.values if value.key == "state"), "")

@@ -27,7 +27,7 @@ from mrd_bench_driver.supervision.interlocks import (
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_bench_driver.supervision.punctuality import measure_punctuality
 from mrd_bench_driver.supervision.run_requests import RunRequest
-from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot
+from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot, SourceState
 
 # Distance in m from mid-stroke below which the rod need not be homed again before an experiment.
 CENTRE_TOLERANCE = 5e-4
@@ -203,18 +203,16 @@ class BenchOperations:
 
     def load(self, experiment: str) -> LoadedExperiment:
         """Let the generator plan an experiment, or the controller check a hybrid test. Nothing moves."""
-        loads = self._monitor.loads
+        loads = self._told.loads
         response = self._call(self.source.load, _PLANNING_TIMEOUT, experiment=experiment)
         # The state of an earlier experiment must not be taken for the state of this one.
-        self._wait_until(
-            lambda: self._monitor.loads > loads, _EFFECT_TIMEOUT, f"{self.source.node}: did not announce `loaded`"
-        )
+        self._wait_until(lambda: self._told.loads > loads, _EFFECT_TIMEOUT, f"{self.source.node}: did not announce `loaded`")
         self._loads = loads + 1
         return LoadedExperiment(response.duration, response.rate)
 
     def start_experiment(self) -> None:
         """Start the setpoints of the loaded experiment."""
-        if self._monitor.loads != self._loads:
+        if self._told.loads != self._loads:
             raise RefusedError(f"{self.source.node}: somebody has loaded another experiment meanwhile; run this one again")
         self._call(self.source.start)
 
@@ -223,16 +221,16 @@ class BenchOperations:
 
         Refuse if it ends otherwise or is late, if somebody stops the rod or changes the rate, or if the recording fails.
         """
-        clock, monitor = self._clock, self._monitor
+        clock = self._clock
         begin = clock.now()
         latest = duration + max(_OVERTIME[0], _OVERTIME[1] * duration)
         reported = -math.inf
-        while monitor.experiment_state != "done":
+        while self._told.state != "done":
             self._interruption()
             elapsed = clock.now() - begin
             self._require_undisturbed(begin)
-            if monitor.experiment_state == "aborted":
-                reason = monitor.abort_reason or "look at its log"
+            if self._told.state == "aborted":
+                reason = self._told.reason or "look at its log"
                 raise RefusedError(f"the {self.source.node} aborted the experiment; {reason}")
             self._require_recording()
             if elapsed > latest:
@@ -248,11 +246,15 @@ class BenchOperations:
         monitor = self._monitor
         if monitor.recording_problem:
             raise RefusedError(monitor.recording_problem)
-        silence = self._clock.now() - monitor.recorder_time
-        if silence > _RECORDER_SILENCE:
-            raise RefusedError(f"recorder: has been silent for {silence:.2f} s; look at its log")
+        self.require_recorder()
         if monitor.recorder_state != "recording":
             raise RefusedError("recorder: the recording ended during the run; look at its log")
+
+    def require_recorder(self) -> None:
+        """Refuse where the recorder has fallen silent."""
+        silence = self._clock.now() - self._monitor.recorder_time
+        if silence > _RECORDER_SILENCE:
+            raise RefusedError(f"recorder: has been silent for {silence:.2f} s; look at its log")
 
     def _require_undisturbed(self, begin: float) -> None:
         servo = self._servo()
@@ -337,8 +339,11 @@ class BenchOperations:
         self._mode.enter(mode, reason)
         self._clock.sleep(_LEASE_DELAY)
 
-    def centre(self, *, always: bool = False) -> None:
-        """Home the rod, unless it is homed, by the LVDT as well, and stands at mid-stroke."""
+    def centre(self, *, always: bool = False, require: Callable[[], None] = lambda: None) -> None:
+        """Home the rod, unless it is homed, by the LVDT as well, and stands at mid-stroke.
+
+        Meanwhile ``require`` refuses where it makes no sense any more.
+        """
 
         def centred() -> bool:
             servo = self._servo()
@@ -346,12 +351,16 @@ class BenchOperations:
             agree = not abs(difference) > self._config.interlocks.position_difference
             return servo.homed and abs(servo.position) < CENTRE_TOLERANCE and agree
 
+        def ended() -> bool:
+            require()
+            return self._servo().time > begin and (centred() or not self._servo().enabled)
+
         if always or not centred():
             self._call("servo/home")
             begin = self._clock.now()
             timeout = self._config.home_timeout
             self._wait_until(
-                lambda: self._servo().time > begin and (centred() or not self._servo().enabled),
+                ended,
                 timeout,
                 lambda: f"servo: not homed within {timeout:g} s; the rod stands at {1e3 * self._servo().position:.2f} mm",
             )
@@ -378,7 +387,7 @@ class BenchOperations:
     def halt_all(self) -> list[str]:
         """Stop the rod and an experiment, whatever runs; return what failed."""
         failures = []
-        active = self._monitor.experiment_state in ("loaded", "running")
+        active = self._told.state in ("loaded", "running")
         for step in (self.halt, self.abort_experiment) if active else (self.halt,):
             try:
                 step()
@@ -427,6 +436,11 @@ class BenchOperations:
             if self._clock.now() > deadline:
                 raise RefusedError(failure if isinstance(failure, str) else failure())
             self._clock.sleep_step(0.01)
+
+    @property
+    def _told(self) -> SourceState:
+        """What the source of the setpoints has told of its experiment."""
+        return self._monitor.sources[self.source.node]
 
     def _servo(self) -> ServoStatus:
         if self._monitor.servo is None:

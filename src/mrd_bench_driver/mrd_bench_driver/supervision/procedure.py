@@ -52,7 +52,7 @@ class _Experiment:
         bench.require_punctual_machine()
         bench.enter(Mode.HOMING, bench.source.action)
         self._undo.append(bench.halt)
-        bench.centre()
+        bench.centre(require=bench.require_recorder)
         bench.tare()
         bench.enter(bench.source.mode, bench.source.action)
         bench.enable()

@@ -62,6 +62,28 @@ class Snapshot:
     power: float = 0.0
 
 
+@dataclass(frozen=True)
+class SourceState:
+    """What a source of setpoints, generator or controller, has told of its experiment.
+
+    Attributes
+    ----------
+    state : str
+        Latest state: idle, loaded, running, done or aborted.
+    reason : str
+        Why it was aborted, as far as it has told.
+    loads : int
+        How often an experiment was loaded.
+    time : float
+        Bench time in s of the latest state.
+    """
+
+    state: str = ""
+    reason: str = ""
+    loads: int = 0
+    time: float = -math.inf
+
+
 class BenchMonitor:
     """Collects what DAQ, servo and generator publish. One thread adds, any thread reads; times are bench times in s.
 
@@ -71,12 +93,9 @@ class BenchMonitor:
         Time of the latest sample, and sample period in s.
     servo : ServoStatus or None
         Latest status of the servo.
-    experiment_state : str
-        Latest state of the experiment: loaded, running, done or aborted.
-    abort_reason : str
-        Why it was aborted, as far as its node has told.
-    loads : int
-        How often an experiment was loaded.
+    sources : dict of str to SourceState
+        States of the experiments of ``generator`` and ``controller``. Each counts only in a run of its own: whatever the
+        other one is asked meanwhile must not end it.
     daq_problem : str
         Why the DAQ has stopped, or "".
     recorder_state, recording_problem : str
@@ -92,9 +111,8 @@ class BenchMonitor:
         self.sample_period = math.nan
         self.servo: ServoStatus | None = None
         self._track: deque[tuple[float, float]] = deque(maxlen=_TRACK_LENGTH)  # times and positions by the encoder
-        self.experiment_state = self.abort_reason = ""
+        self.sources = {"generator": SourceState(), "controller": SourceState()}
         self._work = self._power = 0.0  # of a hybrid test, in J and W
-        self.loads = 0
         self.daq_problem = ""
         self.recorder_state = self.recording_problem = ""
         self.recorder_time = -math.inf
@@ -142,16 +160,20 @@ class BenchMonitor:
         self.servo = servo
 
     def add_setpoint(self, now: float) -> None:
-        """Note that a setpoint was published."""
+        """Note that a setpoint was published that is to be followed."""
         self._setpoint_time = now
 
-    def add_experiment_state(self, state: str, now: float) -> None:
-        """Note a state of the experiment. Its first setpoint may come after it, so the age of setpoints counts from now."""
-        self._setpoint_time = max(self._setpoint_time, now)
-        state, _, self.abort_reason = state.partition(": ")
+    def add_experiment_state(self, state: str, now: float, source: str = "generator") -> None:
+        """Note a state of the experiment of a source of setpoints."""
+        state, _, reason = state.partition(": ")
         self._work = self._power = 0.0
-        self.loads += state == "loaded"
-        self.experiment_state = state
+        loads = self.sources[source].loads + (state == "loaded")
+        self.sources[source] = SourceState(state, reason, loads, now)
+
+    @property
+    def experiment_state(self) -> str:
+        """State that a source of setpoints has told last."""
+        return max(self.sources.values(), key=lambda source: source.time).state
 
     def add_control_cycle(self, work: float, power: float) -> None:
         """Note the balance of energy in a cycle of the controller: work in J, power in W."""
@@ -166,14 +188,16 @@ class BenchMonitor:
 
     def snapshot(self, now: float, *, follows_experiment: bool, setpoint_source: str = "generator") -> Snapshot:
         """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""
-        servo = self.servo
-        running = follows_experiment and self.experiment_state == "running"
+        servo, source = self.servo, self.sources[setpoint_source]
+        running = follows_experiment and source.state == "running"
+        # The first setpoint may come after the state, so that the age of setpoints counts from the state at the earliest.
+        latest = max(self._setpoint_time, source.time)
         return dataclasses.replace(
             self._samples,
             sample_age=now - self.sample_time,
             servo_age=math.inf if servo is None else now - servo.time,
             servo=servo or ServoStatus(),
-            setpoint_age=now - self._setpoint_time if running else 0.0,
+            setpoint_age=now - latest if running else 0.0,
             setpoint_source=setpoint_source,
             work=self._work if running else 0.0,
             power=self._power if running else 0.0,

@@ -4,11 +4,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Column, Table
 from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
+from mrd_base.console import print_table
 from mrd_control.controller import Actuator
 from mrd_control.evaluation import Candidate, Conditions, evaluate, optimise_gains, parse_candidate
 from mrd_control.excitations import Excitation, Road, read_excitation
@@ -23,8 +23,6 @@ from mrd_sim.damper import Damper, parse_values
 from mrd_sim.models import MODELS
 from mrd_sim.plant import DamperConfig, read_damper
 
-TABLE_WIDTH = 130
-"""Characters; a narrower terminal breaks the lines of the table."""
 LONGEST = 3600.0
 """s of a run."""
 
@@ -67,10 +65,10 @@ def work() -> None:
     ]
     page = write_evaluation(evaluation, fronts, arguments.output)
     titles = columns(evaluation)
-    table = Table(Column(titles[0], no_wrap=True), *(Column(title, justify="right") for title in titles[1:]), box=None)
+    table = Table(titles[0], *(Column(title, justify="right") for title in titles[1:]), box=None)
     for row in rows(evaluation):
         table.add_row(*row)
-    Console(width=max(Console().width, TABLE_WIDTH)).print(table)
+    print_table(table)
     print(sentence(evaluation))
     print(page)
 

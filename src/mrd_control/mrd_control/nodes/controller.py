@@ -13,15 +13,7 @@ from std_srvs.srv import Trigger
 from mrd_base import InputError, quantity
 from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
-from mrd_base.nodes.graph import (
-    ABORT_CONTROL,
-    CONTROL_CYCLE,
-    EXPERIMENT_STATE,
-    LOAD_CONTROL,
-    SAMPLES,
-    SETPOINT,
-    START_CONTROL,
-)
+from mrd_base.nodes.graph import ABORT_CONTROL, CONTROL_CYCLE, CONTROL_STATE, LOAD_CONTROL, SAMPLES, SETPOINT, START_CONTROL
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_control.online import Cycle, OnlineLoop
@@ -50,7 +42,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
 
     Each block of samples is a cycle. The setpoints carry the number of the lease that the supervisor has granted for the
     test; without one, nobody follows them. When a sample is lost or late, the lease ends, or the motion leaves the limits,
-    the controller commands 0 A, ends the setpoints, and tells why on ``experiment_state``; the supervisor holds the rod.
+    the controller commands 0 A, ends the setpoints, and tells why on ``control_state``; the supervisor holds the rod.
     """
 
     def __init__(self) -> None:
@@ -67,7 +59,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
         self._number, self._missed = 0, 0
         self._rate = self._jitter = 0.0  # of the latest run: cycles per s, and largest departure from their period in s
         self._setpoints, self._cycles = SETPOINT.publisher(self), CONTROL_CYCLE.publisher(self)
-        self._states = EXPERIMENT_STATE.publisher(self)
+        self._states = CONTROL_STATE.publisher(self)
         hear_emergency_stop(self, self._on_emergency_stop)
         self._lease = LeaseFollower(self, _LEASE_TIMEOUT, lambda _reason: None)
         LOAD_CONTROL.serve(self, self._load)
@@ -83,6 +75,9 @@ class ControllerNode(BenchNode[ControllerSettings]):
         self.get_logger().info(f"{state}{': ' + reason if reason else ''}")
 
     def _load(self, request: LoadExperiment.Request, response: LoadExperiment.Response) -> LoadExperiment.Response:
+        if reason := self._lease.reason_not_to_change(self.bench.now()):
+            response.message = reason
+            return response
         if self._state == "running":
             response.message = "a hybrid test is running; abort it first"
             return response
@@ -113,6 +108,8 @@ class ControllerNode(BenchNode[ControllerSettings]):
     def _start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._stopped:
             response.message = "the emergency stop is latched; call reset_fault first"
+        elif reason := self._lease.reason_not_to_start(Mode.CONTROL, self.bench.now()):
+            response.message = reason
         elif self._state != "loaded":
             response.message = f"no hybrid test is loaded ({self._state}); call load_control first"
         else:

@@ -5,6 +5,7 @@ import concurrent.futures
 import multiprocessing
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from ament_index_python import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError, from_mapping, quantity, read_node_parameters
@@ -21,6 +22,8 @@ from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     BENCH_STATE,
+    CONTROL_CYCLE,
+    CONTROL_STATE,
     DAQ_STATE,
     DAQ_TARE,
     DIAGNOSTICS,
@@ -31,6 +34,7 @@ from mrd_base.nodes.graph import (
     RECORDER_STATE,
     REFUSALS,
     RESET_FAULT,
+    RUN_CONTROL,
     RUN_EXPERIMENT,
     SAMPLES,
     SERVO_ENABLE,
@@ -47,10 +51,10 @@ from mrd_dashboard.control_right import ControlRight
 from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.recordings import Recordings
-from mrd_dashboard.run_queue import RunQueue
+from mrd_dashboard.run_queue import Kind, RunQueue
 from mrd_dashboard.server import PageServer
 from mrd_interfaces.action import RunExperiment
-from mrd_interfaces.msg import BenchSamples, BenchState, Lease, ServoState
+from mrd_interfaces.msg import BenchSamples, BenchState, ControlCycle, Lease, ServoState
 from mrd_trajectory.settings import read_settings
 
 # Wall time in s for a response. Homing takes up to a minute of bench time.
@@ -97,7 +101,10 @@ class RosCommands:
             "disable": (SERVO_ENABLE.client(node), SetBool.Request(data=False), _ANSWER_TIMEOUT),
             "reset fault": (RESET_FAULT.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
         }
-        self._run = RUN_EXPERIMENT.client(node)
+        self._runs = {
+            kind: (action.name, action.client(node))
+            for kind, action in {"identification": RUN_EXPERIMENT, "control": RUN_CONTROL}.items()
+        }
         self._refusals: list[str] = []
         REFUSALS.subscription(node, lambda refusal: self._refusals.append(refusal.data))
 
@@ -115,23 +122,24 @@ class RosCommands:
             raise InputError(f"{name} is refused: {response.message}")
         return f"{name}: {response.message or 'done'}"
 
-    async def run_experiment(self, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
-        """Send an experiment to the supervisor, and return when it has ended."""
-        if not self._run.server_is_ready():
+    async def run(self, kind: Kind, experiment: str, bag: Path, seed: int, progress: Progress) -> RunOutcome:
+        """Send an experiment or a hybrid test to the supervisor, and return when it has ended."""
+        name, client = self._runs[kind]
+        if not client.server_is_ready():
             raise InputError("the bench does not answer; look whether its supervisor is up, then try again")
         self._refusals.clear()
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
-        accepted = self._run.send_goal_async(
+        accepted = client.send_goal_async(
             goal, feedback_callback=lambda message: progress(message.feedback.phase, message.feedback.elapsed)
         )
         handle = await _answer(accepted, _ANSWER_TIMEOUT, "the run")
         if not handle.accepted:
-            raise InputError(await self._reason())
+            raise InputError(await self._reason(name))
         result = (await _answer(handle.get_result_async(), None, "the run")).result
         return RunOutcome(result.success, result.message, result.bag)
 
-    async def _reason(self) -> str:
-        prefix = f"{RUN_EXPERIMENT.name}: "
+    async def _reason(self, action: str) -> str:
+        prefix = f"{action}: "
         for _ in range(int(_REASON_TIMEOUT / 0.05)):
             if reasons := [text.removeprefix(prefix) for text in self._refusals if text.startswith(prefix)]:
                 return reasons[-1]
@@ -172,6 +180,7 @@ class Page(BenchNode[PageConfig]):
             control=ControlRight(),
             audit=self._audit,
             experiments=_experiments(config.experiments),
+            hybrid_test=Path(get_package_share_directory("mrd_bringup"), "config", "control", "hybrid_test.yaml"),
             workers=self._workers,
             bench_file=bench_file,
             plant=str(plant) if plant.is_file() else "",
@@ -186,8 +195,10 @@ class Page(BenchNode[PageConfig]):
         SAMPLES.subscription(self, self._on_samples, _BEST_EFFORT)
         SERVO_STATE.subscription(self, self._on_servo_state, _BEST_EFFORT)
         SETPOINT.subscription(self, lambda message: view.monitor.add_setpoint(seconds(message.header.stamp)), _BEST_EFFORT)
+        CONTROL_CYCLE.subscription(self, self._on_control_cycle, _BEST_EFFORT)
         BENCH_STATE.subscription(self, self._on_bench_state)
-        EXPERIMENT_STATE.subscription(self, lambda state: view.monitor.add_experiment_state(state.data, view.bench_time))
+        for topic, source in ((EXPERIMENT_STATE, "generator"), (CONTROL_STATE, "controller")):
+            topic.subscription(self, partial(self._on_experiment_state, source))
         DAQ_STATE.subscription(self, self._on_daq_state)
         RECORDER_STATE.subscription(self, self._on_recorder_state)
         DIAGNOSTICS.subscription(self, self._on_diagnostics)
@@ -201,12 +212,19 @@ class Page(BenchNode[PageConfig]):
         self._view.monitor.add_samples(time, period, *series)
         self._view.samples.add(block.sequence, time, period, *series)
 
+    def _on_control_cycle(self, cycle: ControlCycle) -> None:
+        self._view.monitor.add_control_cycle(cycle.work, cycle.power)
+        self._view.cycles.add(cycle)
+
     def _on_servo_state(self, state: ServoState) -> None:
         fields = {name: getattr(state, name) for name in (*_STATUS_FIELDS, *_STATUS_FLAGS)}
         self._view.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
 
     def _on_bench_state(self, state: BenchState) -> None:
         self._view.mode, self._view.reason = Mode(state.mode), state.message
+
+    def _on_experiment_state(self, source: str, state: String) -> None:
+        self._view.monitor.add_experiment_state(state.data, self._view.bench_time, source)
 
     def _on_daq_state(self, status: DiagnosticStatus) -> None:
         self._view.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""

@@ -145,7 +145,8 @@ def _jobs(dashboard: Dashboard, who: Visitor) -> None:
 
 def _job_row(job: Job, open_report: Any, apply: Any, record: Any) -> None:
     with ui.column().classes("w-full gap-0 border-t border-gray-500/30 pt-1"):
-        ui.label(f"{job.number} {job.request.kind} {job.request.model}: {job.state}").classes("text-sm font-medium")
+        title = " ".join(filter(None, (str(job.number), job.request.kind, job.request.model)))
+        ui.label(f"{title}: {job.state}").classes("text-sm font-medium")
         ui.label(job.message).classes("text-sm")
         if job.state != "done":
             return

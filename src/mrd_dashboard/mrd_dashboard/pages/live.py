@@ -9,7 +9,7 @@ from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
 from mrd_dashboard.lamps import Lamp
 from mrd_dashboard.live_frame import LivePrediction
 from mrd_dashboard.pages.notes import tell
-from mrd_dashboard.pages.plots import chart, live_panels
+from mrd_dashboard.pages.plots import chart, live_panels, pull_script
 from mrd_identification.fit_file import read_fit
 
 REFRESH = 0.2
@@ -17,28 +17,6 @@ REFRESH = 0.2
 
 _ICONS = {"ok": ("check_circle", "positive"), "warning": ("warning", "warning"), "tripped": ("cancel", "negative")}
 _LEVELS = ("ok", "warning", "tripped", "tripped")
-
-# The browser asks for a frame once it has drawn the one before, so that a slow one never has frames waiting for it.
-_PULL = """
-(() => {
-  let busy = false;
-  window.mrdFrames = 0;
-  setInterval(async () => {
-    // Under another tab of the page, the chart is not there; later it is there again.
-    const chart = getElement(ID)?.chart;
-    if (!chart || busy || document.hidden || !document.getElementById('cID')?.offsetParent) return;
-    busy = true;
-    try {
-      const answer = await fetch('/live.json');
-      if (answer.ok) {
-        chart.setOption({dataset: {source: await answer.json()}}, {lazyUpdate: false});
-        window.mrdFrames += 1;
-      }
-    } catch (error) { /* the server is away; the page says so */ }
-    busy = false;
-  }, PERIOD);
-})();
-"""
 
 
 def live_page(dashboard: Dashboard, who: Visitor) -> None:
@@ -91,7 +69,7 @@ def _plots(dashboard: Dashboard) -> None:
             ui.notify(str(error), type="negative")
 
     limits.value = True
-    script = _PULL.replace("ID", str(plots.id)).replace("PERIOD", str(int(1e3 * FRAME_PERIOD)))
+    script = pull_script(plots.id, "/live.json", FRAME_PERIOD)
     ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
 
 

@@ -129,6 +129,43 @@ def live_panels(limits: Limits) -> list[Panel]:
     ]
 
 
-def zoomed(panel: Panel) -> bool:
-    """Return whether the axes of a plot follow its curves at first: the shape of a loop matters more than its limits."""
-    return panel.x != "time_s"
+def hybrid_panels(limits: Limits) -> list[Panel]:
+    """Return the plots of a hybrid test over time: motion, error of the rod, force and current."""
+    reach = (-1e3 * limits.reach, 1e3 * limits.reach)
+    motion = [("wanted_mm", PREDICTED, "wanted"), ("rod_mm", MEASURED, "rod")]
+    current = [("commanded_mA", PREDICTED, "commanded"), ("current_mA", MEASURED, "measured")]
+    return [
+        Panel("time_s", (9, 3, 88, 25), motion, (), reach),
+        Panel("time_s", (9, 36, 88, 11), [("error_mm", RESIDUAL, "rod minus wanted")]),
+        Panel("time_s", (9, 55, 88, 14), [("force_N", MEASURED, "force")]),
+        Panel("time_s", (9, 77, 88, 14), current),
+    ]
+
+
+# The browser asks for a frame once it has drawn the one before, so that a slow one never has frames waiting for it.
+_PULL = """
+(() => {
+  let busy = false;
+  window.mrdFrames = window.mrdFrames || 0;
+  setInterval(async () => {
+    // Under another tab of the page, the chart is not there; later it is there again.
+    const chart = getElement(ID)?.chart;
+    if (!chart || busy || document.hidden || !document.getElementById('cID')?.offsetParent) return;
+    busy = true;
+    try {
+      const answer = await fetch('ADDRESS');
+      if (answer.ok) {
+        chart.setOption({dataset: {source: await answer.json()}}, {lazyUpdate: false});
+        window.mrdFrames += 1;
+      }
+    } catch (error) { /* the server is away; the page says so */ }
+    busy = false;
+  }, PERIOD);
+})();
+"""
+
+
+def pull_script(chart: int, address: str, period: float) -> str:
+    """Return the script that keeps the table of a chart fresh from an address of the server, every ``period`` s."""
+    script = _PULL.replace("ID", str(chart)).replace("ADDRESS", address)
+    return script.replace("PERIOD", str(int(1e3 * period)))

@@ -5,13 +5,14 @@ from nicegui import ui
 from mrd_base.lease import Mode
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.pages.analysis import analysis_page
+from mrd_dashboard.pages.control import control_page
 from mrd_dashboard.pages.live import REFRESH, live_page
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.runs import runs_page
 from mrd_dashboard.web import visitor
 
-# The tabs in their order. A page for the mode control takes its place here once there is a node for it.
-PAGES = {"Live": live_page, "Runs": runs_page, "Identify and diagnose": analysis_page}
+# The tabs in their order.
+PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identify and diagnose": analysis_page}
 
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
 

@@ -4,11 +4,11 @@ import argparse
 import os
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from mrd_base import FaultError, InputError, run_tool
+from mrd_base.console import print_table
 from mrd_base.progress import shown_progress
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
@@ -33,9 +33,6 @@ from mrd_trajectory.settings import read_settings
 
 MOST_ROWS = 8
 """Candidates that the terminal shows; the page and the file list all of them."""
-
-WIDEST_TABLE = 1000
-"""Width in characters at which no cell of the table is cut or folded; a narrower terminal wraps its lines."""
 
 
 def main() -> None:
@@ -128,7 +125,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
     if diagnosis.candidates and nothing_removes(diagnosis):
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:
-        Console(width=WIDEST_TABLE).print(candidate_table(diagnosis))
+        print_table(candidate_table(diagnosis))
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
     for note in diagnosis.notes:

@@ -2,10 +2,10 @@
 
 import argparse
 
-from rich.console import Console
 from rich.table import Column, Table
 
 from mrd_base import InputError, run_tool
+from mrd_base.console import print_table
 from mrd_base.progress import shown_progress
 from mrd_identification.cli.options import (
     add_anyway,
@@ -22,9 +22,6 @@ from mrd_identification.json_file import make_folder
 from mrd_identification.method import Method
 from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS
-
-TABLE_WIDTH = 110
-"""Characters; a narrower terminal breaks the lines of the table, and no figure is cut off."""
 
 SECONDS_PER_SAMPLE = 2.5e-7
 """Seconds for a sample of a candidate of the search, with all that follows it; of two cores and the cheapest models."""
@@ -93,10 +90,10 @@ def work() -> None:
             progress=lambda share: report("", share),
         )
     page = write_comparison(comparison, arguments.output)
-    table = Table(Column(COLUMNS[0], no_wrap=True), *(Column(title, justify="right") for title in COLUMNS[1:]), box=None)
+    table = Table(COLUMNS[0], *(Column(title, justify="right") for title in COLUMNS[1:]), box=None)
     for row in ranking(comparison):
         table.add_row(*row)
-    Console(width=max(Console().width, TABLE_WIDTH)).print(table)
+    print_table(table)
     print(f"The 95 % intervals come from a bootstrap over {comparison.units} {comparison.resampled}.")
     print(sentence(comparison))
     for text in selections(comparison):

@@ -2,11 +2,11 @@
 
 import argparse
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from mrd_base import run_tool
+from mrd_base.console import print_table
 from mrd_runs import read_runs
 from mrd_runs.summary import summarise
 
@@ -19,9 +19,8 @@ def main() -> None:
 
 
 def _show(paths: list[str]) -> None:
-    console = Console(highlight=False)
     for run in read_runs(paths):
         table = Table(title=Text(run.name), show_header=False, title_justify="left")
         for name, content in summarise(run).items():
             table.add_row(name, Text(content))  # a text of a stranger's file is no markup
-        console.print(table)
+        print_table(table)

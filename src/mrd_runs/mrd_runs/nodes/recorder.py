@@ -70,9 +70,10 @@ class Recorder(BenchNode[RecorderSettings]):
 
     Topics are served by the executor of this node. Requests are served one after the other by a second node in a thread of
     its own, because stop_recording waits until rod and coil are at rest while the recording goes on. The topic
-    ``recorder_state`` tells at once when a recording fails. While a supervisor watches, nobody else ends the recording of
-    its run. On a simulated bench, time stands still during a request, except while stop_recording waits for rest; who calls
-    it lets time pass while ``recorder_state`` is ``stopping``.
+    ``recorder_state`` tells at once when a recording fails. While the supervisor of a run watches, nobody else ends its
+    recording; without it, anybody may, and the next recording does. On a simulated bench, time stands still during a
+    request, except while stop_recording waits for rest; who calls it lets time pass while ``recorder_state`` is
+    ``stopping``.
     """
 
     def __init__(self) -> None:
@@ -84,6 +85,7 @@ class Recorder(BenchNode[RecorderSettings]):
         self._rest: RestMonitor | None = None
         self._lease = LeaseFollower(self, self.config.stale, lambda _reason: None)
         self._run_lease = 0  # number of the lease of the run that is recorded; 0 for a recording by hand
+        self._run_holder = ""  # its supervisor
         self._requested = 0.0  # bench time of the latest request
         self._end = math.inf  # bench time from which on nothing is written
         self._wait_over = self.bench.waiter()  # woken when the wait for rest is over
@@ -202,7 +204,9 @@ class Recorder(BenchNode[RecorderSettings]):
 
     def _open(self, request: StartRecording.Request) -> Path:
         if self._writer is not None:
-            raise InputError(f"already recording into {self._writer.path}; stop_recording first")
+            if not self._is_orphaned():
+                raise InputError(f"already recording into {self._writer.path}; stop_recording first")
+            self._close_bag()
         if not request.bag:
             raise InputError("the request names no bag; expected the folder to make")
         cdr = self._latched.get(self._calibration)
@@ -223,7 +227,7 @@ class Recorder(BenchNode[RecorderSettings]):
                 writer.write(topic, self._now(), cdr)
             writer.flush()
             self._writer, self._failure = writer, ""
-            self._run_lease = int(request.lease)
+            self._run_lease, self._run_holder = int(request.lease), self._lease.lease.holder
             self._last_samples = self._requested = self.bench.now()
             self._end = math.inf
             self._publish_state("recording")
@@ -234,12 +238,17 @@ class Recorder(BenchNode[RecorderSettings]):
 
     def _stop(self, request: StopRecording.Request, response: StopRecording.Response) -> StopRecording.Response:
         recorded = self._run_lease if self._writer is not None else 0
-        if recorded not in (0, request.lease) and self._lease.is_valid(self.bench.now()):
+        if recorded not in (0, request.lease) and not self._is_orphaned():
             response.success = False
-            response.message = f"records a run of {self._lease.lease.holder}; call its stop"
+            response.message = f"records a run of {self._run_holder}; call its stop"
             return response
         with self.bench.busy():
             return self._close_and_count(response)
+
+    def _is_orphaned(self) -> bool:
+        """Whether the run that is recorded has lost its supervisor. Its successor could neither end it nor record."""
+        watched = self._lease.is_valid(self.bench.now()) and self._lease.lease.holder == self._run_holder
+        return self._run_lease != 0 and not watched
 
     def _close_and_count(self, response: StopRecording.Response) -> StopRecording.Response:
         writer = self._writer

@@ -1,12 +1,14 @@
 """List the effects with their parameters."""
 
 import argparse
+import textwrap
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from mrd_base import run_tool
+from mrd_base.console import print_table
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 from mrd_sim.effects_page import catalogue, interval, page, section
@@ -35,13 +37,13 @@ def work() -> None:
         return
     console = Console()
     if chosen is None:
-        console.print(table())
-        console.print("One with its parameters: mrd effects EFFECT")
+        print_table(table())
+        console.print("One with its equation, parameters and what it looks like: mrd effects EFFECT")
         return
     console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
     for clause in clauses(chosen.equation):
         console.print(f"    {clause}", highlight=False, markup=False)
-    console.print(parameters(chosen))
+    print_table(parameters(chosen))
     for name, text in (
         ("Shows as", chosen.signature),
         ("Looks like", ", ".join(chosen.confused_with)),
@@ -53,17 +55,18 @@ def work() -> None:
 
 def table() -> Table:
     """Return a table of all effects."""
-    table = Table("id", "stage", "effect and equation", "parameters", show_lines=True)
+    table = Table("effect", "title", "stage", "parameters")
     for effect in catalogue():
-        listed = "\n".join(f"{p.name} {interval(p)}" for p in effect.parameters)
-        table.add_row(effect.id, effect.stage, f"{effect.title}\n{escape(effect.equation)}", listed)
+        table.add_row(effect.id, effect.title, effect.stage, ", ".join(p.name for p in effect.parameters))
     return table
 
 
 def parameters(effect: Effect) -> Table:
     """Return a table of an effect's parameters."""
-    table = Table("parameter", "unit", "neutral", "bounds", "clearly visible", "meaning")
+    table = Table("parameter", "unit", "neutral", "bounds", "clearly visible", show_lines=True)
     for p in effect.parameters:
         typical = effect.typical.get(p.name, p.default)
-        table.add_row(f"{effect.id}.{p.name}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}", escape(p.meaning))
+        named = f"{effect.id}.{p.name}"
+        meaning = "\n".join(textwrap.wrap(p.meaning, max(len(named), 30)))
+        table.add_row(f"{named}\n{escape(meaning)}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}")
     return table

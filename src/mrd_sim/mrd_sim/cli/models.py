@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mrd_base import run_tool
+from mrd_base.console import print_table
 from mrd_sim.cli.options import add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, DamperModel, find_model
@@ -32,23 +33,22 @@ def work() -> None:
         return
     console = Console()
     if model is None:
-        console.print(catalogue())
-        console.print("One with its parameters and current laws: mrd models MODEL")
+        print_table(catalogue())
+        console.print("One with its equation, source, parameters and current laws: mrd models MODEL")
         return
     console.print(f"{model.title} ({model.id})", highlight=False, style="bold")
     for clause in clauses(model.equation):
         console.print(f"    {clause}", highlight=False, markup=False)
     console.print(f"Source: {model.source}", highlight=False, markup=False)
-    console.print(parameters(model))
-    console.print(current_laws(model))
+    print_table(parameters(model))
+    print_table(current_laws(model))
 
 
 def catalogue() -> Table:
     """Return a table of all models."""
-    table = Table("id", "model, equation and source", "parameters", "memory", "integration", show_lines=True)
+    table = Table("model", "title", "parameters", "memory", "integration")
     for model in MODELS.values():
-        text = f"{model.title}\n{model.equation}\n{model.source}"
-        table.add_row(model.id, text, str(len(model.parameters)), memory(model), integration(model))
+        table.add_row(model.id, model.title, str(len(model.parameters)), memory(model), integration(model))
     return table
 
 

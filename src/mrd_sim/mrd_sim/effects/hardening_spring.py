@@ -2,11 +2,18 @@
 
 from numba import njit
 
+from mrd_sim.dual import absolute, power
 from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-PARAMETERS = (Parameter("stiffness", "N/m³", 0.0, 0.0, 3e9, "force over the cube of the distance from mid-stroke, k_3"),)
+DEFLECTION = 0.01
+"""m from mid-stroke at which the parameter ``force`` is the force."""
+
+PARAMETERS = (
+    Parameter("force", "N", 0.0, 0.0, 3e3, "force at 10 mm from mid-stroke, F_10"),
+    Parameter("exponent", "1", 3.0, 1.5, 7.0, "n; 3 is Duffing's spring"),
+)
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
@@ -14,18 +21,19 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     p = named(Parameters, parameters)
     for k in range(len(x)):
-        force[k] += p.stiffness * x[k] * x[k] * x[k]
+        spring = p.force * power(absolute(x[k]) / DEFLECTION, p.exponent)
+        force[k] += spring if x[k].real > 0.0 else -spring
 
 
 EFFECT = Effect(
     id="hardening_spring",
     title="Hardening spring",
-    phrase="a spring of {stiffness} hardens with the distance from mid-stroke",
+    phrase="a spring that presses with {force} at 10 mm hardens with the distance from mid-stroke",
     stage="structure",
-    equation="F + k_3 x³",
-    source="Duffing (1918); the linear part is the damper model's stiffness",
+    equation="F + sgn(x) F_10 (|x| / 10 mm)^n",
+    source="Duffing (1918), with a free exponent; the linear part is the damper model's stiffness",
     parameters=PARAMETERS,
-    typical={"stiffness": 2e8},
+    typical={"force": 200.0, "exponent": 3.0},
     signature="force over position that bends up evenly on both sides of mid-stroke, at any speed and current",
     confused_with=("end_stop", "gas_spring", "side_load_friction", "lvdt_nonlinearity"),
     separated_by="slow strokes of several lengths, of which the short ones stay clear of any stop",

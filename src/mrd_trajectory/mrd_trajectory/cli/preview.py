@@ -5,8 +5,11 @@ import os
 from pathlib import Path
 
 import numpy as np
+from rich.markup import escape
+from rich.table import Table
 
 from mrd_base import InputError, run_tool
+from mrd_base.console import print_table
 from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
@@ -39,7 +42,7 @@ def main() -> None:
 
 def _preview(arguments: argparse.Namespace) -> None:
     if arguments.waveforms:
-        print(_table(("waveform", "under rod", "under coil", "default", "meaning"), *waveform_table()))
+        _print_table(("waveform", "under rod", "under coil", "default", "meaning"), *waveform_table())
     if not arguments.experiment:
         return
     settings = read_settings(arguments.bench)
@@ -47,14 +50,17 @@ def _preview(arguments: argparse.Namespace) -> None:
         plans = [_read_plan(file, settings) for file in sorted(arguments.experiment.glob("*.yaml"))]
         if not plans:
             raise InputError(f"{arguments.experiment}: has no experiments; put files NAME.yaml there")
-        print((_markdown if arguments.markdown else _table)(_HEADER, *map(_row, plans)))
+        if arguments.markdown:
+            print(_markdown(_HEADER, *map(_row, plans)))
+        else:
+            _print_table(_HEADER, *map(_row, plans))
         return
     planned = _read_plan(arguments.experiment, settings)
     experiment = planned.experiment
     start, end = planned.body
     print(f"{experiment.name}: {planned.duration:.2f} s, of which the waveforms {start:.2f} to {end:.2f} s\n")
     rows = [(p.quantity, f"{p.value:.4g}", f"{p.limit:.4g}", p.unit) for p in planned.peaks]
-    print(_table(("peak", "value", "limit", "unit"), *rows))
+    _print_table(("peak", "value", "limit", "unit"), *rows)
     if arguments.output:
         _write_page(planned, Path(arguments.output))
         print(f"\n{Path(arguments.output).resolve()}")
@@ -92,10 +98,11 @@ def _markdown(header: tuple[str, ...], *lines: tuple[str, ...]) -> str:
     return "\n".join([first, "|" + "---|" * len(header), *rows])
 
 
-def _table(*lines: tuple[str, ...]) -> str:
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    padded = ("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
-    return "\n".join(line.rstrip() for line in padded)
+def _print_table(header: tuple[str, ...], *rows: tuple[str, ...]) -> None:
+    table = Table(*header, box=None)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    print_table(table)
 
 
 def _write_page(planned: Plan, path: Path) -> None:

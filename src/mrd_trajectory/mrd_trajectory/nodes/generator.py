@@ -52,6 +52,9 @@ class Generator(BenchNode[GeneratorSettings]):
         self.get_logger().info(f"{state}{': ' + reason if reason else ''}")
 
     def _load(self, request: LoadExperiment.Request, response: LoadExperiment.Response) -> LoadExperiment.Response:
+        if reason := self._lease.reason_not_to_change(self.bench.now()):
+            response.message = reason
+            return response
         if self._state == "running":
             response.message = "an experiment is running; abort it first"
             return response
@@ -70,6 +73,8 @@ class Generator(BenchNode[GeneratorSettings]):
     def _start_experiment(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._stopped:
             response.message = "the emergency stop is latched; call reset_fault first"
+        elif reason := self._lease.reason_not_to_start(Mode.IDENTIFICATION, self.bench.now()):
+            response.message = reason
         elif self._state != "loaded":
             response.message = f"no experiment is loaded ({self._state}); call load_experiment first"
         else:
