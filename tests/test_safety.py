@@ -140,8 +140,8 @@ def test_a_node_that_goes_on_after_a_pause_moves_nothing(victim: str, bench: Any
     bench.time_to_rest(begun, 3.0)
     afterwards = [state for state in bench.truth if seconds(state.header.stamp) > begun]
     assert np.ptp([state.position[0] for state in afterwards]) < 2e-4
-    assert all(state.effort[1] < 0.02 for state in afterwards[-10:])
     assert output[-1].coil_command == 0
+    assert [state.effort[1] for state in afterwards[-10:] if state.effort[1] >= 0.02] == []
     assert not service(bench, "home").success
 
 

@@ -15,7 +15,7 @@ from mrd_bench_driver.processes import BenchProcesses, ProcessSpec
 
 # A node on its own keeps the wall's time, and trips after 100 to 150 ms of it, as it should on a real bench. A machine that
 # also runs other tests may stand still for longer. The reactions are measured in bench time, by tests of the whole bench.
-PATIENCE = 0.6
+PATIENCE = 1.0
 PATIENT = {
     "supervisor": ("late_ms", "stall_ms", *(f"interlocks.{what}_stale_ms" for what in ("samples", "servo", "setpoint"))),
     "daq": ("lease_timeout_ms",),

@@ -20,7 +20,7 @@ from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
 pytestmark = pytest.mark.realtime
 
-PATIENCE = 0.6  # s, of `graph`
+PATIENCE = 1.0  # s, of `graph`
 EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
 SET = [EXPERIMENT.replace("short", name) for name in ("01_a", "02_b", "03_c")]
 ALL = ("servo", "daq", "generator", "recorder")
@@ -315,11 +315,11 @@ BREAKS = [
     ("current", breaking("fakes", "current", 1.3), "1.300 A through the coil, allowed -0.100 to 1.100 A"),
     ("speed", breaking("servo", "velocity", 0.3), "the rod moves at 300 mm/s by the encoder"),
     ("following error", breaking("servo", "following_error", 0.006), "6.00 mm off its setpoint"),
-    ("stale samples", breaking("fakes", "sampling", False), "limit 600 ms; check the daq"),
-    ("lost servo", breaking("fakes", "reporting", False), "limit 600 ms; check the servo node"),
+    ("stale samples", breaking("fakes", "sampling", False), f"limit {1e3 * PATIENCE:.0f} ms; check the daq"),
+    ("lost servo", breaking("fakes", "reporting", False), f"limit {1e3 * PATIENCE:.0f} ms; check the servo node"),
     ("lost servo", breaking("servo", "connected", False), "the motor does not answer; check its power"),
     ("servo fault", breaking("servo", "fault", True), "the motor or its driver stopped"),
-    ("stale setpoint", breaking("fakes", "generating", False), "limit 600 ms; check the generator"),
+    ("stale setpoint", breaking("fakes", "generating", False), f"limit {1e3 * PATIENCE:.0f} ms; check the generator"),
 ]
 
 

@@ -76,6 +76,8 @@ class Daq:
         self._closing = threading.Event()
         self._paused = threading.Event()  # the reading thread has noticed a fault
         self._resume = threading.Event()
+        # Two threads write the output: without order, the older command could be the last one that the converter gets.
+        self._output_lock = threading.RLock()
         self._thread = threading.Thread(target=self._read, name="acquisition", daemon=True)
 
     def start(self) -> None:
@@ -84,9 +86,10 @@ class Daq:
 
     def close(self) -> None:
         """Set the coil output to 0 V, stop reading, and close the backend."""
-        self._emergency_stop = "the node ends"
-        with contextlib.suppress(Exception):
-            self._backend.write(0.0)
+        with self._output_lock:
+            self._emergency_stop = "the node ends"
+            with contextlib.suppress(Exception):
+                self._backend.write(0.0)
         self._closing.set()
         self._resume.set()
         self._thread.join(timeout=_READ_TIMEOUT)
@@ -189,28 +192,32 @@ class Daq:
         self._setpoint_time = min(time, now)
         if not math.isfinite(current):
             self._refused = f"a setpoint asked for {current} A"
-        if not self._emergency_stop and not self._fault:
-            limits = self._config.limits
-            allowed = min(max(current, limits.current_min), limits.current_max) if math.isfinite(current) else 0.0
-            self._write(coil_voltage(current, self._config.coil, limits), allowed)
+        limits = self._config.limits
+        allowed = min(max(current, limits.current_min), limits.current_max) if math.isfinite(current) else 0.0
+        with self._output_lock:
+            if not self._emergency_stop and not self._fault:
+                self._write(coil_voltage(current, self._config.coil, limits), allowed)
 
     def check_setpoint_age(self) -> None:
         """Set the coil output to 0 V if no setpoint has come for too long."""
-        if self._volts != 0 and self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
-            self._write(0.0)
+        with self._output_lock:
+            if self._volts != 0 and self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
+                self._write(0.0)
 
     def emergency_stop(self, reason: str = "emergency stop") -> None:
         """Set the coil output to 0 V until `reset_fault`; the first reason stays."""
-        new = not self._emergency_stop
-        self._emergency_stop = self._emergency_stop or reason
-        self._write(0.0)
+        with self._output_lock:
+            new = not self._emergency_stop
+            self._emergency_stop = self._emergency_stop or reason
+            self._write(0.0)
         if new:
             self._on_problem(self.problem)
 
     def _write(self, volts: float, current: float = 0.0) -> None:
         try:
-            self._backend.write(volts)
-            self._volts = volts
+            with self._output_lock:
+                self._backend.write(volts)
+                self._volts = volts
             with self._lock:
                 if current != self._commands[-1][1]:
                     self._commands.append((self._clock.now(), current))
@@ -225,9 +232,10 @@ class Daq:
                 return
             self._fault = message
         self._on_problem(message)
-        with contextlib.suppress(AcquisitionError):
-            self._backend.write(0.0)
-        self._volts = 0.0
+        with self._output_lock:
+            with contextlib.suppress(AcquisitionError):
+                self._backend.write(0.0)
+            self._volts = 0.0
 
     def reset_fault(self) -> None:
         """Release the emergency stop and restart a converter that failed; raise InputError if it does not restart."""
