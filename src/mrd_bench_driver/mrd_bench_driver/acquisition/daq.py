@@ -54,6 +54,7 @@ class Daq:
     ) -> None:
         self._config, self._clock, self._backend = config, clock, backend
         self._on_block, self._on_calibration, self._on_problem = on_block, on_calibration, on_problem
+        # Two threads write the output: without order, the older command could be the last one that the converter gets.
         self._lock = threading.RLock()
         self.channels: ChannelMap = config.channels
         self.rate = config.rate
@@ -76,8 +77,6 @@ class Daq:
         self._closing = threading.Event()
         self._paused = threading.Event()  # the reading thread has noticed a fault
         self._resume = threading.Event()
-        # Two threads write the output: without order, the older command could be the last one that the converter gets.
-        self._output_lock = threading.RLock()
         self._thread = threading.Thread(target=self._read, name="acquisition", daemon=True)
 
     def start(self) -> None:
@@ -86,7 +85,7 @@ class Daq:
 
     def close(self) -> None:
         """Set the coil output to 0 V, stop reading, and close the backend."""
-        with self._output_lock:
+        with self._lock:
             self._emergency_stop = "the node ends"
             with contextlib.suppress(Exception):
                 self._backend.write(0.0)
@@ -194,19 +193,19 @@ class Daq:
             self._refused = f"a setpoint asked for {current} A"
         limits = self._config.limits
         allowed = min(max(current, limits.current_min), limits.current_max) if math.isfinite(current) else 0.0
-        with self._output_lock:
+        with self._lock:
             if not self._emergency_stop and not self._fault:
                 self._write(coil_voltage(current, self._config.coil, limits), allowed)
 
     def check_setpoint_age(self) -> None:
         """Set the coil output to 0 V if no setpoint has come for too long."""
-        with self._output_lock:
+        with self._lock:
             if self._volts != 0 and self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
                 self._write(0.0)
 
     def emergency_stop(self, reason: str = "emergency stop") -> None:
         """Set the coil output to 0 V until `reset_fault`; the first reason stays."""
-        with self._output_lock:
+        with self._lock:
             new = not self._emergency_stop
             self._emergency_stop = self._emergency_stop or reason
             self._write(0.0)
@@ -215,10 +214,9 @@ class Daq:
 
     def _write(self, volts: float, current: float = 0.0) -> None:
         try:
-            with self._output_lock:
+            with self._lock:
                 self._backend.write(volts)
                 self._volts = volts
-            with self._lock:
                 if current != self._commands[-1][1]:
                     self._commands.append((self._clock.now(), current))
         except AcquisitionError as error:
@@ -232,7 +230,7 @@ class Daq:
                 return
             self._fault = message
         self._on_problem(message)
-        with self._output_lock:
+        with self._lock:
             with contextlib.suppress(AcquisitionError):
                 self._backend.write(0.0)
             self._volts = 0.0
