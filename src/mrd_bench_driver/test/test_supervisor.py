@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.nodes.graph import COMMAND, LATCHED, RECORDED, REFUSALS
 from mrd_interfaces.action import RunExperiment, RunSet
-from mrd_interfaces.msg import BenchSamples, BenchState, ServoState, Setpoint
+from mrd_interfaces.msg import BenchSamples, BenchState, Lease, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
 
 pytestmark = pytest.mark.realtime
@@ -51,6 +51,7 @@ class Fakes:
         node.create_subscription(Bool, "emergency_stop", self._on_stop, LATCHED)
         self.refusals: list[String] = graph.subscribe(REFUSALS.name, REFUSALS.type, REFUSALS.qos)
         self.states: list[BenchState] = graph.subscribe("bench_state", BenchState, LATCHED)
+        self.leases: list[Lease] = graph.subscribe("lease", Lease, COMMAND)
         services: dict[str, dict[str, tuple[Any, Callable[[Any, Any], None]]]] = {
             "servo": {
                 "servo/enable": (SetBool, self._enable),
@@ -196,7 +197,7 @@ class Fakes:
         if self.reporting:
             self._servo.publish(self._stamped(self.servo, now))
         if self.remaining and self.generating:
-            self._setpoint.publish(self._stamped(Setpoint(), now))
+            self._setpoint.publish(self._stamped(Setpoint(lease=self.leases[-1].number), now))
             self.remaining -= 1
             if not self.remaining:
                 self._experiment.publish(String(data="done"))
