@@ -258,9 +258,10 @@ def test_a_tare_needs_rest(graph: Any, own_terminals: Terminals) -> None:
         terminals.send(position=0.4)
     graph.until(lambda: len(terminals.samples) == 51)
     assert terminals.samples[-1].coil_current[-1] == pytest.approx(0.0, abs=1e-9)
-    terminals.mode = BenchState.HOMING  # in which a tare is allowed, unlike in a run
+    terminals.enter(BenchState.HOMING)
+    graph.until(lambda: graph.call("daq/tare", Trigger).message == "the bench is in mode homing; call stop of test first")
+    terminals.mode = BenchState.IDENTIFICATION  # in which a tare is allowed before the first setpoint
     graph.until(lambda: graph.call("daq/tare", Trigger).success)
-    terminals.mode = BenchState.IDENTIFICATION
     graph.node.create_timer(0.02, lambda: terminals.setpoint(0.5))
     graph.until(lambda: terminals.volts() != 0.0)
     assert "the bench is in mode identification; call stop of test first" in graph.call("daq/tare", Trigger).message

@@ -62,6 +62,7 @@ class DaqNode(BenchNode[DaqConfig]):
         self._publish_state("")
 
         self._lost = 0
+        self._followed = 0  # number of the lease of the latest setpoint
         self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop)
         self.accept_parameter("rate_hz", config.rate, self._set_rate)
         DAQ_TARE.serve(self, self._on_tare)
@@ -133,6 +134,7 @@ class DaqNode(BenchNode[DaqConfig]):
     def _on_setpoint(self, setpoint: Setpoint) -> None:
         if not self._lease.permits(setpoint):
             return
+        self._followed = setpoint.lease
         self._daq.set_coil_current(setpoint.coil_current, seconds(setpoint.header.stamp))
 
     def _on_emergency_stop(self, message: Bool) -> None:
@@ -146,7 +148,8 @@ class DaqNode(BenchNode[DaqConfig]):
 
     def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            if self._lease.lease.number:
+            # The supervisor tares under the lease of its run, before the first setpoint.
+            if self._lease.lease.number in (0, self._followed):
                 self._require_no_run()
             response.message, response.success = self._daq.tare(), True
         except InputError as error:

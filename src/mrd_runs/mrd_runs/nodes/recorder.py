@@ -205,6 +205,9 @@ class Recorder(BenchNode[RecorderSettings]):
         return response
 
     def _open(self, request: StartRecording.Request) -> Path:
+        # A recording by hand would be in the way of the run that is about to begin.
+        if not request.lease and (reason := self._lease.reason_not_to_change(self.bench.now())):
+            raise InputError(f"{reason}, or give the number of its lease")
         if self._writer is not None:
             if not self._is_orphaned():
                 raise InputError(f"already recording into {self._writer.path}; stop_recording first")
