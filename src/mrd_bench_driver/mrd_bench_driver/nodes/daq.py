@@ -50,7 +50,13 @@ class DaqNode(BenchNode[DaqConfig]):
         wiring = ConverterSettings(config.device, config.channels, config.coil, config.hardware_rate, config.block)
         self._backend = make_backend(config.backend, wiring, self.bench)
         self._daq = Daq(
-            config, self.bench, self._backend, self._publish_block, self._publish_calibration, self._publish_state
+            config,
+            self.bench,
+            self._backend,
+            self._check_readings,
+            self._publish_block,
+            self._publish_calibration,
+            self._publish_state,
         )
         if isinstance(self._backend, Simulated):
             self._output = ANALOG_OUTPUT.publisher(self)
@@ -73,9 +79,12 @@ class DaqNode(BenchNode[DaqConfig]):
         self.create_bench_timer(0.2 * config.setpoint_timeout, self._daq.check_setpoint_age)
         self._daq.start()
 
-    def _publish_block(self, block: VoltBlock) -> None:
-        if self._lease.lease.mode.takes_setpoints:
+    def _check_readings(self, block: VoltBlock) -> None:
+        if self._lease.lease.mode.may_move:
             self._daq.check_inputs(block)
+        self._daq.check_coil(block)
+
+    def _publish_block(self, block: VoltBlock) -> None:
         message = BenchSamples(sample_period=1 / self._daq.rate, sequence=block.sequence)
         message.header.stamp = self.stamp(block.time)
         samples = to_si(block.volts, self._daq.channels)
