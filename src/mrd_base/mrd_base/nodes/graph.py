@@ -245,7 +245,7 @@ RECORDER_STATE = Topic(
     LATCHED,
     "whether a bag is recorded and why recording fails, on every change",
     publishers=("recorder",),
-    subscribers=("supervisor", "page"),
+    subscribers=("supervisor", "bench", "page"),
 )
 REFUSALS = Topic(
     "refusals",
