@@ -106,12 +106,12 @@ class ActionNodeClient:
 
 
 @pytest.fixture
-def serve_action(monkeypatch) -> Iterator[Callable[[type, Any, str], ActionNodeClient]]:
+def serve_action(monkeypatch) -> Iterator[Callable[..., ActionNodeClient]]:
     """Start a node that serves an action, and return its client."""
     clients: list[ActionNodeClient] = []
 
-    def start(node: type, action: Any, name: str) -> ActionNodeClient:
-        monkeypatch.setattr("sys.argv", ["node"])
+    def start(node: type, action: Any, name: str, *arguments: str) -> ActionNodeClient:
+        monkeypatch.setattr("sys.argv", ["node", *arguments])
         clients.append(ActionNodeClient(node, action, name))
         return clients[-1]
 

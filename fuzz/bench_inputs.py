@@ -4,6 +4,7 @@ import os
 import re
 import select
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +24,7 @@ from mrd_bench_driver.supervision.run_requests import set_of_runs, single_run
 from mrd_diagnosis import read_gap_report
 from mrd_identification import read_fit
 from mrd_runs.run_info import read_run_info
+from mrd_sim.plant import Plant, PlantConfig
 from mrd_trajectory.experiment import format_experiment, parse_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings
@@ -139,6 +141,12 @@ def bench_readers(folder: Path) -> dict[str, Callable[[bytes], object]]:
             for node, config in nodes.items()
         ]
 
+    def read_plant(content: bytes) -> object:
+        (folder / "plant.yaml").write_bytes(content)
+        config = from_mapping(PlantConfig, read_node_parameters(folder / "plant.yaml", "plant"), "plant")
+        # Effects of one's own are executed, wherever a changed input says they are.
+        return Plant(replace(config, damper=replace(config.damper, effects_folder="")))
+
     def read_file(name: str, reader: Callable[[Path], object]) -> Callable[[bytes], object]:
         def work(content: bytes) -> object:
             (folder / name).write_bytes(content)
@@ -161,6 +169,7 @@ def bench_readers(folder: Path) -> dict[str, Callable[[bytes], object]]:
         "experiment": read_experiment_text,
         "goal": take_goal,
         "bench": read_bench,
+        "plant": read_plant,
         "fit": read_file("fit.json", read_fit),
         "gap_report": read_file("gap_report.json", read_gap_report),
         "run_info": read_info,

@@ -1,6 +1,7 @@
 """Feed damaged and hostile input to everything that reads: each gives a result or one clear line, soon, in little memory.
 
-Read are recordings (csv, mcap, db3, yaml, recover), replies of the motor, experiments, goals, bench.yaml, and JSON files.
+Read are recordings (csv, mcap, db3, yaml, recover), files of other programs (text, xlsx, mat, h5, tdms), replies of the
+motor, experiments, goals, bench.yaml, plant.yaml, and JSON files.
 Every input is a file of the corpus, changed at a few places: bits, bytes, numbers that state sizes, pieces that are doubled,
 dropped or taken from another file. An input that reaches lines of the readers that none before it has reached is changed on.
 The recordings in fuzz/corpus are written by `python fuzz/readers.py --make-corpus`.
@@ -19,12 +20,16 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 from unittest import mock
 
+import h5py
 import numpy as np
+import openpyxl
+import scipy.io
 from bench_inputs import bench_readers
+from nptdms import ChannelObject, RootObject, TdmsWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 import mrd_base
@@ -32,10 +37,12 @@ import mrd_bench_driver
 import mrd_diagnosis
 import mrd_identification
 import mrd_runs
+import mrd_sim
 import mrd_trajectory
 from mrd_base import InputError
-from mrd_runs import read_run
+from mrd_runs import make_run, read_run
 from mrd_runs.definitions import SAMPLES_TYPE, typestore
+from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.recovery import recover_bag
 from mrd_runs.run_info import format_run_info
 from mrd_runs.summary import summarise
@@ -43,9 +50,10 @@ from mrd_runs.summary import summarise
 CORPUS = Path(__file__).parent / "corpus"
 TARGETS = (
     *("csv", "mcap", "db3", "yaml", "recover"),
-    *("replies", "experiment", "goal", "bench", "fit", "gap_report", "run_info"),
+    *("text", "xlsx", "mat", "h5", "tdms"),
+    *("replies", "experiment", "goal", "bench", "plant", "fit", "gap_report", "run_info"),
 )
-PACKAGES = (mrd_base, mrd_runs, mrd_trajectory, mrd_bench_driver, mrd_identification, mrd_diagnosis)
+PACKAGES = (mrd_base, mrd_runs, mrd_trajectory, mrd_sim, mrd_bench_driver, mrd_identification, mrd_diagnosis)
 SOURCES = tuple(str(Path(package.__file__ or "").parent) for package in PACKAGES)
 
 LONGEST = 5.0  # s of the processor's time for an input
@@ -95,7 +103,7 @@ TOKENS += [
 
 
 def make_corpus() -> None:
-    """Write the corpus: recordings of 60 samples in all formats."""
+    """Write the corpus: recordings of 60 samples in all formats, of this bench and of other programs."""
     CORPUS.mkdir(exist_ok=True)
     n, types, store = 60, typestore().types, typestore()
     time_s = np.arange(n) / 1000
@@ -105,6 +113,7 @@ def make_corpus() -> None:
     (CORPUS / "plain.csv").write_text("\n".join([header, *rows]) + "\n")
     quoted = [",".join(f'"{cell}"' for cell in row.split(",")) for row in [header, *rows]]
     (CORPUS / "quoted.csv").write_bytes(("\ufeff" + "\r\n".join(quoted)).encode())
+    make_foreign_corpus(columns[:4])
     for name, plugin, mode in (
         ("plain", StoragePlugin.MCAP, CompressionMode.NONE),
         ("zstd", StoragePlugin.MCAP, CompressionMode.STORAGE),
@@ -128,6 +137,28 @@ def make_corpus() -> None:
             for file in Path(scratch, name).iterdir():
                 kind = file.suffix if file.suffix != ".yaml" else f"-{name}.yaml"
                 (CORPUS / f"{name if kind == file.suffix else 'metadata'}{kind}").write_bytes(file.read_bytes())
+
+
+def make_foreign_corpus(columns: list[np.ndarray]) -> None:
+    """Write files as other programs do; the columns are time, position, current and force in SI units."""
+    names = ["Time [s]", "Position [m]", "Current [A]", "Force [N]"]
+    german = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in np.transpose(columns)]
+    spaced = ["  ".join(f"{value:12.6f}" for value in row) for row in np.transpose(columns)]
+    (CORPUS / "text").mkdir(exist_ok=True)
+    preamble = ["Prüfstand 3;;;", "Abtastrate;1000 Hz;;", ""]
+    (CORPUS / "text/german.txt").write_text("\n".join([*preamble, ";".join(names), *german]) + "\n", "cp1252")
+    (CORPUS / "text/spaces.dat").write_text("\n".join(["# a comment", "  ".join(names), *spaced]) + "\n", "utf-16")
+    book = openpyxl.Workbook()
+    for row in [names, *np.transpose(columns).tolist()]:
+        book.active.append(row)
+    book.save(CORPUS / "plain.xlsx")
+    short = {name.split()[0].lower(): column for name, column in zip(names, columns, strict=True)}
+    scipy.io.savemat(CORPUS / "plain.mat", {"log": short, "matrix": np.transpose(columns)})
+    with h5py.File(CORPUS / "plain.h5", "w") as file:
+        for name, column in short.items():
+            file.create_dataset(f"log/{name}", data=column)
+    with TdmsWriter(CORPUS / "plain.tdms") as writer:
+        writer.write_segment([RootObject(), *(ChannelObject("log", name, column) for name, column in short.items())])
 
 
 def change(content: bytes, others: list[bytes], rng: random.Random) -> bytes:
@@ -182,6 +213,14 @@ def readers(folder: Path) -> dict[str, Callable[[bytes], object]]:
 
         return work
 
+    def read_foreign_file(name: str) -> Callable[[bytes], object]:
+        def work(content: bytes) -> object:
+            (folder / name).write_bytes(content)
+            recording = read_foreign(folder / name, Mapped())
+            return make_run("any", recording.columns, recording.info, where=name, place=recording.place)
+
+        return work
+
     bag = folder / "bag"
     bag.mkdir()
     (bag / "messages.mcap").write_bytes((CORPUS / "messages.mcap").read_bytes())
@@ -201,6 +240,8 @@ def readers(folder: Path) -> dict[str, Callable[[bytes], object]]:
         "db3": read("any.db3"),
         "yaml": read_folder,
         "recover": recover,
+        "text": read_foreign_file("any.txt"),
+        **{ending: read_foreign_file(f"any.{ending}") for ending in ("xlsx", "mat", "h5", "tdms")},
         **bench_readers(folder),
     }
 
@@ -210,6 +251,7 @@ class Coverage:
 
     def __init__(self) -> None:
         self.seen: set[tuple[str, int, int]] = set()
+        self._functions: set[CodeType] = set()
         self._new = False
 
     @contextmanager
@@ -226,9 +268,22 @@ class Coverage:
         """Whether the latest input has reached new lines, or known ones in a new order."""
         return self._new
 
+    def describe(self) -> str:
+        """Return how much was reached; a step is from a line to the next."""
+        lines = {
+            (function.co_filename, line)
+            for function in self._functions
+            for _, _, line in function.co_lines()
+            if line and line != function.co_firstlineno
+        }
+        reached = lines & {(file, line) for file, _, line in self.seen}
+        share = 100 * len(reached) / max(1, len(lines))
+        return f"{len(self.seen)} steps, {share:.0f} % of the lines of {len(self._functions)} functions reached"
+
     def _on_call(self, frame: FrameType, _event: str, _argument: object) -> Any:
         if not frame.f_code.co_filename.startswith(SOURCES):
             return None
+        self._functions.add(frame.f_code)
         before = 0
 
         def on_line(frame: FrameType, event: str, _argument: object) -> Any:
@@ -320,7 +375,7 @@ def fuzz(target: str, count: int, seconds: float, seed: int, failures: Path) -> 
         elapsed = time.monotonic() - begin
     print(
         f"{target:10s} {done} inputs in {elapsed:.0f} s, {outcomes['read']} read, {len(kept)} kept, "
-        f"{len(coverage.seen)} steps reached, {(peak_memory() - memory) >> 20} MiB more memory, "
+        f"{coverage.describe()}, {(peak_memory() - memory) >> 20} MiB more memory, "
         f"{sum(found.values())} failures of {len(found)} kinds",
         flush=True,
     )

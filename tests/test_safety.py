@@ -18,9 +18,12 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
+from mrd_base.nodes.graph import RUN_EXPERIMENT
+from mrd_bench_driver.nodes.bench_client import BenchClient
 from mrd_interfaces.msg import AnalogOutput, BenchSamples, BenchState, Setpoint
 from mrd_interfaces.srv import StopRecording
 from mrd_runs import read_run
+from mrd_runs.bag import read_bag
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(180)]
 
@@ -68,8 +71,8 @@ def reset(bench: Any) -> None:
 def publish(bench: Any, qos: QoSProfile) -> None:
     """Press the button as any client does, once ROS has connected it."""
     publisher = bench.client.node.create_publisher(Bool, "emergency_stop", qos)
-    # Servo, DAQ, generator and supervisor subscribe reliably and best effort, the recorder reliably.
-    heard = 4 if qos is SENSOR else 9
+    # Servo, DAQ, generator, supervisor and recorder subscribe reliably and best effort.
+    heard = 5 if qos is SENSOR else 10
     assert bench.client.spin(lambda: publisher.get_subscription_count() == heard, 10), "not everybody hears this publisher"
     bench.pressed = bench.clock.now()
     # The nodes may not know a new publisher yet. To one that sends best effort, nobody says what was lost.
@@ -194,6 +197,30 @@ def test_the_tool_stops_everything_when_a_node_dies_or_hangs(
     if victim != "daq":  # the rest of the braking is recorded, too
         last = run.position[-100:].reshape(-1, 10).mean(axis=1)
         assert np.ptp(last) < 2e-4
+
+
+def test_a_bench_that_others_use_stops_everything_when_its_supervisor_dies(tmp_path: Path) -> None:
+    """The tool runs no experiment itself, so that no goal of its own tells it of the end."""
+    domain = os.environ["ROS_DOMAIN_ID"]
+    tool = bench_tool(tmp_path / "out", "--namespace", "shared", ROS_DOMAIN_ID=domain)
+    assert tool.stdout
+    assert tool.stdout.readline().startswith("the bench is up in namespace /shared"), tool.communicate()
+    with BenchClient("/shared") as client:
+        action = RUN_EXPERIMENT.client(client.node)
+        assert client.spin(action.server_is_ready, 60)
+        sent = action.send_goal_async(RUN_EXPERIMENT.type.Goal(experiment=LONG, bag=str(tmp_path / "bag")))
+        assert client.spin(sent.done, 60)
+        assert sent.result().accepted
+        assert client.spin(lambda: sum(f.stat().st_size for f in tmp_path.glob("bag/*.mcap")) > 60_000, 60)
+        find_node(tool, "supervisor").kill()
+        _, errors = tool.communicate(timeout=60)
+        action.destroy()
+    assert tool.returncode == 1
+    assert "error: supervisor ended with status -9" in errors
+    stops = read_bag(tmp_path / "bag").decode("/shared/emergency_stop")
+    assert stops[-1].data
+    last = read_run(tmp_path / "bag").position[-100:].reshape(-1, 10).mean(axis=1)
+    assert np.ptp(last) < 2e-4  # the rest of the braking is recorded, too
 
 
 # The emergency stop
@@ -405,6 +432,16 @@ def test_an_occupied_namespace_is_refused(shared_bench: Any, tmp_path: Path) -> 
     assert tool.returncode == 2
     assert errors.startswith(f"error: namespace /bench of ROS domain {os.environ['ROS_DOMAIN_ID']} is occupied by another")
     assert not (tmp_path / "out").exists()
+
+
+def test_of_two_benches_that_start_together_one_is_refused(tmp_path: Path) -> None:
+    """ROS takes seconds to find a node, so that each could take the namespace for free."""
+    (tmp_path / "short.yaml").write_text(SHORT)
+    options = [str(tmp_path / "short.yaml"), "--namespace", "together"]
+    tools = [bench_tool(tmp_path / name, *options, ROS_DOMAIN_ID=os.environ["ROS_DOMAIN_ID"]) for name in ("a", "b")]
+    said = [tool.communicate(timeout=120)[1] for tool in tools]
+    assert sorted(tool.returncode for tool in tools) == [0, 2], said
+    assert any("is occupied by another bench (which starts or runs on this machine)" in errors for errors in said)
 
 
 @pytest.mark.parametrize("separation", ["domain", "namespace"])

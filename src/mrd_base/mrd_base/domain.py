@@ -1,4 +1,7 @@
-"""An exclusive ROS domain for a process, so that simulated benches and tests neither reach a real bench nor each other."""
+"""An exclusive ROS domain for a process, so that simulated benches and tests neither reach a real bench nor each other.
+
+Two that must share a domain have different namespaces in it.
+"""
 
 import fcntl
 import os
@@ -40,3 +43,22 @@ def claim_domain() -> int:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")  # env.sh configures the middleware instead
         return domain
     raise RuntimeError(f"all ROS domains from 1 to {_LAST_DOMAIN} are used by other simulated benches and tests")
+
+
+def claim_namespace(namespace: str) -> bool:
+    """Keep a namespace of the present ROS domain for this process, until it ends; return whether nobody has it yet.
+
+    ROS takes seconds to find another bench, so that of two that are started together neither would find the other.
+    """
+    name = f"mrd_bench_{os.environ.get('ROS_DOMAIN_ID', '0')}_{namespace.strip('/').replace('/', '.')}.lock"
+    path = Path(tempfile.gettempdir(), name)
+    try:
+        lock = os.open(path, os.O_RDONLY)  # to lock a file, nobody needs to own it
+    except FileNotFoundError:
+        lock = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        return False
+    return True

@@ -135,6 +135,8 @@ class LeaseWatch:
 
     def reason_not_to_start(self, mode: Mode, now: float) -> str:
         """Return why the setpoints of a run in a mode must not be started, or ""; without a lease nobody follows them."""
+        if self.is_valid(now) and self.lease.mode is Mode.FAULT:
+            return f"the emergency stop is latched; call reset_fault of {self.lease.holder} first"
         return "" if self.lease.mode is mode else self.reason_not_to_change(now)
 
     def is_lost(self, now: float) -> bool:

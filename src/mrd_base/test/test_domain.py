@@ -2,6 +2,8 @@ import os
 import subprocess
 import sys
 
+from mrd_base.domain import claim_namespace
+
 PROGRAM = "from mrd_base.domain import claim_domain; print(claim_domain(), flush=True); input()"
 
 
@@ -16,3 +18,17 @@ def test_processes_get_different_domains():
         process.communicate("\n", timeout=10)
     assert len({*domains, int(os.environ["ROS_DOMAIN_ID"])}) == 5
     assert all(1 <= domain <= 101 for domain in domains)
+
+
+def test_a_namespace_of_a_domain_belongs_to_one_process(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    program = "from mrd_base.domain import claim_namespace; print(claim_namespace('/lab/bench'), flush=True); input()"
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    other = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert other.stdout.readline() == "True\n"
+    assert not claim_namespace("lab/bench")
+    assert claim_namespace("/lab/bench2")
+    other.communicate("\n", timeout=10)
+    assert claim_namespace("/lab/bench")

@@ -27,7 +27,7 @@ LIMITS = Limits(current_min=-0.5, current_max=1.0)
 def at_rest(count: int = 200) -> np.ndarray:
     """Volts of a bench at rest whose sensors have offsets, with noise."""
     noise = np.random.default_rng(1).normal(0, 0.004, (4, count))
-    return np.array([0.01, 0.2, 2.54, 1.7])[:, None] + noise
+    return np.array([0.01, 0.2, 2.51, 1.7])[:, None] + noise
 
 
 def test_volts_become_si_units_as_the_data_sheets_say() -> None:
@@ -46,6 +46,18 @@ def test_a_tare_zeroes_only_the_channels_marked_for_it() -> None:
     assert means[3] == pytest.approx(0, abs=1e-9)
     assert channels.position == ChannelMap().position
     assert channels.force == ChannelMap().force
+
+
+def test_a_tare_does_not_call_a_current_zero() -> None:
+    """A supply that leaks 0.2 A reads steadily, too; nor do several tares move the zero by more than one."""
+    volts = at_rest()
+    volts[2] += 0.2 * 0.185 - 0.01
+    with pytest.raises(
+        InputError, match=r"coil_current reads 0\.20\d A by its zero_V, \+37\.\d mV \(limit ±20 mV\); make sure"
+    ):
+        tare(volts, ChannelMap())
+    moved = ChannelMap(coil_current=InputChannel("ai2", range=5.0, gain=5.4, zero=2.53, tare=True))
+    assert tare(volts, moved).coil_current.zero == pytest.approx(2.537, abs=1e-3)
 
 
 @pytest.mark.parametrize(("row", "name"), [(0, "position"), (2, "coil_current"), (3, "acceleration")])

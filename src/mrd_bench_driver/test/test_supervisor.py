@@ -1,6 +1,7 @@
 """The supervisor as a process, with fakes of servo, DAQ, generator and recorder."""
 
 import array
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -89,6 +90,7 @@ class Fakes:
         self.servo = ServoState(connected=True, position=float("nan"))
         self.bag = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
         self.refusing: dict[str, str] = {}  # message of each service that refuses
+        self.planning = 0.0  # wall time in s that the generator takes to plan
         self.remaining = 0
         self.recorder_said = "idle", ""
 
@@ -151,6 +153,7 @@ class Fakes:
 
     def _load(self, request: Any, response: Any) -> None:
         assert request.experiment.startswith(("{name: ", "name: short"))
+        time.sleep(self.planning)
         response.duration, response.rate = 0.5, 1000.0
         self._experiment.publish(String(data="loaded"))
 
@@ -296,6 +299,14 @@ def test_an_experiment_runs_from_arming_to_the_closed_bag(fakes: Fakes) -> None:
     fakes.calls.clear()
     assert fakes.result(fakes.send()).result.success
     assert fakes.calls == [call for call in [*STEPS, *END_STEPS] if call != "servo/home"]
+
+
+def test_a_generator_that_plans_for_long_is_asked_once(fakes: Fakes) -> None:
+    """It would load the experiment twice, and the second time look like somebody else's."""
+    fakes.planning = 2.5  # longer than the time after which other requests are repeated
+    result = fakes.result(fakes.send()).result
+    assert result.success, result.message
+    assert fakes.calls.count("load_experiment") == 1
 
 
 def breaking(target: str, name: str, value: Any) -> Callable[[Fakes], Callable[[], None]]:

@@ -16,8 +16,9 @@ SHIPPED_BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 
 
 @pytest.fixture
-def client(serve_action):
-    return serve_action(diagnoser.Diagnoser, Diagnose, "diagnose")
+def client(serve_action, user_effects):
+    trusted = f"effects_folders:={user_effects}"
+    return serve_action(diagnoser.Diagnoser, Diagnose, "diagnose", "--ros-args", "-p", trusted)
 
 
 def test_diagnose_answers_as_the_tool_does(client, recorded, tmp_path):
@@ -54,6 +55,15 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         why = client.failure(goal)
         assert message in why
         assert "\n" not in why.strip()
+
+
+def test_a_goal_executes_nothing_that_the_node_was_not_started_with(client, recorded, tmp_path):
+    strange = tmp_path / "strange"
+    strange.mkdir()
+    (strange / "effect.py").write_text(f"open({str(tmp_path / 'executed')!r}, 'w')")
+    goal = Diagnose.Goal(runs=recorded, model="bingham", effects_folder=str(strange), output=str(tmp_path / "out"))
+    assert client.failure(goal).startswith(f"effects_folder is {strange}: effects are executed, so a goal may only name")
+    assert not (tmp_path / "executed").exists()
 
 
 def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch, user_effects):

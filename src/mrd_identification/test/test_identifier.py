@@ -20,7 +20,10 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         (Identify.Goal(runs=recorded, model="honey", output=str(tmp_path)), "unknown model honey"),
         (Identify.Goal(runs=recorded, model="bingham", loss="absolute", output=str(tmp_path)), "loss 'absolute': expected"),
         (Identify.Goal(runs=recorded, model="bingham", fixed=["offset"], output=str(tmp_path)), "fixed parameter offset:"),
-        (Identify.Goal(runs=recorded, model="bingham", effects_folder=nowhere, output=str(tmp_path)), nowhere),
+        (
+            Identify.Goal(runs=recorded, model="bingham", effects_folder=nowhere, output=str(tmp_path)),
+            f"effects_folder is {nowhere}: effects are executed",
+        ),
         (Identify.Goal(runs=recorded, model="bingham"), "--output is empty"),
         (Identify.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
     ):

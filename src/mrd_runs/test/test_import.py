@@ -16,6 +16,7 @@ from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.integration import integrate_velocity
+from mrd_runs.importing.tdms import read_tdms_table
 
 RATE, COUNT = 500, 1000
 TIME = np.arange(COUNT) / RATE
@@ -223,6 +224,18 @@ def test_tdms_with_times_and_with_waveforms(import_tool, tmp_path: Path) -> None
         code, _, error = import_tool(f"{name}.tdms --current 0.5 --output bags")
         assert (code, error) == (0, "")
         check(tmp_path / "bags" / name)
+
+
+def test_of_a_tdms_file_that_is_cut_off_a_note_tells(tmp_path: Path, caplog) -> None:
+    with TdmsWriter(tmp_path / "whole.tdms") as writer:
+        names = {"time": TIME, "position": POSITION, "force": FORCE}
+        writer.write_segment([ChannelObject("log", name, values) for name, values in names.items()])
+    (tmp_path / "cut.tdms").write_bytes((tmp_path / "whole.tdms").read_bytes()[:-8])
+    assert read_tdms_table(tmp_path / "whole.tdms").layout == ""
+    assert read_tdms_table(tmp_path / "cut.tdms").layout == "the file is cut off: its last segment is incomplete"
+    with pytest.raises(InputError, match="holds 1000 of time, 1000 of position, 999 of force; expected equally many"):
+        read_foreign(tmp_path / "cut.tdms", Mapped(current=0.0))
+    assert caplog.records == []  # npTDMS itself would tell of the file in many lines
 
 
 @pytest.mark.parametrize("name", ["a.xlsx", "a.mat", "a.h5", "a.tdms", "a.mcap", "a.db3", "a.txt"])

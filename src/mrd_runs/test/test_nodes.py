@@ -17,9 +17,11 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
 
-from mrd_base.nodes.bench_node import LATCHED, RECORDED
-from mrd_interfaces.msg import BenchSamples, Calibration, Setpoint
+from mrd_base import BenchClock
+from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED
+from mrd_interfaces.msg import BenchSamples, BenchState, Calibration, Lease, Setpoint
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs import read_run
 from mrd_runs.bag import read_bag
@@ -97,6 +99,12 @@ class FakeDaq:
         end = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < end, "timed out"
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def during(self, duration: float) -> None:
+        """Process messages for a while."""
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.01)
 
     def call(self, name: str, kind: Any, **fields: Any) -> Any:
@@ -189,6 +197,42 @@ def test_recording_is_complete_and_describes_itself(bench: FakeDaq, tmp_path: Pa
     assert not bench.stop_recording().success
     recorder.terminate()
     assert recorder.wait(10) == 0
+
+
+@pytest.mark.parametrize("reliability", [ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT])
+def test_everybodys_emergency_stop_is_recorded(bench: FakeDaq, tmp_path: Path, reliability: ReliabilityPolicy) -> None:
+    bench.run("recorder", rest_timeout_s=0.0)
+    button = bench.node.create_publisher(Bool, "emergency_stop", QoSProfile(depth=5, reliability=reliability))
+    bench.until(button.get_subscription_count)
+    assert bench.start_recording(tmp_path / "run").success
+    bench.stream()
+    for _ in range(20):  # what is sent best effort may be lost
+        button.publish(Bool(data=True))
+        bench.during(0.02)
+    assert bench.stop_recording().success
+    presses = [message.data for message in read_bag(tmp_path / "run").decode("/emergency_stop")]
+    assert presses
+    assert all(presses)
+
+
+def test_nobody_records_in_the_way_of_a_run(bench: FakeDaq, tmp_path: Path) -> None:
+    bench.run("recorder", rest_timeout_s=0.0)
+    leases = bench.node.create_publisher(Lease, "lease", COMMAND)
+    bench.until(leases.get_subscription_count)
+
+    def renew() -> None:
+        lease = Lease(holder="supervisor", mode=BenchState.HOMING)
+        lease.header.stamp.sec, lease.header.stamp.nanosec = divmod(int(1e9 * BenchClock().now()), 10**9)
+        leases.publish(lease)
+
+    bench.node.create_timer(0.02, renew)
+    bench.during(0.3)
+    refused = bench.start_recording(tmp_path / "by_hand")
+    assert not refused.success
+    assert "the bench is in mode homing; call stop of supervisor first, or give the number of its lease" in refused.message
+    run = bench.call("start_recording", StartRecording, bag=str(tmp_path / "run"), lease=7)
+    assert run.success, run.message
+    assert not (tmp_path / "by_hand").exists()
 
 
 def test_missing_samples_are_reported(bench: FakeDaq, tmp_path: Path) -> None:

@@ -41,9 +41,11 @@ CONVERTER_FAULTS = {
     "disconnect_force": "the load cell is unplugged: its terminal reads 0 V",
     "disconnect_current": "the current sensor is unplugged: its terminal reads 0 V",
 }
+_LEAK = 0.3  # A
 COIL_FAULTS = {
     "open_coil": "the cable of the coil is broken",
     "short_coil": "the cable of the coil is shorted behind the sensor: what the supply can give flows, but not in the coil",
+    "leak_coil": "the supply lets 0.3 A or more through the coil, whatever is commanded",
 }
 FAULTS = {
     "": "no fault",
@@ -259,7 +261,9 @@ class Plant:
         # Magnetics: the control voltage becomes coil current.
         volts = self._control_voltage(count)
         current = config.supply.advance(dt, volts, self._current)
-        if self._fault in COIL_FAULTS:
+        if self._fault == "leak_coil":
+            current = np.maximum(current, _LEAK)
+        elif self._fault in COIL_FAULTS:
             current = np.zeros(count)
         self._current = float(current[-1])
         measured_current = current

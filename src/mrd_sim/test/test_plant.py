@@ -314,6 +314,17 @@ def test_a_broken_coil_has_no_current_whatever_the_sensor_reads(fault, sensor):
     assert measured == pytest.approx(sensor, abs=0.02)
 
 
+def test_a_supply_that_leaks_gives_current_without_a_command():
+    plant = started()
+    plant.set_fault("leak_coil", plant.time)
+    assert joined(run(plant, 1.0), "current")[-1] == 0.3
+    plant.command_coil(2.5, plant.time)
+    assert joined(run(plant, 1.2), "current")[-1] == pytest.approx(0.5, abs=0.01)
+    plant.set_fault("", plant.time)
+    plant.command_coil(0.0, plant.time)
+    assert joined(run(plant, 1.6), "current")[-1] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_readings_of_broken_channels():
     plant = started()
     voltage = {}

@@ -12,8 +12,9 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from mrd_base.clock import BenchClock
+from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, seconds
-from mrd_interfaces.msg import Setpoint
+from mrd_interfaces.msg import Lease, Setpoint
 from mrd_interfaces.srv import LoadExperiment
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -151,13 +152,18 @@ def test_an_experiment_beyond_the_limits_unloads_the_previous_one(bench, start_g
 
 def test_abort_and_emergency_stop_end_the_setpoints(bench, start_generator):
     start_generator()
-    for end in (lambda: bench.call("abort_experiment"), lambda: bench.stop.publish(Bool(data=True))):
+    ends = {
+        "on request": lambda: bench.call("abort_experiment"),
+        "emergency stop": lambda: bench.stop.publish(Bool(data=True)),
+    }
+    for reason, end in ends.items():
         assert bench.call("load_experiment", experiment=TEXT).success
         assert bench.call("start_experiment").success
         count = len(bench.setpoints)
         bench.until(lambda count=count: len(bench.setpoints) > count + 20)
         end()
-        bench.until(lambda: bench.states[-1] == "aborted")
+        bench.until(lambda: bench.states[-1].startswith("aborted"))
+        assert bench.states[-1] == f"aborted: {reason}"
         count = len(bench.setpoints)
         bench.during(0.3)
         assert len(bench.setpoints) == count
@@ -166,18 +172,29 @@ def test_abort_and_emergency_stop_end_the_setpoints(bench, start_generator):
         assert len(bench.setpoints) == count
 
 
-def test_a_latched_emergency_stop_prevents_the_start(bench, start_generator):
+def test_only_the_supervisor_releases_an_emergency_stop(bench, start_generator):
+    """The stop is latched as long as the lease is in mode fault, whoever says false on the topic."""
     start_generator()
+    leases = bench.node.create_publisher(Lease, "lease", COMMAND)
+    bench.until(lambda: leases.get_subscription_count() and bench.stop.get_subscription_count())
+    mode = Mode.FAULT
+
+    def renew():
+        lease = Lease(holder="supervisor", mode=int(mode))
+        lease.header.stamp.sec, lease.header.stamp.nanosec = divmod(int(1e9 * BenchClock().now()), 10**9)
+        leases.publish(lease)
+
+    bench.node.create_timer(0.02, renew)
     assert bench.call("load_experiment", experiment=TEXT).success
-    bench.until(bench.stop.get_subscription_count)
     bench.stop.publish(Bool(data=True))
+    bench.during(0.3)
+    bench.stop.publish(Bool(data=False))
     bench.during(0.3)
     refused = bench.call("start_experiment")
     assert not refused.success
-    assert refused.message == "the emergency stop is latched; call reset_fault first"
-    bench.stop.publish(Bool(data=False))
-    bench.during(0.3)
-    assert bench.call("start_experiment").success
+    assert refused.message == "the emergency stop is latched; call reset_fault of supervisor first"
+    mode = Mode.IDLE
+    bench.until(lambda: bench.call("start_experiment").success)
     bench.until(lambda: bench.setpoints)
 
 
@@ -191,7 +208,7 @@ def test_a_stall_aborts_the_run(bench, start_generator):
     bench.during(0.4)
     count = len(bench.setpoints)
     process.send_signal(signal.SIGCONT)
-    bench.until(lambda: bench.states[-1] == "aborted")
+    bench.until(lambda: bench.states[-1].startswith("aborted: no setpoint for "))
     bench.during(0.2)
     assert len(bench.setpoints) == count
 

@@ -131,8 +131,8 @@ EMERGENCY_STOP = Topic(
     "emergency_stop",
     Bool,
     LATCHED,
-    "true stops rod and coil and is latched; false has no effect but from the supervisor's reset_fault. It is heard from "
-    "publishers of any quality of service",
+    "true stops rod and coil and is latched; false has no effect, it follows the supervisor's reset_fault. It is heard from "
+    "publishers of any quality of service, perhaps twice",
     publishers=("supervisor", "bench", "page"),
     subscribers=("servo", "daq", "generator", "controller", "recorder", "supervisor"),
     recorded=True,
@@ -210,7 +210,7 @@ EXPERIMENT_STATE = Topic(
     "experiment_state",
     String,
     LATCHED,
-    "of the generator: idle, loaded, running, done or aborted, on every change",
+    "of the generator: idle, loaded, running, done, or `aborted: reason`, on every change",
     publishers=("generator",),
     subscribers=("supervisor", "page"),
 )
@@ -245,7 +245,7 @@ RECORDER_STATE = Topic(
     LATCHED,
     "whether a bag is recorded and why recording fails, on every change",
     publishers=("recorder",),
-    subscribers=("supervisor", "page"),
+    subscribers=("supervisor", "bench", "page"),
 )
 REFUSALS = Topic(
     "refusals",

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool
 
 from mrd_base.lease import Lease, LeaseWatch, Mode
 from mrd_base.nodes.bench_node import BenchNode, seconds
@@ -16,14 +15,21 @@ _CHECK_PERIOD = 0.01
 # Bench time in s between two warnings of refused setpoints.
 _WARNING_PERIOD = 1.0
 # Who subscribes reliably hears reliable publishers, latched or not, without loss; but never those that send best effort.
-RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
+_RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
 _BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
-def hear_emergency_stop(node: BenchNode[Any], callback: Callable[[Bool], None]) -> None:
-    """Hear ``emergency_stop`` from every publisher, whatever its quality of service; a message may come twice."""
-    for qos in (RELIABLE, _BEST_EFFORT):
-        EMERGENCY_STOP.subscription(node, callback, qos)
+def hear_emergency_stop(node: BenchNode[Any], callback: Callable[[Any], None], *, raw: bool = False) -> str:
+    """Hear ``emergency_stop`` from every publisher, whatever its quality of service; a message may come twice.
+
+    Returns
+    -------
+    str
+        Full name of the topic.
+    """
+    for qos in (_RELIABLE, _BEST_EFFORT):
+        name: str = EMERGENCY_STOP.subscription(node, callback, qos, raw=raw).topic_name
+    return name
 
 
 class LeaseFollower(LeaseWatch):

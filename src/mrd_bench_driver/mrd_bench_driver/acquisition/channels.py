@@ -38,6 +38,7 @@ class InputChannel:
     zero: float = quantity(0.0, "V", "voltage at which the quantity is zero", lower=-10, upper=10)
     tare: bool = quantity(False, doc="whether daq/tare sets the zero to the voltage at rest")
     rest: float = quantity(0.02, "V", "standard deviation above which the signal is not at rest", lower=1e-6, upper=10)
+    tare_limit: float = quantity(0.02, "V", "largest distance of a tared zero from zero_V", lower=1e-4, upper=10)
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"ai\d+", self.input):
@@ -60,8 +61,10 @@ class ChannelMap:
     force: InputChannel = InputChannel("ai1", gain=196.133)
     # ACS714-05B, 185 mV/A around half of its 5 V supply.
     coil_current: InputChannel = InputChannel("ai2", range=5.0, gain=5.405405405405405, zero=2.5, tare=True)
-    # MMA7361L, 800 mV/g around half of its 3.3 V supply.
-    acceleration: InputChannel = InputChannel("ai4", range=5.0, gain=12.2583125, zero=1.65, tare=True, rest=0.03)
+    # MMA7361L, 800 mV/g around half of its 3.3 V supply. Mounted upright, it reads 1 g at rest.
+    acceleration: InputChannel = InputChannel(
+        "ai4", range=5.0, gain=12.2583125, zero=1.65, tare=True, rest=0.03, tare_limit=1.0
+    )
 
     def __post_init__(self) -> None:
         inputs = [channel.input for _, channel in self.items()]
@@ -103,29 +106,36 @@ def count_clipped(volts: Array, channels: ChannelMap) -> NDArray[np.int64]:
     return clipped
 
 
-def tare(volts: Array, channels: ChannelMap) -> ChannelMap:
+def tare(volts: Array, configured: ChannelMap) -> ChannelMap:
     """Return the channel map with the mean of ``volts`` (4, n) as zero of each channel that is marked for a tare.
 
     Raises
     ------
     InputError
-        If there are too few samples, or the rod or a signal marked for a tare is not at rest.
+        If there are too few samples, the rod or a signal marked for a tare is not at rest, or the new zero is further than
+        `tare_limit` from the configured one: what flows or pulls at rest must not be called zero.
     """
     count = volts.shape[1]
     if count < MIN_TARE_SAMPLES:
         raise InputError(f"tare: {count} samples, expected {MIN_TARE_SAMPLES} or more; let the DAQ sample for a while")
     # A moving rod changes the other signals. So the position must rest even if it is not tared itself.
-    for (name, channel), signal in zip(channels.items(), volts, strict=True):
+    for (name, channel), signal in zip(configured.items(), volts, strict=True):
         deviation = float(np.std(signal))
         if (channel.tare or name == "position") and not deviation <= channel.rest:
             raise InputError(
                 f"tare: {name} is not at rest (standard deviation {1e3 * deviation:.3g} mV, at most "
                 f"{1e3 * channel.rest:.3g} mV); stop rod and coil, or check the wiring"
             )
+        shift = float(np.mean(signal)) - channel.zero
+        if channel.tare and not abs(shift) <= channel.tare_limit:
+            raise InputError(
+                f"tare: {name} reads {channel.gain * shift:.3g} {UNITS[name]} by its zero_V, {1e3 * shift:+.3g} mV (limit "
+                f"±{1e3 * channel.tare_limit:.3g} mV); make sure that it is zero now, or correct zero_V"
+            )
     return ChannelMap(
         **{
             name: dataclasses.replace(channel, zero=float(np.mean(signal))) if channel.tare else channel
-            for (name, channel), signal in zip(channels.items(), volts, strict=True)
+            for (name, channel), signal in zip(configured.items(), volts, strict=True)
         }
     )
 

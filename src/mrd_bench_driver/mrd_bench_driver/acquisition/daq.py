@@ -26,8 +26,8 @@ class Daq:
     ----------
     backend : Backend
         It must be open before `start`; `close` closes it.
-    on_block : callable
-        Receives each block of averages, in the reading thread.
+    on_readings, on_block : callable
+        Receive each block of readings, and each block of averages, in the reading thread.
     on_calibration : callable
         Called when `channels`, `rate` or `tare_time` have changed.
     on_problem : callable
@@ -48,12 +48,14 @@ class Daq:
         config: DaqConfig,
         clock: BenchClock,
         backend: Backend,
+        on_readings: Callable[[VoltBlock], None],
         on_block: Callable[[VoltBlock], None],
         on_calibration: Callable[[], None],
         on_problem: Callable[[str], None],
     ) -> None:
         self._config, self._clock, self._backend = config, clock, backend
-        self._on_block, self._on_calibration, self._on_problem = on_block, on_calibration, on_problem
+        self._on_readings, self._on_block = on_readings, on_block
+        self._on_calibration, self._on_problem = on_calibration, on_problem
         # Two threads write the output: without order, the older command could be the last one that the converter gets.
         self._lock = threading.RLock()
         self.channels: ChannelMap = config.channels
@@ -67,12 +69,12 @@ class Daq:
         self._lost_before = 0  # readings lost at earlier sample rates
 
         self._emergency_stop = ""  # reason of the latched stop
+        self._tared = False
         self._fault = ""
         self._refused = ""  # why the latest refused setpoint was refused
         self._setpoint_time = -math.inf
         self._volts = 0.0  # on the coil output
         self._commands: collections.deque[tuple[float, float]] = collections.deque([(-math.inf, 0.0)])  # times and A
-        self._at_end: list[str] = []  # quantities whose latest readings were at the end of their range
 
         self._closing = threading.Event()
         self._paused = threading.Event()  # the reading thread has noticed a fault
@@ -118,9 +120,8 @@ class Daq:
 
     def _process(self, block: VoltBlock) -> None:
         with self._lock:
-            clipped = count_clipped(block.volts, self.channels)
-            self._clipped += clipped
-            self._at_end = [name for name, count in zip(UNITS, clipped, strict=True) if count > 1]
+            self._clipped += count_clipped(block.volts, self.channels)
+            self._on_readings(block)
             self._recent.append(block)
             self._recent_count += block.volts.shape[1]
             needed = self._config.tare_duration * self._config.hardware_rate
@@ -129,22 +130,37 @@ class Daq:
             for averages in self._averager.push(block):
                 self._on_block(averages)
 
-    def check_inputs(self, block: VoltBlock) -> None:
-        """Stop where the inputs that protect the bench cannot be right; call it with each block while rod and coil may move.
+    # The checks see the readings, not their averages: a sample at 25 Hz comes late, and hides the peak that it averages.
 
-        A position, force or current at the end of its range is none. A coil current that does not follow its command, by
-        more than `coil_tolerance` from all that was commanded within `coil_response`, shows a broken coil or supply.
+    def check_inputs(self, block: VoltBlock) -> None:
+        """Stop at an input of a bench in motion that cannot be right, or at too much force; a single reading is none.
+
+        A position, force or current at the end of its range cannot be right.
         """
-        for name in self._at_end:
-            if name != "acceleration":  # an accelerometer may be overdriven without danger
-                channel = getattr(self.channels, name)
+        for (name, channel), count in zip(self.channels.items(), count_clipped(block.volts, self.channels), strict=True):
+            if count > 1 and name != "acceleration":  # an accelerometer may be overdriven without danger
                 self.emergency_stop(
                     f"{channel.input} ({name}) reads the end of its range, ±{channel.range:g} V; check the sensor, its "
                     "supply and wiring"
                 )
+        force, limit = to_si(block.volts, self.channels)[list(UNITS).index("force")], self._config.limits.force
+        beyond = force[np.abs(force) > limit]
+        if len(beyond) > 1:
+            self.emergency_stop(
+                f"{beyond[0]:.0f} N on the load cell, limit ±{limit:.0f} N; reduce coil current or speed, or check the cell"
+            )
+
+    def check_coil(self, block: VoltBlock) -> None:
+        """Stop at a coil current that does not follow its command: coil, supply or sensor is broken.
+
+        It is compared with all that was commanded within `coil_response`. Before the first tare, the sensor may be off by
+        what a tare may take away.
+        """
         current = float(to_si(block.volts, self.channels)[list(UNITS).index("coil_current")].mean())
         lowest, highest = self._commanded_since(block.time - self._config.coil_response)
-        tolerance = self._config.coil_tolerance + 0.1 * highest
+        channel = self._config.channels.coil_current
+        untared = abs(channel.gain) * channel.tare_limit if channel.tare and not self._tared else 0.0
+        tolerance = self._config.coil_tolerance + 0.1 * highest + untared
         if not lowest - tolerance <= current <= highest + tolerance:
             commanded = f"{lowest:.2f} A" if lowest == highest else f"{lowest:.2f} to {highest:.2f} A"
             self.emergency_stop(
@@ -173,7 +189,8 @@ class Daq:
             if self._volts != 0:
                 raise InputError(f"tare: the coil is driven ({self._volts:.3g} V); stop the setpoints first")
             blocks = [block.volts for block in self._recent] or [np.zeros((len(UNITS), 0))]
-            self.channels = tare(np.hstack(blocks), self.channels)
+            self.channels = tare(np.hstack(blocks), self._config.channels)
+            self._tared = True
             self.tare_time = self._clock.now()
             self._on_calibration()
         zeros = [f"{name} {channel.zero:.4f} V" for name, channel in self.channels.items() if channel.tare]

@@ -191,8 +191,7 @@ def _work(arguments: argparse.Namespace) -> None:
                         f"{os.environ.get('ROS_DOMAIN_ID', '0')}; logs: {session.logs}; end it by Ctrl-C",
                         flush=True,
                     )
-                    client.let_time_pass()
-                    client.spin(lambda: False, float("inf"))
+                    client.stay_up()
                 result = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:
         _clear_progress()

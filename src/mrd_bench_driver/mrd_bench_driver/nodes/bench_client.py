@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.executors import SingleThreadedExecutor
@@ -17,7 +17,18 @@ from std_msgs.msg import Bool
 
 from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
-from mrd_base.nodes.graph import DIAGNOSTICS, EMERGENCY_STOP, NODES, REFUSALS, RUN_CONTROL, RUN_EXPERIMENT, RUN_SET, Action
+from mrd_base.domain import claim_namespace
+from mrd_base.nodes.graph import (
+    DIAGNOSTICS,
+    EMERGENCY_STOP,
+    NODES,
+    RECORDER_STATE,
+    REFUSALS,
+    RUN_CONTROL,
+    RUN_EXPERIMENT,
+    RUN_SET,
+    Action,
+)
 from mrd_bench_driver.processes import ProcessDiedError
 from mrd_interfaces.action import RunExperiment, RunSet
 
@@ -50,7 +61,12 @@ def ignore_feedback(_feedback: Any) -> None:
 
 
 def require_free_namespace(namespace: str) -> None:
-    """Raise `InputError` if a bench is up in a namespace of this ROS domain: two benches would command each other."""
+    """Raise `InputError` if a bench is up in a namespace of this ROS domain: two benches would command each other.
+
+    On this machine, the namespace is then kept for this process.
+    """
+    if not claim_namespace(namespace):
+        raise _occupied(namespace, "which starts or runs on this machine")
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     node = Node(f"bench_check_{os.getpid()}", context=context, start_parameter_services=False, enable_rosout=False)
@@ -63,10 +79,14 @@ def require_free_namespace(namespace: str) -> None:
     node.destroy_node()
     context.try_shutdown()
     if found:
-        raise InputError(
-            f"namespace {namespace} of ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} is occupied by another bench "
-            f"({', '.join(found)}); end that one, or choose another --namespace or ROS_DOMAIN_ID"
-        )
+        raise _occupied(namespace, ", ".join(found))
+
+
+def _occupied(namespace: str, how: str) -> InputError:
+    return InputError(
+        f"namespace {namespace} of ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} is occupied by another bench "
+        f"({how}); end that one, or choose another --namespace or ROS_DOMAIN_ID"
+    )
 
 
 class BenchClient:
@@ -106,6 +126,8 @@ class BenchClient:
         self._nodes_up: set[str] = set()
         self._supervisor_heard = time.monotonic()  # wall time of its latest diagnostics
         DIAGNOSTICS.subscription(self.node, self._on_diagnostics)
+        self._recording = False
+        RECORDER_STATE.subscription(self.node, self._on_recorder_state)
         self._refusals: list[str] = []
         REFUSALS.subscription(self.node, lambda refusal: self._refusals.append(refusal.data))
 
@@ -114,6 +136,9 @@ class BenchClient:
         self._nodes_up |= names
         if f"{self.node.get_namespace().strip('/')}/supervisor" in names:
             self._supervisor_heard = time.monotonic()
+
+    def _on_recorder_state(self, status: DiagnosticStatus) -> None:
+        self._recording = any(value.value in ("recording", "stopping") for value in status.values if value.key == "state")
 
     def __enter__(self) -> "BenchClient":
         return self
@@ -173,6 +198,26 @@ class BenchClient:
             self._held = False
             self.time.release()
 
+    def stay_up(self) -> None:
+        """Let others use the bench until ``watch`` raises an exception; when a node has died, stop everything at once."""
+        self.let_time_pass()
+        try:
+            self.spin(lambda: False, float("inf"))
+        except ProcessDiedError as died:
+            self._stop_everything(died, lambda: not self._recording)
+            raise
+
+    def _stop_everything(self, died: ProcessDiedError, ended: Callable[[], bool]) -> None:
+        """Stop at once, and wait for the rod and for the end of what runs.
+
+        Nobody waits for the dead: neither for a supervisor that ends no goal, nor for one that calls a dead node.
+        """
+        self._emergency_stop.publish(Bool(data=True))
+        begin = time.monotonic()
+        self.spin(ended, _REST_TIMEOUT if died.name == "supervisor" else _END_TIMEOUT, watch=False)
+        # The message must leave, and the rod stand, also where nothing was recorded.
+        self.spin(lambda: False, _REST_TIMEOUT - (time.monotonic() - begin), watch=False)
+
     def run_experiment(self, experiment: str, bag: Path, seed: int, feedback: Feedback = ignore_feedback) -> Any:
         """Run an experiment, given by the text of its file, and return the result of the action.
 
@@ -218,9 +263,7 @@ class BenchClient:
         try:
             self.spin(done, float("inf"))
         except ProcessDiedError as died:
-            # Nobody waits for the dead: neither for a supervisor that ends no goal, nor for one that calls a dead node.
-            self._emergency_stop.publish(Bool(data=True))
-            self.spin(ended.done, _REST_TIMEOUT if died.name == "supervisor" else _END_TIMEOUT, watch=False)
+            self._stop_everything(died, ended.done)
             raise
         except BaseException:
             handle.cancel_goal_async()

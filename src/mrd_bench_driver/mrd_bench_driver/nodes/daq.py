@@ -50,7 +50,13 @@ class DaqNode(BenchNode[DaqConfig]):
         wiring = ConverterSettings(config.device, config.channels, config.coil, config.hardware_rate, config.block)
         self._backend = make_backend(config.backend, wiring, self.bench)
         self._daq = Daq(
-            config, self.bench, self._backend, self._publish_block, self._publish_calibration, self._publish_state
+            config,
+            self.bench,
+            self._backend,
+            self._check_readings,
+            self._publish_block,
+            self._publish_calibration,
+            self._publish_state,
         )
         if isinstance(self._backend, Simulated):
             self._output = ANALOG_OUTPUT.publisher(self)
@@ -62,6 +68,7 @@ class DaqNode(BenchNode[DaqConfig]):
         self._publish_state("")
 
         self._lost = 0
+        self._followed = 0  # number of the lease of the latest setpoint
         self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop)
         self.accept_parameter("rate_hz", config.rate, self._set_rate)
         DAQ_TARE.serve(self, self._on_tare)
@@ -72,9 +79,12 @@ class DaqNode(BenchNode[DaqConfig]):
         self.create_bench_timer(0.2 * config.setpoint_timeout, self._daq.check_setpoint_age)
         self._daq.start()
 
-    def _publish_block(self, block: VoltBlock) -> None:
-        if self._lease.lease.mode.takes_setpoints:
+    def _check_readings(self, block: VoltBlock) -> None:
+        if self._lease.lease.mode.may_move:
             self._daq.check_inputs(block)
+        self._daq.check_coil(block)
+
+    def _publish_block(self, block: VoltBlock) -> None:
         message = BenchSamples(sample_period=1 / self._daq.rate, sequence=block.sequence)
         message.header.stamp = self.stamp(block.time)
         samples = to_si(block.volts, self._daq.channels)
@@ -133,6 +143,7 @@ class DaqNode(BenchNode[DaqConfig]):
     def _on_setpoint(self, setpoint: Setpoint) -> None:
         if not self._lease.permits(setpoint):
             return
+        self._followed = setpoint.lease
         self._daq.set_coil_current(setpoint.coil_current, seconds(setpoint.header.stamp))
 
     def _on_emergency_stop(self, message: Bool) -> None:
@@ -146,7 +157,8 @@ class DaqNode(BenchNode[DaqConfig]):
 
     def _on_tare(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            if self._lease.lease.number:
+            # The supervisor tares under the lease of its run, before the first setpoint.
+            if self._lease.lease.number in (0, self._followed):
                 self._require_no_run()
             response.message, response.success = self._daq.tare(), True
         except InputError as error:

@@ -44,10 +44,11 @@ _SERVICES = {
 _POLLING_INTERVAL = 0.005
 # Wall time in s after which a request is repeated: a request to a node that has just been started may be lost.
 _REPEAT_AFTER = 2.0
-# Requests that begin something or take long are not repeated. A servo that homes refuses to home once more, so that only one
-# homing is done.
+# Requests that begin something or take long are not repeated: a generator that plans for longer would load the experiment
+# twice. A servo that homes refuses to home once more, so that only one homing is done.
 _NOT_REPEATED = {
-    service.name for service in (LOAD_CONTROL, START_EXPERIMENT, START_CONTROL, START_RECORDING, STOP_RECORDING)
+    service.name
+    for service in (LOAD_EXPERIMENT, LOAD_CONTROL, START_EXPERIMENT, START_CONTROL, START_RECORDING, STOP_RECORDING)
 }
 
 

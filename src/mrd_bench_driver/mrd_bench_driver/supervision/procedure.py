@@ -53,8 +53,9 @@ class _Experiment:
         bench.enter(Mode.HOMING, bench.source.action)
         self._undo.append(bench.halt)
         bench.centre(require=bench.require_recorder)
-        bench.tare()
+        # From here on, nobody else homes, records or tares. Nothing moves without the setpoints, which come last.
         bench.enter(bench.source.mode, bench.source.action)
+        bench.tare()
         bench.enable()
         self._progress("recording", 0.0, self._duration)
         self._undo.append(self._close_bag)

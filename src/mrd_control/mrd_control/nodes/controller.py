@@ -51,7 +51,6 @@ class ControllerNode(BenchNode[ControllerSettings]):
         self._loop: OnlineLoop | None = None
         self._latest: Cycle | None = None  # that was commanded
         self._state, self._reason = "idle", ""
-        self._stopped = False
         self._block = math.nan  # length of the latest block of samples in s
         self._next = -1  # number by the DAQ of the next sample; -1 before the first one
         self._last = 0.0  # bench time of the latest cycle, or of the start
@@ -106,9 +105,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
         return response
 
     def _start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._stopped:
-            response.message = "the emergency stop is latched; call reset_fault first"
-        elif reason := self._lease.reason_not_to_start(Mode.CONTROL, self.bench.now()):
+        if reason := self._lease.reason_not_to_start(Mode.CONTROL, self.bench.now()):
             response.message = reason
         elif self._state != "loaded":
             response.message = f"no hybrid test is loaded ({self._state}); call load_control first"
@@ -131,7 +128,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
         return response
 
     def _on_emergency_stop(self, message: Bool) -> None:
-        self._stopped = message.data
+        # The stop is latched by the mode of the lease, which nobody but the supervisor changes.
         if message.data and self._state == "running":
             self._end("emergency stop")
 
@@ -236,7 +233,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return why the latest test was aborted, and rate, jitter and missed deadlines of its cycles."""
-        values: dict[str, Any] = {"state": self._state, "emergency stop": self._stopped}
+        values: dict[str, Any] = {"state": self._state}
         if self._experiment is not None:
             values |= {"experiment": self._experiment.name, "cycles per s": f"{self._rate:.1f}"}
             values |= {"largest jitter, ms": f"{1e3 * self._jitter:.2f}", "missed deadlines": self._missed}

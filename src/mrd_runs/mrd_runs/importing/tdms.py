@@ -1,5 +1,6 @@
 """Tables in TDMS files of LabVIEW."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,11 +28,14 @@ def read_tdms_table(path: Path) -> Table:
         When npTDMS is not installed, or the file cannot be read.
     """
     nptdms = load_extra("nptdms", "npTDMS", "tdms", path)
+    # Of a damaged file it would print line after line, with its bytes.
+    nptdms.log.log_manager.set_level(logging.CRITICAL)
     columns: list[Column] = []
     channels: dict[str, tuple[str, str]] = {}
     clocks: dict[str, tuple[int, float, float]] = {}
     try:
         with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
+            cut = file.file_status.incomplete_final_segment
             groups = [group for group in file.groups() if group.channels()]
             for group in groups:
                 prefix = f"{group.name}/" if len(groups) > 1 else ""
@@ -51,7 +55,8 @@ def read_tdms_table(path: Path) -> Table:
         raise InputError(f"{path}: holds no channels of numbers; expected time, position and force")
     clocks = {name: clock for name, clock in clocks.items() if name not in channels}
     columns += [Column(name, "s") for name in clocks]
-    return Table(tuple(columns), lambda names: _read(nptdms, path, channels, clocks, names))
+    layout = "the file is cut off: its last segment is incomplete" if cut else ""
+    return Table(tuple(columns), lambda names: _read(nptdms, path, channels, clocks, names), layout)
 
 
 def _read(

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -21,6 +22,9 @@ class AnalysisSettings:
     """Parameters of a node that analyses runs."""
 
     max_blocks: int = quantity(100_000, "", "number of sample blocks kept for an analysis; older ones are dropped", lower=1)
+    effects_folders: str = quantity(
+        "", "", "folders, separated by colons, that a goal may name as effects_folder: their Python files are executed"
+    )
 
 
 class CancelledError(Exception):
@@ -37,7 +41,8 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     name : str
         Default name of the node.
     action : type
-        Type of the action. Its goal has ``runs`` and ``held_out``, its result ``success`` and ``message``.
+        Type of the action. Its goal has ``runs``, ``held_out`` and ``effects_folder``, its result ``success`` and
+        ``message``.
     action_name : str
         Name under which the action is served.
     """
@@ -92,10 +97,20 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     def check(self, request: Any) -> None:
         """Raise `InputError` for a goal that cannot be worked on, as far as that shows at once."""
 
+    def _require_trusted(self, folder: str) -> None:
+        """Refuse effects, which are Python, of a folder that this node was not started with: anybody may send a goal."""
+        trusted = [Path(entry).expanduser().resolve() for entry in self.config.effects_folders.split(":") if entry]
+        if folder and Path(folder).resolve() not in trusted:
+            raise InputError(
+                f"effects_folder is {folder}: effects are executed, so a goal may only name one of the parameter "
+                f"effects_folders ({', '.join(map(str, trusted)) or 'none'}); start the node with it, or use the tool"
+            )
+
     def _accept(self, request: Any) -> GoalResponse:
         try:
             if self._busy:
                 raise InputError("another goal is being worked on; wait for its end or cancel it")
+            self._require_trusted(request.effects_folder)
             self.check(request)
         except InputError as error:
             self.refuse(self._action_name, str(error))

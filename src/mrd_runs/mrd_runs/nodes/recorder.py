@@ -32,7 +32,7 @@ from mrd_base.nodes.graph import (
     Topic,
     type_name,
 )
-from mrd_base.nodes.lease import RELIABLE, LeaseFollower
+from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_interfaces.msg import ServoState
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, free_space
@@ -122,9 +122,11 @@ class Recorder(BenchNode[RecorderSettings]):
                     self._latched[topic] = cdr
                 self._write(topic, cdr)
 
-        # Anybody may stop the bench, also by a publisher that is not latched.
-        qos = RELIABLE if declared is EMERGENCY_STOP else LATCHED if latched else RECORDED
-        topic: str = declared.subscription(self, on_message, qos, raw=True).topic_name
+        topic: str
+        if declared is EMERGENCY_STOP:  # anybody may stop the bench, by a publisher of any kind
+            topic = hear_emergency_stop(self, on_message, raw=True)
+        else:
+            topic = declared.subscription(self, on_message, LATCHED if latched else RECORDED, raw=True).topic_name
         self._types[topic] = (type_name(declared.type), latched)
         return topic
 
@@ -203,6 +205,9 @@ class Recorder(BenchNode[RecorderSettings]):
         return response
 
     def _open(self, request: StartRecording.Request) -> Path:
+        # A recording by hand would be in the way of the run that is about to begin.
+        if not request.lease and (reason := self._lease.reason_not_to_change(self.bench.now())):
+            raise InputError(f"{reason}, or give the number of its lease")
         if self._writer is not None:
             if not self._is_orphaned():
                 raise InputError(f"already recording into {self._writer.path}; stop_recording first")

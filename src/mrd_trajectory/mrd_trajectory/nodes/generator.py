@@ -31,7 +31,6 @@ class Generator(BenchNode[GeneratorSettings]):
         self._start = self._last = 0.0
         self._state = "idle"
         self._reason = ""
-        self._stopped = False
         self._setpoints = SETPOINT.publisher(self)
         self._states = EXPERIMENT_STATE.publisher(self)
         hear_emergency_stop(self, self._on_emergency_stop)
@@ -48,7 +47,7 @@ class Generator(BenchNode[GeneratorSettings]):
         self._state, self._reason = state, reason
         if state != "running":
             self._timer.cancel()
-        self._states.publish(String(data=state))
+        self._states.publish(String(data=f"{state}: {reason}" if state == "aborted" else state))
         self.get_logger().info(f"{state}{': ' + reason if reason else ''}")
 
     def _load(self, request: LoadExperiment.Request, response: LoadExperiment.Response) -> LoadExperiment.Response:
@@ -71,9 +70,7 @@ class Generator(BenchNode[GeneratorSettings]):
         return response
 
     def _start_experiment(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._stopped:
-            response.message = "the emergency stop is latched; call reset_fault first"
-        elif reason := self._lease.reason_not_to_start(Mode.IDENTIFICATION, self.bench.now()):
+        if reason := self._lease.reason_not_to_start(Mode.IDENTIFICATION, self.bench.now()):
             response.message = reason
         elif self._state != "loaded":
             response.message = f"no experiment is loaded ({self._state}); call load_experiment first"
@@ -96,7 +93,7 @@ class Generator(BenchNode[GeneratorSettings]):
         return response
 
     def _on_emergency_stop(self, message: Bool) -> None:
-        self._stopped = message.data
+        # The stop is latched by the mode of the lease, which nobody but the supervisor changes.
         if message.data and self._state == "running":
             self._enter("aborted", "emergency stop")
 
@@ -130,7 +127,7 @@ class Generator(BenchNode[GeneratorSettings]):
             self._enter("done")
 
     def health(self) -> tuple[str, dict[str, Any]]:
-        values: dict[str, Any] = {"state": self._state, "emergency stop": self._stopped}
+        values: dict[str, Any] = {"state": self._state}
         if self._plan is not None:
             values["experiment"] = self._plan.experiment.name
             if self._state == "running":
