@@ -36,6 +36,7 @@ ABSOLUTE = np.array([1e-3, 1e-3, 0.1, 0.1, 1.0, 0.2, 0.2]) * RTOL
 LEAST = 200.0
 """Times real time that the loop has to reach on one core."""
 VALUES = {"yield_force": 80.0, "yield_force_per_A": 900.0, "yield_travel": 125e-6, "viscous": 900.0, "viscous_per_A": 2500.0}
+VALUES["coil_lag"] = 0.004
 
 
 @njit(cache=True)

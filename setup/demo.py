@@ -24,11 +24,13 @@ from mrd_base.domain import claim_domain
 from mrd_diagnosis.correction import Correction, write_plant
 from mrd_diagnosis.quantities import format_error, format_quantity
 from mrd_interfaces.action import Identify
+from mrd_runs import read_run
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
 from mrd_sim.plant import read_damper
+from mrd_sim.simulate import simulate_run
 
 PLANT = Path("config/plant.yaml")
 MODEL = "bouc_wen"
@@ -137,6 +139,18 @@ def describe(effect: str, sizes: Mapping[str, float]) -> str:
     return f"{effect}, {size.name} {format_quantity(sizes[size.name], size.unit)}"
 
 
+def error_left(plant: Path, bags: list[Path]) -> float:
+    """Return the error of a simulator along the recorded motions, relative to the standard deviation of the force."""
+    damper = read_damper(plant).build()
+    squared = power = 0.0
+    for bag in bags:
+        run = read_run(bag)
+        # The state of the damper at the start of a run is not known, and each run has its own zero.
+        error = (run.force - simulate_run(run, damper).force)[len(run) // 10 :]
+        squared, power = squared + float(error.var()), power + float(run.force.var())
+    return float(np.sqrt(squared / power))
+
+
 def demo(seed: int) -> None:
     """Run the demo; end with an error if the diagnosis does not name the fault, alone."""
     began = time.monotonic()
@@ -157,31 +171,24 @@ def demo(seed: int) -> None:
     named = {
         cause["effect"]: {name: size["value"] for name, size in cause["parameters"].items()} for cause in report["causes"]
     }
-    right = list(named) == [fault[0]]
-    if right:
-        corrected = output / "corrected_plant.yaml"
-        tool(
-            "mrd_diagnosis",
-            "apply",
-            gap / "gap_report.json",
-            "--plant",
-            PLANT,
-            "--output",
-            corrected,
-            log=output / "log/apply.log",
-        )
+    corrected = output / "corrected_plant.yaml"
+    if named:
+        # The cause is put in as it was found: whether it is the right one shows in the error that is left.
+        report_and_plants = [gap / "gap_report.json", "--plant", PLANT, "--output", corrected]
+        tool("mrd_diagnosis", "apply", *report_and_plants, "--anyway", log=output / "log/apply.log")
     print(f"\n{report['sentence']}\n")
     print(f"error of the simulator on runs that were not fitted: {errors['before']}")
     print(f"with the named effect:                               {errors['after']} (noise alone: {errors['noise_floor']})")
     print(f"named effect: {'; '.join(describe(*cause) for cause in named.items()) or 'none'}")
     print(f"hidden fault: {describe(*fault)}")
-    if right:
-        print(f"corrected simulator: {corrected}")
+    if named:
+        left = format_error(error_left(corrected, bags))
+        print(f"corrected simulator: {corrected}; its error along the recorded motions: {left}")
     page = gap / "gap_report.html"
     print(f"report: {page}   (after {time.monotonic() - began:.0f} s)")
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         webbrowser.open(page.resolve().as_uri())
-    if not right:
+    if list(named) != [fault[0]]:
         raise InputError("the diagnosis did not name the hidden fault, alone; look at the report")
 
 

@@ -10,7 +10,7 @@ from mrd_diagnosis import diagnose
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.plant import read_damper
-from mrd_sim.simulate import measure_plans
+from mrd_sim.simulate import measure_plans, write_csv
 from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import read_settings
@@ -51,6 +51,17 @@ def test_the_hidden_fault_is_all_that_the_bench_has_beside_the_shipped_one(demo,
     shipped = read_damper(demo.PLANT).build({effect: values})
     assert hidden.model.names == shipped.model.names
     assert np.array_equal(hidden.theta, shipped.theta)
+
+
+def test_the_error_left_tells_a_corrected_simulator_from_one_that_lacks_the_fault(demo, tmp_path):
+    hidden = demo.hide(("joint_play", {"play": 4e-4}), tmp_path / "sealed.yaml")
+    runs = recorded(demo, hidden, 1)
+    files = [tmp_path / f"{run.name}.csv" for run in runs]
+    for run, file in zip(runs, files, strict=True):
+        write_csv(run, file, velocity=False)
+    right, wrong = demo.error_left(hidden, files), demo.error_left(demo.PLANT, files)
+    assert right < 0.03
+    assert wrong > 4 * right
 
 
 @pytest.mark.slow

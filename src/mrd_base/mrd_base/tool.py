@@ -12,8 +12,13 @@ def command(package: str, tool: str) -> str:
 
     Outside of a tool, as in a notebook, the environment decides: that of a ROS workspace names its packages.
     """
-    by_mrd = sys.argv[0].startswith("mrd ") or "AMENT_PREFIX_PATH" not in os.environ
+    by_mrd = sys.argv[0].startswith("mrd ") or not has_workspace()
     return f"mrd {tool}" if by_mrd else f"ros2 run {package} {tool}"
+
+
+def has_workspace() -> bool:
+    """Return whether the environment is that of a ROS workspace, which has the tools of a bench as well."""
+    return "AMENT_PREFIX_PATH" in os.environ
 
 
 def run_tool(work: Callable[[], None]) -> None:

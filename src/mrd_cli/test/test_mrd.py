@@ -91,6 +91,7 @@ def known_models():
         ("mrd models --mark", {"--markdown"}),
         ("mrd diagnose --model quasi", {"quasi_static"}),
         ("mrd identify a.csv --effect gas", {"gas_spring"}),
+        ("mrd compare a.csv --models bingham,quasi", {"bingham,quasi_static"}),
     ],
 )
 def test_the_shell_completes_tools_options_models_and_effects(line, words, tmp_path):

@@ -22,4 +22,4 @@ def linear_damper():
 def bouc_wen():
     """The damper of the simulated bench."""
     values = {"yield_force": 80.0, "yield_force_per_A": 900.0, "yield_travel": 125e-6, "viscous": 900.0}
-    return Damper("bouc_wen", {**values, "viscous_per_A": 2500.0, "stiffness": 1500.0, "offset": -45.0})
+    return Damper("bouc_wen", {**values, "viscous_per_A": 2500.0, "stiffness": 1500.0, "offset": -45.0, "coil_lag": 0.004})

@@ -13,7 +13,8 @@ from mrd_base import InputError, node_patterns
 from mrd_diagnosis.diagnosis import Verdict
 from mrd_diagnosis.quantities import format_share
 from mrd_sim.damper import Damper
-from mrd_sim.models import MODELS
+from mrd_sim.effects import EFFECT_FOLDERS
+from mrd_sim.models import MODEL_FOLDERS, MODELS
 from mrd_sim.plant import read_damper
 
 # Sections of a parameter file that hold the plant; the section that overrides the others comes first.
@@ -36,8 +37,6 @@ class Correction:
         Parameters of each effect, by the id of the effect.
     remark : str
         A sentence that says what the damper is, and whether the diagnosis proves it.
-    effects_folder : str
-        Folder with the user's own effects; may be empty.
     """
 
     model: str
@@ -45,7 +44,6 @@ class Correction:
     parameters: Mapping[str, float]
     effects: Mapping[str, Mapping[str, float]]
     remark: str
-    effects_folder: str = ""
 
     def build(self) -> Damper:
         """Build the damper, at rest and unloaded."""
@@ -62,7 +60,6 @@ def correction(
     closed_fraction: float = math.nan,
     anyway: bool = False,
     where: str = "the diagnosis",
-    effects_folder: str = "",
 ) -> Correction:
     """Decide what of a diagnosis belongs into the simulator.
 
@@ -78,8 +75,6 @@ def correction(
         Apply also what is not proven: the first of several possible causes, the nearest effect, or the parameters alone.
     where : str
         Start of error messages.
-    effects_folder : str
-        Folder with the user's own effects; may be empty.
 
     Raises
     ------
@@ -96,7 +91,7 @@ def correction(
         for effect in effects
     }
     parameters_of_model = {name: value for name, value in parameters.items() if "." not in name}
-    return Correction(model, laws, parameters_of_model, parameters_of_effects, remark, effects_folder)
+    return Correction(model, laws, parameters_of_model, parameters_of_effects, remark)
 
 
 def _remark(verdict: Verdict, model: str, effects: Collection[str], closed_fraction: float, anyway: bool, where: str) -> str:
@@ -218,8 +213,11 @@ def _damper_entries(corrected: Correction) -> dict[str, str]:
         "effects": "\n".join(effects) + "\n" if corrected.effects else "",
         "parameters": _assignments(corrected.parameters, "\n") + "\n",
     }
-    if corrected.effects_folder:
-        entries["effects_folder"] = str(Path(corrected.effects_folder).resolve())
+    # The bench loads a model or an effect of the user's own from where it was found.
+    if corrected.model in MODEL_FOLDERS:
+        entries["models_folder"] = str(Path(MODEL_FOLDERS[corrected.model]).resolve())
+    if own := [EFFECT_FOLDERS[effect] for effect in corrected.effects if effect in EFFECT_FOLDERS]:
+        entries["effects_folder"] = str(Path(own[0]).resolve())
     return entries
 
 

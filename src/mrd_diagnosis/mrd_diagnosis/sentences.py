@@ -4,13 +4,14 @@ import math
 import shlex
 from collections.abc import Sequence
 
-from mrd_base.tool import command
+from mrd_base.tool import command, has_workspace
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_runs import Run
+from mrd_runs.read import run_arguments
 from mrd_sim.models import MODELS
+from mrd_sim.own import folder_arguments, model_arguments
 
 NEARLY_ALL = 0.85
 """Share of the error from which a reader calls it nearly all."""
@@ -234,20 +235,20 @@ def next_step(diagnosis: Diagnosis) -> str:
 
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the commands that follow from a verdict, one a line; empty where none do. ``folder`` is that of the report."""
-    folder, runs = shlex.quote(folder), _run_arguments(diagnosis.runs)
-    held_out = f" --held-out {_run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
-    held_out += f" --reference {_run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
+    folder, runs = shlex.quote(folder), run_arguments(diagnosis.runs)
+    held_out = f" --held-out {run_arguments(diagnosis.held_out)}" if diagnosis.held_out else ""
+    reference = f" --reference {run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
+    laws = diagnosis.model.laws
     diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
+    apply += folder_arguments()
     if diagnosis.verdict == "explained":
         return apply
     if diagnosis.verdict == "ambiguous":
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
             return f"{apply} --anyway"
-        return (
-            f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
-            f"{diagnose} NEW_RUN{held_out} --model {diagnosis.model.id} --output DIR"
-        )
+        record = f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n" if has_workspace() else ""
+        return f"{record}{diagnose} NEW_RUN{held_out}{reference} {model_arguments(diagnosis.model.id, laws)} --output DIR"
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""
     commands = []
@@ -256,10 +257,10 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
         if change.endswith(" fitted too"):
             free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
             identify = command("mrd_identification", "identify")
-            commands.append(f"{identify} {runs}{held_out} --model {model_id} {free} --output DIR")
+            commands.append(f"{identify} {runs}{held_out} {model_arguments(model_id, laws)} {free} --output DIR")
         elif model_id in MODELS:
-            law = " --law quadratic" if change else ""
-            commands.append(f"{diagnose}{held_out} --model {model_id}{law} --output DIR")
+            model_and_law = model_arguments(model_id, "quadratic" if change else "")
+            commands.append(f"{diagnose}{held_out}{reference} {model_and_law} --output DIR")
     if diagnosis.verdict == "partly_explained":
         commands.append(apply)
     return "\n".join(commands)
@@ -268,12 +269,6 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
 def _remedies(diagnosis: Diagnosis) -> str:
     """Return what to do about the limitations of the recordings; empty where they have none."""
     return " ".join(dict.fromkeys(finding.remedy for finding in diagnosis.findings if finding.severity == "limitation"))
-
-
-def _run_arguments(runs: Sequence[Run]) -> str:
-    """Return runs as arguments of a tool; ``RUN...`` where they were not read from files."""
-    sources = [str(run.info.get("source", "")) for run in runs]
-    return shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN..."
 
 
 def corrected_label(diagnosis: Diagnosis) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mrd_sim.effects import EFFECTS
+from mrd_sim.own import own_catalogue
 
 USER_EFFECT = """
 from numba import njit
@@ -30,7 +30,5 @@ def user_effects(tmp_path: Path) -> Iterator[Path]:
     """Return a folder with an effect of the user, and remove the effect from the catalogue afterwards."""
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "spring.py").write_text(USER_EFFECT)
-    before = dict(EFFECTS)
-    yield tmp_path / "own"
-    EFFECTS.clear()
-    EFFECTS.update(before)
+    with own_catalogue():
+        yield tmp_path / "own"

@@ -1,6 +1,7 @@
 """apply puts all of a diagnosis into the simulator, and says what is not proven."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ from mrd_runs import Run, read_run
 from mrd_sim.cli import simulate as simulate_tool
 from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.models import MODELS, find_model
+from mrd_sim.models_page import EXAMPLE
+from mrd_sim.own import own_catalogue
 from mrd_sim.path import make_path
 from mrd_sim.plant import Plant, PlantConfig, read_damper
 from mrd_sim.simulate import write_csv
@@ -152,12 +155,35 @@ def test_what_is_not_proven_needs_anyway():
 
 def test_effects_of_the_user_go_with_their_folder(tmp_path, user_effects):
     laws = find_model("bingham").laws
-    made = Correction("bingham", laws, {}, {"own_spring": {"rate": 500.0}}, "-", str(user_effects))
+    made = Correction("bingham", laws, {}, {"own_spring": {"rate": 500.0}}, "-")
     load_effects(user_effects)
     output = write_plant(made, SHIPPED, tmp_path / "plant.yaml")
     del EFFECTS["own_spring"]
     assert read_damper(output).build().theta[-1] == 500.0
     assert identify_arguments(made) == f"--model bingham --effects-folder {user_effects} --effect own_spring"
+
+
+def test_the_command_that_is_advised_for_a_model_of_the_user_does(recorded, tmp_path, monkeypatch, capsys):
+    """diagnose, and then apply as diagnose advises it, each as in a process of its own."""
+    (tmp_path / "my models").mkdir()
+    (tmp_path / "my models" / "mine.py").write_text(EXAMPLE)
+    arguments = ["--models-folder", str(tmp_path / "my models"), "--model", "asymmetric_bingham"]
+    arguments += ["--effects", "force_sensor_lag,gas_spring", "--output", str(tmp_path / "gap")]
+    monkeypatch.setattr("sys.argv", ["mrd diagnose", *recorded, *arguments])
+    with own_catalogue():
+        diagnose_tool.work()
+    advised = capsys.readouterr().out.partition("next command: ")[2].partition("\n")[0]
+    assert advised.startswith("mrd apply ")
+    plant = str(tmp_path / "corrected.yaml")
+    words = shlex.split(advised.replace("PLANT.yaml", str(SHIPPED)).replace("CORRECTED.yaml", plant))
+    monkeypatch.setattr("sys.argv", ["mrd apply", *words[2:]])
+    with own_catalogue():
+        apply_tool.work()
+    with own_catalogue():
+        damper = read_damper(plant).build()
+        assert damper.description == "asymmetric_bingham with force_sensor_lag"
+        assert "--model asymmetric_bingham --models-folder" in capsys.readouterr().out
+    assert "asymmetric_bingham" not in MODELS
 
 
 def test_effects_of_the_user_are_identified(tmp_path, user_effects, monkeypatch):

@@ -10,14 +10,16 @@ from mrd_base import InputError
 from mrd_diagnosis.nodes import diagnoser
 from mrd_interfaces.action import Diagnose
 from mrd_sim.effects import EFFECTS
+from mrd_sim.models import MODELS
+from mrd_sim.models_page import EXAMPLE
 from mrd_trajectory.settings import read_settings
 
 SHIPPED_BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 
 
 @pytest.fixture
-def client(serve_action, user_effects):
-    trusted = f"effects_folders:={user_effects}"
+def client(serve_action, user_effects, tmp_path):
+    trusted = f"trusted_folders:={user_effects}:{tmp_path}"
     return serve_action(diagnoser.Diagnoser, Diagnose, "diagnose", "--ros-args", "-p", trusted)
 
 
@@ -62,7 +64,7 @@ def test_a_goal_executes_nothing_that_the_node_was_not_started_with(client, reco
     strange.mkdir()
     (strange / "effect.py").write_text(f"open({str(tmp_path / 'executed')!r}, 'w')")
     goal = Diagnose.Goal(runs=recorded, model="bingham", effects_folder=str(strange), output=str(tmp_path / "out"))
-    assert client.failure(goal).startswith(f"effects_folder is {strange}: effects are executed, so a goal may only name")
+    assert client.failure(goal).startswith(f"effects_folder is {strange}: its files are executed, so a goal may only name")
     assert not (tmp_path / "executed").exists()
 
 
@@ -70,20 +72,22 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     used = {}
 
     def recording(runs, model, **options):
-        used.update(options, runs=runs, model=model, catalogue=set(EFFECTS))
+        used.update(options, runs=runs, model=model, catalogue={*EFFECTS, *MODELS})
         raise InputError("far enough")
 
     monkeypatch.setattr(diagnoser, "diagnose", recording)
     monkeypatch.delenv("MRD_BENCH", raising=False)
+    (tmp_path / "mine.py").write_text(EXAMPLE)
     bench = tmp_path / "bench.yaml"
     bench.write_text(SHIPPED_BENCH.read_text())
     goal = Diagnose.Goal(
         runs=recorded[:2],
         held_out=recorded[2:],
-        model="bingham",
-        laws="yield_force=quadratic",
+        model="asymmetric_bingham",
+        laws="friction_in=quadratic",
         effects=["own_spring"],
         effects_folder=str(user_effects),
+        models_folder=str(tmp_path),
         bench=str(bench),
         seed=7,
         output=str(tmp_path / "out"),
@@ -92,16 +96,19 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     assert [run.name for run in used["runs"]] == ["a", "b"]
     assert [run.name for run in used["held_out"]] == ["c"]
     assert (used["model"], used["laws"], used["effects"], used["seed"]) == (
-        "bingham",
-        {"yield_force": "quadratic"},
+        "asymmetric_bingham",
+        {"friction_in": "quadratic"},
         ("own_spring",),
         7,
     )
     assert used["bench"] == read_settings(bench)
-    # Effects of a folder are known during one goal only.
-    assert "own_spring" in used["catalogue"]
+    # Effects and models of a folder are known during one goal only.
+    assert {"own_spring", "asymmetric_bingham"} <= used["catalogue"]
     assert "own_spring" not in EFFECTS
-    goal.laws = goal.bench = goal.effects_folder = ""
+    assert "asymmetric_bingham" not in MODELS
+    assert client.failure(Diagnose.Goal(runs=recorded, model="asymmetric_bingham")).startswith("unknown model")
+    goal.laws = goal.bench = goal.effects_folder = goal.models_folder = ""
+    goal.model = "bingham"
     assert client.ended(client.send(goal)).result.message == "far enough"
     assert (used["laws"], used["bench"]) == (None, read_settings(None))
 

@@ -49,7 +49,7 @@ from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
-from mrd_sim.effects import EFFECTS
+from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 
@@ -621,6 +621,24 @@ def test_the_next_command_follows_from_the_verdict():
         model = AlternativeModel(name, 0.01, about(0.9))
         assert next_command(replace(unknown, alternative_models=(model,))) == command
     assert next_command(diagnosed("no_gap")) == next_command(diagnosed("data_fault")) == ""
+
+
+def test_the_next_command_names_the_laws_and_the_folders_of_the_user(user_effects):
+    ambiguous = diagnosed("ambiguous")
+    ambiguous = replace(ambiguous, model=ambiguous.model.with_laws({"viscous": "tanh"}))
+    load_effects(user_effects)
+    folder = f" --effects-folder {user_effects}"
+    assert next_command(diagnosed("explained")).endswith(f" --output CORRECTED.yaml{folder}")
+    again = next_command(ambiguous).splitlines()[1]
+    assert " --model bouc_wen --law " in again
+    assert "viscous=tanh" in again
+    assert again.endswith(f"{folder} --output DIR")
+
+
+def test_a_bench_is_advised_only_where_one_can_be(monkeypatch):
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    (command,) = next_command(diagnosed("ambiguous")).splitlines()
+    assert command.startswith("mrd diagnose RUN... NEW_RUN --model ")
 
 
 def test_the_next_command_names_the_files_of_the_runs():

@@ -7,11 +7,13 @@ from mrd_base import InputError
 from mrd_identification.method import Method
 from mrd_identification.nodes import identifier
 from mrd_interfaces.action import Identify
+from mrd_sim.models import find_model
+from mrd_sim.models_page import EXAMPLE
 
 
 @pytest.fixture
-def client(serve_action):
-    return serve_action(identifier.Identifier, Identify, "identify")
+def client(serve_action, tmp_path):
+    return serve_action(identifier.Identifier, Identify, "identify", "--ros-args", "-p", f"trusted_folders:={tmp_path}")
 
 
 def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
@@ -22,7 +24,11 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         (Identify.Goal(runs=recorded, model="bingham", fixed=["offset"], output=str(tmp_path)), "fixed parameter offset:"),
         (
             Identify.Goal(runs=recorded, model="bingham", effects_folder=nowhere, output=str(tmp_path)),
-            f"effects_folder is {nowhere}: effects are executed",
+            f"effects_folder is {nowhere}: its files are executed",
+        ),
+        (
+            Identify.Goal(runs=recorded, model="bingham", models_folder=nowhere, output=str(tmp_path)),
+            f"models_folder is {nowhere}: its files are executed",
         ),
         (Identify.Goal(runs=recorded, model="bingham"), "--output is empty"),
         (Identify.Goal(model="bingham", output=str(tmp_path)), "no samples were heard"),
@@ -60,6 +66,22 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     given = {name: value for name, value in options.items() if name != "no_profile"}
     given |= {"laws": {"viscous": "tanh"}, "fixed": {"offset": 1.5}, "profile": False}
     assert methods == [Method(laws=""), Method(**given)]
+
+
+def test_a_model_of_the_user_is_known_during_its_goal(client, recorded, tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(EXAMPLE)
+    known = []
+
+    def stop(_runs, model, **_options):
+        known.append(find_model(model).title)
+        raise InputError("stopped")
+
+    monkeypatch.setattr(identifier, "identify", stop)
+    goal = Identify.Goal(runs=recorded, model="asymmetric_bingham", models_folder=str(tmp_path), output=str(tmp_path))
+    assert client.ended(client.send(goal)).result.message == "stopped"
+    assert len(known) == 1
+    goal.models_folder = ""
+    assert client.failure(goal).startswith("unknown model asymmetric_bingham")
 
 
 def test_an_identification_reports_progress_and_ends_when_its_goal_is_cancelled(client, recorded, tmp_path):

@@ -8,6 +8,9 @@ import pytest
 
 from mrd_identification.cli import compare, identify
 from mrd_runs import read_run
+from mrd_sim.models import MODELS
+from mrd_sim.models_page import EXAMPLE
+from mrd_sim.own import own_catalogue
 from mrd_sim.simulate import write_csv
 
 
@@ -50,6 +53,16 @@ def test_a_wrong_sign_can_be_fitted_anyway(tool, flipped, tmp_path):
     assert code == 0
     assert error.startswith("warning: all 3 runs: the damper drives the rod")
     assert (tmp_path / "out/fit.json").exists()
+
+
+def test_models_of_ones_own_are_compared_with_all_others(tool, recorded, tmp_path):
+    """The comparison takes all models where none are named; this one would take too long, and says of how many."""
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "mine.py").write_text(EXAMPLE)
+    with own_catalogue():
+        code, _, error = tool(compare, *recorded, "--models-folder", str(tmp_path / "own"), "--seeds", "1000000")
+    assert code == 2
+    assert f"with {len(MODELS) + 1} models" in error
 
 
 def test_kilonewtons_are_named(tool, recorded, tmp_path):

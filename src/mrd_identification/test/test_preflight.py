@@ -48,7 +48,9 @@ def simulated(name, rate=500.0, duration=12.0, model="bouc_wen"):
     rod, coil = EXPERIMENTS[name]
     text = f"name: {name}\nduration_s: {duration}\nrate_hz: {rate}\nrod: {rod}\ncoil: {coil}\n"
     return replace(
-        simulate_plan(plan(parse_experiment(text, name), Limits(), ForceEnvelope()), Damper(model)), name=name, info={}
+        simulate_plan(plan(parse_experiment(text, name), Limits(), ForceEnvelope()), Damper(model, {"coil_lag": 0.004})),
+        name=name,
+        info={},
     )
 
 
@@ -450,6 +452,14 @@ def test_units(good, channel, unit):
     finding = only_finding(findings, "rig", "slow", channel)
     assert finding.severity == "fault"
     assert f"If it is in {unit}, convert it" in finding.text
+
+
+def test_a_force_that_may_be_in_kN_is_doubted(good):
+    largest = max(np.ptp(run.force) for run in good)
+    for span, doubted in ((15.0, True), (45.0, False)):
+        text = "If it is in kN, convert it to N."
+        runs = [replace(run, force=span / largest * run.force) for run in good if np.ptp(run.force) > 0.5 * largest]
+        assert any(finding.remedy == text for finding in preflight(runs)) == doubted
 
 
 # ---- Coverage

@@ -25,6 +25,7 @@ from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from mrd_base import InputError
+from mrd_base.tool import command
 from mrd_runs.definitions import definition, empty_typestore, typestore
 from mrd_runs.storage import (
     RECOVERED_FROM,
@@ -415,13 +416,14 @@ def _read_file(file: Path, content: _Content, metadata: Metadata | None) -> bool
     if not closed and metadata is not None:
         raise InputError(
             f"{file}: was closed and has lost its end since (metadata.yaml describes a complete bag); "
-            f"take another copy, or save what is left with `mrd recover`"
+            f"take another copy, or save what is left with `{command('mrd_runs', 'recover')}`"
         )
     return closed
 
 
 def _unreadable(file: Path, problem: str) -> InputError:
-    return InputError(f"{file}: cannot be read as a bag ({problem}); `mrd recover` saves what is left of a damaged one")
+    recover = command("mrd_runs", "recover")
+    return InputError(f"{file}: cannot be read as a bag ({problem}); `{recover}` saves what is left of a damaged one")
 
 
 def _sort(topic: RecordedTopic) -> None:

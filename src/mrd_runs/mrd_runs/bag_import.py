@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,9 @@ _BLOCK = 20
 _END_OF_STAMPS = 2.0**31
 
 
-def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, path: Path) -> None:
+def write_bag(
+    columns: Mapping[str, Array], notes: Sequence[str], source: Path, path: Path, facts: Mapping[str, Any] | None = None
+) -> None:
     """Write columns as `make_run` takes them as a bag.
 
     The samples go into blocks on the topic ``samples``, as the DAQ sends them, so that the bag can be replayed. Blocks have
@@ -39,6 +42,8 @@ def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, 
         File that the columns are from.
     path : Path
         Folder of the bag; it must not exist.
+    facts : mapping, optional
+        What ``run_info`` tells beside, such as the date ``started``.
 
     Raises
     ------
@@ -50,7 +55,7 @@ def write_bag(columns: Mapping[str, Array], notes: Sequence[str], source: Path, 
     writer = BagWriter(path)
     try:
         with writer:
-            info = format_run_info(started="", imported_from=source.name, notes=list(notes))
+            info = format_run_info(**{"started": "", **(facts or {})}, imported_from=source.name, notes=list(notes))
             _write(writer, columns, stamps, info)
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.signal import find_peaks
 
+from mrd_base.tool import command
 from mrd_runs.run import Run
 
 _MOVING_STROKE = 1e-3
@@ -25,7 +26,12 @@ _SEGMENTS = 200
 
 def find_faults(runs: Sequence[Run]) -> list[str]:
     """Return a clause for each kind of fault that recordings show, with the runs that show it; empty for sound ones."""
-    return [f"{_named(found, runs)}: {text}" for look, text in _CHECKS if (found := [run for run in runs if look(run)])]
+    import_ = command("mrd_runs", "import")
+    return [
+        f"{_named(found, runs)}: {text.format(import_=import_)}"
+        for look, text in _CHECKS
+        if (found := [run for run in runs if look(run)])
+    ]
 
 
 def relative_work(run: Run) -> float:
@@ -65,21 +71,21 @@ _CHECKS: tuple[tuple[Callable[[Run], bool], str], ...] = (
     (
         _has_wrong_sign,
         "the damper drives the rod, expected that it resists: the force or the position has the wrong sign "
-        "(force > 0 resists extension, position > 0 extends); turn it with `mrd import FILE --flip force`",
+        "(force > 0 resists extension, position > 0 extends); turn it with `{import_} FILE --flip force`",
     ),
     (
         _has_turned_velocity,
         "the velocity falls where the position rises: one of them has the wrong sign; turn it with "
-        "`mrd import FILE --flip velocity` or position",
+        "`{import_} FILE --flip velocity` or position",
     ),
     (
         _has_small_force,
         f"the force spans less than {_SMALLEST_FORCE:g} N while the rod moves: is it in kN or V? Convert it with "
-        "`mrd import FILE --units force=kN`",
+        "`{import_} FILE --units force=kN`",
     ),
     (
         _has_large_force,
-        f"the force spans more than {_LARGEST_FORCE:g} N: is it in mN? Convert it with `mrd import FILE --units force=mN`",
+        f"the force spans more than {_LARGEST_FORCE:g} N: is it in mN? Convert it with `{{import_}} FILE --units force=mN`",
     ),
 )
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import itertools
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +17,9 @@ from mrd_runs.run import Run
 from mrd_runs.validation import make_run
 
 Array = NDArray[np.float64]
+
+MOST_FOLDERS = 20
+"""Folders that a description of runs lists."""
 
 
 def read_run(path: str | Path) -> Run:
@@ -61,7 +65,10 @@ def read_runs(paths: Iterable[str | Path]) -> list[Run]:
         run = read_run(path)
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
-                raise InputError(f"{path}: is the same recording as {earlier.info['source']}; give each recording once")
+                raise InputError(
+                    f"{path}: is the same recording as {earlier.info['source']}; give each recording once (simulated runs "
+                    "of one motion differ where they were simulated with --noise)"
+                )
         runs.append(run)
     shared = {name for name, count in Counter(run.name for run in runs).items() if count > 1}
     used = {run.name for run in runs}
@@ -76,17 +83,23 @@ def read_runs(paths: Iterable[str | Path]) -> list[Run]:
 def describe_runs(runs: Sequence[Run]) -> str:
     """Return how many runs there are, of which folders, and how long they are.
 
-    A pattern such as ``runs/characterise-*/*`` easily names more than one set: its folders are then listed with their runs.
+    A pattern such as ``runs/*/bag`` easily names more than one set: its folders are then listed with their runs.
     """
     folders = Counter(str(Path(run.info["source"]).parent) for run in runs)
     if len(folders) == 1:
         where = f"in {next(iter(folders))}"
-    elif len(folders) == len(runs):
-        where = f"in {len(folders)} folders"
     else:
-        where = f"of {len(folders)} folders: {', '.join(f'{folder} ({count})' for folder, count in folders.items())}"
+        listed = [f"{folder} ({count})" if count > 1 else folder for folder, count in folders.items()]
+        more = f" and {len(listed) - MOST_FOLDERS} more" if len(listed) > MOST_FOLDERS else ""
+        where = f"of {len(folders)} folders: {', '.join(listed[:MOST_FOLDERS])}{more}"
     total, samples = sum(run.duration for run in runs), sum(map(len, runs))
     return f"{len(runs)} run{'s' if len(runs) > 1 else ''} {where}; {total:.0f} s, {samples} samples"
+
+
+def run_arguments(runs: Sequence[Run]) -> str:
+    """Return runs as arguments of a tool; ``RUN...`` where they were not read from files."""
+    sources = [str(run.info.get("source", "")) for run in runs]
+    return shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN..."
 
 
 def unique_name(name: str, path: str | Path, used: set[str]) -> str:

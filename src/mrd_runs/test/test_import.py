@@ -55,16 +55,32 @@ def test_german_text_is_understood_by_itself(import_tool, tmp_path: Path, encodi
     assert "current of 0.5 A as given" in read_run(tmp_path / "bags/a").info["notes"]
 
 
+def asked_mapping(error: str) -> str:
+    """Return the options that the line of an error proposes."""
+    return error.partition("right of: ")[2].partition(" (columns: ")[0]
+
+
+def test_long_names_leave_the_mapping_whole(import_tool, tmp_path: Path) -> None:
+    names = [f"Prüfstand 7, Messkarte {number}, Verstärker mit langer Beschreibung des Aufnehmers" for number in range(25)]
+    table = np.column_stack([TIME, POSITION, FORCE, *np.random.default_rng(0).normal(size=(22, COUNT))])
+    np.savetxt(tmp_path / "a.txt", table, delimiter=";", header=";".join(names), comments="", encoding="utf-8")
+    code, _, error = import_tool("a.txt --current 0.5 --output bags")
+    assert code == 2
+    assert error.rstrip().endswith("...")
+    assert import_tool(f"a.txt --current 0.5 {asked_mapping(error)} --output bags")[0] == 0
+    check(tmp_path / "bags/a")
+
+
 def test_the_mapping_that_is_asked_for_is_named_and_does(import_tool, tmp_path: Path) -> None:
     text = german(tmp_path / "a.txt").read_text().replace("Weg [mm]", "Kanal 2").replace("Kraft [kN]", "Kanal 3")
     (tmp_path / "a.txt").write_text(text)
     code, _, error = import_tool("a.txt --output bags")
     assert code == 2
     assert error == (
-        "error: a.txt: the columns (Time [ms], Kanal 2, Kanal 3) do not tell the position and the force and the current; "
-        "say so with what is right of: --map time='Time [ms]' position='Kanal 2' force='Kanal 3' --current 0\n"
+        "error: a.txt: the columns do not tell the position and the force and the current; say so with what is right of: "
+        "--map time='Time [ms]' position='Kanal 2' force='Kanal 3' --current 0 (columns: Time [ms], Kanal 2, Kanal 3)\n"
     )
-    mapping = error.partition("right of: ")[2].strip().replace("--current 0", "--current 0.5")
+    mapping = asked_mapping(error).replace("--current 0", "--current 0.5")
     assert import_tool(f"a.txt {mapping} --units position=mm force=kN --output bags")[0] == 0
     check(tmp_path / "bags/a")
 
@@ -176,7 +192,7 @@ def test_matlab_vectors_structures_and_matrices(import_tool, tmp_path: Path) -> 
     check(tmp_path / "bags/b")
     code, _, error = import_tool("c.mat --current 0.5 --output bags")
     assert code == 2
-    mapping = error.partition("right of: ")[2].strip()
+    mapping = asked_mapping(error)
     assert mapping == "--map time='data(1)' position='data(2)' force='data(3)'"
     assert import_tool(f"c.mat --current 0.5 {mapping} --output bags")[0] == 0
     check(tmp_path / "bags/c")
@@ -193,6 +209,8 @@ def test_hdf5_and_matlab_7_3(import_tool, tmp_path: Path) -> None:
         for name, values in (("time", TIME), ("position", POSITION), ("force", FORCE)):
             file.create_dataset(f"log/{name}", data=values[None, :])
         file.create_dataset("#refs#/a", data=np.arange(50.0))
+        letters = np.frombuffer("Force of channel 2".encode("utf-16-le"), np.uint16)
+        file.create_dataset("force", data=letters[:, None]).attrs["MATLAB_class"] = np.bytes_("char")
     with (tmp_path / "b.mat").open("r+b") as stream:
         stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
     rows = np.zeros(COUNT, [("t", "f8"), ("x", "f8"), ("F", "f4")])
@@ -292,6 +310,13 @@ def test_a_sign_that_looks_wrong_is_named(import_tool, tmp_path: Path) -> None:
     assert code == 0
     assert error.startswith("warning: a: the damper drives the rod, expected that it resists")
     assert import_tool("a.csv --current 0 --flip force --output turned")[::2] == (0, "")
+    # Once it is a bag, the same advice still does; all else stays bit by bit.
+    assert import_tool("bags/a --flip force --output again")[::2] == (0, "")
+    wrong, turned = read_run(tmp_path / "bags/a"), read_run(tmp_path / "again/a")
+    np.testing.assert_array_equal(turned.force, -wrong.force)
+    np.testing.assert_array_equal(turned.time, wrong.time)
+    np.testing.assert_array_equal(turned.position, wrong.position)
+    assert set(turned.info["notes"]) == {*wrong.info["notes"], "the sign of the force was turned"}
 
 
 @pytest.mark.parametrize("bias", [0.0, 2e-3])

@@ -9,7 +9,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mrd_base import InputError
-from mrd_runs import read_run
+from mrd_runs import bag_import, read_run
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.synchronise import synchronise
 
@@ -97,9 +97,9 @@ def test_a_bag_without_topics_named_is_answered_with_a_mapping_that_does(import_
     write_bag(tmp_path / "a", StoragePlugin.MCAP, bench())
     code, _, error = import_tool("a --output bags")
     assert code == 2
-    assert error.startswith("error: a: is a bag of another bench (/joint_states.position[arm], ")
+    assert error.endswith(", /coil.data)\n")
     assert error.count("\n") == 1
-    mapping = error.partition("right of: ")[2].strip()
+    mapping = error.partition("right of: ")[2].partition(" (numbers in it: ")[0]
     assert mapping == f"--topics {MAPPING}"
     assert import_tool(f"a {mapping} --output bags")[0] == 0
 
@@ -186,9 +186,24 @@ def test_messages_out_of_order_are_sorted(tmp_path: Path) -> None:
 
 def test_bags_of_this_bench_need_no_import(import_tool, tmp_path: Path, columns, fill_bag) -> None:
     fill_bag(tmp_path / "run", columns).close()
-    assert (
-        import_tool("run --output bags")[2] == "error: run: is a bag of this bench already; every tool reads it as it is\n"
-    )
+    error = import_tool("run --output bags")[2]
+    assert error.startswith("error: run: is a bag of this bench already; every tool reads it as it is.")
+    assert "leave --rate out" in import_tool("run --flip force --rate 100 --output bags")[2]
+
+
+def test_signs_and_units_of_a_bag_of_this_bench_can_be_changed(import_tool, tmp_path: Path, columns) -> None:
+    bag_import.write_bag(columns, ["a note"], Path("run.csv"), tmp_path / "run", {"started": "2024-05-31T10:00:00+00:00"})
+    code, text, _ = import_tool("run --flip position --units force=kN --current 0.3 --output bags")
+    assert code == 0
+    before, after = read_run(tmp_path / "run"), read_run(tmp_path / "bags/run")
+    np.testing.assert_array_equal(after.position, -before.position)
+    np.testing.assert_array_equal(after.force, 1e3 * before.force)
+    np.testing.assert_array_equal(after.current, 0.3)
+    np.testing.assert_array_equal(after.time, before.time)
+    assert after.info["started"] == "2024-05-31T10:00:00+00:00"
+    assert after.info["notes"][0] == "a note"
+    assert "the sign of the position was turned" in text
+    assert "force is in kN" in text
 
 
 def test_averages_keep_the_integral_and_remove_what_would_alias() -> None:

@@ -3,6 +3,7 @@
 import pickle
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,8 +160,10 @@ def test_names_are_unique_and_the_same_recording_is_refused(tmp_path: Path, make
     three = read_runs([tmp_path / "a/run.csv", single, tmp_path / "b/run.csv"])
     assert [run.name for run in three] == ["a/run", "single", "b/run"]
     # A pattern over folders may name two sets, which one has to see.
-    assert f"3 runs of 2 folders: {tmp_path / 'a'} (2), {tmp_path / 'b'} (1); " in describe_runs(three)
-    assert describe_runs(runs).startswith("2 runs in 2 folders; ")
+    assert f"3 runs of 2 folders: {tmp_path / 'a'} (2), {tmp_path / 'b'}; " in describe_runs(three)
+    assert describe_runs(runs).startswith(f"2 runs of 2 folders: {tmp_path / 'a'}, {tmp_path / 'b'}; ")
+    many = [replace(runs[0], info={"source": f"runs/{k}/bag"}) for k in range(30)]
+    assert "runs/19 and 10 more; " in describe_runs(many)
     assert describe_runs(three[:1]).startswith(f"1 run in {tmp_path / 'a'}; ")
     shutil.copy(tmp_path / "a/run.csv", tmp_path / "copy.csv")
     with pytest.raises(InputError, match=r"copy.csv: is the same recording as .*a/run.csv"):
@@ -194,10 +197,10 @@ def test_all_measured_data_are_readable(measured: list[Path]) -> None:
 
 def test_files_of_other_programs_are_sent_to_the_import(tmp_path: Path, columns, write_csv) -> None:
     (tmp_path / "a.csv").write_text("Zeit;Weg;Kraft\n0;1;2\n")
-    with pytest.raises(InputError, match=r"`mrd import` reads tables of other programs\)$"):
+    with pytest.raises(InputError, match=r"`ros2 run mrd_runs import` reads tables of other programs\)$"):
         read_run(tmp_path / "a.csv")
     (tmp_path / "a.xlsx").write_bytes(b"PK")
-    with pytest.raises(InputError, match=r"unknown kind of file; .* \(`mrd import` makes bags of other recordings\)$"):
+    with pytest.raises(InputError, match=r"unknown kind of file; .* \(`ros2 run mrd_runs import` makes bags of other"):
         read_run(tmp_path / "a.xlsx")
     text = write_csv(tmp_path / "b.csv", columns).read_text()
     (tmp_path / "b.csv").write_text(text.replace("0.001,", "0.001s,", 1))

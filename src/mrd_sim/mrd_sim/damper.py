@@ -58,7 +58,7 @@ class Damper:
     model : str
         Id of the model.
     parameters : mapping, optional
-        Values by name; those not given keep the model's default.
+        Values by name; those not given keep the model's default, but `coil_lag` is 0: what was not asked for does not act.
     laws : str or mapping, optional
         Current laws, see `mrd_sim.models.DamperModel.with_laws`.
     effects : mapping, optional
@@ -81,7 +81,7 @@ class Damper:
         effects = effects or {}
         self.model = find_model(model, laws, list(effects))
         effect_values = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
-        self.theta = self.model.vector({**(parameters or {}), **effect_values})
+        self.theta = self.model.vector({"coil_lag": 0.0, **(parameters or {}), **effect_values})
         self._state: Array | None = None
 
     @property

@@ -164,7 +164,7 @@ def page() -> str:
         for model in MODELS.values()
     )
     sections = "\n".join(section(model) for model in MODELS.values())
-    lag = f"{COIL_LAG.default:g} s by default, {COIL_LAG.lower:g} … {COIL_LAG.upper:g} s"
+    lag = f"{COIL_LAG.lower:g} … {COIL_LAG.upper:g} s; a simulated damper has none unless it is given one"
     return Template(_PAGE).substitute(choice=choice, models=models, lag=lag, laws=laws, sections=sections)
 
 

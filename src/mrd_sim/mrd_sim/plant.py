@@ -13,6 +13,7 @@ from mrd_base.config import from_mapping, read_node_parameters
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.effects import load_effects
+from mrd_sim.models import load_models
 from mrd_sim.motor.servo_axis import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
 from mrd_sim.sensing import MeasuringChain, SensorsConfig
@@ -67,15 +68,18 @@ class DamperConfig:
         "{yield_force: 80.0, yield_force_per_A: 900.0, yield_travel: 0.000125, viscous: 900.0, viscous_per_A: 2500.0, "
         "stiffness: 1500.0, offset: -45.0}",
         "",
-        "YAML text, name: value in SI; those not named keep the model's default",
+        "YAML text, name: value in SI; those not named keep the model's default, but there is no coil_lag",
     )
     laws: str = quantity("", "", "current law of all coefficients, or COEFFICIENT=LAW,...; empty: the model's own")
     effects: str = quantity("", "", "YAML text, {effect: {parameter: value}} in SI, of the effects that act (mrd effects)")
+    models_folder: str = quantity("", "", "folder with damper models of your own, one a file; empty for none")
     effects_folder: str = quantity("", "", "folder with effects of your own, one a file; empty for none")
     stroke: float = quantity(0.055, "mm", "distance between its ends, where the rod stops", lower=1e-3, upper=1)
 
     def build(self, effects: Mapping[str, Mapping[str, float]] | None = None) -> Damper:
         """Build the damper, at rest and unloaded; further ``effects`` act with its own ones or replace them."""
+        if self.models_folder:
+            load_models(self.models_folder)
         if self.effects_folder:
             load_effects(self.effects_folder)
         return Damper(

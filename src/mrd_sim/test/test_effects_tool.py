@@ -13,6 +13,7 @@ from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.effects_page import COMMAND, EXAMPLE, page
 from mrd_sim.models import find_model
+from mrd_sim.own import own_catalogue
 
 SERIES = """
 from numba import njit
@@ -34,10 +35,8 @@ EFFECT = Effect(
 @pytest.fixture(autouse=True)
 def catalogue():
     """As it was before, whatever a test loads."""
-    before = dict(EFFECTS)
-    yield
-    EFFECTS.clear()
-    EFFECTS.update(before)
+    with own_catalogue():
+        yield
 
 
 def run(monkeypatch, *arguments):

@@ -10,18 +10,18 @@ from mrd_sim.cli import models as tool
 from mrd_sim.models import MODELS, find_model, load_models
 from mrd_sim.models.loading import missing_property
 from mrd_sim.models_page import EXAMPLE
+from mrd_sim.own import model_arguments, own_catalogue
 from mrd_sim.path import make_path
+from mrd_sim.plant import DamperConfig
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A folder with the example of the docs; the catalogue is afterwards as before."""
-    before = dict(MODELS)
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "mine.py").write_text(EXAMPLE)
-    yield tmp_path / "own"
-    MODELS.clear()
-    MODELS.update(before)
+    with own_catalogue():
+        yield tmp_path / "own"
 
 
 def test_the_example_becomes_a_model_of_the_catalogue(folder, monkeypatch, capsys):
@@ -36,6 +36,20 @@ def test_the_example_becomes_a_model_of_the_catalogue(folder, monkeypatch, capsy
     monkeypatch.setattr(sys, "argv", ["models", "--models-folder", str(folder), "asymmetric_bingham"])
     tool.work()
     assert "friction_out" in capsys.readouterr().out
+
+
+def test_a_plant_has_a_model_of_ones_own(folder):
+    damper = DamperConfig("asymmetric_bingham", "{friction_out: 90.0}", models_folder=str(folder)).build()
+    assert damper.theta[damper.model.names.index("friction_out")] == 90.0
+
+
+def test_a_piece_of_work_leaves_the_catalogue_as_it_was(folder):
+    with own_catalogue(str(folder)):
+        assert model_arguments("asymmetric_bingham") == f"--model asymmetric_bingham --models-folder {folder}"
+    assert "asymmetric_bingham" not in MODELS
+    assert model_arguments("bingham", MODELS["bingham"].laws) == "--model bingham"
+    with pytest.raises(InputError, match="nowhere"), own_catalogue("nowhere"):
+        pytest.fail("the folder is not there")
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)

@@ -13,6 +13,7 @@ from mrd_sim.cli import simulate as tool
 from mrd_sim.cli.simulate import parse_effect
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects
+from mrd_sim.plant import DamperConfig
 from mrd_sim.simulate import Instruments, measure_plan, measure_plans, simulate_plan, simulate_run, write_csv
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -88,6 +89,21 @@ def test_quiet_instruments_measure_the_setpoints_and_the_damper_force(simulated)
     expected = np.interp(run.time + 3.5 / 4000, other.time, other.force)
     assert np.sqrt(np.mean((run.force - expected) ** 2)) < 0.01 * np.std(expected)
     assert run.name == "short"
+
+
+def test_what_was_not_asked_for_is_not_in_the_damper(tmp_path, monkeypatch):
+    """A step of the current shows a lag; none that was not asked for is there, as a diagnosis begins without one."""
+    (tmp_path / "short.yaml").write_text(EXPERIMENT)  # from 0 to 0.2 A where the sine begins
+    arguments = [str(tmp_path / "short.yaml"), "--model", "bouc_wen", "--effect", "gas_spring.stiffness=1000"]
+    monkeypatch.setattr(sys, "argv", ["simulate", *arguments, "--output", str(tmp_path / "a.csv")])
+    tool.work()
+    asked = Damper("bouc_wen", {"coil_lag": 0.0}, effects={"gas_spring": {"stiffness": 1000.0}})
+    other = Damper("bouc_wen", {"coil_lag": 0.004}, effects={"gas_spring": {"stiffness": 1000.0}})
+    force = read_runs([tmp_path / "a.csv"])[0].force
+    assert force == pytest.approx(simulate_plan(planned(), asked).force, abs=1e-6)
+    assert np.abs(force - simulate_plan(planned(), other).force).max() > 10.0
+    damper = DamperConfig().build()
+    assert damper.theta[damper.model.names.index("coil_lag")] == 0.0
 
 
 def test_one_filter_in_all_channels_opens_no_loop():
@@ -217,7 +233,7 @@ def test_the_tool_records_a_folder_of_experiments_as_a_bench_would(tmp_path, mon
     same = simulate("same", "--noise", "--seed", "5")
     assert np.array_equal(same[0].force, first.force)
     assert not np.array_equal(simulate("other", "--noise", "--seed", "6")[0].force, first.force)
-    with pytest.raises(InputError, match="is the same recording as"):
+    with pytest.raises(InputError, match=r"is the same recording as .* simulated with --noise"):
         simulate("quiet")
     monkeypatch.setattr(sys, "argv", ["simulate", str(tmp_path / "noisy/1_first.csv"), "--model", "bingham", "--noise",
                                       "--output", str(tmp_path / "x.csv")])  # fmt: skip

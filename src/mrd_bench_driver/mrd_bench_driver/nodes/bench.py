@@ -7,7 +7,6 @@ import re
 import signal
 import sys
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from mrd_base import InputError, run_tool
 from mrd_base.config import check_sections
 from mrd_base.domain import claim_domain
 from mrd_base.nodes.graph import NODES
+from mrd_base.progress import shown_progress
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_runs import read_run
@@ -194,14 +194,12 @@ def _work(arguments: argparse.Namespace) -> None:
                     client.stay_up()
                 result = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:
-        _clear_progress()
         for bag in filter(Path.exists, session.bags):
             print(f"recorded until then: {bag}", file=sys.stderr)
         if isinstance(error, KeyboardInterrupt):
             raise
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
-    _clear_progress()
     recordings = result.recordings if session.is_set else [result] if result.bag else []
     for recorded in recordings:
         print(f"{recorded.bag}: {recorded.samples} samples, {recorded.duration:.2f} s, {recorded.lost} lost")
@@ -287,21 +285,17 @@ def _run(client: BenchClient, session: Session, seed: int) -> Any:
     )
     # The texts are complete: the nodes cannot look up files relative to the experiment's file.
     texts = [format_experiment(experiment) for experiment in session.experiments]
-    if session.is_set:
-        return client.run_set(texts, session.output, seed, partial(_show_progress, count=len(texts)))
-    return client.run_experiment(texts[0], session.bags[0], seed, _show_progress)
+    durations = list(session.experiments.values())
+    with shown_progress(session.name) as report:
 
+        def progress(feedback: Any) -> None:
+            number = feedback.number if session.is_set else 1
+            place = f"{number} of {len(texts)}, {feedback.experiment}, " if session.is_set else ""
+            report(f"{place}{feedback.phase}", (sum(durations[: number - 1]) + feedback.elapsed) / sum(durations))
 
-def _show_progress(feedback: Any, count: int = 0) -> None:
-    if sys.stderr.isatty():
-        prefix = f"{feedback.number}/{count} {feedback.experiment} " if count else ""
-        line = f"{prefix}{feedback.phase:10} {feedback.elapsed:6.1f} of {feedback.duration:.1f} s"
-        print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
-
-
-def _clear_progress() -> None:
-    if sys.stderr.isatty():
-        print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        if session.is_set:
+            return client.run_set(texts, session.output, seed, progress)
+        return client.run_experiment(texts[0], session.bags[0], seed, progress)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from importlib import import_module
 from typing import Any, NamedTuple, NoReturn, cast
 
 import argcomplete
-from argcomplete.completers import ChoicesCompleter
 from argcomplete.shell_integration import shellcode
 
 from mrd_base import InputError, run_tool
@@ -110,9 +109,19 @@ def _complete_arguments(parser: argparse.ArgumentParser, *_: object) -> NoReturn
     known: dict[str, Iterable[str]] = {"model": MODELS, "models": MODELS, "effect": EFFECTS, "effects": EFFECTS}
     for action in parser._actions:
         if action.dest in known:
-            cast(Any, action).completer = ChoicesCompleter(dict.fromkeys(known[action.dest], ""))
+            cast(Any, action).completer = _list_completer(known[action.dest])
     argcomplete.autocomplete(parser)
     sys.exit()
+
+
+def _list_completer(known: Iterable[str]) -> Callable[..., list[str]]:
+    """Return a function that completes the last of the names that commas separate."""
+
+    def complete(prefix: str, **_: object) -> list[str]:
+        before = prefix[: prefix.rfind(",") + 1]
+        return [before + name for name in known]
+
+    return complete
 
 
 if __name__ == "__main__":

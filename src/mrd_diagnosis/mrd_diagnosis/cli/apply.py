@@ -8,7 +8,7 @@ from mrd_base.tool import command
 from mrd_diagnosis.correction import Correction, correction, write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
-from mrd_sim.models import find_model
+from mrd_sim.own import model_arguments
 
 
 def main() -> None:
@@ -44,7 +44,6 @@ def work() -> None:
         closed_fraction=math.nan if closed is None else closed,
         anyway=arguments.anyway,
         where=arguments.report,
-        effects_folder=arguments.effects_folder,
     )
     output = write_plant(corrected, arguments.plant, arguments.output)
     print(f"{output}: {corrected.remark}")
@@ -55,7 +54,5 @@ def work() -> None:
 
 def identify_arguments(corrected: Correction) -> str:
     """Return the arguments of identify for the same model with the same laws and effects."""
-    laws = ",".join(f"{name}={law}" for name, law in corrected.laws.items())
-    law = f" --law {laws}" if corrected.laws != find_model(corrected.model).laws else ""
-    folder = f" --effects-folder {corrected.effects_folder}" if corrected.effects_folder else ""
-    return f"--model {corrected.model}{law}{folder}" + "".join(f" --effect {effect}" for effect in corrected.effects)
+    effects = "".join(f" --effect {effect}" for effect in corrected.effects)
+    return f"{model_arguments(corrected.model, corrected.laws)}{effects}"

@@ -1,8 +1,7 @@
 """Diagnosis as a node: the action `diagnose` does what the tool ``diagnose`` does."""
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
@@ -17,8 +16,8 @@ from mrd_identification.json_file import make_folder
 from mrd_interfaces.action import Diagnose
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_sim.current import parse_laws
-from mrd_sim.effects import EFFECTS, load_effects
 from mrd_sim.models import find_model
+from mrd_sim.own import own_catalogue
 from mrd_trajectory.settings import read_settings
 
 
@@ -32,7 +31,8 @@ class Diagnoser(AnalysisNode):
         """Refuse a model or current laws that there are not."""
         parse_laws(request.laws, "laws")
         if request.model != BEST_MODEL:
-            find_model(request.model)
+            with own_catalogue(request.models_folder):
+                find_model(request.model)
 
     def work(self, request: Diagnose.Goal, publish: Callable[[Any], None], result: Diagnose.Result) -> None:
         """Diagnose the gap that the goal asks about, and write the report."""
@@ -44,7 +44,7 @@ class Diagnoser(AnalysisNode):
         laws = parse_laws(request.laws, "laws")
         parameters = read_fit(request.parameters) if request.parameters else None
         bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
-        with _added_effects(request.effects_folder):
+        with own_catalogue(request.models_folder, request.effects_folder):
             runs, held_out = self.runs(request)
             diagnosis = diagnose(
                 runs,
@@ -58,24 +58,13 @@ class Diagnoser(AnalysisNode):
                 progress=progress,
             )
             page = write_gap_report(diagnosis, folder.resolve())
+            result.next_command = next_command(diagnosis, str(page.parent))
         result.report = str(page)
         result.message = diagnosis.sentence
-        result.next_command = next_command(diagnosis, str(page.parent))
         result.verdict = diagnosis.verdict
         result.causes = [cause.effect for cause in diagnosis.causes]
         result.probability = [cause.probability for cause in diagnosis.causes]
         result.closed_fraction = diagnosis.gap.closed_fraction.value if diagnosis.gap else float("nan")
-
-
-@contextmanager
-def _added_effects(folder: str) -> Iterator[None]:
-    """Add the effects of a folder to the catalogue for one goal, so that the next goal does not try them as well."""
-    added = load_effects(folder) if folder else ()
-    try:
-        yield
-    finally:
-        for effect in added:
-            EFFECTS.pop(effect.id, None)
 
 
 def main() -> None:

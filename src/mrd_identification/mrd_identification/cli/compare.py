@@ -49,7 +49,7 @@ def work() -> None:
     add_run_arguments(parser)
     parser.add_argument(
         "--models",
-        default=",".join(MODELS),
+        default="",
         metavar="ID[:LAW][+EFFECT...],...",
         help="models, each optionally with a current law and effects, or +auto for selected ones (default: all)",
     )
@@ -61,7 +61,7 @@ def work() -> None:
     method = read_method(arguments)
     runs, held_out = read_arguments_runs(arguments)
     look_at_runs([*runs, *held_out], arguments.anyway)
-    models = arguments.models.split(",")
+    models = arguments.models.split(",") if arguments.models else list(MODELS)
     seconds = estimated_seconds(len(models), sum(map(len, runs)), method)
     minutes = f"this takes about {max(seconds / 60, 1):.0f} min"
     if seconds > TOO_LONG and not arguments.long:

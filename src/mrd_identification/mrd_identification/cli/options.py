@@ -55,7 +55,7 @@ def add_method_arguments(parser: argparse.ArgumentParser, one_model: bool = True
         action="append",
         default=[],
         metavar="EFFECT",
-        help="identify an effect with the model (mrd effects lists them); may be repeated; "
+        help="identify an effect with the model (`effects` lists them); may be repeated; "
         "auto adds effects one after the other while runs that are left out are predicted better",
     )
     add_effects_folder(parser)

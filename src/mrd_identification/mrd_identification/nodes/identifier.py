@@ -17,8 +17,8 @@ from mrd_identification.method import Method, parse_method
 from mrd_identification.report import write_report
 from mrd_interfaces.action import Identify
 from mrd_runs.nodes.analysis_node import AnalysisNode
-from mrd_sim.effects import load_effects
 from mrd_sim.models import find_model
+from mrd_sim.own import own_catalogue
 
 
 class Identifier(AnalysisNode):
@@ -30,22 +30,22 @@ class Identifier(AnalysisNode):
     def check(self, request: Identify.Goal) -> None:
         """Refuse a method or a model that there is not."""
         read_method(request)
-        find_model(request.model)
+        with own_catalogue(request.models_folder):
+            find_model(request.model)
 
     def work(self, request: Identify.Goal, publish: Callable[[Any], None], result: Identify.Result) -> None:
         """Identify the model of the goal and write its files."""
-        if request.effects_folder:
-            load_effects(request.effects_folder)
         method = read_method(request)
 
         def progress(generation: int, nrmse: float) -> None:
             publish(Identify.Feedback(generation=generation, generations=method.total_generations, nrmse=nrmse))
 
         folder = make_folder(request.output)
-        runs, held_out = self.runs(request)
-        fit = identify(runs, request.model, held_out=held_out, method=method, progress=progress)
-        write_fit(fit, folder)
-        write_report(fit, folder)
+        with own_catalogue(request.models_folder, request.effects_folder):
+            runs, held_out = self.runs(request)
+            fit = identify(runs, request.model, held_out=held_out, method=method, progress=progress)
+            write_fit(fit, folder)
+            write_report(fit, folder)
         _fill(result, fit, folder)
 
 

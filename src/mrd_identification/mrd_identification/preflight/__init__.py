@@ -25,6 +25,7 @@ from mrd_identification.preflight.sensors import (
     check_accelerometer,
     check_dead_channels,
     check_signs,
+    check_small_forces,
     check_units,
     check_velocity,
 )
@@ -48,6 +49,7 @@ CHECKS_OF_SINGLE_RUNS: tuple[Callable[[CheckedRun], Iterator[Finding]], ...] = (
 CHECKS_ACROSS_RUNS: tuple[Callable[[Sequence[CheckedRun]], Iterator[Finding]], ...] = (
     check_sample_rates,
     check_signs,
+    check_small_forces,
     check_rigs,
     check_duplicates,
     check_repeats,

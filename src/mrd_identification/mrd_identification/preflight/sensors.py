@@ -19,6 +19,8 @@ LARGEST_CURRENT = 10.0
 SMALLEST_FORCE, LARGEST_FORCE = 5.0, 1e5
 """Span of the force in N outside of which it is likely recorded in another unit; small MR dampers have some tens of N
 without current."""
+FEW_NEWTONS = 30.0
+"""Span of the force in N of all runs below which a damper is either very small, or a large one that was recorded in kN."""
 UNRELATED_CORRELATION = 0.1
 """Correlation of force and velocity, at the best delay, below which the force does not respond to the motion."""
 ALLOWED_LAG = 2e-3
@@ -61,6 +63,17 @@ def check_units(checked: CheckedRun) -> Iterator[Finding]:
             "convert it to N."
         )
         yield checked.finding("rig", "fault", "force", text)
+
+
+def check_small_forces(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
+    """Find forces that may be those of a very small damper, or in kN."""
+    spans = [float(np.ptp(checked.run.force)) for checked in runs if checked.stroke > MOVING_STROKE]
+    if spans and min(spans) >= SMALLEST_FORCE and max(spans) < FEW_NEWTONS:
+        text = (
+            f"the force spans at most {max(spans):.3g} N: only very small dampers have so little. If it is in kN, convert "
+            "it to N."
+        )
+        yield Finding("rig", "limitation", text, channel="force")
 
 
 def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:

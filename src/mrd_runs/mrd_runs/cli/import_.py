@@ -59,7 +59,8 @@ def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[P
         run = make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
         path = bag_folder(name, output)
         written.append(path)
-        write_bag(recording.columns, run.info["notes"], file, path)
+        facts = {name: run.info[name] for name in ("started", "experiment") if name in run.info}
+        write_bag(recording.columns, run.info["notes"], file, path, facts)
         known[digest] = file
         names.add(name)
         print(f"{path}: {len(run)} samples, {run.duration:.6g} s at {run.rate:.6g} Hz")

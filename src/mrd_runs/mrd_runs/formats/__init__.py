@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_base.tool import command
 from mrd_runs.formats.bag_file import BAG
 from mrd_runs.formats.csv_file import CSV
 from mrd_runs.formats.recording import FileFormat, Recording
@@ -26,7 +27,8 @@ def file_format(path: Path) -> FileFormat:
     for entry in FORMATS:
         if entry.folders if path.is_dir() else path.suffix.lower() in entry.suffixes:
             return entry
-    raise InputError(f"{path}: unknown kind of file; expected {expected} (`mrd import` makes bags of other recordings)")
+    import_ = command("mrd_runs", "import")
+    raise InputError(f"{path}: unknown kind of file; expected {expected} (`{import_}` makes bags of other recordings)")
 
 
 __all__ = ["BAG", "CSV", "FORMATS", "FileFormat", "Recording", "file_format"]

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.tool import command
 from mrd_runs.bag import Bag, read_bag
 from mrd_runs.blocks import decode_blocks, sample_columns
 from mrd_runs.definitions import SAMPLES_TYPE
@@ -66,7 +67,7 @@ def samples_topic(bag: Bag, where: str) -> str:
         present = one_line(", ".join(topics)) if topics else "none"
         raise InputError(
             f"{where}: holds no topic of type {SAMPLES_TYPE}; topics in it: {present} "
-            "(`mrd import` reads bags of other benches)"
+            f"(`{command('mrd_runs', 'import')}` reads bags of other benches)"
         )
     named_samples = [name for name in candidates if name.rsplit("/", 1)[-1] == "samples"]
     if len(named_samples or candidates) > 1:

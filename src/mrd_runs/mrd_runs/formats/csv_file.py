@@ -6,6 +6,7 @@ import numpy as np
 
 from mrd_base import InputError
 from mrd_base.table import read_csv
+from mrd_base.tool import command
 from mrd_runs.formats.recording import FileFormat, Recording
 from mrd_runs.text import printable
 
@@ -26,7 +27,7 @@ def read_csv_file(path: Path) -> Recording:
     try:
         table = read_csv(path, REQUIRED, OPTIONAL)
     except InputError as error:  # it may quote the file, which may hold anything
-        hint = "" if _has_own_header(path) else " (`mrd import` reads tables of other programs)"
+        hint = "" if _has_own_header(path) else f" (`{command('mrd_runs', 'import')}` reads tables of other programs)"
         raise InputError(f"{printable(str(error))}{hint}") from None
     notes = [f"columns ignored: {', '.join(table.ignored)}"] if table.ignored else []
     return Recording(table.columns, {"format": "csv", "notes": notes, "lost": 0, "recovered": False}, table.place)

@@ -1,7 +1,7 @@
 """Recordings of other benches and programs: reading them as columns in SI units."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -118,7 +118,7 @@ def _read_bag(path: Path, mapped: Mapped) -> Recording:
         raise InputError(f"{path}: --map is for tables; name the numbers of this bag with --topics")
     if not mapped.topics:
         if any(topic.message_type == SAMPLES_TYPE for topic in read_bag(path, set()).topics.values()):
-            raise InputError(f"{path}: is a bag of this bench already; every tool reads it as it is")
+            return _read_own_bag(path, mapped)
         raise InputError(propose_topics(str(path), list_numbers(path), current_is_given=mapped.current is not None))
     addresses = {quantity: parse_address(text, f"--topics {quantity}") for quantity, text in mapped.topics.items()}
     needed = {"force": "force" in addresses, "position": "position" in addresses or "velocity" in addresses}
@@ -134,6 +134,21 @@ def _read_bag(path: Path, mapped: Mapped) -> Recording:
     series, done = synchronise(found, mapped.rate, str(path))
     sources = {quantity: Source(str(address), "") for quantity, address in addresses.items()}
     return _finish(path, series, sources, mapped, notes + done)
+
+
+def _read_own_bag(path: Path, mapped: Mapped) -> Recording:
+    """Read a bag of this bench, or one that was imported before, to change its signs, units or current."""
+    if not (mapped.flip or mapped.units or mapped.current is not None):
+        raise InputError(
+            f"{path}: is a bag of this bench already; every tool reads it as it is. Expected --flip, --units or --current, "
+            "which change it"
+        )
+    if mapped.rate is not None:
+        raise InputError(f"{path}: is a bag of this bench already and has its times; leave --rate out")
+    recording = BAG.read(path)
+    series = {quantity: recording.columns[name] for quantity, name in COLUMNS.items() if name in recording.columns}
+    made = _finish(path, series, {}, mapped, list(recording.info["notes"]))
+    return replace(made, info={**recording.info, **made.info})
 
 
 def _finish(
@@ -155,7 +170,10 @@ def _finish(
         columns[quantity] = to_si(quantity, values, unit or si_unit(quantity), str(path))
         if source:
             told.append(f"{quantity} is {one_line(source.name)} in {unit or f'{si_unit(quantity)} (no unit given)'}")
-    notes.append("; ".join(told))
+        elif quantity in mapped.units:
+            told.append(f"{quantity} is in {unit}")
+    if told:
+        notes.append("; ".join(told))
     for quantity in mapped.flip:
         columns[quantity] = -columns[quantity]
         notes.append(f"the sign of the {quantity} was turned")

@@ -45,8 +45,8 @@ def read_hdf5_table(path: Path) -> Table:
     places: dict[str, tuple[str, str, tuple[int | slice, ...]]] = {}
 
     def visit(name: str, item: Any) -> None:
-        # MATLAB keeps what cells and strings refer to under #refs#.
-        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+        # MATLAB keeps what cells and strings refer to under #refs#, and texts as the numbers of their characters.
+        if not isinstance(item, h5py.Dataset) or name.startswith("#") or _text(item.attrs.get("MATLAB_class")) == "char":
             return
         for field in item.dtype.names or ("",):
             if (item.dtype[field] if field else item.dtype).kind not in "fiu":

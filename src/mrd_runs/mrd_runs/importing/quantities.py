@@ -3,7 +3,7 @@
 import re
 import shlex
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mrd_base import InputError
@@ -179,10 +179,10 @@ def propose_topics(where: str, ranges: Mapping[str, float], *, current_is_given:
             proposed[quantity] = max(free, key=ranges.__getitem__)
     options = [f"{quantity}={shlex.quote(address)}" for quantity, address in proposed.items()]
     options += [] if current_is_given or "current" in proposed else ["--current 0"]
-    shown = ", ".join(map(one_line, list(ranges)[:20])) + (", ..." if len(ranges) > 20 else "")
+    # The mapping comes first: a line is cut where it is long.
     return (
-        f"{where}: is a bag of another bench ({shown or 'no numbers'}); say which numbers to take with what is right of: "
-        f"--topics {' '.join(options)}"
+        f"{where}: is a bag of another bench; say which numbers to take with what is right of: "
+        f"--topics {' '.join(options)} (numbers in it: {_listed(ranges)})"
     )
 
 
@@ -194,7 +194,6 @@ def _question(
     missing: Sequence[str],
 ) -> str:
     """Return the line that asks for a mapping, with one that would do."""
-    shown = ", ".join(one_line(name) for name in names[:20]) + (", ..." if len(names) > 20 else "")
     free = [name for name in names if name not in chosen.values()]
     proposed, others = dict(chosen), []
     for quantity in missing:
@@ -205,9 +204,16 @@ def _question(
         elif quantity in _OPTIONS:
             others.append(_OPTIONS[quantity])
         else:
-            return f"{where}: no column is left for the {quantity} ({shown}); expected time, position or velocity, and force"
+            expected = "expected time, position or velocity, and force"
+            return f"{where}: no column is left for the {quantity}, {expected} (columns: {_listed(names)})"
     columns = " ".join(f"{quantity}={shlex.quote(name)}" for quantity, name in proposed.items())
+    # The mapping comes first: a line is cut where it is long.
     return (
-        f"{where}: the columns ({shown}) do not tell the {' and the '.join(missing)}; say so with what is right of: "
-        f"{' '.join([f'--map {columns}', *others])}"
+        f"{where}: the columns do not tell the {' and the '.join(missing)}; say so with what is right of: "
+        f"{' '.join([f'--map {columns}', *others])} (columns: {_listed(names)})"
     )
+
+
+def _listed(names: Collection[str]) -> str:
+    """Return the first names of columns or topics, on one line."""
+    return (", ".join(map(one_line, list(names)[:20])) or "none") + (", ..." if len(names) > 20 else "")

@@ -22,8 +22,8 @@ class AnalysisSettings:
     """Parameters of a node that analyses runs."""
 
     max_blocks: int = quantity(100_000, "", "number of sample blocks kept for an analysis; older ones are dropped", lower=1)
-    effects_folders: str = quantity(
-        "", "", "folders, separated by colons, that a goal may name as effects_folder: their Python files are executed"
+    trusted_folders: str = quantity(
+        "", "", "folders of effects or models, separated by colons, that a goal may name: their Python files are executed"
     )
 
 
@@ -41,8 +41,8 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     name : str
         Default name of the node.
     action : type
-        Type of the action. Its goal has ``runs``, ``held_out`` and ``effects_folder``, its result ``success`` and
-        ``message``.
+        Type of the action. Its goal has ``runs``, ``held_out``, ``effects_folder`` and ``models_folder``, its result
+        ``success`` and ``message``.
     action_name : str
         Name under which the action is served.
     """
@@ -97,20 +97,24 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     def check(self, request: Any) -> None:
         """Raise `InputError` for a goal that cannot be worked on, as far as that shows at once."""
 
-    def _require_trusted(self, folder: str) -> None:
-        """Refuse effects, which are Python, of a folder that this node was not started with: anybody may send a goal."""
-        trusted = [Path(entry).expanduser().resolve() for entry in self.config.effects_folders.split(":") if entry]
-        if folder and Path(folder).resolve() not in trusted:
-            raise InputError(
-                f"effects_folder is {folder}: effects are executed, so a goal may only name one of the parameter "
-                f"effects_folders ({', '.join(map(str, trusted)) or 'none'}); start the node with it, or use the tool"
-            )
+    def _require_trusted(self, request: Any) -> None:
+        """Refuse effects and models, which are Python, of a folder that this node was not started with: anybody may send a
+        goal.
+        """
+        trusted = [Path(entry).expanduser().resolve() for entry in self.config.trusted_folders.split(":") if entry]
+        for field in ("effects_folder", "models_folder"):
+            folder = getattr(request, field)
+            if folder and Path(folder).resolve() not in trusted:
+                raise InputError(
+                    f"{field} is {folder}: its files are executed, so a goal may only name one of the parameter "
+                    f"trusted_folders ({', '.join(map(str, trusted)) or 'none'}); start the node with it, or use the tool"
+                )
 
     def _accept(self, request: Any) -> GoalResponse:
         try:
             if self._busy:
                 raise InputError("another goal is being worked on; wait for its end or cancel it")
-            self._require_trusted(request.effects_folder)
+            self._require_trusted(request)
             self.check(request)
         except InputError as error:
             self.refuse(self._action_name, str(error))

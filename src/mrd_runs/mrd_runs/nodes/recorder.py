@@ -33,6 +33,7 @@ from mrd_base.nodes.graph import (
     type_name,
 )
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
+from mrd_base.tool import command
 from mrd_interfaces.msg import ServoState
 from mrd_interfaces.srv import StartRecording, StopRecording
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, free_space
@@ -339,7 +340,7 @@ class Recorder(BenchNode[RecorderSettings]):
     def close(self) -> None:
         failure = self._close_bag()
         if failure:
-            self.get_logger().error(f"{failure}; `mrd recover` completes the bag")
+            self.get_logger().error(f"{failure}; `{command('mrd_runs', 'recover')}` completes the bag")
         self._ending.set()
         self._wait_over.wake()
         self._request_thread.join()

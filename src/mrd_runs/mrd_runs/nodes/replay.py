@@ -13,6 +13,7 @@ from rclpy.duration import Duration
 from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import BenchNode, run_node
 from mrd_base.nodes.graph import TOPICS, type_name
+from mrd_base.tool import command
 from mrd_runs.bag import read_bag
 from mrd_runs.definitions import as_of_today
 from mrd_runs.formats.bag_file import samples_topic
@@ -66,7 +67,8 @@ class Replay(BenchNode[ReplaySettings]):
     def _load(self) -> list[tuple[int, str, bytes]]:
         """Return the log time, topic and bytes of all messages, in the order of their log times."""
         if self.config.bag.endswith(".csv"):
-            raise InputError(f"{self.config.bag}: is a CSV file, expected a bag; make one with `mrd import`")
+            import_ = command("mrd_runs", "import")
+            raise InputError(f"{self.config.bag}: is a CSV file, expected a bag; make one with `{import_}`")
         bag = read_bag(self.config.bag, self.config.topics)
         streams: list[list[tuple[int, str, bytes]]] = []
         for name in self.config.topics:

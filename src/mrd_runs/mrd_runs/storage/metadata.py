@@ -7,6 +7,7 @@ from typing import Any
 import yaml
 
 from mrd_base import InputError
+from mrd_base.tool import command
 from mrd_runs.text import one_line
 
 NAME = "metadata.yaml"
@@ -63,4 +64,5 @@ def read_metadata(folder: Path) -> Metadata | None:
     except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: is not the metadata of a bag ({one_line(error)}); `mrd recover` makes it anew") from None
+        recover = command("mrd_runs", "recover")
+        raise InputError(f"{path}: is not the metadata of a bag ({one_line(error)}); `{recover}` makes it anew") from None

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from mrd_base import run_tool
 from mrd_base.console import print_table
+from mrd_base.tool import command
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 from mrd_sim.effects_page import catalogue, interval, page, section
@@ -38,7 +39,7 @@ def work() -> None:
     console = Console()
     if chosen is None:
         print_table(table())
-        console.print("One with its equation, parameters and what it looks like: mrd effects EFFECT")
+        console.print(f"One with its equation, parameters and what it looks like: {command('mrd_sim', 'effects')} EFFECT")
         return
     console.print(f"{chosen.title} ({chosen.id}), {chosen.stage}", highlight=False, style="bold")
     for clause in clauses(chosen.equation):

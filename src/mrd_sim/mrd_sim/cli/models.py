@@ -7,6 +7,7 @@ from rich.table import Table
 
 from mrd_base import run_tool
 from mrd_base.console import print_table
+from mrd_base.tool import command
 from mrd_sim.cli.options import add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, DamperModel, find_model
@@ -34,7 +35,8 @@ def work() -> None:
     console = Console()
     if model is None:
         print_table(catalogue())
-        console.print("One with its equation, source, parameters and current laws: mrd models MODEL")
+        tool = command("mrd_sim", "models")
+        console.print(f"One with its equation, source, parameters and current laws: {tool} MODEL")
         return
     console.print(f"{model.title} ({model.id})", highlight=False, style="bold")
     for clause in clauses(model.equation):

@@ -95,7 +95,10 @@ def _parser() -> argparse.ArgumentParser:
     damper.add_argument("--model", help=f"one of {', '.join(MODELS)}")
     damper.add_argument("--plant", metavar="PLANT.yaml", help="the damper of a simulated bench")
     parser.add_argument(
-        "--parameters", default="", metavar="'{NAME: VALUE}'", help="in SI; those not named keep the model's default"
+        "--parameters",
+        default="",
+        metavar="'{NAME: VALUE}'",
+        help="in SI; those not named keep the model's default, but there is no coil_lag",
     )
     parser.add_argument("--law", default="", metavar="LAW|COEFFICIENT=LAW,...", help=f"current laws: {', '.join(LAWS)}")
     parser.add_argument(
@@ -103,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="EFFECT.PARAMETER=VALUE",
-        help="effect that acts with the damper (mrd effects), in SI; may be repeated",
+        help="effect that acts with the damper (`effects` lists them), in SI; may be repeated",
     )
     parser.add_argument("--effects", default="", metavar="'{EFFECT: {PARAMETER: VALUE}}'", help="the same as YAML")
     add_effects_folder(parser)

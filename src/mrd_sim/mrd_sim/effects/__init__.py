@@ -48,6 +48,9 @@ EFFECTS: dict[str, Effect] = {
 
 _SHIPPED = frozenset(EFFECTS)
 
+EFFECT_FOLDERS: dict[str, str] = {}
+"""Folder of each effect of the user's own, by id."""
+
 
 def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
     """Return effects by their ids, in the order of the catalogue whatever that of the names; a user's own come last.
@@ -81,7 +84,8 @@ def load_effects(folder: str | Path) -> tuple[Effect, ...]:
             raise InputError(f"{file}: there is an effect {effect.id} already, expected another id")
         loaded[effect.id] = effect
     EFFECTS.update(loaded)
+    EFFECT_FOLDERS.update(dict.fromkeys(loaded, str(folder)))
     return tuple(loaded.values())
 
 
-__all__ = ["EFFECTS", "STAGES", "Effect", "Stage", "find_effects", "load_effects"]
+__all__ = ["EFFECTS", "EFFECT_FOLDERS", "STAGES", "Effect", "Stage", "find_effects", "load_effects"]

@@ -37,6 +37,9 @@ MODELS: dict[str, DamperModel] = {
 
 _SHIPPED = frozenset(MODELS)
 
+MODEL_FOLDERS: dict[str, str] = {}
+"""Folder of each model of the user's own, by id."""
+
 
 def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:
     """Return a model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
@@ -68,7 +71,17 @@ def load_models(folder: str | Path) -> tuple[DamperModel, ...]:
             raise InputError(f"{file}: there is a model {model.id} already, expected another id")
         loaded[model.id] = model
     MODELS.update(loaded)
+    MODEL_FOLDERS.update(dict.fromkeys(loaded, str(folder)))
     return tuple(loaded.values())
 
 
-__all__ = ["MODELS", "Coefficient", "DamperModel", "Parameter", "SeriesSolutions", "find_model", "load_models"]
+__all__ = [
+    "MODELS",
+    "MODEL_FOLDERS",
+    "Coefficient",
+    "DamperModel",
+    "Parameter",
+    "SeriesSolutions",
+    "find_model",
+    "load_models",
+]
