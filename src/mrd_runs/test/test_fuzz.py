@@ -12,7 +12,7 @@ def test_some_changed_inputs(tmp_path: Path) -> None:
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=110)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    recordings, others = ["csv", "mcap", "db3", "yaml", "recover"], ["replies", "experiment", "goal", "bench"]
+    recordings, others = ["csv", "mcap", "db3", "yaml", "recover"], ["replies", "experiment", "control", "goal", "bench"]
     assert [line.split()[0] for line in lines] == [*recordings, *others, "fit", "gap_report", "run_info"]
     assert all(int(line.split()[1]) > 10 for line in lines)
     assert not (tmp_path / "failures").exists()
