@@ -97,12 +97,19 @@ def main() -> None:
     """Print the figures; fail where fewer cycles than the goal are in time."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--duration", type=float, default=30.0, help="s of the run")
+    parser.add_argument(
+        "--realtime",
+        action="store_true",
+        help="run all three processes with a real-time priority (SCHED_FIFO), so that other work does not count",
+    )
     parser.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.publish:
         publish(arguments.duration)
         return
     claim_domain()
+    if arguments.realtime:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))  # processes that are started from here inherit it
     console.print(describe_machine())
     shipped = read_control_experiment(SHIPPED)
     # The damper gives no force here, so that the road must not move the car as much.
@@ -131,10 +138,9 @@ def main() -> None:
         listener.spin(arguments.duration + 5)
         busy = psutil.Process(controller.pid).cpu_times()
         elapsed = time.monotonic() - begin
-        assert listener.state == "done", listener.state
     finally:
         for process in filter(None, (publisher, controller)):
-            process.terminate()
+            process.kill()
             process.wait()
         rclpy.try_shutdown()
     cores = os.cpu_count() or 1
@@ -150,6 +156,8 @@ def main() -> None:
     )
     console.print(f"latency from the last sample to the setpoint: {figures}, most {1e3 * counted.max():.2f} ms")
     console.print(f"within {1e3 * DEADLINE:g} ms: {within:.2f} % of the cycles (goal: {SHARE:g} %)")
+    if listener.state != "done":
+        raise SystemExit(f"the test ended early: {listener.state}")
     if within < SHARE:
         raise SystemExit(f"{within:.2f} % of the cycles are within {1e3 * DEADLINE:g} ms, expected {SHARE:g} %")
 
