@@ -1,4 +1,4 @@
-"""What else the bench reads, beside recordings: replies of the motor, experiments, goals, configuration, JSON."""
+"""What else the bench reads: replies of the motor, experiments, hybrid tests, goals, configuration, JSON."""
 
 import os
 import re
@@ -21,6 +21,7 @@ from mrd_bench_driver.servo.streaming import RodSetpoint
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import RefusedError
 from mrd_bench_driver.supervision.run_requests import set_of_runs, single_run
+from mrd_control.experiment import format_control_experiment, parse_control_experiment
 from mrd_diagnosis import read_gap_report
 from mrd_identification import read_fit
 from mrd_runs.run_info import read_run_info
@@ -30,6 +31,7 @@ from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings
 
 _TICKS = 12
+_MOST_SAMPLES = 50_000
 _QUERY = re.compile(rb"R(PA|W\(|RES|SAMP|SP|UJA|TEMP)")
 
 
@@ -118,6 +120,15 @@ def read_experiment_text(content: bytes) -> object:
     return parse_experiment(format_experiment(experiment), "again")
 
 
+def read_control_text(content: bytes) -> object:
+    """Read a hybrid test, and what is written of it; make the motion of its base and the gains of its law."""
+    experiment = parse_control_experiment(_text(content), "control experiment")
+    if experiment.samples < _MOST_SAMPLES:
+        assert len(experiment.base) == experiment.samples
+    experiment.control_law.vector(experiment.gains, experiment.system.linear(), 1.0 / experiment.rate)
+    return parse_control_experiment(format_control_experiment(experiment), "again")
+
+
 def take_goal(content: bytes) -> object:
     """Do with a goal what supervisor and generator do with it; of its text, the first line is the folder of the bag."""
     bag, _, text = _text(content).partition("\n")
@@ -167,6 +178,7 @@ def bench_readers(folder: Path) -> dict[str, Callable[[bytes], object]]:
     return {
         "replies": hear_motor,
         "experiment": read_experiment_text,
+        "control": read_control_text,
         "goal": take_goal,
         "bench": read_bench,
         "plant": read_plant,

@@ -1,7 +1,7 @@
 """Feed damaged and hostile input to everything that reads: each gives a result or one clear line, soon, in little memory.
 
 Read are recordings (csv, mcap, db3, yaml, recover), files of other programs (text, xlsx, mat, h5, tdms), replies of the
-motor, experiments, goals, bench.yaml, plant.yaml, and JSON files.
+motor, experiments, hybrid tests, goals, bench.yaml, plant.yaml, and JSON files.
 Every input is a file of the corpus, changed at a few places: bits, bytes, numbers that state sizes, pieces that are doubled,
 dropped or taken from another file. An input that reaches lines of the readers that none before it has reached is changed on.
 The recordings in fuzz/corpus are written by `python fuzz/readers.py --make-corpus`.
@@ -34,6 +34,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 import mrd_base
 import mrd_bench_driver
+import mrd_control
 import mrd_diagnosis
 import mrd_identification
 import mrd_runs
@@ -51,9 +52,11 @@ CORPUS = Path(__file__).parent / "corpus"
 TARGETS = (
     *("csv", "mcap", "db3", "yaml", "recover"),
     *("text", "xlsx", "mat", "h5", "tdms"),
-    *("replies", "experiment", "goal", "bench", "plant", "fit", "gap_report", "run_info"),
+    *("replies", "experiment", "control", "goal", "bench", "plant", "fit", "gap_report", "run_info"),
 )
-PACKAGES = (mrd_base, mrd_runs, mrd_trajectory, mrd_sim, mrd_bench_driver, mrd_identification, mrd_diagnosis)
+PACKAGES = (
+    *(mrd_base, mrd_runs, mrd_trajectory, mrd_sim, mrd_bench_driver, mrd_identification, mrd_control, mrd_diagnosis),
+)
 SOURCES = tuple(str(Path(package.__file__ or "").parent) for package in PACKAGES)
 
 LONGEST = 5.0  # s of the processor's time for an input

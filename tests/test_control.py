@@ -1,18 +1,22 @@
 """A hybrid test through the real graph on the simulated bench: recorded, reviewed, and stopped by what must stop it."""
 
+import json
+import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
 from mrd_base.nodes.bench_node import RECORDED
 from mrd_control.comparison import compare_with_twin, write_comparison
 from mrd_control.experiment import format_control_experiment, read_control_experiment
-from mrd_control.recording import read_hybrid_run
+from mrd_control.recording import loop_of_cycles, read_hybrid_run
+from mrd_control.ride import ride_metrics
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import ControlCycle
 from mrd_interfaces.srv import LoadExperiment
@@ -47,6 +51,28 @@ def test_a_hybrid_test_is_recorded_and_agrees_with_its_offline_twin(bench: Any, 
     assert timing.missed == 0
     assert timing.latency.max() < 1e-3  # the bench stands still while a cycle is computed
     assert write_comparison(comparison, tmp_path / "page").stat().st_size > 100_000
+
+    # A replay sends the same cycles, which are evaluated alike.
+    replayed = bench.subscribe("/again/control_cycle", ControlCycle, RECORDED)
+    options = ["-r", "__ns:=/again", "-p", f"bag:={tmp_path / 'bag'}", "-p", "topics:=[control_cycle]"]
+    command = [
+        "ros2",
+        "run",
+        "mrd_runs",
+        "replay",
+        "--ros-args",
+        *options,
+        "-p",
+        "speed:=0.0",
+        "-p",
+        "wait_for_subscriber:=true",
+    ]
+    replay = subprocess.Popen(command)
+    count = SHIPPED.samples // round(SHIPPED.cycle * SHIPPED.rate)
+    assert bench.client.spin(lambda: len(replayed) >= count and replay.poll() is not None, 120)
+    assert replay.returncode == 0
+    again = loop_of_cycles(SHIPPED, replayed).part(SHIPPED.counted)
+    assert ride_metrics(SHIPPED.system.linear(), again, 0.0) == comparison.bench_ride
 
     # What cannot run is refused before anything moves, with its number.
     stiff = replace(SHIPPED.system, passive_damping=0.0, lever_ratio=1.0)
@@ -88,6 +114,49 @@ def test_what_breaks_the_loop_ends_it_and_is_named(bench: Any, tmp_path: Path, f
     # The coil is without current, and the rod stands.
     truth = bench.truth
     assert bench.client.spin(lambda: abs(truth[-1].velocity[0]) < 2e-3 and truth[-1].effort[1] < 0.01, 60, watch=False)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_the_tools_run_a_hybrid_test_and_review_it(tmp_path: Path) -> None:
+    """As `make demo-control` does."""
+    output = tmp_path / "out"
+    shipped = ROOT / "config/control/hybrid_test.yaml"
+    ran = tool("hybrid_test", shipped, "--simulated", "--output", output)
+    assert ran.returncode == 0, ran.stderr
+    assert "The rod followed the emulated motion with a delay of" in ran.stdout
+    found = json.loads((output / "hybrid_test.json").read_text())
+    assert abs(found["tracking"]["delay"]) <= 1e-3
+    assert found["twin"]["motion_nrms"] <= 0.02
+    again = tool("hybrid_test", shipped, "--simulated", "--output", output)
+    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
+    assert "exists already; choose another --output" in again.stderr
+
+    reviewed = tool("review", output / "bag", "--output", tmp_path / "review")
+    assert reviewed.returncode == 0, reviewed.stderr
+    assert json.loads((tmp_path / "review" / "hybrid_test.json").read_text())["ride"] == found["ride"]
+    assert "Next, what explains the difference: ros2 run mrd_diagnosis diagnose" in reviewed.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("lag", [0.002, 0.008])
+def test_the_delay_of_the_simulated_servo_is_measured(whole_bench: Any, tmp_path: Path, lag: float) -> None:
+    """The dead time is what the shipped test declares, by the line and the cycle of the servo; the lag is the motor's."""
+    experiment = (ROOT / "config/experiments/characterise/01_multisine.yaml").read_text()
+    with whole_bench(tmp_path, {"plant": {"motor.lag_ms": 1e3 * lag}}) as bench:
+        result = bench.client.run_experiment(experiment, tmp_path / "bag", 1)
+    assert result.success, result.message
+    printed = tool("delay", tmp_path / "bag")
+    assert printed.returncode == 0, printed.stderr
+    found = yaml.safe_load(printed.stdout)
+    assert found["delay_ms"] == pytest.approx(1e3 * SHIPPED.delay, abs=1.0)
+    assert found["lag_ms"] == pytest.approx(1e3 * lag, abs=0.7)
+
+
+def tool(name: str, *arguments: object) -> "subprocess.CompletedProcess[str]":
+    command = ["ros2", "run", "mrd_control", name, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=400)
 
 
 LONG = """

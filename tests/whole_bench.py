@@ -91,9 +91,9 @@ class WholeBench:
         response = self.call(self.plant, SetParameters.Request(parameters=[Parameter(name="fault", value=value)]))
         assert response.results[0].successful
 
-    def run_at_speed(self, experiment: str, bag: Path) -> Any:
+    def run_at_speed(self, experiment: str, bag: Path, action: str = "run_experiment") -> Any:
         """Send an experiment; return the future of its result once the rod moves fast and did so already 0.3 s ago."""
-        client = ActionClient(self.client.node, RunExperiment, "run_experiment")
+        client = ActionClient(self.client.node, RunExperiment, action)
         assert self.client.spin(client.server_is_ready, 10)
         accepted = client.send_goal_async(RunExperiment.Goal(experiment=experiment, bag=str(bag)))
         assert self.client.spin(accepted.done, 10)

@@ -12,23 +12,25 @@ from pathlib import Path
 
 import rclpy  # noqa: F401 - before the domain is claimed nothing of ROS runs
 
-from faults import coil, converter, machine, motor, people, processes, serial_line
+from faults import coil, converter, hybrid_tests, machine, motor, people, processes, serial_line
 from faults.campaign import Bench, Fault, Reaction, measure, table
 from mrd_base.domain import claim_domain
 
-FAMILIES = (people, serial_line, motor, converter, coil, machine, processes)
+FAMILIES = (people, serial_line, motor, converter, coil, machine, processes, hybrid_tests)
 
 
 def run(faults: list[Fault], moments: int, repeat: int, seed: int, folder: Path) -> list[tuple[Fault, list[Reaction]]]:
     """Try every fault several times, those of processes at random moments; return what was measured."""
-    todo = [(fault, k) for fault in faults for k in range(moments if fault.at_random else repeat)]
+    ordered = sorted(faults, key=lambda fault: fault.hybrid)
+    todo = [(fault, k) for fault in ordered for k in range(moments if fault.at_random else repeat)]
     measured: dict[Fault, list[Reaction]] = {fault: [] for fault in faults}
     number = 0
     while todo:
-        # A bench that is broken is replaced by a new one.
+        # A bench that is broken is replaced by a new one; a hybrid test needs one with a controller and shorter blocks.
         number += 1
-        with Bench(folder / str(number), seed + number) as bench:
-            while todo:
+        hybrid = todo[0][0].hybrid
+        with Bench(folder / str(number), seed + number, hybrid) as bench:
+            while todo and todo[0][0].hybrid is hybrid:
                 fault, _ = todo.pop(0)
                 begin = time.monotonic()
                 try:

@@ -1,6 +1,7 @@
 """What a fault is, what is expected of the bench, and the one way in which its reaction is measured.
 
-A fault is injected while the rod moves at 50 mm/s with 100 mA in the coil, or at a random moment of the whole procedure.
+A fault is injected while the rod moves at 50 mm/s with 100 mA in the coil, or at a random moment of the whole procedure, of
+an experiment or of a hybrid test.
 Motion and current are the true ones of the simulated plant, every 20 ms; all times are bench times.
 """
 
@@ -19,10 +20,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from whole_bench import WholeBench
+from whole_bench import ROOT, WholeBench
 
 from faults.broken_machine import BrokenMachine
 from mrd_base.nodes.bench_node import LATCHED, seconds
+from mrd_control.experiment import format_control_experiment, read_control_experiment
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchState
 from mrd_runs.bag import read_bag
@@ -36,6 +38,18 @@ rod: {waveform: sine, amplitude_mm: 8.0, frequency_hz: 1.0}
 coil: {waveform: constant, level_mA: 100.0}
 """
 SHORT = LONG.replace("duration_s: 30.0", "duration_s: 4.0")
+_SHIPPED = read_control_experiment(ROOT / "config/control/hybrid_test.yaml")
+HYBRID = format_control_experiment(
+    dataclasses.replace(
+        _SHIPPED,
+        name="hybrid",
+        duration=30.0,
+        excitation=dataclasses.replace(_SHIPPED.excitation, amplitude=0.018, start=1.2, end=1.3),
+        law="constant_current",
+        gains={"current": 0.1},
+    )
+)
+"""A hybrid test whose rod moves as fast all the time."""
 
 MOVES, FLOWS, STANDS = 2e-3, 0.02, 2e-4
 """m/s and A above which rod and coil are not at rest; m by which a rod that stands may be displaced."""
@@ -76,6 +90,8 @@ class Fault:
         Whether the recording must go on until the rod stands.
     homes_on : bool
         Whether a homing that is under way may go on, because it needs nothing of what was broken.
+    hybrid : bool
+        Whether it is injected in a hybrid test, which ends by it, instead of an experiment.
     """
 
     name: str
@@ -89,6 +105,7 @@ class Fault:
     at_random: bool = False
     recorded: bool = True
     homes_on: bool = False
+    hybrid: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,11 +122,13 @@ class Reaction:
 class Bench(WholeBench):
     """A bench with limit switches that one fault after the other is tried on."""
 
-    def __init__(self, folder: Path, seed: int, **environment: str) -> None:
+    def __init__(self, folder: Path, seed: int, hybrid: bool = False, **environment: str) -> None:
         wired = {"servo": {"limit_switches": True}, "plant": {"motor.limit_switches": True}}
         folder.mkdir(parents=True, exist_ok=True)
         self.machine = BrokenMachine(folder)
-        super().__init__(folder / "bench", wired, **environment, **self.machine.environment)
+        cycle = _SHIPPED.cycle if hybrid else None
+        super().__init__(folder / "bench", wired, control_cycle=cycle, **environment, **self.machine.environment)
+        self.action = "run_control" if hybrid else "run_experiment"
         self.folder = folder
         self.random = random.Random(seed)
         self.bag = folder
@@ -123,7 +142,7 @@ class Bench(WholeBench):
         super().__enter__()
         self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
         self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        self.run = ActionClient(self.client.node, RunExperiment, "run_experiment")
+        self.run = ActionClient(self.client.node, RunExperiment, self.action)
         assert self.client.spin(self.run.server_is_ready, 30)
         return self
 
@@ -204,12 +223,12 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
     """Inject a fault, measure what happens, mend it, and reset the bench."""
     bench.bag = bench.folder / f"bag{number}"
     bench.truth.clear()
-    experiment = SHORT if fault.ending in (Ending.COMPLETE, Ending.COMPLAINS) else LONG
+    experiment = HYBRID if fault.hybrid else SHORT if fault.ending in (Ending.COMPLETE, Ending.COMPLAINS) else LONG
     if fault.at_random:
         ended = bench.send(experiment)
         bench.advance(bench.random.uniform(0.0, _MOMENTS))
     else:
-        ended = bench.run_at_speed(experiment, bench.bag)
+        ended = bench.run_at_speed(experiment, bench.bag, bench.action)
     with bench.clock.busy():
         begun = bench.clock.now()
         bench.told.clear()

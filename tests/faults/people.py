@@ -17,11 +17,11 @@ from mrd_base.nodes.bench_node import LATCHED
 from mrd_interfaces.msg import Setpoint
 from mrd_interfaces.srv import StopRecording
 
-_ORDINARY = QoSProfile(depth=10)
+ORDINARY = QoSProfile(depth=10)
 _SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
 
-def _press(qos: QoSProfile, count: int) -> Callable[[Bench], None]:
+def press(qos: QoSProfile, count: int) -> Callable[[Bench], None]:
     def inject(bench: Bench) -> None:
         publisher = bench.client.node.create_publisher(Bool, "emergency_stop", qos)
         assert bench.client.spin(lambda: publisher.get_subscription_count() >= 4, 10)
@@ -34,7 +34,7 @@ def _press(qos: QoSProfile, count: int) -> Callable[[Bench], None]:
     return inject
 
 
-def _call(name: str, kind: Any = Trigger, **fields: Any) -> Callable[[Bench], None]:
+def call(name: str, kind: Any = Trigger, **fields: Any) -> Callable[[Bench], None]:
     def inject(bench: Bench) -> None:
         assert bench.service(name, kind, **fields).success
 
@@ -59,7 +59,7 @@ def _set_rate(bench: Bench) -> str:
 
 
 def _send_setpoints(bench: Bench) -> None:
-    stranger = bench.client.node.create_publisher(Setpoint, "setpoint", _ORDINARY)
+    stranger = bench.client.node.create_publisher(Setpoint, "setpoint", ORDINARY)
     assert bench.client.spin(lambda: stranger.get_subscription_count() >= 2, 10)
     for _ in range(20):
         message = Setpoint(position=0.01, velocity=0.05, coil_current=1.0)
@@ -85,16 +85,16 @@ def _start_second_bench(bench: Bench) -> str:
 _STOPPED = "servo: somebody stopped the rod during the run"
 
 FAULTS = (
-    Fault("emergency stop: ordinary publisher", _press(_ORDINARY, 1), "emergency stop"),
-    Fault("emergency stop: best-effort publisher", _press(_SENSOR, 5), "emergency stop"),
-    Fault("emergency stop: latched publisher", _press(LATCHED, 1), "emergency stop"),
-    Fault("emergency stop: service of the servo", _call("servo/emergency_stop"), "emergency stop by its service"),
-    Fault("emergency stop: service of the DAQ", _call("daq/emergency_stop"), "emergency stop by its service"),
-    Fault("emergency stop: service of the supervisor", _call("emergency_stop"), "emergency stop by the service"),
-    Fault("servo/stop", _call("servo/stop"), _STOPPED, Ending.ENDED, told=""),
-    Fault("servo/enable false", _call("servo/enable", SetBool, data=False), _STOPPED, Ending.ENDED, told=""),
-    Fault("abort_experiment", _call("abort_experiment"), "the generator aborted", Ending.ENDED, told=""),
-    Fault("stop", _call("stop"), "cancelled", Ending.ENDED, told=""),
+    Fault("emergency stop: ordinary publisher", press(ORDINARY, 1), "emergency stop"),
+    Fault("emergency stop: best-effort publisher", press(_SENSOR, 5), "emergency stop"),
+    Fault("emergency stop: latched publisher", press(LATCHED, 1), "emergency stop"),
+    Fault("emergency stop: service of the servo", call("servo/emergency_stop"), "emergency stop by its service"),
+    Fault("emergency stop: service of the DAQ", call("daq/emergency_stop"), "emergency stop by its service"),
+    Fault("emergency stop: service of the supervisor", call("emergency_stop"), "emergency stop by the service"),
+    Fault("servo/stop", call("servo/stop"), _STOPPED, Ending.ENDED, told=""),
+    Fault("servo/enable false", call("servo/enable", SetBool, data=False), _STOPPED, Ending.ENDED, told=""),
+    Fault("abort_experiment", call("abort_experiment"), "the generator aborted", Ending.ENDED, told=""),
+    Fault("stop", call("stop"), "cancelled", Ending.ENDED, told=""),
     Fault("setpoints of a stranger", _send_setpoints, "", Ending.COMPLETE, told="it carries lease 0|"),
     *(
         Fault(

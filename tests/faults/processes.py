@@ -6,7 +6,7 @@ from collections.abc import Callable
 from faults.campaign import Bench, Ending, Fault
 
 # What the bench says of each node, at whatever moment of the procedure it falls silent.
-_CAUSES = {
+CAUSES = {
     "servo": "servo|the motor does not answer",
     "daq": "daq|sample",
     "recorder": "recorder|recording",
@@ -42,22 +42,29 @@ def _restart(name: str, number: signal.Signals) -> Callable[[Bench], None]:
     return repair
 
 
-FAULTS = tuple(
-    Fault(
-        f"{name}: {number.name}",
-        _send(name, number),
-        cause,
-        Ending.ENDED if name == "recorder" else Ending.LATCHED,
-        told="",
-        rest=_REST.get(name, 0.2),
-        # A converter keeps its last voltage when its process is gone: the enable of the supply must fall off.
-        coil=None if name == "daq" and number is not signal.SIGTERM else _REST.get(name, 0.2),
-        repair=_restart(name, number),
-        at_random=True,
-        recorded=name not in ("daq", "recorder", "supervisor"),
-        # Its silence is noticed once its setpoints are due; until then, servo and interlocks do without it.
-        homes_on=name == "generator",
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
+
+
+def faults_of(name: str, cause: str, *signals: signal.Signals) -> tuple[Fault, ...]:
+    """Return the faults of a node that is sent each of the signals at a random moment."""
+    return tuple(
+        Fault(
+            f"{name}: {number.name}",
+            _send(name, number),
+            cause,
+            Ending.ENDED if name == "recorder" else Ending.LATCHED,
+            told="",
+            rest=_REST.get(name, 0.2),
+            # A converter keeps its last voltage when its process is gone: the enable of the supply must fall off.
+            coil=None if name == "daq" and number is not signal.SIGTERM else _REST.get(name, 0.2),
+            repair=_restart(name, number),
+            at_random=True,
+            recorded=name not in ("daq", "recorder", "supervisor"),
+            # Its silence is noticed once its setpoints are due; until then, servo and interlocks do without it.
+            homes_on=name in ("generator", "controller"),
+        )
+        for number in signals
     )
-    for name, cause in _CAUSES.items()
-    for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGSTOP)
-)
+
+
+FAULTS = tuple(fault for name, cause in CAUSES.items() for fault in faults_of(name, cause, *SIGNALS))

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.realtime
 
 FEW = (
     "^(pinion slips|coil: open|serial line: each reply comes after.*|LVDT: unplugged|disk: (full|read-only)"
-    "|clock: stepped back.*|recorder: SIGTERM)$"
+    "|clock: stepped back.*|recorder: SIGTERM|hybrid test: (wires of the load cell.*|controller: SIGKILL))$"
 )
 
 
@@ -26,10 +26,10 @@ def campaign(*options: str, timeout: float) -> str:
     return done.stdout
 
 
-@pytest.mark.timeout(150)
+@pytest.mark.timeout(250)
 def test_some_faults_are_within_their_limits() -> None:
-    table = campaign("--rows", FEW, "--moments", "1", timeout=140)
-    assert table.count("| ok |") == 8
+    table = campaign("--rows", FEW, "--moments", "1", timeout=240)
+    assert table.count("| ok |") == 10
 
 
 @pytest.mark.slow

@@ -58,6 +58,11 @@ def read_csv(path: str | Path, required: Sequence[str], optional: Sequence[str] 
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         text = "\0"
+    return parse_csv(text, path, required, optional)
+
+
+def parse_csv(text: str, path: str | Path, required: Sequence[str], optional: Sequence[str] = ()) -> CsvTable:
+    """Read columns of CSV text as `read_csv` reads those of a file; ``path`` names it in error messages."""
     if "\0" in text:
         raise InputError(f"{path}: is not text; expected a CSV file with the header {','.join(required)}")
     lines = text.splitlines()
@@ -82,7 +87,7 @@ def read_csv(path: str | Path, required: Sequence[str], optional: Sequence[str] 
     return CsvTable(columns, [name for name in header if name not in names], [number + 1 for number in rows])
 
 
-def _check_header(header: list[str], required: Sequence[str], optional: Sequence[str], path: Path) -> None:
+def _check_header(header: list[str], required: Sequence[str], optional: Sequence[str], path: str | Path) -> None:
     missing = [name for name in required if name not in header]
     if missing:
         shown = ", ".join(name[:40] for name in header[:20])
@@ -95,7 +100,9 @@ def _check_header(header: list[str], required: Sequence[str], optional: Sequence
             raise InputError(f"{path}: column {name} appears {header.count(name)} times in the header, expected once")
 
 
-def _first_bad_cell(lines: list[str], rows: list[int], header: list[str], names: list[str], path: Path) -> InputError | None:
+def _first_bad_cell(
+    lines: list[str], rows: list[int], header: list[str], names: list[str], path: str | Path
+) -> InputError | None:
     """Return the error about the first cell that holds no number; slow, for use after the fast parser has failed."""
     for number in rows:
         cells = next(csv.reader([lines[number]]))

@@ -89,7 +89,7 @@ class Comparison:
         rows = []
         for name, (title, *_) in METRICS.items():
             twin, parts = getattr(self.twin_ride, name), self.explanation.parts.get(name)
-            if parts and twin:
+            if parts and twin and not name.endswith("_share"):  # that is the same as without the share
                 changes = [getattr(self.bench_ride, name) - twin, *parts.values(), self.explanation.rest[name]]
                 rows.append((title.partition(",")[0], *(f"{100 * change / twin:+.1f}" for change in changes)))
         return rows

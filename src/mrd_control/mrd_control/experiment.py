@@ -1,6 +1,7 @@
 """Control experiments: an emulated system, what excites it, a law, a damper and an actuator, in a YAML file."""
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
 from mrd_base.config import parse_yaml, unknown_key, yaml_key
-from mrd_control.catalogue import build_entry
+from mrd_control.catalogue import build_entry, require_number
 from mrd_control.controller import Actuator
-from mrd_control.excitations import EXCITATIONS, Excitation
+from mrd_control.excitations import EXCITATIONS, Excitation, build_excitation
+from mrd_control.excitations.excitation import resolve_file
 from mrd_control.laws import Law, find_law
 from mrd_control.prediction import MODEL, PREDICTORS, find_predictor
 from mrd_control.systems import SYSTEMS, System
@@ -55,6 +57,11 @@ class ControlExperiment:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name):
             raise InputError(f"name: found {self.name!r}, expected 1 to 64 letters, digits, - and _")
+        if self.cycle * self.rate < 1.0 - 1e-6:
+            raise InputError(
+                f"cycle_ms is {1e3 * self.cycle:g}, expected at least {1e3 / self.rate:g}, one sample at rate_hz "
+                f"{self.rate:g}"
+            )
         find_law(self.law).values(self.gains)
         if self.predictor != MODEL:
             find_predictor(self.predictor)
@@ -63,6 +70,22 @@ class ControlExperiment:
     def actuator(self) -> Actuator:
         """What brings the emulated motion to the damper."""
         return Actuator(self.delay, self.lag, self.predictor)
+
+    @property
+    def block(self) -> float:
+        """Time in s from one setpoint to the next: the samples that fit into a cycle."""
+        return max(1, math.floor(self.cycle * self.rate + 1e-6)) / self.rate
+
+    @property
+    def loop_actuator(self) -> Actuator:
+        """The actuator as the stability of the loop sees it: a setpoint has to last for a block of samples.
+
+        So what it was made of is older than one sample by half of the rest of a block, on the average. The emulated system
+        predicts its motion over this time as well; the other predictors do not.
+        """
+        held = 0.5 * (self.block - 1.0 / self.rate)
+        ahead = None if self.predictor == MODEL else self.actuator.total_delay
+        return Actuator(self.delay + held, self.lag, self.predictor, ahead)
 
     @property
     def modelled_actuator(self) -> Actuator:
@@ -111,8 +134,11 @@ def read_control_experiment(path: str | Path) -> ControlExperiment:
 
 
 def parse_control_experiment(text: str, where: str) -> ControlExperiment:
-    """Read a control experiment from YAML text; ``where`` is the prefix of error messages. Raises as the above."""
-    return _build(parse_yaml(text, where), where, Path())
+    """Read a control experiment from YAML text; ``where`` is the prefix of error messages.
+
+    The file of an excitation needs its full path then. Raises as the above.
+    """
+    return _build(parse_yaml(text, where), where, None)
 
 
 def format_control_experiment(experiment: ControlExperiment) -> str:
@@ -124,7 +150,7 @@ def format_control_experiment(experiment: ControlExperiment) -> str:
         mapping[key] = float(f"{value / factor:.15g}") if isinstance(value, float) else value
     mapping |= {
         "system": _entry("system", SYSTEMS, experiment.system),
-        "excitation": _entry("excitation", EXCITATIONS, experiment.excitation),
+        "excitation": _entry("excitation", EXCITATIONS, experiment.excitation.complete()),
         "damper": damper_entry(experiment.damper),
     }
     return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
@@ -144,30 +170,47 @@ def _entry(kind: str, catalogue: Mapping[str, type[Any]], entry: Any) -> dict[st
     return {kind: next(name for name, cls in catalogue.items() if cls is type(entry)), **to_mapping(entry)}
 
 
-def _build(mapping: dict[str, Any], where: str, folder: Path) -> ControlExperiment:
+def _build(mapping: dict[str, Any], where: str, folder: Path | None) -> ControlExperiment:
     built: dict[str, Any] = {}
     if "system" in mapping:
         built["system"] = build_entry(SYSTEMS, "system", mapping["system"], f"{where}: system")
     if "excitation" in mapping:
-        built["excitation"] = build_entry(EXCITATIONS, "excitation", mapping["excitation"], f"{where}: excitation")
+        built["excitation"] = build_excitation(mapping["excitation"], f"{where}: excitation", folder)
     if "damper" in mapping:
         built["damper"] = _damper(mapping["damper"], f"{where}: damper", folder)
     return from_mapping(ControlExperiment, {"gains": {}, **mapping, **built}, where)
 
 
-def _damper(mapping: Any, where: str, folder: Path) -> Damper:
+def _damper(mapping: Any, where: str, folder: Path | None) -> Damper:
     if not isinstance(mapping, Mapping) or ("fit" in mapping) == ("model" in mapping):
         raise InputError(f"{where}: expected {{fit: FILE}}, or {{model: ID, parameters: {{NAME: VALUE}}}}")
     for key in mapping:
         if key not in _DAMPER_KEYS or ("fit" in mapping and key != "fit"):
             raise InputError(f"{where}: unknown key {unknown_key(key, ('fit',) if 'fit' in mapping else _DAMPER_KEYS[1:])}")
     if "fit" in mapping:
-        return load_damper(folder / str(mapping["fit"]))
+        return load_damper(resolve_file(str(mapping["fit"]), folder or Path()))
+    laws = mapping.get("laws") or {}
+    if not isinstance(laws, str) and not (isinstance(laws, Mapping) and all(isinstance(law, str) for law in laws.values())):
+        raise InputError(f"{where}: laws is {laws!r:.60}, expected a current law, or {{COEFFICIENT: LAW}}")
+    effects = _mapping(mapping, "effects", where)
     try:
         return Damper(
-            str(mapping["model"]), mapping.get("parameters") or {}, mapping.get("laws") or {}, mapping.get("effects") or {}
+            str(mapping["model"]),
+            _numbers(mapping, "parameters", where),
+            laws,
+            {str(effect): _numbers(effects, effect, f"{where}: effects") for effect in effects},
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-    except (TypeError, ValueError, AttributeError):
-        raise InputError(f"{where}: expected names with numbers, {{NAME: VALUE}}, as parameters and effects") from None
+
+
+def _mapping(mapping: Mapping[Any, Any], key: Any, where: str) -> Mapping[Any, Any]:
+    """Return the mapping of names that a key holds; {} where it holds nothing."""
+    entry = mapping.get(key)
+    if entry is not None and not isinstance(entry, Mapping):
+        raise InputError(f"{where}: {key} is {entry!r:.60}, expected {{NAME: VALUE}}")
+    return entry or {}
+
+
+def _numbers(mapping: Mapping[Any, Any], key: Any, where: str) -> dict[str, float]:
+    return {str(name): require_number(value, f"{key}: {name}") for name, value in _mapping(mapping, key, where).items()}

@@ -37,6 +37,8 @@ class LinearSystem:
         Travel of the damper over that between its two ends; the force on the masses is as much larger.
     contact_stiffness : float
         N/m, of the spring between lowest mass and base whose force holds the contact (a tyre); 0 where there is none.
+    contact_load : float
+        N, static force of the contact, at which it lifts off when the spring pulls as much.
     base_accelerates : bool
         Whether the disturbance is the acceleration of the base (ground motion), not its velocity (a road). Feedback of the
         state is then of velocities relative to the base.
@@ -53,6 +55,7 @@ class LinearSystem:
     drifts: Array
     lever_ratio: float = 1.0
     contact_stiffness: float = 0.0
+    contact_load: float = 0.0
     base_accelerates: bool = False
 
     @property

@@ -15,14 +15,18 @@ from mrd_identification.figures import to_html
 from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import render
 
-SCHEMA = "mrd-evaluation/1"
+SCHEMA = "mrd-evaluation/2"
 _SHARED = ("law", "excitation", "damper")
 _METRICS = ("a, m/s²", "a W_k, m/s²", "vs. passive", "travel, mm", "peak, mm", "power, W", "switching, 1/s")
 
 
 def columns(evaluation: Evaluation) -> list[str]:
     """Return the titles of the table."""
-    second = ["tyre load, N"] if figures.second_metric(evaluation) == "contact" else ["drift, mm", "peak drift, mm"]
+    second = (
+        ["tyre load, N", "% of static"]
+        if figures.second_metric(evaluation) == "contact"
+        else ["drift, mm", "peak drift, mm"]
+    )
     tracked = ["delay, ms", "NRMS, %", "peak, %"] if evaluation.conditions.actuator else []
     return [*_SHARED, *_METRICS[:5], *second, *_METRICS[5:], *tracked]
 
@@ -48,9 +52,14 @@ def _row(evaluation: Evaluation, entry: Entry, best: Entry, label: str) -> list[
         f"{ride.weighted:.3f}",
         f"{100 * (ride.weighted / comfort(best) - 1):+.1f} %",
         f"{1e3 * ride.travel:.2f}",
-        f"{1e3 * ride.peak_travel:.1f}",
+        f"{1e3 * ride.peak_travel:.1f}{', beyond the stroke' if ride.peak_share > 1.0 else ''}",
     ]
-    cells += [f"{ride.contact:.1f}"] if contact else [f"{1e3 * ride.drift:.3f}", f"{1e3 * ride.peak_drift:.2f}"]
+    lifts = f", lifts off {100 * ride.lift_off:.2g} %" if ride.lift_off > 0.0 else ""
+    cells += (
+        [f"{ride.contact:.1f}", f"{100 * ride.contact_share:.0f}{lifts}"]
+        if contact
+        else [f"{1e3 * ride.drift:.3f}", f"{1e3 * ride.peak_drift:.2f}"]
+    )
     cells += [f"{ride.energy:.3f}", f"{ride.switching:.1f}"]
     if entry.tracking:
         followed = entry.tracking

@@ -13,12 +13,17 @@ Array = NDArray[np.float64]
 
 COIL_RESISTANCE = 5.0
 """Ohm, of the RD-8040-1 at ambient temperature (LORD technical data)."""
+STROKE = 0.055
+"""m, of the RD-8040-1 (LORD technical data)."""
 METRICS = {
     "acceleration": ("a, m/s²", 1.0),
     "weighted": ("a W_k, m/s²", 1.0),
     "travel": ("travel, mm", 1e3),
     "peak_travel": ("peak travel, mm", 1e3),
+    "peak_share": ("peak travel, % of half a stroke", 100.0),
     "contact": ("tyre load, N", 1.0),
+    "contact_share": ("tyre load, % of static", 100.0),
+    "lift_off": ("lift-off, % of the time", 100.0),
     "drift": ("drift, mm", 1e3),
     "energy": ("power, W", 1.0),
     "switching": ("switching, 1/s", 1.0),
@@ -38,8 +43,14 @@ class Ride:
         The same with the weighting W_k, m/s².
     travel, peak_travel : float
         rms about the mean, and largest distance from mid-stroke, of the damper in m.
+    peak_share : float
+        The latter over half of `STROKE`: above 1 the damper would be at its end.
     contact : float
         rms dynamic contact force in N, of the tyre; nan without one.
+    contact_share : float
+        The same over the static force; nan without a contact.
+    lift_off : float
+        Share of the time in which the contact would have to pull, which a tyre cannot: the linear system is wrong there.
     drift, peak_drift : float
         Largest of the rms drifts, and largest drift, in m: storeys of a building, suspension of a car.
     energy : float
@@ -52,7 +63,10 @@ class Ride:
     weighted: float
     travel: float
     peak_travel: float
+    peak_share: float
     contact: float
+    contact_share: float
+    lift_off: float
     drift: float
     peak_drift: float
     energy: float
@@ -70,12 +84,17 @@ def ride_metrics(system: LinearSystem, result: LoopResult, beginning: float = 2.
     commanded = result.commanded[kept]
     high = commanded > 0.5 * (commanded.min() + commanded.max())
     seconds = len(commanded) / rate
+    dynamic = float(np.std(contact)) if system.contact_stiffness else math.nan
+    peak = float(np.abs(result.travel[kept]).max())
     return Ride(
         acceleration=float(np.std(result.acceleration[kept])),
         weighted=weighted_rms(result.acceleration[kept], rate),
         travel=float(np.std(result.travel[kept])),
-        peak_travel=float(np.abs(result.travel[kept]).max()),
-        contact=float(np.std(contact)) if system.contact_stiffness else math.nan,
+        peak_travel=peak,
+        peak_share=peak / (0.5 * STROKE),
+        contact=dynamic,
+        contact_share=dynamic / system.contact_load if system.contact_stiffness else math.nan,
+        lift_off=float(np.mean(contact > system.contact_load)) if system.contact_stiffness else math.nan,
         drift=float(np.std(drifts, axis=0).max()),
         peak_drift=float(np.abs(drifts).max()),
         energy=float(COIL_RESISTANCE * np.mean(result.current[kept] ** 2)),

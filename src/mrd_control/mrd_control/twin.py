@@ -55,7 +55,7 @@ def _run_in_blocks(experiment: ControlExperiment, error: Array) -> LoopResult:
     system, period = experiment.system.linear(), 1.0 / experiment.rate
     damper = copy.copy(experiment.damper)  # at rest, as that one stays
     loop = OnlineLoop(experiment)
-    length = max(1, math.floor(experiment.cycle * experiment.rate + 1e-6))
+    length = round(experiment.block * experiment.rate)
     n = experiment.samples
     left = math.exp(-period / experiment.supply_lag) if experiment.supply_lag > 0.0 else 0.0
     ahead = [Prediction(experiment, experiment.base, (i + 1) * period) for i in range(length)]
@@ -109,15 +109,17 @@ def check_experiment(experiment: ControlExperiment, limits: Limits) -> tuple[Mar
     Raises
     ------
     InputError
-        For a hybrid loop that is unstable or trembles beyond all limits, and for a twin that leaves the limits of the bench;
-        the message names the number, the limit, and what would help.
+        For a hybrid loop that is unstable at `mrd_control.stability.AMPLITUDE`, so that the rod would tremble by as
+        much at least, and for a twin that leaves the limits of the bench; the message names number, limit and remedy.
     """
     if experiment.most_current > limits.current_max:
         raise InputError(
             f"most_current_A is {experiment.most_current:g}, expected at most {limits.current_max:g}, the limit here"
         )
     currents = [float(current) for current in np.linspace(0.0, experiment.most_current, CURRENTS)]
-    margin = check_stability(experiment.system.linear(), experiment.damper, experiment.actuator, experiment.rate, currents)
+    margin = check_stability(
+        experiment.system.linear(), experiment.damper, experiment.loop_actuator, experiment.rate, currents
+    )
     twin = run_twin(experiment)
     if twin.diverged:
         raise InputError(

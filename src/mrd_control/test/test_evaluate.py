@@ -2,21 +2,25 @@
 
 import json
 import sys
+from pathlib import Path
 
 import jsonschema
 import numpy as np
 import pytest
+from distributed import LocalCluster
 
 from mrd_base import InputError
-from mrd_control.cli.evaluate import main
+from mrd_control.cli.evaluate import _parser, _read_dampers, main
 from mrd_control.evaluation import Candidate, Conditions, evaluate, optimise_gains, parse_candidate
-from mrd_control.excitations import Road
+from mrd_control.excitations import GroundMotion, Road
 from mrd_control.laws import LAWS
 from mrd_control.report import columns, rows, sentence, write_evaluation
 from mrd_control.systems import QuarterCar, ShearBuilding
 from mrd_identification.json_file import read_schema
 from mrd_sim.damper import Damper
+from mrd_sim.plant import read_damper
 
+PLANT = Path(__file__).resolve().parents[3] / "config/plant.yaml"
 SHORT = ["--duration", "6"]
 
 
@@ -149,6 +153,27 @@ def test_several_dampers_stand_in_one_table_and_a_building_has_drifts():
     assert sentence(evaluation).count("most comfortable") == 2
 
 
+@pytest.mark.timeout(300)
+def test_a_cluster_gives_the_same_metrics():
+    arguments = (
+        QuarterCar(lever_ratio=0.4),
+        {
+            "fitted": Damper("bouc_wen", {"viscous": 900.0}),
+            "lagging": Damper("bouc_wen", effects={"coil_lag": {"lag": 0.01}}),
+        },
+        [parse_candidate("skyhook"), parse_candidate("clipped_lqg")],
+        {"rough": Road("C"), "quake": GroundMotion()},
+        Conditions(duration=6.0),
+    )
+    done = []
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        found = evaluate(*arguments, scheduler=cluster.scheduler_address, done=done.append)
+    expected = evaluate(*arguments)
+    assert [entry.ride for entry in found.entries] == [entry.ride for entry in expected.entries]
+    assert [entry.ride for entry in found.passive] == [entry.ride for entry in expected.passive]
+    assert max(done) == 2 * 2 * (2 + 9) - 1
+
+
 def test_a_loop_that_diverges_is_said_to_diverge(tmp_path):
     """On a road as rough as this the wheel leaves every bound; the page says so, and shows no figure of nothing."""
     damper = Damper("linear_viscous", {"viscous": 1500.0, "viscous_per_A": 0.0})
@@ -160,6 +185,13 @@ def test_a_loop_that_diverges_is_said_to_diverge(tmp_path):
     assert rows(evaluation)[-1][3] == "diverged"
     assert "every law diverged" in sentence(evaluation)
     assert "diverged" in write_evaluation(evaluation, [], tmp_path).read_text()
+
+
+def test_the_damper_called_bench_is_that_of_the_shipped_plant():
+    (damper,) = _read_dampers(_parser().parse_args(["--output", "out"])).values()
+    shipped = read_damper(PLANT).build()
+    assert damper.model == shipped.model
+    np.testing.assert_array_equal(damper.theta, shipped.theta)
 
 
 def test_an_unknown_predictor_is_refused_before_any_run(tool):

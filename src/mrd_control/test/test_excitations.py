@@ -1,5 +1,7 @@
 """Excitations: the density of a road, the form of the others, files that are too short."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import welch
@@ -125,6 +127,25 @@ def test_bad_excitations_are_refused_in_one_line(tmp_path, text, message):
 def test_every_excitation_is_in_the_catalogue_by_its_file_name():
     for name, kind in EXCITATIONS.items():
         assert kind.__module__ == f"mrd_control.excitations.{name}"
+
+
+@pytest.mark.parametrize("kind", ["recorded_profile", "ground_motion"])
+def test_a_file_is_relative_to_that_of_the_excitation_and_can_be_carried_along(tmp_path, monkeypatch, kind):
+    (tmp_path / "roads").mkdir()
+    column = "position_m" if kind == "recorded_profile" else "acceleration_mps2"
+    time = np.linspace(0.0, 4.0, 401)
+    recorded = Path(write(tmp_path / "roads" / "a.csv", f"time_s,{column}", time + 5.0, np.sin(3 * time) / 3))
+    (tmp_path / "roads" / "road.yaml").write_text(f"excitation: {kind}\nfile: a.csv\n")
+    monkeypatch.chdir(tmp_path)
+    excitation = read_excitation(tmp_path / "roads" / "road.yaml")
+    expected = excitation.base(4000, RATE)
+    assert np.ptp(expected[:, 0]) > 0.01
+    complete = excitation.complete()
+    recorded.unlink()
+    assert np.array_equal(complete.base(4000, RATE), expected)
+    assert complete.complete() == complete
+    with pytest.raises(InputError, match=r"a\.csv: cannot be read"):
+        excitation.base(4000, RATE)
 
 
 def test_a_missing_file_is_named():

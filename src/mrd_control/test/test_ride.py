@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mrd_control.excitations import Bump
 from mrd_control.laws import LAWS
 from mrd_control.loop import run_loop
 from mrd_control.ride import COIL_RESISTANCE, ride_metrics, weighted_rms, weighting_k
@@ -36,9 +37,23 @@ def test_metrics_are_those_of_the_signals(car, bouc_wen):
     assert ride.contact == pytest.approx(190e3 * (result.state[kept, 1] - base[kept, 0]).std())
     assert ride.peak_travel == np.abs(result.travel[kept]).max()
     assert ride.energy == pytest.approx(COIL_RESISTANCE * (result.current[kept] ** 2).mean())
+    assert ride.contact_share == pytest.approx(ride.contact / (360.0 * 9.80665))
+    assert ride.peak_share == pytest.approx(ride.peak_travel / 0.0275)
+    assert ride.lift_off == 0.0
     high = result.commanded[kept] > 0.15
     assert ride.switching == pytest.approx(np.count_nonzero(np.diff(high.astype(int)) == 1) / 10.0)
     assert ride.switching > 1.0
+
+
+def test_a_wheel_that_leaves_the_road_is_noticed(car, bouc_wen):
+    """A bump of 10 cm: the tyre would have to pull for some time, and the damper reach its end."""
+    base = Bump(height=0.1, length=2.0, speed=20.0).base(4000, RATE)
+    result = run_loop(car, bouc_wen, LAWS["constant_current"], base, RATE)
+    ride = ride_metrics(car, result, 0.5)
+    pulls = 190e3 * (result.state[500:, 1] - base[500:, 0]) > 360.0 * 9.80665
+    assert ride.lift_off == pytest.approx(pulls.mean())
+    assert 0.0 < ride.lift_off < 0.2
+    assert ride.peak_share > 1.0
 
 
 @pytest.mark.parametrize("delay", [-0.0035, 0.0, 0.0004, 0.0021, 0.017])

@@ -45,6 +45,22 @@ def test_a_loop_decays_below_its_margin_and_grows_above_it(actuator, system):
         assert grew == (factor > 1)
 
 
+@pytest.mark.parametrize("predictor", ["none", "polynomial"])
+def test_a_wrong_delay_is_borne_as_far_as_the_check_says(car, predictor):
+    """The predictor stays prepared for 3 ms, whatever the delay is."""
+    damper, declared = viscous(1500.0), Actuator(0.003, 0.0, predictor)
+    margin = check_stability(car, damper, declared, RATE, [0.0])
+    assert margin.least == 0.0
+    assert margin.most > 0.003
+    base = Bump(height=0.005, length=5.0).base(20_000, RATE)
+    for factor in (0.96, 1.04):
+        wrong = Actuator(margin.most * factor, 0.0, predictor, ahead=0.003)
+        result = run_loop(car, damper, LAWS["constant_current"], base, RATE, actuator=wrong)
+        grew = result.diverged or np.abs(result.travel[-500:]).max() > np.abs(result.travel[3000:5000]).max()
+        assert grew == (factor > 1)
+    assert f"from 0 to {1e3 * margin.most:.3g} ms" in margin.describe(0.003)
+
+
 def test_the_describing_function_of_a_linear_damper_is_itself():
     stiffness, coefficient = describing_function(viscous(1234.0), 2e-3, 0.0)
     np.testing.assert_allclose(coefficient, 1234.0, rtol=1e-3)

@@ -126,4 +126,5 @@ def test_bad_systems_are_refused_in_one_line(tmp_path, text, message):
 
 def test_every_system_has_a_static_load_or_none():
     for kind in SYSTEMS.values():
-        assert (kind().static_load > 0) == (kind().linear().contact_stiffness > 0)
+        system = kind().linear()
+        assert (system.contact_load > 0) == (system.contact_stiffness > 0)

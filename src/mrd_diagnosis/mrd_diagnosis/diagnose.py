@@ -11,6 +11,7 @@ from mrd_base import InputError
 from mrd_diagnosis.alternative_models import best_model, fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.change import explain_change
+from mrd_diagnosis.closed_loop import closed_loop_notes
 from mrd_diagnosis.closure import Closure, compute_closure
 from mrd_diagnosis.decision import decide
 from mrd_diagnosis.diagnosis import (
@@ -166,7 +167,7 @@ def diagnose(
     if model == BEST_MODEL:
         chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
         diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
-    return diagnosis
+    return replace(diagnosis, notes=(*diagnosis.notes, *closed_loop_notes(runs)))
 
 
 def _notes_on_change(runs: int, reference: int) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import shlex
 from collections.abc import Sequence
 
 from mrd_base.tool import command, has_workspace
+from mrd_diagnosis.closed_loop import review_commands
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
@@ -242,8 +243,9 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     apply += folder_arguments()
+    reviews = review_commands(diagnosis.runs, f"{folder}/gap_report.json")
     if diagnosis.verdict == "explained":
-        return apply
+        return "\n".join([apply, *reviews])
     if diagnosis.verdict == "ambiguous":
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
             return f"{apply} --anyway"
@@ -262,7 +264,7 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
             model_and_law = model_arguments(model_id, "quadratic" if change else "")
             commands.append(f"{diagnose}{held_out}{reference} {model_and_law} --output DIR")
     if diagnosis.verdict == "partly_explained":
-        commands.append(apply)
+        commands += [apply, *reviews]
     return "\n".join(commands)
 
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis.cli.diagnose import print_summary
+from mrd_diagnosis.closed_loop import closed_loop_notes
 from mrd_diagnosis.detectability import clause_of_size
 from mrd_diagnosis.diagnosis import (
     Advice,
@@ -603,6 +604,14 @@ def test_the_next_command_follows_from_the_verdict():
     # Without an experiment, the most likely cause can still be applied.
     command = next_command(replace(diagnosed("ambiguous"), next_experiment=Advice("Add a sensor.")))
     assert command == f"{next_command(diagnosed('explained'))} --anyway"
+    # What a cause does to the ride of a hybrid test is told by another tool.
+    hybrid = replace(partly.runs[0], info={"source": "runs/my bag", "experiment": "name: a\nlaw: skyhook\n"})
+    closed = replace(diagnosed("explained"), runs=(hybrid, *partly.runs[1:]))
+    assert next_command(closed).splitlines()[1:] == [
+        "ros2 run mrd_control review 'runs/my bag' --diagnosis DIR/gap_report.json --output DIR"
+    ]
+    assert closed_loop_notes(closed.runs)[0].startswith(f"{hybrid.name}: a closed loop (hybrid test).")
+    assert closed_loop_notes(partly.runs) == []
     unknown = diagnosed("unknown_effect")
     # The nearest effect removes more than the other model.
     assert next_command(unknown) == ""

@@ -41,6 +41,7 @@ CONVERTER_FAULTS = {
     "disconnect_position": "the LVDT is unplugged: its terminal reads 0 V",
     "disconnect_force": "the load cell is unplugged: its terminal reads 0 V",
     "disconnect_current": "the current sensor is unplugged: its terminal reads 0 V",
+    "reverse_force": "the two wires of the load cell are exchanged",
 }
 _LEAK = 0.3  # A
 COIL_FAULTS = {
@@ -320,6 +321,8 @@ class Plant:
         elif kind in ("saturate", "disconnect"):
             end = getattr(self.config.sensors, name).converter_range
             voltage[names.index(name)] = end if kind == "saturate" else 0.0
+        elif kind == "reverse":
+            voltage[names.index(name)] *= -1.0
 
     def _control_voltage(self, count: int) -> Array:
         """Return the volts on the coil supply's input over the next block; past commands act from its start."""

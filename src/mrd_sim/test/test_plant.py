@@ -325,8 +325,9 @@ def test_a_supply_that_leaks_gives_current_without_a_command():
 def test_readings_of_broken_channels():
     plant = started()
     voltage = {}
-    for fault in ("", "swap_channels", "saturate_force", "disconnect_position"):
+    for fault in ("", "swap_channels", "saturate_force", "disconnect_position", "reverse_force"):
         plant.set_fault(fault, plant.time)
         voltage[fault] = joined(run(plant, plant.time + 0.05), "voltage").mean(axis=1)
     assert voltage["swap_channels"][[0, 1]] == pytest.approx(voltage[""][[1, 0]], abs=0.01)
     assert (voltage["saturate_force"][1], voltage["disconnect_position"][0]) == (10.0, 0.0)
+    assert voltage["reverse_force"][1] == pytest.approx(-voltage[""][1], abs=0.01)

@@ -227,7 +227,7 @@ CONTROL_CYCLE = Topic(
     ControlCycle,
     RECORDED,
     "what the controller made of a block of samples, once for each block of a hybrid test",
-    publishers=("controller",),
+    publishers=("controller", "replay"),
     subscribers=("supervisor", "recorder", "page"),
     recorded=True,
 )

@@ -34,6 +34,7 @@ TOOLS: Mapping[str, Tool] = {
     "trend": Tool("mrd_diagnosis.cli.trend", "follow a parameter over dated recordings"),
     "evaluate": Tool("mrd_control.cli.evaluate", "compare control laws around an emulated mechanical system"),
     "review": Tool("mrd_control.cli.review", "compare a recorded hybrid test with its offline twin"),
+    "delay": Tool("mrd_control.cli.delay", "measure dead time and lag of the servo in a recorded run"),
     "simulate": Tool("mrd_sim.cli.simulate", "simulate a damper along an experiment or a recording"),
     "export": Tool("mrd_identification.cli.export", "write a fitted damper as C source or FMU"),
     "models": Tool("mrd_sim.cli.models", "list the damper models"),

@@ -105,7 +105,7 @@ def _read_system(text: str) -> System:
 
 
 def _read_dampers(arguments: argparse.Namespace) -> dict[str, Damper]:
-    """Return the dampers by label: fits, plants, models; without any, the bench's with a coil lag of 4 ms."""
+    """Return the dampers by label: fits, plants, models; without any, that of the shipped plant."""
     dampers: dict[str, Damper] = {}
     for path in arguments.damper:
         file = Path(path)
@@ -117,7 +117,12 @@ def _read_dampers(arguments: argparse.Namespace) -> dict[str, Damper]:
         dampers[arguments.model] = Damper(arguments.model, parse_values(arguments.parameters, "--parameters"))
     elif arguments.parameters:
         raise InputError("--parameters are those of a --model, which is missing")
-    return dampers or {"bench": DamperConfig().build()}
+    if not dampers:
+        shipped = DamperConfig()
+        # The coil of the simulated bench has no lag of its own (config/plant.yaml).
+        values = parse_values(shipped.parameters, "damper.parameters") | {"coil_lag": 0.0}
+        dampers["bench"] = Damper(shipped.model, values)
+    return dampers
 
 
 def _read_excitations(arguments: argparse.Namespace) -> dict[str, Excitation]:

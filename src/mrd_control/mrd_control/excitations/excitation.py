@@ -1,8 +1,9 @@
 """What every excitation of an emulated system has."""
 
+import os
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import butter, sosfiltfilt
 
 from mrd_base import InputError, quantity
-from mrd_base.table import check_columns, read_csv
+from mrd_base.config import named_path
+from mrd_base.table import check_columns, parse_csv
 
 Array = NDArray[np.float64]
 
@@ -28,6 +30,26 @@ class Excitation(ABC):
             When the excitation is shorter than the run, or its file cannot be used.
         """
 
+    def resolved(self, folder: Path | None) -> Self:
+        """Return the same with the full path of its file, which is relative to a folder.
+
+        Raises
+        ------
+        InputError
+            For a relative path without a folder.
+        """
+        return self
+
+    def complete(self) -> Self:
+        """Return the same with the content of its file in it, so that it needs no file.
+
+        Raises
+        ------
+        InputError
+            When the file cannot be used.
+        """
+        return self
+
 
 def speed_field() -> Any:
     """Declare the speed of a vehicle."""
@@ -39,18 +61,64 @@ def seed_field() -> Any:
     return quantity(1, "", "of the random numbers", lower=0, upper=2**31 - 1)
 
 
-def read_columns(file: str, names: tuple[str, str]) -> tuple[Array, Array]:
-    """Read two columns of a CSV file, of which the first increases from zero.
+def csv_field() -> Any:
+    """Declare the content of a file in its place."""
+    return quantity("", "", "lines of the file in its place, as the recording of a test keeps them")
+
+
+def resolve_file(file: str, folder: Path | None) -> str:
+    """Return the full path of a file that a YAML file in a folder names.
+
+    Raises
+    ------
+    InputError
+        For a relative path without a folder.
+    """
+    path = Path(os.path.expanduser(file))
+    if folder is None and not path.is_absolute():
+        raise InputError(f"file {file} is relative, and its folder is not known here; give the full path")
+    return str((folder or Path()) / path)
+
+
+def read_columns(file: str, csv: str, *headers: tuple[str, str]) -> tuple[tuple[str, str], Array, Array]:
+    """Read two columns of a CSV file, or of its content ``csv``; the first one increases from zero.
+
+    Parameters
+    ----------
+    headers : tuple of str
+        Names of the two columns. Where there are several possible pairs, the first line of the file decides.
+
+    Returns
+    -------
+    names : tuple of str
+    first, second : ndarray (n,)
 
     Raises
     ------
     InputError
         When the file cannot be read or its columns cannot be used.
     """
-    table = read_csv(Path(file).expanduser(), names)
+    text = csv
+    if not csv:
+        try:
+            path = named_path(file)
+            if path.exists() and not path.is_file():  # a device may have no end
+                raise InputError(f"{file}: is no file, expected a CSV file")
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"{file}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    header = text.partition("\n")[0]
+    names = next((names for names in headers if names[0] in header), headers[0])
+    table = parse_csv(text, file, names)
     first, second = (table.columns[name] for name in names)
     check_columns({"time_s": first, names[1]: second}, 3, file, table.place)
-    return first - first[0], second
+    return names, first - first[0], second
+
+
+def csv_text(names: tuple[str, str], first: Array, second: Array) -> str:
+    """Return the CSV text that `read_columns` reads back exactly."""
+    rows = [f"{a!r},{b!r}" for a, b in zip(first.tolist(), second.tolist(), strict=True)]
+    return "\n".join([",".join(names), *rows]) + "\n"
 
 
 def check_length(found: float, needed: float, unit: str, file: str) -> None:

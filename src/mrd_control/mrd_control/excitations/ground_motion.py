@@ -1,7 +1,9 @@
 """The acceleration of the ground in an earthquake, recorded or random."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
 
 import numpy as np
 from scipy.signal import cont2discrete, lfilter
@@ -11,8 +13,11 @@ from mrd_control.excitations.excitation import (
     Array,
     Excitation,
     check_length,
+    csv_field,
+    csv_text,
     motion_of_acceleration,
     read_columns,
+    resolve_file,
     seed_field,
 )
 
@@ -33,14 +38,23 @@ class GroundMotion(Excitation):
     strong: float = quantity(8.0, "s", "duration of the strong part, of random motion", lower=0.1, upper=600)
     lowest_frequency: float = quantity(0.1, "Hz", "below which the ground does not move", lower=1e-3, upper=10)
     seed: int = seed_field()
+    csv: str = csv_field()
+
+    def resolved(self, folder: Path | None) -> Self:
+        return replace(self, file=resolve_file(self.file, folder)) if self.file and not self.csv else self
+
+    def complete(self) -> Self:
+        if not self.file and not self.csv:
+            return self
+        return replace(self, csv=csv_text(*read_columns(self.file, self.csv, COLUMNS)))
 
     def base(self, samples: int, rate: float) -> Array:
         time = np.arange(samples) / rate
-        acceleration = self._recorded(time) if self.file else self._random(time, rate)
+        acceleration = self._recorded(time) if self.file or self.csv else self._random(time, rate)
         return motion_of_acceleration(acceleration, rate, self.lowest_frequency)
 
     def _recorded(self, time: Array) -> Array:
-        instants, acceleration = read_columns(self.file, COLUMNS)
+        _, instants, acceleration = read_columns(self.file, self.csv, COLUMNS)
         check_length(float(instants[-1]), float(time[-1]), "s", self.file)
         return np.asarray(self.scale * np.interp(time, instants, acceleration), np.float64)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_base.config import unknown_key
+from mrd_control.catalogue import require_number
 from mrd_control.linear import LinearSystem
 from mrd_sim.parameter import Parameter
 
@@ -82,27 +83,40 @@ class Law:
     def __repr__(self) -> str:
         return f"<Law {self.id}>"
 
-    def values(self, given: Mapping[str, float]) -> dict[str, float]:
+    def values(self, given: Mapping[str, Any]) -> dict[str, float]:
         """Return all parameters by name: those given, and the defaults of the others.
 
         Raises
         ------
         InputError
-            For a name that the law does not have, or a value out of its bounds.
+            For a name that the law does not have, or a value that is no number or out of its bounds.
         """
         values = {parameter.name: parameter.default for parameter in self.parameters}
         for name, value in given.items():
             if name not in values:
                 raise InputError(f"law {self.id}: unknown parameter {unknown_key(name, values)}")
             parameter = next(parameter for parameter in self.parameters if parameter.name == name)
-            if not parameter.lower <= value <= parameter.upper:
-                found = f"{value:g} {parameter.unit}".rstrip()
+            number = require_number(value, f"law {self.id}: {name}")
+            if not parameter.lower <= number <= parameter.upper:
+                found = f"{number:g} {parameter.unit}".rstrip()
                 raise InputError(f"law {self.id}: {name} is {found}, expected {parameter.lower:g} to {parameter.upper:g}")
-            values[name] = float(value)
+            values[name] = number
         return values
 
     def vector(self, given: Mapping[str, float], system: LinearSystem, period: float) -> Array:
-        """Return the parameters as the kernel is given them, for an emulated system and a sampling period in s."""
+        """Return the parameters as the kernel is given them, for an emulated system and a sampling period in s.
+
+        Raises
+        ------
+        InputError
+            As `values`, and where no gains solve the equations of an optimal law.
+        """
         values = self.values(given)
         own = np.array(list(values.values()), np.float64)
-        return own if self.prepare is None else np.concatenate([own, np.ravel(self.prepare(values, system, period))])
+        if self.prepare is None:
+            return own
+        try:
+            return np.concatenate([own, np.ravel(self.prepare(values, system, period))])
+        except (np.linalg.LinAlgError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise InputError(f"law {self.id}: no optimal gains for this system ({reason}); change its weights") from None

@@ -99,8 +99,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
         response.success, response.duration, response.rate = True, experiment.duration, experiment.rate
         self._enter(
             "loaded",
-            f"{experiment.name}, {experiment.duration:g} s; it bears a delay of {1e3 * margin.delay:.3g} ms and has "
-            f"{1e3 * experiment.actuator.total_delay:.3g} ms",
+            f"{experiment.name}, {experiment.duration:g} s; {margin.describe(experiment.loop_actuator.total_delay)}",
         )
         return response
 

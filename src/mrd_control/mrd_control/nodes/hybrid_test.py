@@ -61,8 +61,8 @@ def _work(arguments: argparse.Namespace) -> None:
     if plant is not None and not plant.is_file():
         raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     print(
-        f"{experiment.name}: {experiment.duration:g} s; it bears a delay of {1e3 * margin.delay:.3g} ms and has "
-        f"{1e3 * experiment.actuator.total_delay:.3g} ms; logs: {output / 'log'}",
+        f"{experiment.name}: {experiment.duration:g} s; {margin.describe(experiment.loop_actuator.total_delay)}; "
+        f"logs: {output / 'log'}",
         flush=True,
     )
     result = _run(arguments, experiment, plant, output, bag)

@@ -34,8 +34,5 @@ class QuarterCar(System):
             drifts=np.array([[1.0, -1.0]]),
             lever_ratio=self.lever_ratio,
             contact_stiffness=self.tyre,
+            contact_load=GRAVITY * (self.sprung_mass + self.unsprung_mass),
         )
-
-    @property
-    def static_load(self) -> float:
-        return GRAVITY * (self.sprung_mass + self.unsprung_mass)

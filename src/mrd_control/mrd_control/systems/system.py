@@ -17,11 +17,6 @@ class System(ABC):
     def linear(self) -> LinearSystem:
         """Return its linear part, without the damper."""
 
-    @property
-    def static_load(self) -> float:
-        """Static force in N of the contact with the base, the tyre on the road; 0 where nothing can lift off."""
-        return 0.0
-
 
 def lever_field() -> Any:
     """Declare the lever between the system and its damper."""

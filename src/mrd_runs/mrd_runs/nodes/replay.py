@@ -34,7 +34,7 @@ class ReplaySettings:
     speed: float = quantity(1.0, doc="recorded seconds per bench second; 0 means as fast as max_rate_hz allows", lower=0.0)
     max_rate: float = quantity(500.0, "Hz", "messages per wall-clock second, at any speed", lower=1.0)
     topics: tuple[str, ...] = quantity(
-        ("samples",), doc="which of samples, measurement, servo_state, joint_states, setpoint"
+        ("samples",), doc="which of samples, measurement, servo_state, joint_states, setpoint, control_cycle"
     )
     wait_for_subscriber: bool = quantity(False, doc="start only when a node subscribes to samples")
     loop: bool = quantity(False, doc="start again at the end")
