@@ -165,6 +165,11 @@ class Dashboard:
             return await asyncio.to_thread(work, *arguments, **options)
         return await self.workers.run(work, *arguments, **options)
 
+    def hear_jobs(self) -> None:
+        """Hear what the running job has sent, and log its end; called now and then."""
+        if (job := self.jobs.poll()) is not None:
+            self.audit.write("page", job.request.kind, str(job.folder), f"{job.state}: {job.message}")
+
     @property
     def problem(self) -> str:
         """Why queue or audit log cannot be kept, or ""."""

@@ -94,8 +94,7 @@ class PageServer:
 
     async def _hear_jobs(self) -> None:
         while True:
-            if (job := self._dashboard.jobs.poll()) is not None:
-                self._dashboard.audit.write("page", job.request.kind, str(job.folder), f"{job.state}: {job.message}")
+            self._dashboard.hear_jobs()
             await asyncio.sleep(_POLL)
 
     def close(self) -> None:

@@ -68,6 +68,17 @@ def test_an_unusable_recording_fails_the_job_in_one_line(tmp_path: Path) -> None
     assert "\n" not in job.message
 
 
+def test_the_end_of_a_job_is_logged(dashboard, tmp_path: Path) -> None:
+    dashboard.jobs.start(JobRequest("diagnose", (str(tmp_path / "missing.csv"),), "bingham"))
+    deadline = time.monotonic() + 100.0
+    while dashboard.jobs.running is not None:
+        dashboard.hear_jobs()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    (entry,) = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert (entry["who"], entry["action"], entry["result"].partition(":")[0]) == ("page", "diagnose", "failed")
+
+
 def test_a_job_is_cancelled_at_once(tmp_path: Path, recorded: list[str]) -> None:
     jobs = Jobs(tmp_path / "results")
     jobs.start(JobRequest("diagnose", tuple(recorded), "bouc_wen"))
