@@ -43,7 +43,8 @@ soak: build  ## record at 2 kHz for half an hour; print losses, memory and laten
 	@. ./env.sh; python benchmarks/recorder.py --duration $(DURATION)
 
 bench: build  ## measure the speed of what must be fast
-	@. ./env.sh; for script in benchmarks/*.py; do python "$$script"; done
+	@. ./env.sh; failed=; for script in benchmarks/*.py; do python "$$script" || failed="$$failed $$script"; done; \
+	[ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
 
 # RECORDED is a folder with recordings of measured dampers, one folder a damper, whose motion is replayed.
 TRIAL = trials/$(SEED)

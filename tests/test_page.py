@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -12,71 +11,27 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from page_bench import ANSWER_TIMEOUT, ROOT, PageBench, find_chromium, open_tab, reset_fault, start_run, take_control
 from sensor_msgs.msg import JointState
 
-from mrd_base.domain import claim_domain
 from mrd_base.nodes.bench_node import RECORDED, seconds
 from mrd_base.nodes.graph import TRUE_STATE
 from mrd_bench_driver.nodes.bench_client import BenchClient
 from mrd_runs import read_run
 
 playwright = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+CHROMIUM = find_chromium()
 
-pytestmark = [pytest.mark.realtime, pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium"),
+]
 
-ROOT = Path(__file__).resolve().parents[1]
-CHROMIUM = next((path for path in ("/usr/bin/chromium", "/usr/bin/google-chrome") if os.path.exists(path)), "")
 EXAMPLES = ("1_multisine", "3_current_steps")
 """Of `examples/worn_joint`."""
 SLOW = 2e-3
 """m/s; the rod counts as stopped below it."""
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-class PageBench:
-    """A simulated bench with its page, as `bench --page` starts them."""
-
-    def __init__(self, folder: Path, *options: str) -> None:
-        self.folder, self.port = folder, free_port()
-        self.url = f"http://127.0.0.1:{self.port}/"
-        bench = folder / "bench.yaml"
-        section = f"/**/page:\n  ros__parameters:\n    port: {self.port}\n    runs: {folder / 'runs'}\n"
-        text = (ROOT / "config/bench.yaml").read_text()
-        bench.write_text(text[: text.index("/**/page:")] + section if "/**/page:" in text else text + "\n" + section)
-        domain = claim_domain()
-        self.process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "mrd_bench_driver.nodes.bench", "--simulated", "--page", "--bench", str(bench)),
-                *("--plant", str(ROOT / "config/plant.yaml"), "--output", str(folder / "out")),
-                *options,
-            ],
-            env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
-            stdout=(folder / "bench.log").open("w"),
-            stderr=subprocess.STDOUT,
-        )
-
-    def wait_until_up(self) -> None:
-        deadline = time.monotonic() + 200
-        while "the bench is up" not in (self.folder / "bench.log").read_text():
-            assert self.process.poll() is None, (self.folder / "bench.log").read_text()
-            assert time.monotonic() < deadline, (self.folder / "bench.log").read_text()
-            time.sleep(0.2)
-
-    def page_process(self) -> int:
-        """Return the id of the process of the page."""
-        found = subprocess.run(
-            ["pgrep", "-P", str(self.process.pid), "-f", "mrd_dashboard/page"], capture_output=True, text=True, check=True
-        )
-        return int(found.stdout.split()[0])
-
-    def close(self) -> None:
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(60) == 130
 
 
 @pytest.fixture(scope="module")
@@ -95,44 +50,27 @@ def page(bench: PageBench) -> Iterator[Any]:
     yield from open_page(bench)
 
 
-def open_page(bench: PageBench) -> Iterator[Any]:
-    if not CHROMIUM:
-        pytest.skip("there is no Chromium")
+def open_page(bench: PageBench, **options: Any) -> Iterator[Any]:
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page = browser.new_page(**{"viewport": {"width": 1280, "height": 800}, **options})
         page.goto(bench.url)
-        page.get_by_text("Take control").click()
-        page.get_by_text("you hold control").first.wait_for()
+        take_control(page)
         yield page
         # The next browser takes control at once; the test that kills the page has nothing to give back.
-        if page.get_by_text("Release control").count() and _answers(bench.url):
-            page.get_by_text("Release control").click()
-            page.get_by_text("nobody in control").wait_for()
+        if page.get_by_role("button", name="Release control").count() and bench.answers():
+            page.get_by_role("button", name="Release control").click()
+            page.get_by_role("button", name="Take control").wait_for(timeout=ANSWER_TIMEOUT)
         browser.close()
 
 
-def _answers(url: str) -> bool:
-    try:
-        with urllib.request.urlopen(url, timeout=5):
-            return True
-    except OSError:
-        return False
-
-
-def start_run(page: Any, duration: str = "60") -> None:
-    """Queue a sine of 8 mm and 1 Hz, and wait until its position is seen to move."""
-    page.get_by_role("tab", name="Runs").click()
-    page.get_by_label("duration_s").fill(duration)
-    page.get_by_text("Add to queue").click()
-    page.get_by_text("waits in the queue").first.wait_for()
-    resume = page.get_by_role("button", name="Resume")
-    if resume.count():
-        resume.click()
-    page.get_by_role("tab", name="Live").click()
-    page.wait_for_function(
-        "async () => Math.max(...(await (await fetch('/live.json')).json()).velocity_mm_per_s) > 40", timeout=60_000
-    )
+def import_examples(bench: PageBench) -> None:
+    """Put two recordings into the folder of the bench, once."""
+    missing = [name for name in EXAMPLES if not (bench.runs / name).exists()]
+    files = [ROOT / f"examples/worn_joint/{name}.csv" for name in missing]
+    command = [sys.executable, "-m", "mrd_runs.cli.import_", *files, "--output", bench.runs]
+    if missing:
+        subprocess.run(command, check=True, capture_output=True)
 
 
 def test_a_run_is_started_seen_and_stopped_by_the_button(bench: PageBench, page: Any) -> None:
@@ -150,9 +88,74 @@ def test_a_run_is_started_seen_and_stopped_by_the_button(bench: PageBench, page:
     print(f"time from the click to the standing rod: {standing:.3f} s of bench time")
     # The click itself takes the browser a second and more where it draws in software on a busy machine.
     assert standing < 5.0
-    page.get_by_text("fault", exact=True).wait_for()
-    page.get_by_role("button", name="reset fault").click()
-    page.get_by_text("idle", exact=True).wait_for(timeout=20_000)
+    page.get_by_text("fault", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+    reset_fault(page)
+
+
+def press_stop(page: Any) -> None:
+    """Press the button as a hand does, where it is seen, and wait for the answer of the server."""
+    box = page.locator(".mrd-stop").bounding_box()
+    with page.expect_response("**/stop", timeout=ANSWER_TIMEOUT) as answer:
+        page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert answer.value.status == 204
+
+
+@pytest.mark.parametrize("width", [1280, 820])
+def test_no_dialog_covers_the_stop_button(bench: PageBench, page: Any, width: int) -> None:
+    import_examples(bench)
+    page.set_viewport_size({"width": width, "height": 1180})
+    dialogs = page.locator(".q-dialog")
+    open_tab(page, "Runs")
+    for name in EXAMPLES:
+        page.get_by_text(name, exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+    for tick in page.get_by_role("checkbox").all()[:2]:
+        tick.click()
+    page.get_by_role("button", name="Compare two").click()
+    dialogs.get_by_role("button", name="Close").wait_for(timeout=ANSWER_TIMEOUT)
+    press_stop(page)
+    dialogs.get_by_role("button", name="Close").click()
+    dialogs.wait_for(state="detached", timeout=ANSWER_TIMEOUT)
+    page.get_by_text(EXAMPLES[0], exact=True).click()
+    dialogs.get_by_role("button", name="Save notes").wait_for(timeout=ANSWER_TIMEOUT)
+    press_stop(page)
+    dialogs.get_by_role("button", name="Delete").click()
+    page.get_by_text("for ever?").wait_for(timeout=ANSWER_TIMEOUT)
+    press_stop(page)
+    page.get_by_role("button", name="Keep").click()
+    dialogs.get_by_role("button", name="Close").click()
+    dialogs.wait_for(state="detached", timeout=ANSWER_TIMEOUT)
+    page.get_by_label("start from").click()
+    page.get_by_role("option").first.wait_for(timeout=ANSWER_TIMEOUT)
+    press_stop(page)
+    page.get_by_text("fault", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+    reset_fault(page)
+
+
+def test_stop_needs_no_websocket_and_says_when_it_fails(bench: PageBench, page: Any) -> None:
+    page.evaluate("window.socket.disconnect()")
+    press_stop(page)
+    page.get_by_text("stop sent").wait_for(timeout=ANSWER_TIMEOUT)
+    page.locator(".mrd-stop").focus()
+    with page.expect_response("**/stop", timeout=ANSWER_TIMEOUT):
+        page.keyboard.press("Enter")
+    page.route("**/stop", lambda route: route.abort())
+    page.locator(".mrd-stop").click()
+    page.get_by_text("STOP WAS NOT SENT").wait_for(timeout=ANSWER_TIMEOUT)
+    page.unroute("**/stop")
+    page.evaluate("window.socket.connect()")
+    page.get_by_text("fault", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+    reset_fault(page)
+
+
+def test_the_theme_follows_the_system_until_it_is_changed(bench: PageBench) -> None:
+    for page in open_page(bench, color_scheme="dark"):
+        page.wait_for_function("document.body.classList.contains('body--dark')", timeout=ANSWER_TIMEOUT)
+        page.locator("button:has-text('contrast')").click()
+        page.wait_for_function("document.body.classList.contains('body--light')", timeout=ANSWER_TIMEOUT)
+        page.wait_for_function("document.cookie.includes('mrd_theme=light')", timeout=ANSWER_TIMEOUT)
+        page.reload()
+        page.get_by_role("button", name="Release control").wait_for(timeout=ANSWER_TIMEOUT)
+        assert page.evaluate("document.body.classList.contains('body--light')")
 
 
 def choose(page: Any, label: str, *texts: str) -> None:
@@ -173,19 +176,14 @@ def wait_for_job(page: Any, title: str) -> None:
 
 @pytest.mark.timeout(600)
 def test_recordings_are_identified_diagnosed_and_applied(bench: PageBench, page: Any) -> None:
-    files = [ROOT / f"examples/worn_joint/{name}.csv" for name in EXAMPLES]
-    subprocess.run(
-        [sys.executable, "-m", "mrd_runs.cli.import_", *files, "--output", bench.folder / "runs"],
-        check=True,
-        capture_output=True,
-    )
-    page.get_by_role("tab", name="Identify and diagnose").click()
+    import_examples(bench)
+    open_tab(page, "Identify and diagnose")
     choose(page, "recordings", *EXAMPLES)
     page.get_by_role("button", name="Diagnose").click()
     wait_for_job(page, "1 diagnose bouc_wen")
     page.get_by_role("button", name="Apply to the simulator").click()
     page.get_by_text("Start the simulated bench with --plant").first.wait_for()
-    (plant,) = (bench.folder / "runs/results").glob("diagnose-*/plant.yaml")
+    (plant,) = (bench.runs / "results").glob("diagnose-*/plant.yaml")
     assert "joint_play" in plant.read_text()
     page.get_by_role("button", name="Report").click()
     page.frame_locator("iframe[title=report]").get_by_text("mm (").first.wait_for()
@@ -201,7 +199,7 @@ def test_a_hybrid_test_is_chosen_recorded_and_seen(tmp_path: Path) -> None:
     try:
         bench.wait_until_up()
         for page in open_page(bench):
-            page.get_by_role("tab", name="Control").click()
+            open_tab(page, "Control")
             page.get_by_role("button", name="Add to queue").last.click()
             page.get_by_text("waits in the queue").first.wait_for(timeout=200_000)
             page.wait_for_function("() => /NRMS of the tracking/.test(document.body.innerText)", timeout=200_000)
@@ -209,7 +207,7 @@ def test_a_hybrid_test_is_chosen_recorded_and_seen(tmp_path: Path) -> None:
             assert max(frame["rod_mm"]) > 1.0
             page.get_by_text("no hybrid test of this page is under way").wait_for(timeout=200_000)
             page.get_by_role("button", name="Compare with the offline twin").click()
-            page.get_by_role("tab", name="Identify and diagnose").click()
+            open_tab(page, "Identify and diagnose")
             wait_for_job(page, "1 review")
             assert "The rod followed the emulated motion" in page.inner_text("body")
     finally:
@@ -223,20 +221,20 @@ def test_the_page_loads_nothing_from_elsewhere(bench: PageBench) -> None:
 
 
 def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page: Any) -> None:
-    start_run(page, "12")
+    start_run(page, "30")
     page.get_by_text("identification", exact=True).wait_for(timeout=60_000)  # homing is over
     page.wait_for_function("document.body.innerText.includes('experiment: running')", timeout=60_000)
-    bag = max((bench.folder / "runs").glob("sine-*"))
+    bag = max(bench.runs.glob("sine-*"))
     page.reload()
     page.get_by_text("identification", exact=True).wait_for()
-    page.get_by_text("you hold control").first.wait_for()
+    page.get_by_role("button", name="Release control").wait_for(timeout=ANSWER_TIMEOUT)
     os.kill(bench.page_process(), signal.SIGKILL)
-    deadline = time.monotonic() + 90
+    deadline = time.monotonic() + 120
     run = read_run(bag)
-    assert run.duration < 12.0, "the run had ended before the page was killed"
-    while run.duration < 12.0 and time.monotonic() < deadline:
+    assert run.duration < 30.0, "the run had ended before the page was killed"
+    while run.duration < 30.0 and time.monotonic() < deadline:
         time.sleep(0.5)
         run = read_run(bag)
-    assert run.duration > 12.0
+    assert run.duration > 30.0
     assert run.info["lost"] == 0
     assert bench.process.poll() is None

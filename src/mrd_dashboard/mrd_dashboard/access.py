@@ -7,6 +7,7 @@ import base64
 import hashlib
 import hmac
 import ipaddress
+import math
 import os
 import secrets
 import time
@@ -19,9 +20,11 @@ import yaml
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
 
 SESSION_TIME = 12 * 3600.0
-"""s after which one has to log in again."""
+"""s after which one has to log in again; a token that expires earlier ends its sessions, too."""
 MOST_FAILURES, PAUSE = 5, 30.0
-"""Wrong secrets in a row after which all are refused for a time, and that time in s."""
+"""Wrong secrets in a row after which an address is refused for a time, and that time in s."""
+MOST_SESSIONS = 1000
+"""Sessions that are kept; of more, the oldest end."""
 SHORTEST_PASSWORD = 10
 """Characters of a password."""
 
@@ -53,12 +56,14 @@ class Credentials:
     password: str = quantity("", "", "scrypt hash of the operator's password, as `access` writes it")
     tokens: tuple[Token, ...] = ()
 
-    def accepts(self, secret: str, now: float) -> bool:
-        """Return whether a secret is the password, or a token that has not expired at Unix time ``now`` in s."""
+    def valid_until(self, secret: str) -> float:
+        """Return the Unix time in s until which a secret lets in: for ever for the password, -inf for a wrong one."""
         digest = hashlib.sha256(secret.encode()).hexdigest()
         # All tokens are compared, each in constant time.
-        known = [hmac.compare_digest(token.digest, digest) and now < token.expires for token in self.tokens]
-        return any(known) or (bool(self.password) and password_matches(self.password, secret))
+        known = [token.expires for token in self.tokens if hmac.compare_digest(token.digest, digest)]
+        if known:
+            return max(known)
+        return math.inf if self.password and password_matches(self.password, secret) else -math.inf
 
 
 def hash_password(password: str) -> str:
@@ -170,36 +175,42 @@ class Sessions:
     def __init__(self, credentials: Credentials | None, clock: Callable[[], float] = time.time) -> None:
         self._credentials, self._clock = credentials, clock
         self._expiry: dict[str, float] = {}
-        self._failures, self._closed_until = 0, 0.0
+        # Number of wrong secrets in a row, and the time of the last one, by address.
+        self._failures: dict[str, tuple[int, float]] = {}
 
     @property
     def needs_login(self) -> bool:
         """Whether one has to log in."""
         return self._credentials is not None
 
-    def open(self, secret: str = "") -> str:
-        """Return a new session for a password or a token; without credentials, for anybody.
+    def open(self, secret: str = "", address: str = "") -> str:
+        """Return a new session for a password or a token; without credentials, for anybody, and without end.
+
+        One call at a time: an address has `MOST_FAILURES` guesses in `PAUSE`, and others do not wait for it.
 
         Raises
         ------
         InputError
-            For a wrong or expired secret, and after too many of them.
+            For a wrong or expired secret, and after too many of them from an address.
         """
-        now = self._clock()
+        now, end = self._clock(), math.inf
         if self._credentials is not None:
-            if now < self._closed_until:
-                raise InputError(f"too many wrong passwords; wait {self._closed_until - now:.0f} s and try again")
-            if not self._credentials.accepts(secret, now):
-                self._failures += 1
-                if self._failures >= MOST_FAILURES:
-                    self._failures, self._closed_until = 0, now + PAUSE
+            self._failures = {who: known for who, known in self._failures.items() if now < known[1] + PAUSE}
+            failures, last = self._failures.get(address, (0, now))
+            if failures >= MOST_FAILURES:
+                raise InputError(f"too many wrong passwords; wait {last + PAUSE - now:.0f} s and try again")
+            valid_until = self._credentials.valid_until(secret)
+            if now >= valid_until:
+                self._failures[address] = failures + 1, now
                 raise InputError(
                     "wrong password, or a token that is wrong or has expired; try again, or ask for a new token"
                 )
-            self._failures = 0
-        self._expiry = {session: end for session, end in self._expiry.items() if now < end}
+            self._failures.pop(address, None)
+            end = min(now + SESSION_TIME, valid_until)
+        kept = [(session, until) for session, until in self._expiry.items() if now < until]
+        self._expiry = dict(kept[-(MOST_SESSIONS - 1) :])
         session = secrets.token_urlsafe(24)
-        self._expiry[session] = now + SESSION_TIME
+        self._expiry[session] = end
         return session
 
     def is_open(self, session: str) -> bool:

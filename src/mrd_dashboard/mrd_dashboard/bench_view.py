@@ -14,17 +14,21 @@ from mrd_dashboard.sample_history import SampleHistory
 from mrd_trajectory.settings import GeneratorSettings
 
 SILENT_AFTER = 1.0
-"""Wall time in s without a lease after which the page says that nobody supervises the bench."""
+"""Wall time in s without a lease after which the page says that nobody supervises the bench; also for servo and DAQ."""
+NODE_SILENT_AFTER = 5.0
+"""Wall time in s without diagnostics, which every node sends once a second, after which the page calls it silent."""
+
+SERVO, DAQ = "servo", "DAQ"
+"""What is heard many times a second."""
 
 
 @dataclass(frozen=True)
 class NodeHealth:
-    """Latest diagnostics of a node: its level (0 ok, 1 warning, 2 error), message, values, and when they came (wall)."""
+    """Diagnostics of a node: its level (0 ok, 1 warning, 2 error), message, and values."""
 
     level: int
     message: str
-    values: Mapping[str, str]
-    heard: float
+    values: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -50,8 +54,6 @@ class BenchView:
         Bench time in s of the latest lease.
     lease_heard : float
         Wall time in s at which it came, by `time.monotonic`.
-    nodes : dict of str to NodeHealth
-        Diagnostics by the name of the node.
     """
 
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
@@ -63,7 +65,8 @@ class BenchView:
     reason: str = ""
     bench_time: float = float("nan")
     lease_heard: float = -float("inf")
-    nodes: dict[str, NodeHealth] = field(default_factory=dict)
+    _nodes: dict[str, NodeHealth] = field(default_factory=dict)
+    _heard: dict[str, float] = field(default_factory=dict)
 
     def hear_lease(self, bench_time: float) -> None:
         """Note that the supervisor has renewed its lease."""
@@ -73,6 +76,34 @@ class BenchView:
     def supervised(self) -> bool:
         """Whether the supervisor lives."""
         return time.monotonic() - self.lease_heard < SILENT_AFTER
+
+    def hear(self, name: str) -> None:
+        """Note that something was heard now."""
+        self._heard[name] = time.monotonic()
+
+    def silence(self, name: str) -> float:
+        """Return the wall time in s since something was heard; infinite if it never was."""
+        return time.monotonic() - self._heard.get(name, -float("inf"))
+
+    def hear_node(self, name: str, health: NodeHealth) -> None:
+        """Note the diagnostics of a node."""
+        self._nodes[name] = health
+        self.hear(f"node {name}")
+
+    def nodes(self) -> dict[str, NodeHealth]:
+        """Return the latest diagnostics of each node that was heard; one that has become silent is an error."""
+        found = {}
+        for name, health in sorted(self._nodes.copy().items()):
+            silence = self.silence(f"node {name}")
+            if silence > NODE_SILENT_AFTER:
+                last = "" if health.message == "ok" else f"; its last words: {health.message}"
+                health = NodeHealth(2, f"silent for {silence:.0f} s; look whether it is up{last}", health.values)
+            found[name] = health
+        return found
+
+    def lives(self, node: str) -> bool:
+        """Return whether a node was heard a moment ago."""
+        return self.silence(f"node {node}") <= NODE_SILENT_AFTER
 
     def lamps(self) -> list[Lamp]:
         """Return a lamp for each interlock, the first one for the supervisor itself."""

@@ -1,12 +1,12 @@
 """The state behind the page, and the one way by which the page acts."""
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Awaitable, Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import ParamSpec, Protocol, TypeVar
 
 from mrd_base import InputError
 from mrd_control.experiment import ControlExperiment, parse_control_experiment
@@ -15,10 +15,14 @@ from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight
 from mrd_dashboard.hybrid_view import LiveMetrics, live_metrics
 from mrd_dashboard.jobs import Jobs
-from mrd_dashboard.live_frame import LivePrediction, live_frame
+from mrd_dashboard.live_frame import LivePrediction, compile_prediction, live_frame, try_prediction
 from mrd_dashboard.look import Look, cached_look, keep_look, look_at
 from mrd_dashboard.recordings import CACHE_FOLDER, Recording, Recordings
-from mrd_dashboard.run_queue import Kind, RunQueue
+from mrd_dashboard.run_queue import Kind, QueuedRun, RunQueue
+from mrd_dashboard.workers import Workers
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 FRAME_PERIOD = 1 / 30
 """Wall time in s between two frames of the live plots; a browser that is late at times still draws 25 a second."""
@@ -94,8 +98,8 @@ class Dashboard:
     audit : AuditLog
     experiments : Path
         Folder of the experiments to choose from.
-    workers : Executor or None
-        Processes that look at recordings; None looks in the calling thread.
+    workers : Workers or None
+        Processes that compute what takes long; without them, threads do.
     prediction : LivePrediction or None
         Model that is drawn over the measured force.
     hybrid_test : Path
@@ -104,6 +108,8 @@ class Dashboard:
         Parameter files of the bench and of its simulated plant, or "".
     looks : dict of str to Look
         Looks at recordings, by id.
+    tasks : set of asyncio.Task
+        What goes on beside the queue: looks at what it has recorded.
     """
 
     bench: BenchView
@@ -115,11 +121,12 @@ class Dashboard:
     audit: AuditLog
     experiments: Path
     hybrid_test: Path
-    workers: Executor | None = None
+    workers: Workers | None = None
     prediction: LivePrediction | None = None
     bench_file: str = ""
     plant: str = ""
     looks: dict[str, Look] = field(default_factory=dict)
+    tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _frame: tuple[float, dict[str, list[float]]] = (float("-inf"), {})
     _metrics: tuple[float, LiveMetrics] = (float("-inf"), LiveMetrics())
     _hybrid_test: tuple[int, ControlExperiment | None] = (0, None)
@@ -147,8 +154,26 @@ class Dashboard:
             answer = Answer(False, str(error))
         except OSError as error:
             answer = Answer(False, f"{error.filename or action}: {error.strerror or error}")
+        except Exception as error:  # nobody waits for an answer that does not come
+            answer = Answer(False, f"{action}: {type(error).__name__}: {error}; please report this")
         self.audit.write(who.name, action, detail, answer.message if answer.success else f"refused: {answer.message}")
         return answer
+
+    async def compute(self, work: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
+        """Return the result of a function that takes longer than a stop may wait."""
+        if self.workers is None:
+            return await asyncio.to_thread(work, *arguments, **options)
+        return await self.workers.run(work, *arguments, **options)
+
+    def hear_jobs(self) -> None:
+        """Hear what the running job has sent, and log its end; called now and then."""
+        if (job := self.jobs.poll()) is not None:
+            self.audit.write("page", job.request.kind, str(job.folder), f"{job.state}: {job.message}")
+
+    @property
+    def problem(self) -> str:
+        """Why queue or audit log cannot be kept, or ""."""
+        return self.queue.problem or self.audit.problem
 
     async def call(self, who: Visitor, name: str) -> Answer:
         """Make one of the requests `CALLS`. Whoever sees the page may end a run."""
@@ -170,8 +195,17 @@ class Dashboard:
             self._frame = time.monotonic(), table
         return table
 
+    async def predict(self, fit: str) -> LivePrediction:
+        """Return the prediction of a stored fit, given by the path of its file."""
+        # A worker compiles the model, so that this process finds it compiled on the disk.
+        await self.compute(compile_prediction, fit)
+        return await asyncio.to_thread(try_prediction, fit)
+
     def hybrid_metrics(self) -> LiveMetrics:
-        """Return the metrics of the hybrid test under way, or of the latest one, computed once for all who look."""
+        """Return the metrics of the hybrid test under way, or of the latest one, computed once for all who look.
+
+        It takes some hundredths of a second, and is therefore called in a thread.
+        """
         made, metrics = self._metrics
         if time.monotonic() - made > METRICS_PERIOD:
             metrics = live_metrics(self._running_test(), self.bench.cycles.latest())
@@ -188,57 +222,82 @@ class Dashboard:
         return self._hybrid_test[1]
 
     def known_look(self, recording: Recording) -> Look | None:
-        """Return the look at a recording if there was one."""
+        """Return the look at a recording if there was one; it reads a file."""
         if recording.id not in self.looks and (look := cached_look(recording.path, self._cache(recording))):
             self.looks[recording.id] = look
         return self.looks.get(recording.id)
 
     async def look(self, recording: Recording) -> Look:
         """Look at a recording: the preflight, and a picture."""
-        look = self.known_look(recording)
+        look = await asyncio.to_thread(self.known_look, recording)
         if look is None:
-            look = await asyncio.get_running_loop().run_in_executor(self.workers, look_at, str(recording.path))
+            look = await self.compute(look_at, str(recording.path))
             self.looks[recording.id] = look
-            keep_look(look, recording.path, self._cache(recording))
+            await asyncio.to_thread(keep_look, look, recording.path, self._cache(recording))
         return look
 
     def _cache(self, recording: Recording) -> Path:
         return self.recordings.folder / CACHE_FOLDER / f"{recording.id.replace('/', '~')}.json"
 
+    def recover(self, recording: str) -> str:
+        """Make a readable recording of one whose recorder was killed; return what came of it."""
+        self._require_recorded(self.recordings.find(recording))
+        return self.recordings.recover(recording)
+
+    def _require_recorded(self, recording: Recording) -> None:
+        if self.queue.running is not None and Path(self.queue.running.bag) == recording.path:
+            raise InputError(f"{recording.id}: is being recorded; stop the run first")
+
     def delete(self, recording: str) -> None:
         """Delete a recording, unless it is being made."""
         found = self.recordings.find(recording)
-        if self.queue.running is not None and Path(self.queue.running.bag) == found.path:
-            raise InputError(f"{recording}: is being recorded; stop the run first")
+        self._require_recorded(found)
         self.recordings.delete(recording)
         self.looks.pop(recording, None)
         self._cache(found).unlink(missing_ok=True)
 
 
 async def run_next(dashboard: Dashboard) -> bool:
-    """Record the run whose turn it is, and look at its recording; return whether there was one."""
+    """Record the run whose turn it is; return whether there was one. What it recorded is looked at beside the next run."""
     queue = dashboard.queue
     run = queue.next()
     if run is None:
         return False
-    bag = dashboard.recordings.new_folder(run.name)
-    queue.start(run.number, bag)
-    dashboard.audit.write("page", "run", f"{run.number} {run.name}", "sent")
-    try:
-        outcome = await dashboard.commands.run(
-            run.kind, run.experiment, bag, run.seed, lambda phase, elapsed: queue.progress(run.number, phase, elapsed)
-        )
-    except InputError as error:
-        outcome = RunOutcome(False, str(error), "")
+    outcome = await _record(dashboard, run)
     queue.end(run.number, "done" if outcome.success else "failed", outcome.message, outcome.bag)
     dashboard.audit.write("page", "run", f"{run.number} {run.name}", outcome.message)
     if outcome.bag:
-        try:
-            recording = dashboard.recordings.find(Path(outcome.bag).relative_to(dashboard.recordings.folder).as_posix())
-            await dashboard.look(recording)
-        except (InputError, ValueError, OSError):
-            pass  # somebody has moved it; the list shows what is there
+        task = asyncio.create_task(_look_at_bag(dashboard, Path(outcome.bag)))
+        dashboard.tasks.add(task)
+        task.add_done_callback(dashboard.tasks.discard)
     return True
+
+
+async def _record(dashboard: Dashboard, run: QueuedRun) -> RunOutcome:
+    """Record a run; whatever goes wrong is its outcome, so that it never seems to run for ever."""
+    bag = None
+    try:
+        bag = dashboard.recordings.new_folder(run.name)
+        dashboard.queue.start(run.number, bag)
+        dashboard.audit.write("page", "run", f"{run.number} {run.name}", "sent")
+        return await dashboard.commands.run(
+            run.kind,
+            run.experiment,
+            bag,
+            run.seed,
+            lambda phase, elapsed: dashboard.queue.progress(run.number, phase, elapsed),
+        )
+    except InputError as error:
+        message = str(error)
+    except Exception as error:
+        message = f"{type(error).__name__}: {error}; look at the bench, then try again"
+    return RunOutcome(False, message, str(bag) if bag is not None and bag.exists() else "")
+
+
+async def _look_at_bag(dashboard: Dashboard, bag: Path) -> None:
+    # Somebody may have moved it; the list shows what is there.
+    with contextlib.suppress(InputError, ValueError, OSError):
+        await dashboard.look(dashboard.recordings.find(bag.relative_to(dashboard.recordings.folder).as_posix()))
 
 
 async def work_through_queue(dashboard: Dashboard, period: float = 0.2) -> None:

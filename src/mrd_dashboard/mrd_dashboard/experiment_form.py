@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from mrd_base import InputError
 from mrd_base.config import yaml_key
-from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment, read_experiment
+from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment
 from mrd_trajectory.plan import Peak, plan
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.waveforms import CHANNEL_UNITS, waveform_type
@@ -155,14 +154,3 @@ def preview(text: str, settings: GeneratorSettings) -> Preview:
 def find_experiments(folder: Path) -> dict[str, Path]:
     """Return the experiment files in a folder and its folders, by the name under which the page lists them."""
     return {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.rglob("*.yaml"))}
-
-
-def read_experiments(folder: Path) -> dict[str, Experiment]:
-    """Return the experiments in a folder; files that are none are left out."""
-    found = {}
-    for name, file in find_experiments(folder).items():
-        try:
-            found[name] = read_experiment(file)
-        except InputError:
-            continue
-    return found

@@ -13,6 +13,7 @@ Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
+Log = Callable[[str, int, str, str], None]
 
 LOGIN = "/login"
 SESSION = "mrd_session"
@@ -23,6 +24,11 @@ _HEADERS = {
     "x-content-type-options": "nosniff",
     "referrer-policy": "same-origin",
 }
+
+
+def address_of(scope: Scope) -> str:
+    """Return the address from which a request comes."""
+    return str((scope.get("client") or ("this machine",))[0])
 
 
 class Guard:
@@ -37,10 +43,14 @@ class Guard:
         Address at which the page is served.
     port : int
         It is part of the cookie's name: cookies do not tell ports apart, and two benches may be open.
+    log : callable
+        Receives address, status, path and reason of each refusal.
     """
 
-    def __init__(self, app: App, sessions: Sessions, host: str, port: int) -> None:
-        self._app, self._sessions, self._local = app, sessions, is_local(host)
+    def __init__(self, app: App, sessions: Sessions, host: str, port: int, log: Log = lambda *_: None) -> None:
+        self._app, self._sessions, self._log = app, sessions, log
+        # With a login, no name by which the page is reached lets in, and a proxy may serve it under its own.
+        self._local = is_local(host) and not sessions.needs_login
         self.cookie = f"mrd_session_{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -50,17 +60,25 @@ class Guard:
             return
         headers = Headers(scope=scope)
         if refusal := self._foreign(scope, headers):
-            await self._refuse(PlainTextResponse(refusal, 403), scope, receive, send)
+            await self._refuse(PlainTextResponse(refusal, 403), refusal, scope, receive, send)
             return
         session, new = self._session(headers), False
-        if not session and not self._sessions.needs_login:
-            session, new = self._sessions.open(), True
-        if not session and scope["path"] != LOGIN:
+        if not session:
             wants_page = scope["type"] == "http" and scope["method"] == "GET" and "text/html" in headers.get("accept", "")
-            answer: Response = RedirectResponse(LOGIN, 303) if wants_page else PlainTextResponse("log in first", 401)
-            await self._refuse(answer, scope, receive, send)
-            return
+            if not self._sessions.needs_login:
+                if wants_page:
+                    session, new = self._sessions.open(), True
+                elif scope["type"] == "websocket":
+                    await self._refuse(PlainTextResponse("", 401), "no session; load the page again", scope, receive, send)
+                    return
+            elif scope["path"] != LOGIN:
+                answer: Response = RedirectResponse(LOGIN, 303) if wants_page else PlainTextResponse("log in first", 401)
+                await self._refuse(answer, "not logged in", scope, receive, send)
+                return
         scope[SESSION] = session
+        if scope["type"] == "websocket":
+            await self._app(scope, self._while_open(session, receive), send)
+            return
 
         async def send_with_headers(message: MutableMapping[str, Any]) -> None:
             if message["type"] == "http.response.start":
@@ -68,14 +86,24 @@ class Guard:
                 for name, value in _HEADERS.items():
                     answer_headers.setdefault(name, value)
                 if new:
-                    answer_headers.append("set-cookie", self.set_cookie(session))
+                    answer_headers.append("set-cookie", self.set_cookie(session, scope["scheme"]))
             await send(message)
 
         await self._app(scope, receive, send_with_headers)
 
-    def set_cookie(self, session: str) -> str:
+    def set_cookie(self, session: str, scheme: str) -> str:
         """Return the header that gives a browser its session; no script can read it, and no other site can send it."""
-        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Lax"
+        secure = "; Secure" if scheme == "https" else ""
+        return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Lax{secure}"
+
+    def _while_open(self, session: str, receive: Receive) -> Receive:
+        """Return what a websocket hears: nothing more once its session has ended."""
+
+        async def receive_while_open() -> MutableMapping[str, Any]:
+            message = await receive()
+            return message if self._sessions.is_open(session) else {"type": "websocket.disconnect", "code": 1008}
+
+        return receive_while_open
 
     def _session(self, headers: Headers) -> str:
         try:
@@ -98,8 +126,10 @@ class Guard:
             return "the request comes from another site"
         return ""
 
-    @staticmethod
-    async def _refuse(response: Response, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _refuse(self, response: Response, reason: str, scope: Scope, receive: Receive, send: Send) -> None:
+        # A visit that is led to the login is no refusal.
+        if response.status_code >= 400:
+            self._log(address_of(scope), response.status_code, scope["path"], reason)
         if scope["type"] == "websocket":
             await send({"type": "websocket.close", "code": 1008})
         else:

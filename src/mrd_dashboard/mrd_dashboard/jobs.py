@@ -1,7 +1,9 @@
-"""Fits, diagnoses and reviews that the page starts: each in a process of its own, by the same functions as the tools."""
+"""Fits, diagnoses, trends and reviews that the page starts: each in a process of its own, by the functions of the tools."""
 
 import multiprocessing
 import os
+import pickle
+import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,10 +13,15 @@ from typing import Any, Literal
 
 from mrd_base import InputError
 
-Kind = Literal["identify", "diagnose", "review"]
+Kind = Literal["identify", "diagnose", "trend", "review"]
 State = Literal["running", "done", "failed", "cancelled"]
 
-REPORTS = {"identify": "fit.html", "diagnose": "gap_report.html", "review": "hybrid_test.html"}
+REPORTS: Mapping[Kind, str] = {
+    "identify": "fit.html",
+    "diagnose": "gap_report.html",
+    "trend": "trend.html",
+    "review": "hybrid_test.html",
+}
 """Report of each kind of job, in its folder."""
 
 
@@ -24,7 +31,7 @@ class JobRequest:
 
     Attributes
     ----------
-    kind : {"identify", "diagnose", "review"}
+    kind : {"identify", "diagnose", "trend", "review"}
         ``review`` compares the recording of a hybrid test with its offline twin.
     runs, held_out, reference : tuple of str
         Paths of recordings: fitted, held out, and of before something changed (diagnose only).
@@ -37,6 +44,10 @@ class JobRequest:
     seed : int
     bench : str
         bench.yaml whose limits an advised experiment must not exceed, or "".
+    follow : str
+        Parameter, or ``EFFECT.PARAMETER``, that a trend follows.
+    limit : float or None
+        Value in SI units; a trend predicts when the parameter reaches it.
     """
 
     kind: Kind
@@ -48,6 +59,8 @@ class JobRequest:
     method: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     bench: str = ""
+    follow: str = ""
+    limit: float | None = None
 
 
 @dataclass
@@ -67,6 +80,8 @@ class Job:
         Finished share, 0 to 1.
     history : list of (float, float)
         Share and error (NRMSE) of the best candidate, while a model is fitted.
+    front : list of (float, float)
+        Both error norms, e2 and einf in N, of the best candidates of the latest generation: the Pareto front.
     message : str
         Its result in a sentence, or why it failed.
     command : str
@@ -80,6 +95,7 @@ class Job:
     stage: str = "starting"
     share: float = 0.0
     history: list[tuple[float, float]] = field(default_factory=list)
+    front: list[tuple[float, float]] = field(default_factory=list)
     message: str = ""
     command: str = ""
     began: float = field(default_factory=time.monotonic)
@@ -110,6 +126,10 @@ class Jobs:
         """The job that is under way."""
         return next((job for job in self.all if job.state == "running"), None)
 
+    def fits(self) -> list[Path]:
+        """Return the files of the identified dampers, the latest first."""
+        return sorted(self.folder.glob("*/fit.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+
     def start(self, request: JobRequest) -> Job:
         """Start a job.
 
@@ -136,29 +156,32 @@ class Jobs:
         self.all.append(Job(len(self.all) + 1, request, folder))
         return self.all[-1]
 
-    def poll(self) -> None:
-        """Hear what the running job has sent; called now and then."""
+    def poll(self) -> Job | None:
+        """Hear what the running job has sent; called now and then. Return the job if it has ended."""
         job = self.running
         if job is None or self._connection is None:
-            return
+            return None
         try:
             while job.state == "running" and self._connection.poll():
                 _note(job, self._connection.recv())
-        except (EOFError, OSError):
+        except (EOFError, OSError, pickle.UnpicklingError):
             job.state, job.message = "failed", "its process has ended without a result; there may be too little memory"
-        if job.state != "running":
-            self._end()
+        if job.state == "running":
+            return None
+        self._end()
+        return job
 
     def cancel(self) -> None:
-        """End the running job."""
+        """End the running job, without waiting until its process has died."""
         if (job := self.running) is not None:
             job.state, job.message = "cancelled", "cancelled"
             self._end()
 
     def _end(self) -> None:
         if self._process is not None:
-            self._process.terminate()
-            self._process.join()
+            # The process has inherited that a node blocks SIGTERM. What it has not finished, nobody reads.
+            self._process.kill()
+            threading.Thread(target=self._process.join, name="job", daemon=True).start()
         if self._connection is not None:
             self._connection.close()
         self._process = self._connection = None
@@ -169,7 +192,7 @@ def _earlier(folder: Path) -> list[tuple[JobRequest, Path, State]]:
     found: list[tuple[JobRequest, Path, State]] = []
     for kind, report in REPORTS.items():
         for path in folder.glob(f"{kind}-*/{report}"):
-            found.append((JobRequest(kind, (), "of an earlier day"), path.parent, "done"))  # type: ignore[arg-type]
+            found.append((JobRequest(kind, (), "of an earlier day"), path.parent, "done"))
     return sorted(found, key=lambda entry: entry[1].stat().st_mtime)
 
 
@@ -179,6 +202,7 @@ def _note(job: Job, message: Mapping[str, Any]) -> None:
     error = message.get("nrmse")
     if error is not None and error == error:
         job.history.append((job.share, error))
+    job.front = message.get("front", job.front)
     if "state" in message:
         job.state, job.message, job.command = message["state"], message["message"], message.get("command", "")
 
@@ -187,9 +211,8 @@ def work(request: JobRequest, folder: str, connection: Connection) -> None:
     """Do a job and send its progress and its end; the body of its process."""
     os.nice(10)  # bench and page come first
     try:
-        done = {"identify": _identify, "diagnose": _diagnose, "review": _review}[request.kind](
-            request, Path(folder), connection
-        )
+        works = {"identify": _identify, "diagnose": _diagnose, "trend": _trend, "review": _review}
+        done = works[request.kind](request, Path(folder), connection)
         connection.send({"state": "done", "share": 1.0, "stage": "", **done})
     except InputError as error:
         connection.send({"state": "failed", "message": str(error)})
@@ -208,12 +231,17 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
     runs = read_runs([*request.runs, *request.held_out])
     total = method.total_generations
 
+    front: list[tuple[float, float]] = []
+
+    def watch(norms: Any) -> None:
+        front[:] = [(float(e2), float(einf)) for e2, einf in norms]
+
     def progress(generation: int, nrmse: float) -> None:
         stage = "assessing" if generation == total else f"generation {generation} of {total}"
-        connection.send({"stage": stage, "share": generation / total, "nrmse": nrmse})
+        connection.send({"stage": stage, "share": generation / total, "nrmse": nrmse, "front": front})
 
     chosen = len(request.runs)
-    fit = identify(runs[:chosen], request.model, held_out=runs[chosen:], method=method, progress=progress)
+    fit = identify(runs[:chosen], request.model, held_out=runs[chosen:], method=method, progress=progress, watch=watch)
     write_fit(fit, folder)
     write_report(fit, folder)
     return {"message": fit.sentence}
@@ -245,6 +273,32 @@ def _diagnose(request: JobRequest, folder: Path, connection: Connection) -> dict
     )
     write_gap_report(diagnosis, folder)
     return {"message": diagnosis.sentence, "command": next_command(diagnosis, str(folder))}
+
+
+def _trend(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
+    from mrd_diagnosis.trend.trend import trend
+    from mrd_diagnosis.trend.trend_file import write_trend
+    from mrd_identification.fit_file import read_fit
+    from mrd_runs import read_runs
+
+    fit = read_fit(request.parameters) if request.parameters else None
+
+    def progress(stage: str, share: float) -> None:
+        connection.send({"stage": stage, "share": share})
+
+    found = trend(
+        read_runs(request.runs),
+        fit.model if fit else request.model,
+        request.follow,
+        effects=fit.effects if fit else (),
+        laws=fit.laws if fit else None,
+        parameters=fit.values if fit else None,
+        limit=request.limit,
+        seed=request.seed,
+        progress=progress,
+    )
+    write_trend(found, folder)
+    return {"message": found.sentence}
 
 
 def _review(request: JobRequest, folder: Path, _connection: Connection) -> dict[str, str]:

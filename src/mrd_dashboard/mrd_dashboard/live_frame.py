@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from mrd_dashboard.sample_history import SampleHistory, Samples
-from mrd_identification.fit_file import StoredFit
+from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_sim.models import DamperModel, find_model
 from mrd_sim.path import make_path
 
@@ -56,6 +56,25 @@ class LivePrediction:
         velocity, acceleration = motion(samples)
         path = make_path(samples.time - samples.time[0], samples.position, velocity, acceleration, samples.current)
         return np.asarray(self.model.force(self.theta, path))
+
+
+def try_prediction(fit: str) -> LivePrediction:
+    """Return the prediction of a fit.json, once it has computed a force; the first time, its model is compiled meanwhile.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be used.
+    """
+    prediction = LivePrediction.of_fit(read_fit(fit), fit)
+    time = np.arange(100) / 1000.0
+    prediction.force(Samples(np.arange(100), time, 1e-3 * np.sin(6.0 * time), 0.0 * time, 0.0 * time))
+    return prediction
+
+
+def compile_prediction(fit: str) -> None:
+    """Compute a force with a fit.json, for a process that only compiles its model onto the disk."""
+    try_prediction(fit)
 
 
 def motion(samples: Samples) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""The recordings of the bench: finding, describing, searching and deleting them.
+"""The recordings of the bench: finding, describing, searching, recovering and deleting them.
 
 What people add to a recording stands in a file of the recording's own folder, so that it moves with it.
 """
@@ -7,6 +7,8 @@ import dataclasses
 import os
 import re
 import shutil
+import threading
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -16,12 +18,17 @@ from typing import Any
 import yaml
 
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
+from mrd_runs.recovery import recover_bag, recovered_path
+from mrd_runs.storage import SUFFIXES
 
 NOTES_FILE = "notes.yaml"
 CACHE_FOLDER = ".page"
 """Folder, among the recordings, of what the page can compute again."""
 LONGEST_NOTE = 10_000
 """Characters."""
+SCAN_PERIOD = 2.0
+"""Wall time in s between two scans of the folders, however many pages are open."""
+_SCAN_SHARE = 0.1  # of a core that the scans may take, where there are very many recordings
 
 
 @dataclass(frozen=True)
@@ -48,6 +55,8 @@ class Recording:
     notes : Notes
     problem : str
         Why its notes cannot be read, or "".
+    closed : bool
+        Whether its recorder has closed it: it has metadata.yaml. One that was killed leaves a bag that can be recovered.
     """
 
     id: str
@@ -55,6 +64,7 @@ class Recording:
     modified: float
     notes: Notes = Notes()
     problem: str = ""
+    closed: bool = True
 
     @property
     def date(self) -> str:
@@ -92,15 +102,29 @@ class Recordings:
 
     folder: Path
     _notes: dict[Path, tuple[int, Notes, str]] = field(default_factory=dict, repr=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    _scanned: list[Recording] = field(default_factory=list, repr=False)
+    _next_scan: float = -float("inf")
 
     def __post_init__(self) -> None:
         self.folder = self.folder.expanduser().resolve()
         self.folder.mkdir(parents=True, exist_ok=True)
 
     def search(self, search: str = "") -> list[Recording]:
-        """Return the recordings that match a search, the latest first."""
-        found = [recording for recording in self._scan(self.folder, 2) if recording.matches(search)]
-        return sorted(found, key=lambda recording: (-recording.modified, recording.id))
+        """Return the recordings that match a search, the latest first, as of `SCAN_PERIOD` ago at most."""
+        with self._lock:
+            began = time.monotonic()
+            if began >= self._next_scan:
+                found = self._scan(self.folder, 2)
+                self._scanned = sorted(found, key=lambda recording: (-recording.modified, recording.id))
+                ended = time.monotonic()
+                self._next_scan = ended + max(SCAN_PERIOD, (ended - began) / _SCAN_SHARE)
+            found = self._scanned
+        return [recording for recording in found if recording.matches(search)] if search.split() else found
+
+    def rescan(self) -> None:
+        """Let the next search scan the folders: something has changed."""
+        self._next_scan = -float("inf")
 
     def _scan(self, folder: Path, depth: int) -> list[Recording]:
         found = []
@@ -113,10 +137,14 @@ class Recordings:
             if not entry.is_dir(follow_symlinks=False) or entry.name.startswith("."):
                 continue
             path = Path(entry.path)
-            if _is_bag(path):
-                notes, problem = self._read_notes(path)
-                modified = entry.stat(follow_symlinks=False).st_mtime
-                found.append(Recording(path.relative_to(self.folder).as_posix(), path, modified, notes, problem))
+            if (closed := _is_closed(path)) or _has_samples(path):
+                try:
+                    notes, problem = self._read_notes(path)
+                    modified = entry.stat(follow_symlinks=False).st_mtime
+                except OSError:
+                    continue  # somebody has just deleted it
+                identifier = path.relative_to(self.folder).as_posix()
+                found.append(Recording(identifier, path, modified, notes, problem, closed))
             elif depth > 1:
                 found += self._scan(path, depth - 1)
         return found
@@ -148,10 +176,10 @@ class Recordings:
         parts = recording.split("/")
         path = self.folder.joinpath(*parts)
         inside = 1 <= len(parts) <= 2 and all(part and part[0] != "." and "\0" not in part for part in parts)
-        if not inside or path.resolve() != path or not _is_bag(path):
+        if not inside or path.resolve() != path or not (_is_closed(path) or _has_samples(path)):
             raise InputError(f"{recording[:200]}: no recording of {self.folder} has this name; look at the list again")
         notes, problem = self._read_notes(path)
-        return Recording(recording, path, path.stat().st_mtime, notes, problem)
+        return Recording(recording, path, path.stat().st_mtime, notes, problem, _is_closed(path))
 
     def new_folder(self, name: str) -> Path:
         """Return the path for a new recording of a run, named after it and the time."""
@@ -173,10 +201,20 @@ class Recordings:
         part.replace(file)
         # The order of the list is that of the recordings, not of their notes.
         os.utime(found.path, ns=(modified.st_atime_ns, modified.st_mtime_ns))
+        self.rescan()
+
+    def recover(self, recording: str) -> str:
+        """Make a readable recording of one whose recorder was killed, beside it; return what came of it in one line."""
+        found = self.find(recording)
+        recovery = recover_bag(found.path, recovered_path(found.path))
+        self.rescan()
+        lost = "; ".join(recovery.losses) or "nothing"
+        return f"{recovery.path.name}: recovered {sum(recovery.counts.values())} messages; lost: {lost}"
 
     def delete(self, recording: str) -> None:
         """Delete a recording for ever."""
         shutil.rmtree(self.find(recording).path)
+        self.rescan()
 
 
 def make_notes(mapping: Mapping[str, Any]) -> Notes:
@@ -203,5 +241,13 @@ def notes_form(notes: Notes) -> dict[str, Any]:
     return {**dataclasses.asdict(notes), "tags": ", ".join(notes.tags), "temperature_degC": notes.temperature}
 
 
-def _is_bag(path: Path) -> bool:
+def _is_closed(path: Path) -> bool:
     return (path / "metadata.yaml").is_file()
+
+
+def _has_samples(path: Path) -> bool:
+    """Return whether a folder without metadata.yaml holds what a recorder was writing."""
+    try:
+        return any(entry.name.endswith(SUFFIXES) for entry in os.scandir(path))
+    except OSError:
+        return False

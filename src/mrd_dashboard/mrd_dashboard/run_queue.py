@@ -70,11 +70,14 @@ class RunQueue:
     runs : list of QueuedRun
     paused : bool
         Whether the next run waits for the operator: at first, and after a run that failed.
+    problem : str
+        Why the file could not be written, or "".
     """
 
     file: Path | None = None
     runs: list[QueuedRun] = field(default_factory=list)
     paused: bool = False
+    problem: str = ""
 
     def __post_init__(self) -> None:
         if self.file is not None and self.file.exists():
@@ -102,8 +105,13 @@ class RunQueue:
         self.runs = [run for run in self.runs if run.number not in dropped]
         if self.file is not None:
             part = self.file.with_name(self.file.name + ".part")
-            part.write_text(json.dumps([dataclasses.asdict(run) for run in self.runs]), encoding="utf-8")
-            part.replace(self.file)
+            try:
+                part.write_text(json.dumps([dataclasses.asdict(run) for run in self.runs]), encoding="utf-8")
+                part.replace(self.file)
+                self.problem = ""
+            except OSError as error:
+                # A full disk must not keep a run from being seen to end.
+                self.problem = f"{self.file}: {error.strerror}; the queue will be lost with the page"
 
     def add(self, name: str, experiment: str, duration: float, seed: int = 0, kind: Kind = "identification") -> QueuedRun:
         """Append a run."""
@@ -135,8 +143,9 @@ class RunQueue:
         self._keep()
 
     def progress(self, number: int, phase: str, elapsed: float) -> None:
-        """Note how far a run is."""
-        self._replace(number, phase=phase, elapsed=elapsed)
+        """Note how far a run is, unless it has ended in the meantime."""
+        if self.running is not None and self.running.number == number:
+            self._replace(number, phase=phase, elapsed=elapsed)
 
     def end(self, number: int, state: State, message: str, bag: str) -> None:
         """Note how a run has ended; the runs after one that did not end well wait for the operator."""

@@ -15,6 +15,7 @@ from mrd_dashboard.web import guarded, make_app
 
 _START_TIMEOUT = 20.0  # s
 _POLL = 0.2  # s
+_RECONNECT_TIMEOUT = 20.0  # s
 
 
 class PageServer:
@@ -47,10 +48,17 @@ class PageServer:
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
         sessions = Sessions(credentials)
         app = make_app(dashboard, sessions)
-        ui.run_with(app, root=lambda: page(dashboard), title="Damper bench", dark=None, show_welcome_message=False)
+
+        def root() -> None:
+            page(dashboard, login=sessions.needs_login)
+
+        # Forms outlive a network, or a machine, that is away for a while: after it, a browser would load the page again.
+        ui.run_with(
+            app, root=root, title="Damper bench", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT_TIMEOUT
+        )
         self._dashboard = dashboard
         config = uvicorn.Config(
-            guarded(app, sessions, host, port),
+            guarded(app, sessions, host, port, dashboard.audit),
             host,
             port,
             log_level="warning",
@@ -86,7 +94,7 @@ class PageServer:
 
     async def _hear_jobs(self) -> None:
         while True:
-            self._dashboard.jobs.poll()
+            self._dashboard.hear_jobs()
             await asyncio.sleep(_POLL)
 
     def close(self) -> None:

@@ -2,8 +2,6 @@
 
 import asyncio
 import shutil
-import tempfile
-from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -13,10 +11,14 @@ from starlette.background import BackgroundTask
 
 from mrd_base import InputError
 from mrd_dashboard.access import Sessions
+from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.dashboard import Dashboard, Visitor
-from mrd_dashboard.guard import LOGIN, SESSION, Guard
+from mrd_dashboard.download import pack
+from mrd_dashboard.guard import LOGIN, SESSION, Guard, address_of
 from mrd_dashboard.hybrid_view import hybrid_frame
-from mrd_runs.csv_export import export_csv
+
+STOP, SESSION_OPEN, LOGOUT = "/stop", "/session", "/logout"
+"""Where a page asks for the emergency stop, whether its session is open, and to end it."""
 
 _LONGEST_LOGIN = 4096  # bytes
 
@@ -31,14 +33,27 @@ form{{display:grid;gap:12px;width:300px}}input,button{{font:inherit;padding:10px
 
 def visitor(scope: Any) -> Visitor:
     """Return who sends a request: the address, and a few characters that tell browsers apart but are no key."""
-    session = str(scope.get(SESSION, ""))
-    address = (scope.get("client") or ("this machine",))[0]
-    return Visitor(session, f"{address} ({session[-4:]})" if session else str(address))
+    session, address = str(scope.get(SESSION, "")), address_of(scope)
+    return Visitor(session, f"{address} ({session[-4:]})" if session else address)
 
 
 def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
     """Return the application without its guard."""
     app = FastAPI(openapi_url=None)
+
+    # One guess at a time: each takes a tenth of a second and 64 MB.
+    guess = asyncio.Lock()
+
+    @app.post(STOP)
+    async def stop(request: Request) -> Response:
+        """Ask for the emergency stop. It needs no control, and no websocket."""
+        dashboard.emergency_stop(visitor(request.scope))
+        return Response(status_code=204)
+
+    @app.get(SESSION_OPEN)
+    async def session_open(request: Request) -> Response:
+        """Tell a page that is open whether it may still ask for anything; 401 if not."""
+        return Response(status_code=204 if request.scope[SESSION] else 401)
 
     @app.get("/live.json")
     def live() -> dict[str, list[float]]:
@@ -49,8 +64,8 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
         return hybrid_frame(dashboard.bench.cycles.latest())
 
     @app.get(LOGIN)
-    def login_page() -> HTMLResponse:
-        return HTMLResponse(_LOGIN_PAGE.format(message=""))
+    def login_page(ended: bool = False) -> HTMLResponse:
+        return HTMLResponse(_LOGIN_PAGE.format(message="Your session has ended. Log in again." if ended else ""))
 
     @app.post(LOGIN)
     async def login(request: Request) -> Response:
@@ -59,16 +74,17 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
         who = visitor(request.scope)
         try:
             # The hash takes a tenth of a second, in which the page goes on.
-            session = await asyncio.to_thread(sessions.open, secret)
+            async with guess:
+                session = await asyncio.to_thread(sessions.open, secret, address_of(request.scope))
         except InputError as error:
             dashboard.audit.write(who.name, "login", "", f"refused: {error}")
             return HTMLResponse(_LOGIN_PAGE.format(message=error), 401)
         dashboard.audit.write(visitor({**request.scope, SESSION: session}).name, "login", "", "done")
         response = RedirectResponse("/", 303)
-        response.headers["set-cookie"] = request.app.state.guard.set_cookie(session)
+        response.headers["set-cookie"] = request.app.state.guard.set_cookie(session, request.url.scheme)
         return response
 
-    @app.post("/logout")
+    @app.post(LOGOUT)
     def logout(request: Request) -> Response:
         who = visitor(request.scope)
         dashboard.control.release(who.session)
@@ -77,31 +93,35 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
         return RedirectResponse("/", 303)
 
     @app.get("/download/{kind}/{recording:path}")
-    async def download(kind: str, recording: str) -> Response:
+    async def download(kind: str, recording: str, request: Request) -> Response:
+        who = visitor(request.scope)
         try:
             path = dashboard.recordings.find(recording).path
             if kind not in ("bag", "csv"):
                 raise InputError(f"{kind}: expected bag or csv")
-            file = await asyncio.to_thread(_packed, path, kind)
+            file = await dashboard.compute(pack, path, kind)
         except InputError as error:
+            dashboard.audit.write(who.name, "download", f"{kind} {recording}"[:200], f"refused: {error}")
             return PlainTextResponse(str(error), 404)
+        dashboard.audit.write(who.name, "download", f"{kind} {recording}", "sent")
         folder = file.parent
         return FileResponse(file, filename=file.name, background=BackgroundTask(shutil.rmtree, folder, ignore_errors=True))
 
     @app.get("/report/{number}")
-    def report(number: int) -> Response:
+    def report(number: int, request: Request) -> Response:
         job = next((job for job in dashboard.jobs.all if job.number == number), None)
         if job is None or not job.report.is_file():
             return PlainTextResponse(f"job {number} has no report", 404)
+        dashboard.audit.write(visitor(request.scope).name, "report", str(job.report), "sent")
         # Names and notes in it are of strangers; in a sandbox, no script of it reaches the page.
         return FileResponse(job.report, media_type="text/html", headers={"content-security-policy": "sandbox allow-scripts"})
 
     return app
 
 
-def guarded(app: FastAPI, sessions: Sessions, host: str, port: int) -> Guard:
-    """Return the application behind its guard."""
-    app.state.guard = Guard(app, sessions, host, port)
+def guarded(app: FastAPI, sessions: Sessions, host: str, port: int, audit: AuditLog) -> Guard:
+    """Return the application behind its guard, which logs what it refuses."""
+    app.state.guard = Guard(app, sessions, host, port, audit.write_refusal)
     return app.state.guard  # type: ignore[no-any-return]
 
 
@@ -112,17 +132,3 @@ async def _body(request: Request) -> bytes:
         if len(body) > _LONGEST_LOGIN:
             return b""
     return body
-
-
-def _packed(recording: Path, kind: str) -> Path:
-    """Return a new file, in a folder of its own, with a recording as zipped bag or with its samples as CSV."""
-    folder = Path(tempfile.mkdtemp(prefix="mrd_download_"))
-    try:
-        if kind == "bag":
-            return Path(shutil.make_archive(str(folder / recording.name), "zip", recording.parent, recording.name))
-        target = folder / f"{recording.name}.csv"
-        export_csv(recording, target)
-        return target
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise

@@ -14,6 +14,10 @@ from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.recordings import Recordings
 from mrd_dashboard.run_queue import Kind, RunQueue
+from mrd_identification.fit_file import write_fit
+from mrd_identification.identify import identify
+from mrd_identification.method import Method
+from mrd_runs import read_runs
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "config/experiments"
 
@@ -73,6 +77,16 @@ def dashboard(tmp_path: Path, commands: NotedCommands) -> Iterator[Dashboard]:
         EXPERIMENTS.parent / "control/hybrid_test.yaml",
     )
     audit.close()
+
+
+@pytest.fixture
+def stored_fit(dashboard: Dashboard, recorded: list[str]) -> Path:
+    """File of a fit among the results."""
+    quick = Method(population=8, generations=4, seeds=1, profile=False)
+    folder = dashboard.jobs.folder / "identify-1"
+    folder.mkdir(parents=True)
+    write_fit(identify(read_runs(recorded[:1]), "bingham", method=quick), folder)
+    return folder / "fit.json"
 
 
 @pytest.fixture

@@ -1,8 +1,10 @@
 """Who may open the page, and who may command the bench."""
 
 import asyncio
+import hashlib
 import io
 import json
+import math
 import subprocess
 import sys
 import zipfile
@@ -15,10 +17,12 @@ import pytest
 from mrd_base import InputError
 from mrd_dashboard.access import (
     MOST_FAILURES,
+    MOST_SESSIONS,
     PAUSE,
     SESSION_TIME,
     Credentials,
     Sessions,
+    Token,
     hash_password,
     password_matches,
     read_credentials,
@@ -29,6 +33,15 @@ from mrd_dashboard.control_right import ABSENCE, ControlRight
 from mrd_dashboard.web import guarded, make_app
 
 PASSWORD = "slow damper 7"
+PAGE = {"accept": "text/html"}
+FOREIGN = [
+    {"origin": "http://evil.example"},
+    {"origin": "http://127.0.0.1:9999"},
+    {"origin": "null"},
+    {"sec-fetch-site": "cross-site"},
+    {"host": "evil.example:8080"},  # by a name that leads to this machine
+]
+"""Headers that a browser sends for another site."""
 
 
 class Clock:
@@ -47,12 +60,13 @@ class Browser:
     """Keeps cookies, and does not follow redirections."""
 
     def __init__(self, dashboard, sessions: Sessions, host: str = "127.0.0.1") -> None:
-        self.app = guarded(make_app(dashboard, sessions), sessions, host, 8080)
+        self.app = guarded(make_app(dashboard, sessions), sessions, host, 8080, dashboard.audit)
         self.cookies = httpx.Cookies()
+        self.address = "10.0.0.1"
 
     def request(self, method: str, path: str, **options) -> httpx.Response:
         async def send() -> httpx.Response:
-            transport = httpx.ASGITransport(self.app)
+            transport = httpx.ASGITransport(self.app, client=(self.address, 1))
             async with httpx.AsyncClient(
                 transport=transport, base_url="http://127.0.0.1:8080", cookies=self.cookies
             ) as client:
@@ -68,8 +82,11 @@ class Browser:
     def post(self, path: str, **options) -> httpx.Response:
         return self.request("POST", path, **options)
 
-    def websocket(self, **headers: str) -> str:
-        """Return the type of the first answer to a websocket."""
+    def websocket(self, hears: int = 0, meanwhile=lambda: None, **headers: str) -> str:
+        """Return the type of the first answer to a websocket.
+
+        If it is let in, the application hears a number of messages, before the last of which something happens.
+        """
         cookies = "; ".join(f"{name}={value}" for name, value in self.cookies.items())
         sent = {
             "host": "127.0.0.1:8080",
@@ -78,6 +95,7 @@ class Browser:
         }
         scope = {
             "type": "websocket",
+            "client": (self.address, 1),
             "path": "/_nicegui_ws/socket.io",
             "headers": [(name.encode(), value.encode()) for name, value in sent.items()],
             "query_string": b"",
@@ -86,7 +104,7 @@ class Browser:
         answers = []
 
         async def receive():
-            return {"type": "websocket.connect"}
+            return {"type": "websocket.receive", "text": "a command"}
 
         async def send(message) -> None:
             answers.append(message["type"])
@@ -94,12 +112,16 @@ class Browser:
         reached = []
 
         async def behind(scope, receive, send) -> None:
-            reached.append(scope)
+            reached.append("reached")
+            for left in range(hears, 0, -1):
+                if left == 1:
+                    meanwhile()
+                reached.append((await receive())["type"])
 
         guard, self.app._app = self.app._app, behind
         asyncio.run(self.app(scope, receive, send))
         self.app._app = guard
-        return "reached" if reached else answers[0]
+        return reached[-1] if reached else answers[0]
 
 
 def test_a_password_is_kept_as_a_salted_hash() -> None:
@@ -151,10 +173,29 @@ def test_the_tool_writes_password_and_token(tmp_path: Path) -> None:
     token = subprocess.run([*tool, file, "--token", "2"], capture_output=True, text=True, check=True).stdout.strip()
     stored = read_credentials(file)
     assert token not in file.read_text()
-    expires = stored.tokens[0].expires
-    assert stored.accepts(PASSWORD, 0.0)
-    assert stored.accepts(token, expires - 1)
-    assert not stored.accepts(token, expires + 1)
+    assert stored.valid_until(PASSWORD) == math.inf
+    assert stored.valid_until(token) == stored.tokens[0].expires
+    assert stored.valid_until(token + "x") == -math.inf
+
+
+def test_a_session_ends_with_the_token_that_opened_it() -> None:
+    clock = Clock()
+    sessions = Sessions(Credentials(tokens=(Token(hashlib.sha256(b"key").hexdigest(), clock.now + 60.0),)), clock)
+    session = sessions.open("key")
+    clock.now += 59.0
+    assert sessions.is_open(session)
+    clock.now += 2.0
+    assert not sessions.is_open(session)
+    with pytest.raises(InputError, match="has expired"):
+        sessions.open("key")
+
+
+def test_sessions_are_bounded() -> None:
+    sessions = Sessions(None)
+    first = sessions.open()
+    opened = [sessions.open() for _ in range(MOST_SESSIONS)]
+    assert not sessions.is_open(first)
+    assert all(map(sessions.is_open, opened))
 
 
 def test_a_session_ends(credentials: Credentials) -> None:
@@ -167,16 +208,17 @@ def test_a_session_ends(credentials: Credentials) -> None:
     assert not sessions.is_open(session)
 
 
-def test_guessing_is_slowed_down(credentials: Credentials) -> None:
+def test_guessing_is_slowed_down_for_who_guesses(credentials: Credentials) -> None:
     clock = Clock()
     sessions = Sessions(credentials, clock)
     for _ in range(MOST_FAILURES):
         with pytest.raises(InputError, match="wrong"):
-            sessions.open("wrong password")
+            sessions.open("wrong password", "10.0.0.66")
     with pytest.raises(InputError, match="too many"):
-        sessions.open(PASSWORD)
+        sessions.open(PASSWORD, "10.0.0.66")
+    assert sessions.open(PASSWORD, "10.0.0.1")
     clock.now += PAUSE + 1
-    assert sessions.open(PASSWORD)
+    assert sessions.open(PASSWORD, "10.0.0.66")
 
 
 # The guard
@@ -199,6 +241,7 @@ def test_nobody_enters_without_logging_in(dashboard, credentials: Credentials) -
     assert client.get("/live.json").status_code == 401
     log = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
     assert [(entry["action"], entry["result"].partition(":")[0]) for entry in log] == [
+        ("request", "refused"),
         ("login", "refused"),
         ("login", "done"),
         ("logout", "done"),
@@ -206,25 +249,69 @@ def test_nobody_enters_without_logging_in(dashboard, credentials: Credentials) -
     assert PASSWORD not in dashboard.audit.path.read_text()
 
 
-def test_on_this_machine_everybody_gets_a_session(dashboard) -> None:
+def test_on_this_machine_every_browser_gets_a_session(dashboard) -> None:
     client = Browser(dashboard, Sessions(None))
     assert client.get("/live.json").status_code == 200
+    assert not client.cookies, "a program that only reads has no session, and must not use them up"
+    assert client.websocket() == "websocket.close"
+    assert client.get("/session").status_code == 401
+    client.get("/", headers=PAGE)
     assert client.cookies
+    assert client.websocket() == "reached"
+    assert client.get("/session").status_code == 204
 
 
-@pytest.mark.parametrize(
-    "headers",
-    [
-        {"origin": "http://evil.example"},
-        {"origin": "http://127.0.0.1:9999"},
-        {"origin": "null"},
-        {"sec-fetch-site": "cross-site"},
-        {"host": "evil.example:8080"},
-    ],
-)
+def test_an_open_page_cannot_command_after_logout(dashboard, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    client.post("/login", data={"secret": PASSWORD})
+    assert client.websocket(hears=2) == "websocket.receive"
+    assert client.websocket(hears=2, meanwhile=lambda: client.app._sessions.close(session_of(client))) == (
+        "websocket.disconnect"
+    )
+
+
+def session_of(client: Browser) -> str:
+    return dict(client.cookies.items())[client.app.cookie]
+
+
+def test_stop_is_asked_for_by_a_plain_request(dashboard, commands, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    assert client.post("/stop").status_code == 401
+    client.post("/login", data={"secret": PASSWORD})
+    assert client.get("/stop").status_code == 405
+    for headers in FOREIGN[:-1]:
+        assert client.post("/stop", headers=headers).status_code == 403
+    assert commands.asked == []
+    assert client.post("/stop", headers={"origin": "http://127.0.0.1:8080", "sec-fetch-site": "same-origin"}).is_success
+    assert commands.asked == ["emergency stop"]
+
+
+def test_behind_a_proxy_the_page_has_the_name_of_the_proxy(dashboard, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    name = {"host": "bench.example", "origin": "https://bench.example"}
+    assert client.post("/login", data={"secret": PASSWORD}, headers=name).status_code == 303
+    assert client.post("/login", data={"secret": PASSWORD}, headers={**name, "origin": "https://x"}).status_code == 403
+
+
+def test_refused_requests_are_logged_but_do_not_fill_the_disk(dashboard, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    for number in range(20):
+        client.get("/live.json")
+        client.get("/live.json", headers={"origin": f"http://{number}.example"})
+    client.address = "10.0.0.2"
+    client.get("/live.json")
+    log = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert [(entry["who"], entry["detail"], entry["result"][:30]) for entry in log] == [
+        ("10.0.0.1", "/live.json", "refused: not logged in"),
+        ("10.0.0.1", "/live.json", "refused: the request comes fro"),
+        ("10.0.0.2", "/live.json", "refused: not logged in"),
+    ]
+
+
+@pytest.mark.parametrize("headers", FOREIGN)
 def test_requests_of_other_sites_are_refused(dashboard, headers) -> None:
     client = Browser(dashboard, Sessions(None))
-    assert client.get("/live.json").status_code == 200
+    client.get("/", headers=PAGE)
     assert client.post("/logout", headers=headers).status_code == 403
     assert client.get("/live.json", headers=headers).status_code == 403
     assert client.websocket(**{name.replace("-", "_"): value for name, value in headers.items()}) == "websocket.close"
@@ -256,6 +343,8 @@ def test_a_recording_is_downloaded(dashboard, new_bag) -> None:
     assert answer.status_code == 200
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
         assert "sine-1/metadata.yaml" in archive.namelist()
+    (entry,) = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert (entry["action"], entry["detail"], entry["result"]) == ("download", "bag sine-1", "sent")
 
 
 # Control

@@ -1,15 +1,23 @@
 """Fits and diagnoses in a process of their own."""
 
 import json
+import os
+import signal
+import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
 from mrd_dashboard.jobs import Job, JobRequest, Jobs
 from mrd_identification.fit_file import read_fit
+from mrd_runs import Run
+from mrd_sim.models import find_model
+from mrd_sim.path import make_path
+from mrd_sim.simulate import write_csv
 
 QUICK = {"population": 8, "generations": 4, "seeds": 1, "profile": False}
 
@@ -33,6 +41,11 @@ def test_a_fit_shows_its_progress_and_writes_what_the_tool_writes(tmp_path: Path
     assert job.state == "done", job.message
     assert [share for share, _ in job.history] == sorted(share for share, _ in job.history)
     assert len(job.history) >= 2
+    # The Pareto front of the last generation: what is better in one norm is worse in the other.
+    e2, einf = np.array(job.front).T
+    assert np.all(np.diff(e2) >= 0)
+    assert np.all(np.diff(einf) <= 0)
+    assert e2[0] > 0
     assert job.report.is_file()
     assert read_fit(job.folder / "fit.json").model == "bingham"
 
@@ -55,6 +68,17 @@ def test_an_unusable_recording_fails_the_job_in_one_line(tmp_path: Path) -> None
     assert "\n" not in job.message
 
 
+def test_the_end_of_a_job_is_logged(dashboard, tmp_path: Path) -> None:
+    dashboard.jobs.start(JobRequest("diagnose", (str(tmp_path / "missing.csv"),), "bingham"))
+    deadline = time.monotonic() + 100.0
+    while dashboard.jobs.running is not None:
+        dashboard.hear_jobs()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    (entry,) = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert (entry["who"], entry["action"], entry["result"].partition(":")[0]) == ("page", "diagnose", "failed")
+
+
 def test_a_job_is_cancelled_at_once(tmp_path: Path, recorded: list[str]) -> None:
     jobs = Jobs(tmp_path / "results")
     jobs.start(JobRequest("diagnose", tuple(recorded), "bouc_wen"))
@@ -63,6 +87,51 @@ def test_a_job_is_cancelled_at_once(tmp_path: Path, recorded: list[str]) -> None
     assert time.monotonic() - begun < 10.0
     assert jobs.all[-1].state == "cancelled"
     assert jobs.running is None
+
+
+def test_a_job_is_cancelled_without_waiting_for_a_process_that_cannot_be_terminated(
+    tmp_path: Path, recorded: list[str]
+) -> None:
+    jobs = Jobs(tmp_path / "results")
+    jobs.start(JobRequest("diagnose", tuple(recorded), "bouc_wen"))
+    process = jobs._process
+    assert process is not None
+    assert process.pid is not None
+    # It does not react to SIGTERM any more; nor does one that inherits from a node that SIGTERM is blocked.
+    os.kill(process.pid, signal.SIGSTOP)
+    canceller = threading.Thread(target=jobs.cancel, daemon=True)
+    canceller.start()
+    canceller.join(20.0)
+    waits = canceller.is_alive()
+    process.join(20.0)
+    dead = process.exitcode is not None
+    process.kill()
+    assert not waits, "the page would stand still meanwhile"
+    assert dead
+
+
+def test_a_trend_over_dates_predicts_when_the_limit_is_reached(tmp_path: Path) -> None:
+    model, time = find_model("bingham"), np.arange(1500) / 250
+    random = np.random.default_rng(1)
+    paths = []
+    for number in range(4):
+        position = 9e-3 * np.sin(3.1 * time + number) + 3e-3 * np.sin(11.0 * time)
+        velocity = 9e-3 * 3.1 * np.cos(3.1 * time + number) + 3e-3 * 11.0 * np.cos(11.0 * time)
+        current = np.repeat(random.choice([0.0, 0.1, 0.2, 0.3], 30), 50)
+        theta = model.vector({"yield_force": 20.0 + 4.0 * number, "coil_lag": 0.0})
+        path = make_path(time, position, velocity, np.gradient(velocity, time), current)
+        force = model.force(theta, path) + random.standard_normal(len(time))
+        paths.append(str(tmp_path / f"{number}.csv"))
+        write_csv(Run(str(number), time, position, velocity, current, force), paths[-1])
+    jobs = Jobs(tmp_path / "results")
+    jobs.start(JobRequest("trend", tuple(paths), "bingham", follow="yield_force", limit=60.0))
+    job = finish(jobs)
+    assert job.state == "done", job.message
+    assert "yield_force grows" in job.message
+    assert "It reaches 60" in job.message
+    assert "yield_force" in job.report.read_text()
+    (again,) = Jobs(tmp_path / "results").all
+    assert again.request.kind == "trend"
 
 
 def test_a_job_whose_process_dies_has_failed(tmp_path: Path, recorded: list[str]) -> None:

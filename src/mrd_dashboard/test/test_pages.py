@@ -1,7 +1,12 @@
 """The pages, clicked through without a browser."""
 
 import asyncio
+import json
+import shutil
+import subprocess
+import sys
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +15,12 @@ from nicegui.testing import User, user_simulation
 
 from mrd_base.lease import Mode
 from mrd_bench_driver.servo.status import ServoStatus
+from mrd_dashboard.bench_view import NODE_SILENT_AFTER, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.jobs import Job, JobRequest
+from mrd_dashboard.pages.analysis import MOST_OFFERED, offered, request_of
 from mrd_dashboard.pages.shell import page
-from mrd_dashboard.recordings import Notes
+from mrd_dashboard.recordings import Notes, Recording
 
 ANN = Visitor("a", "Ann")
 
@@ -39,15 +47,8 @@ def hear(dashboard: Dashboard, mode: Mode = Mode.IDLE, reason: str = "started", 
     bench.monitor.add_samples(4.98, 1e-3, block, block + force, block)
     bench.monitor.add_servo_status(ServoStatus(5.0, 0.0, connected=True, homed=True, bus_voltage=37.0, temperature=25.0))
     bench.hear_lease(5.0)
-
-
-def test_the_stop_button_stops_without_control(visit, commands) -> None:
-    async def work(user: User) -> None:
-        user.find(marker="stop").click()
-        await user.should_see("stop requested")
-        assert commands.asked == ["emergency stop"]
-
-    visit(work)
+    bench.hear("servo")
+    bench.hear("DAQ")
 
 
 def test_commands_need_control(visit, commands, dashboard) -> None:
@@ -153,6 +154,183 @@ def test_a_recording_is_deleted_after_a_question(visit, dashboard, new_bag) -> N
 
     visit(work)
     assert not path.exists()
+
+
+def silence(dashboard: Dashboard, name: str, duration: float) -> None:
+    """Let something have been silent for some seconds."""
+    dashboard.bench._heard[name] -= duration
+
+
+def test_a_node_that_has_died_does_not_stay_green(visit, dashboard) -> None:
+    hear(dashboard)
+    bench = dashboard.bench
+    bench.hear_node("recorder", NodeHealth(0, "ok", {"space": "12 GB free"}))
+    bench.hear_node("controller", NodeHealth(0, "ok"))
+    assert bench.nodes()["recorder"].level == 0
+    assert bench.lives("controller")
+
+    async def work(user: User) -> None:
+        await user.should_see(marker="node recorder", retries=30)
+        user.find(marker="node recorder").click()
+        await user.should_see("space: 12 GB free", retries=30)
+        user.find("Control").click()
+        await user.should_not_see("No controller is up", retries=30)
+        user.find("Live").click()
+        for name in ("node recorder", "node controller"):
+            silence(dashboard, name, NODE_SILENT_AFTER + 1.0)
+        await user.should_see("look whether it is up", retries=30)
+        user.find("Control").click()
+        await user.should_see("No controller is up", retries=30)
+
+    visit(work)
+    assert bench.nodes()["recorder"].level == 2
+
+
+def test_what_servo_and_daq_said_last_is_not_shown_as_news(visit, dashboard) -> None:
+    hear(dashboard)
+
+    async def work(user: User) -> None:
+        await user.should_see("supply 37.0 V")
+        for name in ("servo", "DAQ"):
+            silence(dashboard, name, SILENT_AFTER + 2.0)
+        await user.should_see("servo, SILENT for", retries=30)
+        await user.should_see("DAQ, SILENT for", retries=30)
+
+    visit(work)
+
+
+def test_a_prediction_is_drawn_by_who_holds_control(visit, dashboard, stored_fit) -> None:
+    async def work(user: User) -> None:
+        select = next(iter(user.find(marker="prediction").elements))
+        for _ in range(100):
+            if str(stored_fit) in select.options:
+                break
+            await asyncio.sleep(0.1)
+        select.value = str(stored_fit)
+        await user.should_see("press Take control first")
+        assert dashboard.prediction is None
+        user.find("Take control").click()
+        await user.should_see("you hold control")
+        select.value = str(stored_fit)
+        await user.should_see("all who look see", retries=300)
+
+    visit(work)
+    assert dashboard.prediction is not None
+    assert dashboard.prediction.model.id == "bingham"
+    log = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert [entry["action"] for entry in log] == ["predicted by", "take control", "predicted by"]
+
+
+def test_the_theme_changes_at_the_first_click_and_is_kept(visit) -> None:
+    async def work(user: User) -> None:
+        (dark,) = (element for element in user.client.elements.values() if isinstance(element, ui.dark_mode))
+        assert dark.value is None
+        (button,) = user.find(marker="theme").elements
+        button._handle_event({"listener_id": next(iter(button._event_listeners)), "args": True})
+        assert dark.value is False
+
+    visit(work)
+
+
+def test_ten_thousand_recordings_are_offered_by_search() -> None:
+    recordings = [Recording(f"run-{number}", Path(f"run-{number}"), 0.0) for number in range(10_000)]
+    assert len(offered(recordings, "", [])) == MOST_OFFERED
+    assert offered(recordings, "RUN-9999", []) == ["run-9999"]
+    assert offered(recordings, "run-9999", ["run-5", "run-9999"]) == ["run-9999", "run-5"]
+    assert offered(recordings, "none", ["run-5"]) == ["run-5"]
+
+
+def test_fields_of_recordings_offer_few_and_keep_what_is_chosen(visit, dashboard, new_bag) -> None:
+    for number in range(MOST_OFFERED + 20):
+        new_bag(dashboard.recordings.folder / f"run-{number}")
+
+    async def work(user: User) -> None:
+        user.find("Identify and diagnose").click()
+        (field,) = user.find(marker="runs").elements
+        for _ in range(100):
+            if field.options:
+                break
+            await asyncio.sleep(0.1)
+        assert len(field.options) == MOST_OFFERED
+        missing = next(f"run-{n}" for n in range(MOST_OFFERED + 20) if f"run-{n}" not in field.options)
+        # The browser names what was clicked although something else is offered by now.
+        kept = field.options[3]
+        field.value = field._event_args_to_value(Arguments([{"value": 0, "label": kept}]))
+        field.text = missing
+        field.offer(dashboard.recordings.search())
+        assert set(field.options) == {missing, kept}
+        assert field.value == [kept]
+
+    visit(work)
+
+
+class Arguments:
+    """Arguments of an event."""
+
+    def __init__(self, args: object) -> None:
+        self.args = args
+
+
+def test_only_a_diagnosis_chooses_the_model_itself(visit, dashboard) -> None:
+    dashboard.control.take("a", "Ann")
+    form = {"runs": [], "held_out": [], "reference": [], "model": "auto", "seed": 0, "follow": None, "limit": None}
+    assert request_of(dashboard, "diagnose", form).model == "auto"
+
+    async def work(user: User) -> None:
+        user.find("Identify and diagnose").click()
+        (model,) = user.find(marker="model").elements
+        model.value = "auto"
+        user.find(marker="identify").click()
+        await user.should_see("only a diagnosis can choose")
+        model.value = "bingham"
+        user.find(marker="trend").click()
+        await user.should_see("no parameter is chosen")
+
+    visit(work)
+    assert dashboard.jobs.all == []
+
+
+def test_the_advised_command_is_shown_and_the_advised_experiment_recorded(visit, dashboard) -> None:
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.paused = True
+    folder = dashboard.jobs.folder / "diagnose-1"
+    folder.mkdir(parents=True)
+    shutil.copy(dashboard.experiments / "paper.yaml", folder / "next_experiment.yaml")
+    request = JobRequest("diagnose", ("a.csv",), "bingham")
+    dashboard.jobs.all.append(Job(1, request, folder, "done", message="It is unclear.", command="mrd diagnose a.csv"))
+
+    async def work(user: User) -> None:
+        user.find("Identify and diagnose").click()
+        await user.should_see("mrd diagnose a.csv", retries=30)
+        user.find("Record the advised experiment").click()
+        await user.should_see("waits in the queue", retries=100)
+
+    visit(work)
+    (run,) = dashboard.queue.runs
+    assert (run.kind, run.state) == ("identification", "waiting")
+    assert run.experiment.startswith("name: ")
+
+
+def test_two_recordings_are_compared(visit, dashboard, recorded) -> None:
+    command = [sys.executable, "-m", "mrd_runs.cli.import_", *recorded[:2], "--output", dashboard.recordings.folder]
+    subprocess.run(command, check=True, capture_output=True)
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        await user.should_see(marker="choose a", retries=30)
+        user.find("Compare two").click()
+        await user.should_see("0 recordings are chosen, expected two")
+        user.find(marker="choose a").click()
+        user.find(marker="choose b").click()
+        user.find("Compare two").click()
+        await user.should_see(marker="comparison", retries=100)
+        (plot,) = user.find(marker="comparison").elements
+        tables = [table["source"] for table in plot.options["dataset"]]
+        assert [curve["datasetIndex"] for curve in plot.options["series"]] == [0, 0, 0, 1, 1, 1]
+        assert all(np.ptp(table["force_N"]) > 10 for table in tables)
+        assert tables[0]["force_N"] != tables[1]["force_N"]
+
+    visit(work)
 
 
 def test_a_job_without_recordings_is_refused(visit, dashboard) -> None:

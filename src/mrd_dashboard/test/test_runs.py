@@ -4,17 +4,21 @@ import asyncio
 import json
 import os
 import time
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mrd_base import InputError
 from mrd_dashboard.dashboard import Visitor, run_next
-from mrd_dashboard.experiment_form import form_of, form_text, preview, read_experiments, waveform_fields
+from mrd_dashboard.experiment_form import find_experiments, form_of, form_text, preview, waveform_fields
 from mrd_dashboard.look import Look, cached_look, keep_look, look_at
-from mrd_dashboard.recordings import Notes, make_notes, notes_form
+from mrd_dashboard.recordings import Notes, Recordings, make_notes, notes_form
 from mrd_dashboard.run_queue import RunQueue
-from mrd_trajectory.experiment import parse_experiment
+from mrd_dashboard.workers import Workers
+from mrd_runs.bag import BagWriter
+from mrd_trajectory.experiment import parse_experiment, read_experiment
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.waveforms import CHANNEL_UNITS, WAVEFORMS
 
@@ -96,6 +100,43 @@ def test_ten_thousand_recordings_are_listed_within_seconds(dashboard) -> None:
     assert time.process_time() - begun < 10.0
 
 
+def test_many_pages_share_one_scan(dashboard, new_bag, monkeypatch) -> None:
+    new_bag(dashboard.recordings.folder / "first")
+    scans = []
+    scan = Recordings._scan
+    monkeypatch.setattr(Recordings, "_scan", lambda *arguments: scans.append(arguments) or scan(*arguments))
+    for search in ("", "fir", "", "sec"):
+        dashboard.recordings.search(search)
+    assert len(scans) == 1
+    new_bag(dashboard.recordings.folder / "second")
+    dashboard.recordings.write_notes("first", Notes(text="x"))
+    assert len(dashboard.recordings.search()) == 2, "what the page itself changes is seen at once"
+
+
+def test_what_a_killed_recorder_leaves_is_listed_and_recovered(dashboard) -> None:
+    path = dashboard.recordings.folder / "set/killed"
+    path.parent.mkdir()
+    writer = BagWriter(path)
+    writer.add_topic("samples", "mrd_interfaces/msg/BenchSamples")
+    block = writer.types.types["mrd_interfaces/msg/BenchSamples"]
+    stamp = writer.types.types["builtin_interfaces/msg/Time"](0, 0)
+    header, empty = writer.types.types["std_msgs/msg/Header"](stamp, ""), np.zeros(4)
+    writer.write_message("samples", 0, block(header, 1e-3, 0, empty, empty, empty, empty))
+    writer.flush()
+    (found,) = dashboard.recordings.search()
+    assert (found.id, found.closed) == ("set/killed", False)
+    dashboard.queue.start(dashboard.queue.add("sine", SINE, 5.0).number, path)
+    with pytest.raises(InputError, match="is being recorded"):
+        dashboard.recover("set/killed")
+    dashboard.queue.end(1, "failed", "", "")
+    assert "recovered 1 messages" in dashboard.recover("set/killed")
+    assert {(found.id, found.closed) for found in dashboard.recordings.search()} == {
+        ("set/killed", False),
+        ("set/killed_recovered", True),
+    }
+    writer.close()
+
+
 def test_a_recording_is_deleted_with_what_is_known_of_it(dashboard, new_bag) -> None:
     path = new_bag(dashboard.recordings.folder / "set/a")
     asyncio.run(dashboard.look(dashboard.recordings.find("set/a")))
@@ -155,9 +196,9 @@ def test_every_waveform_has_a_form(channel: str, waveform: str) -> None:
 
 
 def test_every_shipped_experiment_passes_through_the_form(dashboard) -> None:
-    experiments = read_experiments(dashboard.experiments)
+    experiments = find_experiments(dashboard.experiments)
     assert len(experiments) > 10
-    for experiment in experiments.values():
+    for experiment in map(read_experiment, experiments.values()):
         assert parse_experiment(form_text(form_of(experiment)), "form") == experiment
 
 
@@ -185,14 +226,98 @@ def test_runs_are_recorded_in_their_order(dashboard, commands) -> None:
     for name in ("first", "second"):
         dashboard.queue.add(name, SINE.replace("sine\n", f"{name}\n"), 5.0)
     assert dashboard.queue.time_left > 10.0
-    assert asyncio.run(run_next(dashboard))
-    assert asyncio.run(run_next(dashboard))
-    assert not asyncio.run(run_next(dashboard))
+    asyncio.run(_work_off(dashboard))
     assert [bag.partition("-")[0] for _, bag, _ in commands.asked] == ["first", "second"]
     assert [run.state for run in dashboard.queue.runs] == ["done", "done"]
     assert dashboard.queue.time_left == 0.0
-    # The data check came at once.
+    # The data check came by itself.
     assert len(dashboard.looks) == 2
+
+
+async def _work_off(dashboard) -> None:
+    while await run_next(dashboard):
+        pass
+    await asyncio.gather(*dashboard.tasks)
+
+
+@pytest.mark.parametrize("error", [BrokenProcessPool("a worker died"), RuntimeError("no context"), OSError(28, "No space")])
+def test_an_error_of_any_kind_ends_the_run_and_not_the_queue(dashboard, commands, error: Exception) -> None:
+    async def fail(*_):
+        raise error
+
+    run, commands.run = commands.run, fail
+    dashboard.queue.add("sine", SINE, 5.0)
+    asyncio.run(_work_off(dashboard))
+    (ended,) = dashboard.queue.runs
+    assert ended.state == "failed"
+    assert str(error) in ended.message
+    commands.run = run
+    dashboard.queue.retry(1)
+    asyncio.run(_work_off(dashboard))
+    assert [run.state for run in dashboard.queue.runs] == ["failed", "done"]
+
+
+def test_a_run_whose_name_is_no_folder_fails(dashboard) -> None:
+    dashboard.queue.add("../sine", SINE, 5.0)
+    asyncio.run(_work_off(dashboard))
+    assert dashboard.queue.runs[0].state == "failed"
+    assert "letters" in dashboard.queue.runs[0].message
+
+
+def test_a_queue_that_cannot_be_kept_still_works_and_says_so(dashboard) -> None:
+    dashboard.queue.file = dashboard.recordings.folder / "missing" / "queue.json"
+    dashboard.queue.add("sine", SINE, 5.0)
+    asyncio.run(_work_off(dashboard))
+    assert dashboard.queue.runs[0].state == "done"
+    assert "queue will be lost" in dashboard.problem
+    dashboard.queue.file.parent.mkdir()
+    dashboard.queue.add("sine", SINE, 5.0)
+    assert dashboard.problem == ""
+
+
+def test_the_next_run_does_not_wait_for_the_data_check(dashboard) -> None:
+    async def work() -> None:
+        waiting = asyncio.Event()
+
+        async def slow(*_) -> None:
+            await waiting.wait()
+
+        dashboard.look = slow
+        for _ in range(2):
+            dashboard.queue.add("sine", SINE, 5.0)
+        async with asyncio.timeout(20):
+            assert await run_next(dashboard)
+            assert await run_next(dashboard)
+        waiting.set()
+        await asyncio.gather(*dashboard.tasks)
+
+    asyncio.run(work())
+    assert [run.state for run in dashboard.queue.runs] == ["done", "done"]
+
+
+def test_news_of_a_run_that_has_ended_change_nothing(tmp_path: Path) -> None:
+    queue = RunQueue()
+    run = queue.add("sine", SINE, 5.0)
+    queue.start(run.number, tmp_path)
+    queue.progress(run.number, "running", 1.0)
+    queue.end(run.number, "done", "12 samples", "")
+    queue.progress(run.number, "running", 2.0)
+    assert (queue.runs[0].state, queue.runs[0].phase, queue.runs[0].elapsed) == ("done", "", 1.0)
+
+
+def test_workers_are_started_again_when_one_has_died() -> None:
+    async def work() -> None:
+        workers = Workers()
+        try:
+            with pytest.raises(InputError, match="has died"):
+                await workers.run(os._exit, 1)
+            assert await workers.run(abs, -3) == 3
+            with pytest.raises(ValueError, match="invalid literal"):
+                await workers.run(int, "x")
+        finally:
+            workers.close()
+
+    asyncio.run(work())
 
 
 def test_after_a_refusal_the_other_runs_wait(dashboard, commands) -> None:

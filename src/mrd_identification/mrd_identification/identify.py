@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,6 +27,8 @@ from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
+Watch = Callable[[Array], None]
+"""Called with e2 and einf (candidates, 2) in N of the Pareto front after every generation of a search, before `Progress`."""
 Progress = Callable[[int, float], None]
 """Called with the number of finished generations, over all searches, and the smallest NRMSE so far. A selection of effects
 counts as `SELECTION_SEARCHES` searches."""
@@ -68,6 +71,7 @@ def identify(
     method: Method | None = None,
     scheduler: str | None = None,
     progress: Progress = lambda _generation, _nrmse: None,
+    watch: Watch = lambda _norms: None,
     **options: Any,
 ) -> Fit:
     """Identify the parameters of a damper model from all runs jointly.
@@ -87,6 +91,8 @@ def identify(
     progress : callable, optional
         Called after every generation with its number, counted over all seeds, and the smallest NRMSE so far; repeatedly
         with the last number while the rest is computed. An exception that it raises ends the work.
+    watch : callable, optional
+        Called before ``progress`` with the Pareto front so far, e2 and einf (candidates, 2) in N; not on a cluster.
     **options
         Fields of `Method` that differ from ``method``, e.g. ``seed=1, laws="quadratic"``.
 
@@ -101,7 +107,7 @@ def identify(
         For an unknown model, law, effect, parameter, loss or weights, no runs, or runs whose rod or force does not move.
     """
     task = IdentificationTask(tuple(runs), model, tuple(held_out), replace(method or Method(), **options))
-    return identify_all([task], scheduler=scheduler, progress=progress)[0]
+    return identify_all([task], scheduler=scheduler, progress=progress, watch=watch)[0]
 
 
 def identify_all(
@@ -109,6 +115,7 @@ def identify_all(
     *,
     scheduler: str | None = None,
     progress: Progress = lambda _generation, _nrmse: None,
+    watch: Watch = lambda _norms: None,
 ) -> list[Fit]:
     """Identify several models, or one model from several sets of runs; see `identify`.
 
@@ -140,7 +147,8 @@ def identify_all(
             for i in indices
             for seed in methods[i].search_seeds
         ]
-        found = iter(work(search_and_fit_from, pieces, [piece[2].generations for piece in pieces]))
+        one_search = search_and_fit_from if scheduler else partial(search_and_fit_from, watch=watch)
+        found = iter(work(one_search, pieces, [piece[2].generations for piece in pieces]))
         for i in indices:
             solutions[i] = [next(found) for _ in methods[i].search_seeds]
 
@@ -200,13 +208,15 @@ def search_and_fit_from(
     seed: int,
     known: Mapping[str, float] | None,
     progress: Progress = lambda _generation, _nrmse: None,
+    watch: Watch = lambda _norms: None,
 ) -> Solution:
     """Search as `search_and_fit`, with the parameters ``known`` by name in the first population."""
     began = time.monotonic()
     problem, _ = _pose(_prepare(runs, method), model, method)
     nrmse_per_e2 = np.sqrt(len(problem.force)) / np.std(problem.force)
     theta = np.array([known[name] for name in problem.model.names]) if known else None
-    front = search(problem, method.population, method.generations, seed, lambda g, e2: progress(g, e2 * nrmse_per_e2), theta)
+    population, generations = method.population, method.generations
+    front = search(problem, population, generations, seed, lambda g, e2: progress(g, e2 * nrmse_per_e2), theta, watch)
     theta = front.thetas[front.knee]
     if method.least_squares:
         theta = fit_from_front(with_loss_scale(problem, front), front)

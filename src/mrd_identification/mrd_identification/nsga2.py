@@ -44,6 +44,7 @@ def search(
     seed: int,
     progress: Callable[[int, float], None] = lambda _generation, _e2: None,
     known: Array | None = None,
+    watch: Callable[[Array], None] = lambda _norms: None,
 ) -> Front:
     """Search the nonlinear parameters by NSGA-II (Deb et al., 2002); the linear ones follow by variable projection.
 
@@ -55,6 +56,9 @@ def search(
         Called with the generation and the smallest e2 in N.
     known : ndarray (parameters,), optional
         Parameters that are known to fit well, and belong to the first population.
+    watch : callable, optional
+        Called before ``progress`` with e2 and einf (candidates, 2) in N of the candidates that no other one beats, by
+        rising e2.
     """
     searched = np.flatnonzero(~problem.linear)
     start = problem.unit(problem.base)
@@ -78,12 +82,18 @@ def search(
     first[0] = start[searched]
     if known is not None:
         first[1] = problem.unit(known)[searched]
+
+    def after_generation(algorithm: NSGA2) -> None:
+        norms = algorithm.opt.get("F")
+        watch(norms[np.argsort(norms[:, 0], kind="stable")])
+        progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min()))
+
     result = minimize(
         Objectives(),
         NSGA2(pop_size=population, sampling=first),
         ("n_gen", generations),
         seed=seed,
-        callback=lambda algorithm: progress(algorithm.n_gen, float(algorithm.pop.get("F")[:, 0].min())),
+        callback=after_generation,
         verbose=False,
     )
     thetas, norms = problem.project(candidates(result.opt.get("X")))

@@ -2,7 +2,6 @@
 
 import asyncio
 import concurrent.futures
-import multiprocessing
 import os
 from dataclasses import dataclass
 from functools import partial
@@ -46,13 +45,14 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_dashboard.access import read_credentials
 from mrd_dashboard.audit import AuditLog
-from mrd_dashboard.bench_view import BenchView, NodeHealth
+from mrd_dashboard.bench_view import DAQ, SERVO, BenchView, NodeHealth
 from mrd_dashboard.control_right import ControlRight
 from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.recordings import Recordings
 from mrd_dashboard.run_queue import Kind, RunQueue
 from mrd_dashboard.server import PageServer
+from mrd_dashboard.workers import Workers
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchSamples, BenchState, ControlCycle, Lease, ServoState
 from mrd_trajectory.settings import read_settings
@@ -61,6 +61,8 @@ from mrd_trajectory.settings import read_settings
 _ANSWER_TIMEOUT, _HOME_TIMEOUT = 30.0, 180.0
 # Wall time in s for the reason of a rejection, which comes on a topic of its own.
 _REASON_TIMEOUT = 2.0
+# Wall time in s without a supervisor in the graph after which a run is given up, and between two looks at the graph.
+_GONE_AFTER, _LOOK_PERIOD = 10.0, 1.0
 _STATUS_FIELDS = ("position", "velocity", "following_error", "bus_voltage", "temperature", "status", "connected", "enabled")
 _STATUS_FLAGS = ("homed", "moving", "fault", "stopped", "message")
 # The page must never make a publisher of the bench wait: what it misses, it does not draw.
@@ -129,14 +131,30 @@ class RosCommands:
             raise InputError("the bench does not answer; look whether its supervisor is up, then try again")
         self._refusals.clear()
         goal = RunExperiment.Goal(experiment=experiment, bag=str(bag), seed=seed)
-        accepted = client.send_goal_async(
-            goal, feedback_callback=lambda message: progress(message.feedback.phase, message.feedback.elapsed)
-        )
-        handle = await _answer(accepted, _ANSWER_TIMEOUT, "the run")
+        loop = asyncio.get_running_loop()
+
+        def hear(message: Any) -> None:
+            # It comes in the thread of the executor; the queue belongs to this one.
+            loop.call_soon_threadsafe(progress, message.feedback.phase, message.feedback.elapsed)
+
+        handle = await _answer(client.send_goal_async(goal, feedback_callback=hear), _ANSWER_TIMEOUT, "the run")
         if not handle.accepted:
             raise InputError(await self._reason(name))
-        result = (await _answer(handle.get_result_async(), None, "the run")).result
+        result = (await self._while_there(client, handle.get_result_async())).result
         return RunOutcome(result.success, result.message, result.bag)
+
+    @staticmethod
+    async def _while_there(client: Any, future: Any) -> Any:
+        """Wait for the result of a run as long as there is a supervisor that could send it."""
+        result = asyncio.ensure_future(_answer(future, None, "the run"))
+        missing = 0.0
+        while missing < _GONE_AFTER:
+            done, _ = await asyncio.wait({result}, timeout=_LOOK_PERIOD)
+            if done:
+                return result.result()
+            missing = 0.0 if client.server_is_ready() else missing + _LOOK_PERIOD
+        result.cancel()
+        raise InputError("the supervisor has gone in the run; look at its log, start the bench again, and try again")
 
     async def _reason(self, action: str) -> str:
         prefix = f"{action}: "
@@ -169,7 +187,7 @@ class Page(BenchNode[PageConfig]):
         self._view = BenchView(_supervisor_config(bench_file), read_settings(bench_file or None))
         recordings = Recordings(Path(config.runs))
         folder = recordings.folder
-        self._workers = concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        self._workers = Workers()
         self._audit = AuditLog(folder / "audit.jsonl")
         dashboard = Dashboard(
             bench=self._view,
@@ -209,6 +227,7 @@ class Page(BenchNode[PageConfig]):
     def _on_samples(self, block: BenchSamples) -> None:
         time, period = seconds(block.header.stamp), block.sample_period
         series = np.asarray(block.position), np.asarray(block.force), np.asarray(block.coil_current)
+        self._view.hear(DAQ)
         self._view.monitor.add_samples(time, period, *series)
         self._view.samples.add(block.sequence, time, period, *series)
 
@@ -218,6 +237,7 @@ class Page(BenchNode[PageConfig]):
 
     def _on_servo_state(self, state: ServoState) -> None:
         fields = {name: getattr(state, name) for name in (*_STATUS_FIELDS, *_STATUS_FLAGS)}
+        self._view.hear(SERVO)
         self._view.monitor.add_servo_status(ServoStatus(seconds(state.header.stamp), **fields))
 
     def _on_bench_state(self, state: BenchState) -> None:
@@ -241,12 +261,12 @@ class Page(BenchNode[PageConfig]):
             if name.startswith(prefix):
                 values = {value.key: value.value for value in status.values}
                 level = int.from_bytes(status.level, "little")
-                self._view.nodes[name.removeprefix(prefix)] = NodeHealth(level, status.message, values, self.bench.now())
+                self._view.hear_node(name.removeprefix(prefix), NodeHealth(level, status.message, values))
 
     def close(self) -> None:
         """End the web server. The bench goes on."""
         self._server.close()
-        self._workers.shutdown(wait=False, cancel_futures=True)
+        self._workers.close()
         self._audit.close()
 
 

@@ -1,92 +1,173 @@
-"""The page for fits and diagnoses: choose runs and model, watch the error fall, read the report, and act on it."""
+"""The page for fits, diagnoses and trends: choose runs and model, watch the error fall, read the report, and act on it."""
 
 import asyncio
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from nicegui import ui
+from nicegui import events, ui
 
+from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import preview
-from mrd_dashboard.jobs import Job, JobRequest
+from mrd_dashboard.jobs import Job, JobRequest, Kind
 from mrd_dashboard.pages.notes import tell
-from mrd_dashboard.pages.plots import MEASURED, Panel, chart
+from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
+from mrd_dashboard.recordings import Recording
+from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 
 BEST = "auto"
+MOST_OFFERED = 50
+"""Recordings that a field offers; typing finds the others."""
 
 
-def analysis_page(dashboard: Dashboard, who: Visitor) -> None:
-    """Build the page."""
+def analysis_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
+    """Build the page; ``shown`` tells whether it is the tab that one sees."""
     with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
         with ui.card().classes("w-96 max-lg:w-full shrink-0 p-3 gap-2"):
-            _form(dashboard, who)
-        with ui.column().classes("grow min-w-0 gap-4"):
-            _jobs(dashboard, who)
+            _form(dashboard, who, shown)
+        with ui.column().classes("grow min-w-0 gap-4 max-lg:w-full"):
+            _jobs(dashboard, who, shown)
 
 
-def _form(dashboard: Dashboard, who: Visitor) -> None:
+def offered(recordings: Iterable[Recording], text: str, chosen: Sequence[str]) -> list[str]:
+    """Return the latest recordings whose names contain a text, at most `MOST_OFFERED`, and those that are chosen."""
+    words = text.casefold()
+    found: list[str] = []
+    for recording in recordings:
+        if words in recording.id.casefold():
+            found.append(recording.id)
+            if len(found) == MOST_OFFERED:
+                break
+    return [*found, *(name for name in chosen if name not in found)]
+
+
+class _RecordingsField(ui.select):
+    """Field to choose recordings, which are searched by the server: there may be very many."""
+
+    def __init__(self, label: str) -> None:
+        super().__init__([], label=label, multiple=True, with_input=True, clearable=True)
+        self.text = ""
+        self.on("input-value", self._type)
+
+    def _type(self, event: events.GenericEventArguments) -> None:
+        self.text = str(event.args or "")
+
+    def offer(self, recordings: Iterable[Recording]) -> None:
+        """Offer what fits the text that was typed."""
+        found = offered(recordings, self.text, self.value or [])
+        if found != self.options:
+            self.set_options(found, value=self.value)
+
+    def _event_args_to_value(self, e: events.GenericEventArguments) -> list[str]:
+        # By their names: what is offered may have changed since the browser drew it.
+        chosen = [str(choice["label"]) for choice in e.args or []]
+        self.options.extend(name for name in chosen if name not in self.options)
+        return chosen
+
+
+def followed(model: str) -> dict[str, str]:
+    """Return what a trend can follow: parameters of the model and of the effects, with their units."""
+    parameters = {parameter.name: parameter for parameter in MODELS[model].parameters} if model in MODELS else {}
+    for effect in EFFECTS.values():
+        parameters |= {f"{effect.id}.{parameter.name}": parameter for parameter in effect.parameters}
+    return {name: f"{name} / {parameter.unit}".rstrip("/ ") for name, parameter in parameters.items()}
+
+
+def request_of(dashboard: Dashboard, kind: Kind, form: Mapping[str, Any]) -> JobRequest:
+    """Return the job that a form asks for.
+
+    Raises
+    ------
+    InputError
+        For what this kind of job cannot do.
+    """
+    if form["model"] == BEST and kind != "diagnose":
+        raise InputError(f"{kind}: the model is {BEST}, which only a diagnosis can choose; choose a damper model")
+    if kind == "trend" and not form["follow"]:
+        raise InputError("trend: no parameter is chosen; choose the one to follow")
+    return JobRequest(
+        kind,
+        _paths(dashboard, form["runs"]),
+        model=form["model"],
+        held_out=_paths(dashboard, form["held_out"]) if kind != "trend" else (),
+        reference=_paths(dashboard, form["reference"]) if kind == "diagnose" else (),
+        seed=int(form["seed"] or 0),
+        bench=dashboard.bench_file,
+        follow=form["follow"] if kind == "trend" else "",
+        limit=form["limit"] if kind == "trend" else None,
+    )
+
+
+def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     form: dict[str, Any] = {"runs": [], "held_out": [], "reference": [], "model": "bouc_wen", "seed": 0}
+    form |= {"follow": None, "limit": None}
     labels = {
         "runs": "recordings",
         "held_out": "held out (else one after the other)",
         "reference": "of before something changed (diagnose)",
     }
     ui.label("Identify or diagnose").classes("text-base font-medium")
-    choices = {
-        key: ui.select([], label=label, multiple=True, with_input=True, clearable=True)
-        .props("dense use-chips")
-        .classes("w-full")
-        .bind_value(form, key)
-        .mark(key)
+    fields = [
+        _RecordingsField(label).props("dense use-chips").classes("w-full").bind_value(form, key).mark(key)
         for key, label in labels.items()
-    }
-    ui.select([BEST, *MODELS], label="damper model").props("dense").classes("w-full").bind_value(form, "model").mark("model")
+    ]
+    model = ui.select([BEST, *MODELS], label="damper model").props("dense").classes("w-full").bind_value(form, "model")
+    model.mark("model")
     ui.number("seed", min=0, precision=0).props("dense").classes("w-full").bind_value(form, "seed")
 
-    async def list_recordings() -> None:
-        found = [recording.id for recording in await asyncio.to_thread(dashboard.recordings.search)]
-        for key, choice in choices.items():
-            kept = [name for name in form[key] or [] if name in found]
-            if choice.options != found:
-                choice.set_options(found, value=kept)
+    async def offer() -> None:
+        if shown():
+            recordings = await asyncio.to_thread(dashboard.recordings.search)
+            for field in fields:
+                field.offer(recordings)
 
-    async def start(kind: Any) -> None:
+    def offer_parameters(chosen: str) -> None:
+        names = followed(chosen)
+        follow.set_options(names, value=form["follow"] if form["follow"] in names else None)
+
+    async def start(kind: Kind) -> None:
         async def work() -> str:
-            request = JobRequest(
-                kind,
-                _paths(dashboard, form["runs"]),
-                model=form["model"] if kind == "diagnose" or form["model"] != BEST else "bouc_wen",
-                held_out=_paths(dashboard, form["held_out"]),
-                reference=_paths(dashboard, form["reference"]) if kind == "diagnose" else (),
-                seed=int(form["seed"] or 0),
-                bench=dashboard.bench_file,
-            )
-            return f"job {dashboard.jobs.start(request).number} has begun"
+            return f"job {dashboard.jobs.start(request_of(dashboard, kind, form)).number} has begun"
 
         tell(await dashboard.act(who, kind, work, ", ".join(form["runs"] or [])))
 
     with ui.row():
         ui.button("Identify", on_click=lambda: start("identify")).props("no-caps unelevated").mark("identify")
         ui.button("Diagnose", on_click=lambda: start("diagnose")).props("no-caps unelevated").mark("diagnose")
-    ui.timer(2.0, list_recordings)
+    ui.label("Follow a parameter over the dates of the recordings").classes("text-base font-medium pt-2")
+    follow = ui.select(followed(form["model"]), label="parameter", with_input=True, clearable=True)
+    follow.props("dense").classes("w-full").bind_value(form, "follow").mark("follow")
+    ui.number("limit, in the unit of the parameter").props("dense clearable").classes("w-full").bind_value(
+        form, "limit"
+    ).tooltip("when will it be reached?").mark("limit")
+    ui.button("Trend", on_click=lambda: start("trend")).props("no-caps unelevated").mark("trend")
+    model.on_value_change(lambda event: offer_parameters(event.value))
+    for field in fields:
+        field.on("input-value", offer)
+    ui.timer(2.0, offer)
 
 
 def _paths(dashboard: Dashboard, names: list[str] | None) -> tuple[str, ...]:
     return tuple(str(dashboard.recordings.find(name).path) for name in names or [])
 
 
-def _jobs(dashboard: Dashboard, who: Visitor) -> None:
+def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     with ui.card().classes("w-full p-3 gap-2"):
         with ui.row().classes("w-full items-center"):
             stage = ui.label().classes("grow text-sm").mark("stage")
             cancel_button = ui.button("Cancel", on_click=lambda: cancel()).props("outline dense no-caps padding='2px 10px'")
         bar = ui.linear_progress(0.0, show_value=False).props("rounded")
-        panel = Panel("share", (8, 8, 88, 62), [("nrmse", MEASURED, "NRMSE")])
-        errors = ui.echart(chart([panel])).classes("w-full h-40")
+        with ui.row().classes("w-full gap-0"):
+            panel = Panel("share", (14, 8, 82, 62), [("nrmse", MEASURED, "NRMSE")])
+            errors = ui.echart(chart([panel])).classes("w-1/2 h-44")
+            panel = Panel("e2_N", (14, 8, 82, 62), [("einf_N", PREDICTED, "Pareto front")])
+            front = ui.echart(chart([panel])).classes("w-1/2 h-44").mark("front")
+            front.options["series"][0] |= {"showSymbol": True, "symbolSize": 6}
         rows = ui.column().classes("w-full gap-2")
     report = ui.column().classes("w-full")
-    shown: list[object] = [None, None]
+    listed: list[object] = [None, None]
 
     async def cancel() -> None:
         async def work() -> str:
@@ -103,8 +184,8 @@ def _jobs(dashboard: Dashboard, who: Visitor) -> None:
 
     async def record(job: Job) -> None:
         async def work() -> str:
-            text = (job.folder / "next_experiment.yaml").read_text(encoding="utf-8")
-            found = preview(text, dashboard.bench.generator)
+            text = await asyncio.to_thread((job.folder / "next_experiment.yaml").read_text, encoding="utf-8")
+            found = await dashboard.compute(preview, text, dashboard.bench.generator)
             run = dashboard.queue.add(found.experiment.name, found.text, found.duration)
             return f"run {run.number}, {found.experiment.name}, waits in the queue"
 
@@ -117,24 +198,24 @@ def _jobs(dashboard: Dashboard, who: Visitor) -> None:
             frame.classes("w-full border-0 bg-white").style("height: 85vh").mark("report")
 
     def refresh() -> None:
+        if not shown():
+            return
         jobs = dashboard.jobs
         running = jobs.running
         stage.text = f"job {running.number}, {running.request.kind}: {running.stage}" if running else "nothing is computed"
         cancel_button.set_visibility(running is not None)
         bar.value = running.share if running else 0.0
-        history = running.history if running else jobs.all[-1].history if jobs.all else []
-        if len(history) != shown[1]:
-            shown[1] = len(history)
-            errors.set_visibility(bool(history))
-            errors.options["dataset"]["source"] = {
-                "share": [share for share, _ in history],
-                "nrmse": [round(error, 5) for _, error in history],
-            }
-            errors.update()
+        latest = running or (jobs.all[-1] if jobs.all else None)
+        drawn = (latest.number, len(latest.history)) if latest else None
+        if drawn != listed[1] or listed[0] is None:
+            listed[1] = drawn
+            history, norms = (latest.history, latest.front) if latest else ([], [])
+            _draw(errors, history, "share", "nrmse")
+            _draw(front, norms, "e2_N", "einf_N")
         state = [(job.number, job.state) for job in jobs.all]
-        if state == shown[0]:
+        if state == listed[0]:
             return
-        shown[0] = state
+        listed[0] = state
         rows.clear()
         with rows:
             for job in reversed(jobs.all):
@@ -143,11 +224,20 @@ def _jobs(dashboard: Dashboard, who: Visitor) -> None:
     ui.timer(0.3, refresh)
 
 
+def _draw(plot: ui.echart, points: Sequence[tuple[float, float]], x: str, y: str) -> None:
+    """Put points into a plot, which is hidden while there are none."""
+    plot.set_visibility(bool(points))
+    plot.options["dataset"]["source"] = {x: [a for a, _ in points], y: [round(b, 5) for _, b in points]}
+    plot.update()
+
+
 def _job_row(job: Job, open_report: Any, apply: Any, record: Any) -> None:
     with ui.column().classes("w-full gap-0 border-t border-gray-500/30 pt-1"):
         title = " ".join(filter(None, (str(job.number), job.request.kind, job.request.model)))
         ui.label(f"{title}: {job.state}").classes("text-sm font-medium")
         ui.label(job.message).classes("text-sm")
+        if job.command:
+            ui.label(job.command).classes("text-xs font-mono whitespace-pre-wrap break-all").mark(f"command {job.number}")
         if job.state != "done":
             return
         with ui.row():

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +30,13 @@ FRAME_PERIOD = 0.1
 CONTROLLER = "controller"
 
 
-def control_page(dashboard: Dashboard, who: Visitor) -> None:
-    """Build the page."""
+def control_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
+    """Build the page; ``shown`` tells whether it is the tab that one sees."""
     with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
         with ui.card().classes("w-[30rem] max-lg:w-full shrink-0 p-3 gap-2"):
             _form(dashboard, who)
         with ui.column().classes("grow min-w-0 gap-4 max-lg:w-full"):
-            _live(dashboard, who)
+            _live(dashboard, who, shown)
 
 
 def _form(dashboard: Dashboard, who: Visitor) -> None:
@@ -72,8 +71,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         answer.text = "computing stability and offline twin"
         try:
             text = hybrid_text(form, dashboard.hybrid_test, _fits(dashboard))
-            work = partial(check_hybrid_test, text, dashboard.bench.generator.limits)
-            found: HybridCheck = await asyncio.get_running_loop().run_in_executor(dashboard.workers, work)
+            found = await dashboard.compute(check_hybrid_test, text, dashboard.bench.generator.limits)
         except InputError as error:
             answer.text = str(error)
             return None
@@ -99,13 +97,12 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, "queue a hybrid test", work, found.name))
 
     draw()
-    ui.timer(REFRESH, lambda: missing.set_visibility(CONTROLLER not in dashboard.bench.nodes))
+    ui.timer(REFRESH, lambda: missing.set_visibility(not dashboard.bench.lives(CONTROLLER)))
 
 
 def _fits(dashboard: Dashboard) -> dict[str, Path]:
     """Return the identified dampers by the name of their job, the latest first."""
-    found = sorted(dashboard.jobs.folder.glob("*/fit.json"), key=lambda path: path.stat().st_mtime, reverse=True)
-    return {path.parent.name: path for path in found}
+    return {path.parent.name: path for path in dashboard.jobs.fits()}
 
 
 def _entry(kind: str, chosen: dict[str, str], key: str, draw: Callable[[], None]) -> None:
@@ -160,7 +157,7 @@ def _table(rows: tuple[tuple[str, str], ...]) -> None:
             ui.label(value).classes("text-right font-mono").mark(f"metric {title}")
 
 
-def _live(dashboard: Dashboard, who: Visitor) -> None:
+def _live(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     with ui.card().classes("w-full p-3 gap-2"):
         state = ui.label().classes("text-sm").mark("test state")
         bar = ui.linear_progress(0.0, show_value=False).props("rounded")
@@ -175,7 +172,7 @@ def _live(dashboard: Dashboard, who: Visitor) -> None:
                 "review"
             )
         metrics = ui.column().classes("w-full").mark("metrics")
-    shown: list[object] = [None]
+    listed: list[object] = [None]
 
     async def review() -> None:
         async def work() -> str:
@@ -189,10 +186,12 @@ def _live(dashboard: Dashboard, who: Visitor) -> None:
 
         tell(await dashboard.act(who, "compare with the offline twin", work))
 
-    def refresh() -> None:
+    async def refresh() -> None:
+        if not shown():
+            return
+        found = await asyncio.to_thread(dashboard.hybrid_metrics)
         running = dashboard.queue.running
         test = running if running is not None and running.kind == "control" else None
-        found = dashboard.hybrid_metrics()
         missed = f", {found.missed} deadlines missed" if found.missed else ""
         if test is not None:
             state.text = f"{test.name}: {test.phase}, {test.elapsed:.1f} of {test.duration:g} s{missed}"
@@ -200,8 +199,8 @@ def _live(dashboard: Dashboard, who: Visitor) -> None:
             latest = f"; the latest: {found.elapsed:.1f} s{missed}" if found.elapsed else ""
             state.text = f"no hybrid test of this page is under way{latest}"
         bar.value = min(1.0, test.elapsed / test.duration) if test is not None else 0.0
-        if found.rows != shown[0]:
-            shown[0] = found.rows
+        if found.rows != listed[0]:
+            listed[0] = found.rows
             metrics.clear()
             with metrics:
                 _table(found.rows)
@@ -210,5 +209,4 @@ def _live(dashboard: Dashboard, who: Visitor) -> None:
 
     script = pull_script(plots.id, "/hybrid.json", FRAME_PERIOD)
     ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
-    refresh()
     ui.timer(REFRESH, refresh)

@@ -1,16 +1,15 @@
 """The live page: plots, requests to the bench, its state, and a lamp for each interlock."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from nicegui import ui
 
-from mrd_base import InputError
+from mrd_dashboard.bench_view import DAQ, SERVO, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
 from mrd_dashboard.lamps import Lamp
-from mrd_dashboard.live_frame import LivePrediction
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.plots import chart, live_panels, pull_script
-from mrd_identification.fit_file import read_fit
 
 REFRESH = 0.2
 """Wall time in s between two looks at the state of the bench."""
@@ -19,15 +18,15 @@ _ICONS = {"ok": ("check_circle", "positive"), "warning": ("warning", "warning"),
 _LEVELS = ("ok", "warning", "tripped", "tripped")
 
 
-def live_page(dashboard: Dashboard, who: Visitor) -> None:
-    """Build the live page."""
+def live_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
+    """Build the live page; ``shown`` tells whether it is the tab that one sees."""
     with ui.row().classes("w-full no-wrap items-start gap-4 max-lg:flex-wrap"):
         with ui.column().classes("grow min-w-0 gap-2"):
             _requests(dashboard, who)
-            _plots(dashboard)
+            _plots(dashboard, who)
         with ui.column().classes("w-96 max-lg:w-full shrink-0 gap-4"):
-            _lamps(dashboard)
-            _state(dashboard)
+            _lamps(dashboard, shown)
+            _state(dashboard, shown)
 
 
 def _requests(dashboard: Dashboard, who: Visitor) -> None:
@@ -41,7 +40,7 @@ def _requests(dashboard: Dashboard, who: Visitor) -> None:
             )
 
 
-def _plots(dashboard: Dashboard) -> None:
+def _plots(dashboard: Dashboard, who: Visitor) -> None:
     panels = live_panels(dashboard.bench.supervisor.limits)
 
     def options(show_limits: bool) -> dict[str, object]:
@@ -49,43 +48,52 @@ def _plots(dashboard: Dashboard) -> None:
 
     with ui.row().classes("w-full items-center gap-4"):
         limits = ui.switch("axes reach to the limits", on_change=lambda event: show(event.value)).props("dense")
-        fits = {str(path): str(path.parent.name) for path in _fits(dashboard)}
-        shown = dashboard.prediction.name if dashboard.prediction else ""  # one for all who look
-        ui.select(
-            {"": "no prediction", **fits},
-            value=shown if shown in fits else "",
-            label="predicted by",
-            on_change=lambda event: predict(event.value),
-        ).props("dense").classes("w-64").mark("prediction")
+        prediction = (
+            ui.select({"": "no prediction"}, value="", label="predicted by", on_change=lambda event: predict(event.value))
+            .props("dense")
+            .classes("w-64")
+            .mark("prediction")
+        )
     plots = ui.echart(options(False)).classes("w-full").style("height: max(560px, calc(100vh - 210px))").mark("plots")
 
     def show(show_limits: bool) -> None:
         plots.options.update(options(show_limits))
 
-    def predict(path: str) -> None:
-        try:
-            dashboard.prediction = LivePrediction.of_fit(read_fit(path), path) if path else None
-        except InputError as error:
-            ui.notify(str(error), type="negative")
+    def offer() -> None:
+        """Offer the fits that there are, and show which of them all who look see."""
+        drawn = dashboard.prediction.name if dashboard.prediction else ""
+        offered = {"": "no prediction", **{str(path): path.parent.name for path in dashboard.jobs.fits()}}
+        offered.setdefault(drawn, Path(drawn).parent.name)
+        if (prediction.options, prediction.value) != (offered, drawn):
+            prediction.set_options(offered, value=drawn)
+
+    async def predict(path: str) -> None:
+        if path == (dashboard.prediction.name if dashboard.prediction else ""):
+            return
+
+        async def work() -> str:
+            # The first computation of a model compiles it: not here, where it would hold up a stop.
+            dashboard.prediction = await dashboard.predict(path) if path else None
+            return f"all who look see the force predicted by {Path(path).parent.name}" if path else "no force is predicted"
+
+        tell(await dashboard.act(who, "predicted by", work, path))
+        offer()
 
     limits.value = True
+    ui.timer(2.0, offer)
     script = pull_script(plots.id, "/live.json", FRAME_PERIOD)
     ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
 
 
-def _fits(dashboard: Dashboard) -> list[Path]:
-    """Return the fits among the results, the latest first."""
-    return sorted(dashboard.jobs.folder.glob("*/fit.json"), key=lambda path: path.stat().st_mtime, reverse=True)
-
-
-def _lamps(dashboard: Dashboard) -> None:
+def _lamps(dashboard: Dashboard, shown: Callable[[], bool]) -> None:
     with ui.card().classes("w-full gap-0 p-3"):
         ui.label("Interlocks").classes("text-base font-medium")
         rows = {lamp.name: _LampRow(lamp) for lamp in dashboard.bench.lamps()}
 
     def refresh() -> None:
-        for lamp in dashboard.bench.lamps():
-            rows[lamp.name].show(lamp)
+        if shown():
+            for lamp in dashboard.bench.lamps():
+                rows[lamp.name].show(lamp)
 
     ui.timer(REFRESH, refresh)
 
@@ -116,7 +124,7 @@ class _LampRow:
         self._cause.set_visibility(bool(lamp.cause))
 
 
-def _state(dashboard: Dashboard) -> None:
+def _state(dashboard: Dashboard, shown: Callable[[], bool]) -> None:
     with ui.card().classes("w-full gap-1 p-3"):
         ui.label("Servo, DAQ, recorder").classes("text-base font-medium")
         servo = ui.label().classes("text-sm whitespace-pre-line")
@@ -124,24 +132,45 @@ def _state(dashboard: Dashboard) -> None:
     with ui.card().classes("w-full gap-0 p-3"):
         ui.label("Diagnostics").classes("text-base font-medium")
         nodes = ui.column().classes("w-full gap-0")
-    shown: list[object] = [None]
+    rows: dict[str, _NodeRow] = {}
 
     def refresh() -> None:
-        servo.text, others.text = _servo_text(dashboard), _others_text(dashboard)
-        health = [(name, node.level, node.message) for name, node in sorted(dashboard.bench.nodes.items())]
-        if health == shown[0]:
+        if not shown():
             return
-        shown[0] = health
-        nodes.clear()
-        with nodes:
-            for name, level, message in health:
-                icon, colour = _ICONS[_LEVELS[min(level, 3)]]
-                with ui.row().classes("w-full items-start no-wrap gap-2"):
-                    ui.icon(icon, color=colour).classes("text-lg")
-                    ui.label(name).classes("w-24 text-sm")
-                    ui.label(message).classes("grow text-sm opacity-80")
+        servo.text, others.text = _servo_text(dashboard), _others_text(dashboard)
+        for name, health in dashboard.bench.nodes().items():
+            if name not in rows:
+                with nodes:
+                    rows[name] = _NodeRow(name)
+            rows[name].show(health)
 
     ui.timer(REFRESH, refresh)
+
+
+class _NodeRow:
+    """Diagnostics of a node; a click on it shows its values."""
+
+    def __init__(self, name: str) -> None:
+        with ui.row().classes("w-full items-start no-wrap gap-2 cursor-pointer") as row:
+            self._icon = ui.icon("check_circle").classes("text-lg")
+            ui.label(name).classes("w-24 text-sm")
+            self._message = ui.label().classes("grow text-sm opacity-80")
+        self._values = ui.label().classes("text-xs pl-7 pb-1 whitespace-pre-line break-words").mark(f"values {name}")
+        self._values.set_visibility(False)
+        row.on("click", lambda: self._values.set_visibility(not self._values.visible)).mark(f"node {name}")
+
+    def show(self, health: NodeHealth) -> None:
+        """Show the latest diagnostics."""
+        icon, colour = _ICONS[_LEVELS[min(health.level, 3)]]
+        self._icon.props(f"name={icon} color={colour}")
+        self._message.text = health.message
+        self._values.text = "\n".join(f"{key}: {value}" for key, value in health.values.items()) or "no values"
+
+
+def _age(dashboard: Dashboard, what: str) -> str:
+    """Return how old the latest news of servo or DAQ is, or "" while it is fresh."""
+    silence = dashboard.bench.silence(what)
+    return f", SILENT for {silence:.0f} s; what follows is as old" if silence > SILENT_AFTER else ""
 
 
 def _servo_text(dashboard: Dashboard) -> str:
@@ -150,7 +179,8 @@ def _servo_text(dashboard: Dashboard) -> str:
         return "servo: not heard yet"
     words = [word for word, on in (("homed", servo.homed), ("drive on", servo.enabled), ("moves", servo.moving)) if on]
     return (
-        f"servo: {', '.join(words) or 'drive off, not homed'}{'; ' + servo.message if servo.message else ''}\n"
+        f"servo{_age(dashboard, SERVO)}: "
+        f"{', '.join(words) or 'drive off, not homed'}{'; ' + servo.message if servo.message else ''}\n"
         f"position {1e3 * servo.position:.2f} mm, {1e3 * servo.velocity:.0f} mm/s\n"
         f"supply {servo.bus_voltage:.1f} V, motor {servo.temperature:.0f} °C"
     )
@@ -158,9 +188,11 @@ def _servo_text(dashboard: Dashboard) -> str:
 
 def _others_text(dashboard: Dashboard) -> str:
     monitor = dashboard.bench.monitor
-    rate = f"{1 / monitor.sample_period:.0f} Hz" if monitor.sample_period > 0 else "no samples yet"
+    sampled = monitor.sample_period > 0
+    rate = f"{1 / monitor.sample_period:.0f} Hz" if sampled else "no samples yet"
+    age = _age(dashboard, DAQ) if sampled else ""
     recorder = monitor.recorder_state or "not heard yet"
     return (
-        f"DAQ: {monitor.daq_problem or rate}\nrecorder: {monitor.recording_problem or recorder}\n"
+        f"DAQ{age}: {monitor.daq_problem or rate}\nrecorder: {monitor.recording_problem or recorder}\n"
         f"experiment: {monitor.experiment_state or 'none'}"
     )

@@ -25,8 +25,11 @@ _VERDICTS = {
 }
 
 
-def recordings_list(dashboard: Dashboard, who: Visitor) -> None:
-    """Build the list."""
+_OPEN = "It is being recorded, or its recorder was killed; then it can be recovered."
+
+
+def recordings_list(dashboard: Dashboard, who: Visitor, visible: Callable[[], bool]) -> None:
+    """Build the list; ``visible`` tells whether it is on the tab that one sees."""
     chosen: set[str] = set()
     state: dict[str, Any] = {"sheet": 1, "found": [], "shown": None, "search": "", "listing": False}
     with ui.row().classes("w-full items-center gap-4"):
@@ -47,29 +50,34 @@ def recordings_list(dashboard: Dashboard, who: Visitor) -> None:
         try:
             # Ten thousand folders take half a second to look at, in which the page goes on.
             state["found"] = await asyncio.to_thread(dashboard.recordings.search, state["search"])
+            await draw()
         finally:
             state["listing"] = False
-        draw()
+
+    async def list_while_visible() -> None:
+        if visible():
+            await list_again()
 
     async def search(text: str | None) -> None:
         state["search"], state["sheet"] = text or "", 1
         await list_again()
 
-    def turn(sheet: int) -> None:
+    async def turn(sheet: int) -> None:
         state["sheet"] = sheet
-        draw()
+        await draw()
 
     def on_sheet() -> list[Recording]:
         first = (state["sheet"] - 1) * ROWS
         found: list[Recording] = state["found"]
         return found[first : first + ROWS]
 
-    def draw() -> None:
+    async def draw() -> None:
         found = state["found"]
         count.text = f"{len(found)} found"
         sheets.max = max(1, -(-len(found) // ROWS))
         state["sheet"] = min(state["sheet"], sheets.max)
-        content = [(recording, dashboard.known_look(recording)) for recording in on_sheet()]
+        sheet = on_sheet()
+        content = list(zip(sheet, await asyncio.to_thread(lambda: [*map(dashboard.known_look, sheet)]), strict=True))
         if content == state["shown"]:
             return
         state["shown"] = content
@@ -79,10 +87,17 @@ def recordings_list(dashboard: Dashboard, who: Visitor) -> None:
                 _row(recording, look, chosen, partial(show, recording))
 
     async def look_at_missing() -> None:
-        missing = next((recording for recording in on_sheet() if dashboard.known_look(recording) is None), None)
-        if missing is not None and not (dashboard.queue.running and dashboard.queue.running.bag == str(missing.path)):
-            await dashboard.look(missing)
-            draw()
+        if not visible():
+            return
+        # One that is not closed is perhaps being recorded.
+        missing = next((one for one in on_sheet() if one.closed and one.id not in dashboard.looks), None)
+        if missing is not None:
+            try:
+                await dashboard.look(missing)
+            except (InputError, OSError) as error:
+                # It is not looked at again and again.
+                dashboard.looks[missing.id] = Look(problem=str(error))
+            await draw()
 
     def show(recording: Recording) -> None:
         _details(dashboard, who, recording, list_again)
@@ -99,7 +114,7 @@ def recordings_list(dashboard: Dashboard, who: Visitor) -> None:
             return
         _comparison([recording.id for recording in pair], series)
 
-    ui.timer(2.0, list_again)
+    ui.timer(1.0, list_while_visible)
     ui.timer(1.0, look_at_missing)
 
 
@@ -115,12 +130,16 @@ def _row(recording: Recording, look: Look | None, chosen: set[str], show: Callab
         with ui.column().classes("grow min-w-0 gap-0"):
             ui.label(recording.id).classes("font-medium cursor-pointer break-all").on("click", lambda: show())
             words = [recording.date, recording.notes.damper, *(f"#{tag}" for tag in recording.notes.tags)]
+            if not recording.closed:
+                words.append("not closed")
             if look and not look.problem:
                 words[1:1] = [f"{look.duration:.1f} s", f"{1e3 * look.stroke:.1f} mm", f"{look.force:.0f} N"]
             ui.label(" · ".join(filter(None, words))).classes("text-sm opacity-80")
         if look is not None:
             icon, colour, doc = _VERDICTS["fault" if look.problem else look.verdict]
             ui.icon(icon, color=colour).classes("text-lg").tooltip(look.problem or doc)
+        elif not recording.closed:
+            ui.icon("pending", color="warning").classes("text-lg").tooltip(_OPEN)
         ui.button(icon="more_horiz", on_click=show).props("flat dense").tooltip("data check, notes, download, delete").mark(
             f"more {recording.id}"
         )
@@ -137,7 +156,7 @@ def picture(look: Look | None) -> None:
 
 
 def _details(dashboard: Dashboard, who: Visitor, recording: Recording, changed: Callable[[], Any]) -> None:
-    look = dashboard.known_look(recording)
+    look = dashboard.looks.get(recording.id)
     form = notes_form(recording.notes)
 
     async def save() -> None:
@@ -146,6 +165,16 @@ def _details(dashboard: Dashboard, who: Visitor, recording: Recording, changed: 
             return "the notes are kept with the run"
 
         tell(await dashboard.act(who, "write notes", work, recording.id))
+        await changed()
+
+    async def recover() -> None:
+        async def work() -> str:
+            return await asyncio.to_thread(dashboard.recover, recording.id)
+
+        answer = await dashboard.act(who, "recover", work, recording.id)
+        tell(answer)
+        if answer.success:
+            dialog.close()
         await changed()
 
     async def delete() -> None:
@@ -171,7 +200,12 @@ def _details(dashboard: Dashboard, who: Visitor, recording: Recording, changed: 
         ui.label(recording.id).classes("text-base font-medium break-all")
         if recording.problem:
             ui.label(recording.problem).classes("text-negative text-sm")
-        _facts(look)
+        if recording.closed:
+            _facts(look)
+        else:
+            with ui.row().classes("w-full items-center no-wrap"):
+                ui.label(_OPEN).classes("text-sm grow")
+                ui.button("Recover", on_click=recover).props("no-caps outline").mark("recover")
         ui.input("serial number of the damper").bind_value(form, "damper").props("dense").classes("w-full").mark("damper")
         ui.number("temperature of the damper in °C").bind_value(form, "temperature_degC").props("dense").classes("w-full")
         ui.input("tags, with commas between").bind_value(form, "tags").props("dense").classes("w-full").mark("tags")

@@ -1,5 +1,6 @@
 """The page of the runs: choose an experiment, look at it before it runs, the queue, the recordings."""
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -7,10 +8,11 @@ from nicegui import ui
 
 from mrd_base import InputError
 from mrd_dashboard.dashboard import Dashboard, Visitor
-from mrd_dashboard.experiment_form import Preview, form_of, form_text, preview, read_experiments, waveform_fields
+from mrd_dashboard.experiment_form import Preview, find_experiments, form_of, form_text, preview, waveform_fields
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.pages.recordings import recordings_list
+from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.waveforms import WAVEFORMS
 
 _FIRST = {
@@ -28,21 +30,21 @@ _TOP = {
 }
 
 
-def runs_page(dashboard: Dashboard, who: Visitor) -> None:
-    """Build the page of the runs."""
+def runs_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
+    """Build the page of the runs; ``shown`` tells whether it is the tab that one sees."""
     with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
         with ui.card().classes("grow min-w-0 p-3 gap-2"):
             _form(dashboard, who)
         with ui.card().classes("w-96 max-lg:w-full shrink-0 p-3 gap-2"):
-            _queue(dashboard, who)
+            _queue(dashboard, who, shown)
     with ui.card().classes("w-full p-3 gap-2 mt-4"):
-        recordings_list(dashboard, who)
+        recordings_list(dashboard, who, shown)
 
 
 def _form(dashboard: Dashboard, who: Visitor) -> None:
     form: dict[str, Any] = {key: dict(value) if isinstance(value, dict) else value for key, value in _FIRST.items()}
     ui.label("New run").classes("text-base font-medium")
-    experiments = read_experiments(dashboard.experiments)
+    experiments = find_experiments(dashboard.experiments)
     ui.select(
         list(experiments), label="start from", with_input=True, on_change=lambda event: start_from(event.value)
     ).classes("w-full").props("dense").mark("start from")
@@ -53,9 +55,15 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
     shown = ui.column().classes("w-full gap-2")
 
-    def start_from(name: str) -> None:
+    async def start_from(name: str) -> None:
+        try:
+            entries = await asyncio.to_thread(lambda: form_of(read_experiment(experiments[name])))
+        except InputError as error:
+            answer.text = str(error)
+            return
+        answer.text = ""
         form.clear()
-        form.update(form_of(experiments[name]))
+        form.update(entries)
         draw()
 
     def draw() -> None:
@@ -67,10 +75,10 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
             for channel in ("rod", "coil"):
                 _waveform(form, channel, draw)
 
-    def look() -> Preview | None:
+    async def look() -> Preview | None:
         shown.clear()
         try:
-            found = preview(form_text(form), dashboard.bench.generator)
+            found = await dashboard.compute(preview, form_text(form), dashboard.bench.generator)
         except InputError as error:
             answer.text = str(error)
             return None
@@ -80,7 +88,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         return found
 
     async def add() -> None:
-        found = look()
+        found = await look()
         if found is None:
             return
 
@@ -138,14 +146,14 @@ _STATES = {
 }
 
 
-def _queue(dashboard: Dashboard, who: Visitor) -> None:
+def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     ui.label("Queue").classes("text-base font-medium")
     with ui.row().classes("w-full items-center"):
         left = ui.label().classes("text-sm grow").mark("time left")
         pause = ui.button("Pause", on_click=lambda: change_pause()).props("outline dense no-caps padding='2px 10px'")
     bar = ui.linear_progress(0.0, show_value=False).props("rounded")
     rows = ui.column().classes("w-full gap-1")
-    shown: list[object] = [None]
+    listed: list[object] = [None]
 
     async def change_pause() -> None:
         async def work() -> str:
@@ -164,6 +172,8 @@ def _queue(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, f"{action} a run", work, str(number)))
 
     def refresh() -> None:
+        if not shown():
+            return
         queue = dashboard.queue
         waiting = sum(run.state == "waiting" for run in queue.runs)
         paused = ", paused" if queue.paused else ""
@@ -172,9 +182,9 @@ def _queue(dashboard: Dashboard, who: Visitor) -> None:
         running = queue.running
         bar.value = min(1.0, running.elapsed / running.duration) if running else 0.0
         state = [(run.number, run.state, run.phase, run.message) for run in queue.runs]
-        if state == shown[0]:
+        if state == listed[0]:
             return
-        shown[0] = state
+        listed[0] = state
         rows.clear()
         with rows:
             for run in reversed(queue.runs):

@@ -1,55 +1,128 @@
 """The frame around the pages: what is always visible, above all the stop button."""
 
-from nicegui import ui
+from functools import partial
+
+from nicegui import events, ui
 
 from mrd_base.lease import Mode
 from mrd_dashboard.dashboard import Dashboard, Visitor
+from mrd_dashboard.guard import LOGIN
 from mrd_dashboard.pages.analysis import analysis_page
 from mrd_dashboard.pages.control import control_page
 from mrd_dashboard.pages.live import REFRESH, live_page
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.runs import runs_page
-from mrd_dashboard.web import visitor
+from mrd_dashboard.web import LOGOUT, SESSION_OPEN, STOP, visitor
 
 # The tabs in their order.
 PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identify and diagnose": analysis_page}
 
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
+_THEME = "mrd_theme"  # name of the cookie that keeps it
+
+# Dialogs stay beneath the header with the stop button. A stop is a request of its own, sent at the press and not at the
+# release: it needs no websocket, which may be connecting again, and waits for nothing else that the page asks for.
+_STYLE = """
+<style>
+  .q-header { z-index: 8000 !important; }
+  .q-dialog__inner { top: 64px !important; }
+  #mrd-said {
+    position: fixed; top: 72px; right: 16px; z-index: 9000; padding: 8px 16px; border-radius: 4px;
+    color: white; font-weight: 500; pointer-events: none;
+  }
+</style>
+"""
+_SAID = '<div id="mrd-said" role="alert" hidden></div>'
+_SCRIPT = f"""
+<script>
+  function mrdSay(text, colour) {{
+    const say = document.getElementById('mrd-said');
+    say.textContent = text;
+    say.style.background = colour;
+    say.hidden = false;
+    clearTimeout(window.mrdSilence);
+    window.mrdSilence = setTimeout(() => {{ say.hidden = true; }}, 10000);
+  }}
+  async function mrdStop() {{
+    mrdSay('stop requested', '#b45309');
+    let why = 'the server of the page does not answer';
+    try {{
+      const answer = await fetch('{STOP}', {{method: 'POST', keepalive: true, signal: AbortSignal.timeout(5000)}});
+      if (answer.ok) {{
+        mrdSay('stop sent', '#b45309');
+        return;
+      }}
+      why = answer.status === 401 ? 'your session has ended' : await answer.text();
+    }} catch (error) {{ /* said below */ }}
+    mrdSay(`STOP WAS NOT SENT: ${{why}}. Press the hard-wired button.`, '#b91c1c');
+  }}
+  addEventListener('pointerdown', event => {{
+    if (event.button === 0 && event.target.closest('.mrd-stop')) mrdStop();
+  }}, true);
+  // The keyboard presses a button without a pointer.
+  addEventListener('click', event => {{
+    if (event.detail === 0 && event.target.closest('.mrd-stop')) mrdStop();
+  }}, true);
+  setInterval(async () => {{
+    try {{
+      const answer = await fetch('{SESSION_OPEN}');
+      if (answer.status === 401) location.assign('LOGIN');
+    }} catch (error) {{ /* the server is away; the page says so */ }}
+  }}, 5000);
+</script>
+"""
 
 
-def page(dashboard: Dashboard, who: Visitor | None = None) -> None:
-    """Build the page for a visitor, by default the one whose browser asks for it."""
+def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = False) -> None:
+    """Build the page for a visitor, by default the one whose browser asks for it; ``login``: whether one can log out."""
+    request = ui.context.client.request
     if who is None:
-        request = ui.context.client.request
         who = visitor(request.scope if request else {})
-    dark = ui.dark_mode(None)
+    theme = request.cookies.get(_THEME) if request else None
+    dark = ui.dark_mode({"dark": True, "light": False}.get(theme or ""))
+    ui.add_head_html(_STYLE + _SCRIPT.replace("LOGIN", f"{LOGIN}?ended=true" if login else "/"))
+    ui.add_body_html(_SAID)
     ui.page_title("Damper bench")
     with ui.header(elevated=True).classes("items-center gap-4 py-1 px-4 no-wrap bg-slate-800 text-white"):
-        ui.label("Damper bench").classes("text-lg font-medium max-md:hidden")
-        mode = ui.chip("").props("square text-color=white").classes("text-base")
+        ui.label("Damper bench").classes("text-lg font-medium max-lg:hidden")
+        mode = ui.chip("").props("square text-color=white").classes("text-base shrink-0")
         reason = ui.label().classes("grow text-sm min-w-0 line-clamp-2")
         holder = ui.label().classes("text-sm max-lg:hidden")
         control = ui.button("Take control", on_click=lambda: change_control()).props(
             "outline dense no-caps padding='4px 10px'"
         )
-        ui.button(icon="contrast", on_click=lambda: dark.set_value(not dark.value)).props("flat dense color=white").tooltip(
-            "light or dark"
+        theme_button = ui.button(icon="contrast").props("flat dense color=white").tooltip("light or dark").mark("theme")
+        # The system may be dark without the page having been told to be.
+        theme_button.on(
+            "click",
+            lambda event: change_theme(event),
+            js_handler="() => emit(document.body.classList.contains('body--dark'))",
         )
+        if login:
+            ui.button(icon="logout").props("flat dense color=white").tooltip("log out").mark("log out").on(
+                "click", js_handler=f"() => fetch('{LOGOUT}', {{method: 'POST'}}).finally(() => location.assign('{LOGIN}'))"
+            )
         # It stands in the header, which never scrolls away.
-        ui.button("STOP", on_click=lambda: stop()).props("color=negative size=xl unelevated padding='6px 40px'").classes(
-            "font-bold"
+        ui.button("STOP").props("color=negative size=xl unelevated padding='6px 40px'").classes(
+            "mrd-stop font-bold shrink-0"
         ).mark("stop").tooltip("Stops rod and coil at once; latched until reset fault. It needs no control.")
     with ui.tabs().classes("w-full").props("align=left no-caps dense") as tabs:
         for name in PAGES:
             ui.tab(name)
+
+    def shows(name: str) -> bool:
+        return bool(tabs.value == name)
+
     with ui.tab_panels(tabs, value="Live").classes("w-full bg-transparent").props("keep-alive"):
         for name, build in PAGES.items():
             with ui.tab_panel(name).classes("p-2"):
-                build(dashboard, who)
+                build(dashboard, who, partial(shows, name))
 
-    def stop() -> None:
-        dashboard.emergency_stop(who)
-        ui.notify("stop requested", type="warning")
+    def change_theme(event: events.GenericEventArguments) -> None:
+        dark.value = not event.args
+        ui.run_javascript(
+            f"document.cookie = '{_THEME}={'dark' if dark.value else 'light'}; path=/; max-age=31536000; samesite=lax'"
+        )
 
     async def change_control() -> None:
         right = dashboard.control
@@ -71,7 +144,7 @@ def page(dashboard: Dashboard, who: Visitor | None = None) -> None:
         known = bench.supervised
         mode.text = str(bench.mode) if known else "no supervisor"
         mode.props(f"color={_COLOURS.get(bench.mode, 'primary') if known else 'negative'}")
-        reason.text = bench.reason
+        reason.text = "; ".join(filter(None, (bench.reason, dashboard.problem)))
         holds = right.holds(who.session)
         control.text = "Release control" if holds else "Take control"
         holder.text = "you hold control" if holds else f"{right.name} holds control" if right.holder else "nobody in control"

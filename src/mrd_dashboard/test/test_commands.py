@@ -1,0 +1,75 @@
+"""Requests of the page to the bench, by ROS."""
+
+import asyncio
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+
+from mrd_base import InputError
+from mrd_dashboard.nodes import page
+from mrd_dashboard.nodes.page import RosCommands
+
+pytestmark = [pytest.mark.realtime, pytest.mark.timeout(180)]
+
+# It accepts a run, tells how far it is, and ends without a result when its stdin is closed.
+SUPERVISOR = """
+import sys, threading, time
+import rclpy
+from rclpy.action import ActionServer
+from mrd_base.nodes.graph import RUN_EXPERIMENT
+from mrd_interfaces.action import RunExperiment
+
+def execute(goal):
+    while True:
+        goal.publish_feedback(RunExperiment.Feedback(phase="running", elapsed=1.0))
+        time.sleep(0.1)
+
+rclpy.init()
+node = rclpy.create_node("supervisor")
+server = ActionServer(node, RunExperiment, RUN_EXPERIMENT.name, execute)
+threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+sys.stdin.read()
+rclpy.shutdown()
+import os; os._exit(0)
+"""
+
+
+def test_a_run_whose_supervisor_has_gone_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "_GONE_AFTER", 3.0)
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("page", context=context)
+    commands, executor = RosCommands(node), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    supervisor = subprocess.Popen([sys.executable, "-c", SUPERVISOR], stdin=subprocess.PIPE)
+    heard: list[str] = []
+
+    def progress(phase: str, _elapsed: float) -> None:
+        heard.append(phase)
+        if supervisor.stdin is not None and not supervisor.stdin.closed:
+            supervisor.stdin.close()
+
+    async def run() -> None:
+        _, client = commands._runs["identification"]
+        async with asyncio.timeout(120):
+            while not client.server_is_ready():
+                await asyncio.sleep(0.1)
+            with pytest.raises(InputError, match="supervisor has gone"):
+                await commands.run("identification", "name: x", tmp_path, 0, progress)
+
+    try:
+        asyncio.run(run())
+    finally:
+        supervisor.kill()
+        supervisor.wait()
+        executor.shutdown()
+        thread.join()
+        rclpy.shutdown(context=context)
+    assert heard
