@@ -13,11 +13,18 @@ import time
 from pathlib import Path
 
 import rclpy
-from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from action_msgs.msg import GoalStatus
+from rcl_interfaces.msg import Parameter, ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 from rclpy.action import ActionClient
+from std_srvs.srv import Trigger
 
 NAMESPACE = "/bench"
+ENDINGS = {
+    GoalStatus.STATUS_SUCCEEDED: "succeeded",
+    GoalStatus.STATUS_ABORTED: "aborted",
+    GoalStatus.STATUS_CANCELED: "cancelled",
+}
 # Parameters of rclpy and of the base of all nodes, which the page explains in words.
 EVERYWHERE = {"clock", "use_sim_time", "start_type_description_service"}
 TYPES = {
@@ -103,6 +110,12 @@ class Stranger:
                 if value.type != TYPES[row["type"]]:
                     self.report["wrong"].append(f"{name}: {key}: has type {value.type}, on the page {row['type']}")
                 self.report["parameters"][f"{name}.{key}"] = True
+            # What can be set takes its own value; what is read-only does not.
+            parameters = [Parameter(name=key, value=value) for key, value in zip(names, values, strict=True)]
+            answers = self.call(f"{node}/set_parameters", SetParameters, parameters=parameters).results
+            for key, answer in zip(names, answers, strict=True):
+                if answer.successful != (documented[key]["read-only"] == "no"):
+                    self.report["wrong"].append(f"{name}: {key}: setting it gives {answer.successful}: {answer.reason}")
 
     def find(self, name):
         """Return the full name of a node."""
@@ -113,21 +126,28 @@ class Stranger:
         self.until(found, f"the node {name}")
         return found()[0]
 
-    def send(self, name, action_type, **fields):
+    def send(self, name, action_type, cancel=False, **fields):
+        """Send a goal, and cancel it on its first feedback if that is asked for; return how it ended, and why."""
         client = ActionClient(self.node, action_type, f"{NAMESPACE}/{name}")
         self.until(client.server_is_ready, f"the action {name}")
-        self.messages["refusals"].clear()
-        sent = client.send_goal_async(action_type.Goal(**fields))
+        refusals = self.messages["refusals"]
+        begin = len(refusals)
+        feedback = []
+        sent = client.send_goal_async(action_type.Goal(**fields), feedback.append)
         self.until(sent.done, f"an answer to a goal of {name}")
         if sent.result().accepted:
             ended = sent.result().get_result_async()
+            if cancel:
+                self.until(lambda: feedback, f"feedback of {name}")
+                cancelled = sent.result().cancel_goal_async()
+                self.until(cancelled.done, f"an answer to the cancelling of {name}")
             self.until(ended.done, f"the result of {name}", 120.0)
-            result = ended.result().result
-            answer = ["succeeded" if result.success else "aborted", result.message]
+            status = ENDINGS[ended.result().status]
+            answer = [status, ended.result().result.message, len(feedback)]
         else:
             # Whoever is rejected learns the reason from the topic.
-            self.until(lambda: self.messages["refusals"], f"the reason why {name} was rejected")
-            answer = ["rejected", self.messages["refusals"][-1].data]
+            self.until(lambda: refusals[begin:], f"the reason why {name} was rejected")
+            answer = ["rejected", refusals[-1].data, 0]
         client.destroy()
         return answer
 
@@ -157,20 +177,56 @@ class Stranger:
                 "good": self.send(name, action_type, **goals[name]),
                 "empty": self.send(name, action_type),
             }
+        types = {row["action"]: load(row["type"]) for row in rows(section(self.page, "actions"))}
+        for name, changes in (
+            ("run_experiment", {"bag": f"{folder}/cancelled"}),
+            ("run_set", {"folder": f"{folder}/cancelled set"}),
+            ("identify", {"generations": 100_000}),
+        ):
+            self.report["actions"][name]["cancelled"] = self.send(name, types[name], True, **goals[name] | changes)
 
-    def call_services(self):
+    def call_services(self, experiment, folder):
+        requests = {
+            "load_experiment": {"experiment": Path(experiment).read_text()},
+            "start_recording": {"bag": f"{folder}/by_hand", "experiment": Path(experiment).read_text()},
+        }
         for row in rows(section(self.page, "services")):
-            response = self.call(f"{NAMESPACE}/{row['service']}", load(row["type"]))
+            fields = requests.get(row["service"], {})
+            response = self.call(f"{NAMESPACE}/{row['service']}", load(row["type"]), **fields)
             self.report["services"][row["service"]] = [response.success, response.message]
+
+    def publish(self):
+        """Move nothing by a setpoint of one's own, and stop the bench, by publishers of the default quality of service."""
+        types = {row["topic"]: load(row["type"]) for row in rows(section(self.page, "topics"))}
+        publishers = {
+            name: self.node.create_publisher(types[name], f"{NAMESPACE}/{name}", 10)
+            for name in ("setpoint", "emergency_stop")
+        }
+        for name, publisher in publishers.items():
+            self.until(publisher.get_subscription_count, f"somebody who hears {name}")
+
+        reset = self.call(f"{NAMESPACE}/reset_fault", Trigger)
+        if not reset.success:
+            sys.exit(f"stranger: reset_fault: {reset.message}")
+        health, modes = self.messages["/diagnostics"], self.messages["bench_state"]
+        begin = len(health)
+
+        def is_refused():
+            publishers["setpoint"].publish(types["setpoint"](position=0.01, coil_current=0.5))
+            told = [status.message for message in health[begin:] for status in message.status]
+            return any(line.startswith("a setpoint is refused: the bench is in mode idle; ") for line in told)
+
+        self.until(is_refused, "the refusal of a setpoint")
+        publishers["emergency_stop"].publish(types["emergency_stop"](data=True))
+        self.until(lambda: modes[-1].mode == modes[-1].FAULT, "the emergency stop")
 
     def main(self, experiment, folder):
         self.subscribe()
         self.read_parameters()
         self.send_goals(experiment, folder)
-        self.report["topics"]["refusals"] = len(self.messages["refusals"])
-        self.call_services()
-        for name, messages in self.messages.items():
-            self.report["topics"][name] = max(len(messages), self.report["topics"].get(name, 0))
+        self.call_services(experiment, folder)
+        self.publish()
+        self.report["topics"] = {name: len(messages) for name, messages in self.messages.items()}
         joints = self.messages["joint_states"]
         self.report["efforts"] = [len(joint.effort) for joint in joints]
         self.report["not a number"] = sum(value != value for joint in joints for value in [*joint.position, *joint.effort])

@@ -103,9 +103,16 @@ def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> 
     assert [name for name, count in report["topics"].items() if not count] == []
     assert {row["service"] for row in rows(section(page, "services"))} == set(report["services"])
     assert [name for name, (success, message) in report["services"].items() if not (success or message)] == []
+    for name in ("reset_fault", "stop", "load_experiment", "start_recording", "stop_recording"):
+        assert report["services"][name][0], (name, report["services"][name])
     answers = report["actions"]
     for name in ("run_experiment", "run_control", "run_set", "identify"):
         assert answers[name]["good"][0] == "succeeded", answers[name]
+        assert answers[name]["good"][2] > 0, f"{name} gives no feedback"
+    for name in ("run_experiment", "run_set", "identify"):
+        status, message, _ = answers[name]["cancelled"]
+        assert status == "cancelled", answers[name]
+        assert "cancelled" in message
     assert answers["diagnose"]["good"][0] == "aborted"
     assert answers["diagnose"]["good"][1].startswith(f"{tmp_path}/stranger/nowhere: no such file")
     for name, answer in answers.items():

@@ -79,13 +79,14 @@ class Fault:
         Regular expression of what the result must say; "" for nothing.
     ending : Ending
     told : str or None
-        Regular expression of what ``/diagnostics`` must say, by default the cause; "" where it need not.
+        Regular expression of what ``/diagnostics`` must say, by default the cause; "" where it need not. At a random moment,
+        it must say so where it latches a stop.
     rest, coil : float or None
         Longest time in s until the rod stands and the coil is without current; None where software cannot do it.
     repair : callable
         Mends it again.
-    at_random : bool
-        Whether it is injected at a random moment of the procedure instead of at full speed.
+    at_random, idle : bool
+        Whether it is injected at a random moment of the procedure, or before a run is asked for, instead of at full speed.
     recorded : bool
         Whether the recording must go on until the rod stands.
     homes_on : bool
@@ -103,6 +104,7 @@ class Fault:
     coil: float | None = 0.2
     repair: Callable[["Bench"], None] = lambda bench: bench.set_fault("")
     at_random: bool = False
+    idle: bool = False
     recorded: bool = True
     homes_on: bool = False
     hybrid: bool = False
@@ -224,25 +226,32 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
     bench.bag = bench.folder / f"bag{number}"
     bench.truth.clear()
     experiment = HYBRID if fault.hybrid else SHORT if fault.ending in (Ending.COMPLETE, Ending.COMPLAINS) else LONG
+    ended: Any = None
     if fault.at_random:
         ended = bench.send(experiment)
         bench.advance(bench.random.uniform(0.0, _MOMENTS))
-    else:
+    elif not fault.idle:
         ended = bench.run_at_speed(experiment, bench.bag, bench.action)
     with bench.clock.busy():
         begun = bench.clock.now()
         bench.told.clear()
         answer = fault.inject(bench) or ""
-    ends = bench.client.spin(lambda: ended.done() or _is_gone(bench, "supervisor"), 120, watch=False)
+    if fault.idle:
+        bench.advance(0.5)
+        result, ends = bench.client.run_experiment(experiment, bench.bag, 0), True
+    else:
+        ends = bench.client.spin(lambda: ended.done() or _is_gone(bench, "supervisor"), 120, watch=False)
+        result = ended.result().result if ended.done() else None
     bench.advance(max(0.0, begun + 1.0 - bench.clock.now()))
     rest = bench.last_time(
         begun, lambda state: abs(state.velocity[0]) > MOVES and not (fault.homes_on and bench.homes(state))
     )
     coil = bench.last_time(begun, lambda state: state.effort[1] > FLOWS)
-    result = ended.result().result if ended.done() else None
     said = answer or (result.message if result is not None else bench.servo[-1].message)
     told = fault.cause if fault.told is None else fault.told
-    heard = bench.client.spin(lambda: any(re.search(told, line) for line in bench.told), 6, watch=False)
+    latched = bench.modes[-1].mode == BenchState.FAULT or bench.servo[-1].stopped
+    heard = not told or (fault.at_random and not latched)
+    heard = heard or bench.client.spin(lambda: any(re.search(told, line) for line in bench.told), 6, watch=False)
 
     failures: list[str] = []
 

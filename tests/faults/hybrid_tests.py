@@ -30,11 +30,11 @@ FAULTS = (
     ),
     *(
         dataclasses.replace(fault, name=f"hybrid test: {fault.name}", hybrid=True)
-        for fault in processes.faults_of("controller", "controller|setpoint", *processes.SIGNALS)
+        for fault in processes.faults_of("controller", ".*(controller|setpoint)", *processes.SIGNALS)
     ),
     *(
         dataclasses.replace(fault, name=f"hybrid test: {fault.name}", hybrid=True)
         for name in ("servo", "daq", "recorder", "supervisor")
-        for fault in processes.faults_of(name, processes.CAUSES[name], signal.SIGKILL)
+        for fault in processes.faults_of(name, f"{processes.CAUSES[name]}|.*stale force", signal.SIGKILL)
     ),
 )

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from faults.campaign import Bench, Ending, Fault
 from mrd_base.nodes.bench_node import LATCHED
 from mrd_interfaces.msg import Setpoint
-from mrd_interfaces.srv import StopRecording
+from mrd_interfaces.srv import StartRecording, StopRecording
 
 ORDINARY = QoSProfile(depth=10)
 _SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
@@ -75,6 +75,13 @@ def _start_second_supervisor(bench: Bench) -> None:
     bench.processes.running["supervisor"] = first
 
 
+def _require_second_supervisor_ended(bench: Bench) -> None:
+    second = bench.background[-1]
+    assert bench.client.spin(lambda: second.poll() is not None, 60, watch=False), "the second supervisor goes on"
+    assert second.returncode == 2, second.returncode
+    assert "supervises this bench already" in bench.processes.log("supervisor").read_text()
+
+
 def _start_second_bench(bench: Bench) -> str:
     command = ["ros2", "run", "mrd_bench_driver", "bench", "--simulated", "--output", str(bench.folder / "second")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=90, env=dict(os.environ))
@@ -82,7 +89,8 @@ def _start_second_bench(bench: Bench) -> str:
     return done.stderr.strip()
 
 
-_STOPPED = "servo: somebody stopped the rod during the run"
+_STOPPED = "^servo: somebody stopped the rod during the run"
+_IN_A_RUN = "the bench is in mode identification; call stop"
 
 FAULTS = (
     Fault("emergency stop: ordinary publisher", press(ORDINARY, 1), "emergency stop"),
@@ -93,26 +101,35 @@ FAULTS = (
     Fault("emergency stop: service of the supervisor", call("emergency_stop"), "emergency stop by the service"),
     Fault("servo/stop", call("servo/stop"), _STOPPED, Ending.ENDED, told=""),
     Fault("servo/enable false", call("servo/enable", SetBool, data=False), _STOPPED, Ending.ENDED, told=""),
-    Fault("abort_experiment", call("abort_experiment"), "the generator aborted", Ending.ENDED, told=""),
-    Fault("stop", call("stop"), "cancelled", Ending.ENDED, told=""),
-    Fault("setpoints of a stranger", _send_setpoints, "", Ending.COMPLETE, told="it carries lease 0|"),
+    Fault(
+        "abort_experiment",
+        call("abort_experiment"),
+        "^the generator aborted the experiment; on request",
+        Ending.ENDED,
+        told="",
+    ),
+    Fault("stop", call("stop"), "^cancelled", Ending.ENDED, told=""),
+    Fault("setpoints of a stranger", _send_setpoints, "", Ending.COMPLETE, told=r"it carries lease 0, not \d+; publishers"),
     *(
         Fault(
             f"{name} in a run",
             _is_refused(name, kind, **fields),
-            "mode identification|busy|records a run",
+            answer,
             Ending.COMPLETE,
-            told="",
+            told="",  # the refusal goes to who asked
         )
-        for name, kind, fields in (
-            ("daq/reset_fault", Trigger, {}),
-            ("daq/tare", Trigger, {}),
-            ("servo/reset_fault", Trigger, {}),
-            ("servo/home", Trigger, {}),
-            ("stop_recording", StopRecording, {}),
+        for name, kind, answer, fields in (
+            ("daq/reset_fault", Trigger, f"^daq: {_IN_A_RUN}", {}),
+            ("daq/tare", Trigger, f"^{_IN_A_RUN}", {}),
+            ("servo/reset_fault", Trigger, f"^{_IN_A_RUN}", {}),
+            ("servo/home", Trigger, f"^{_IN_A_RUN}", {}),
+            ("start_recording", StartRecording, f"^{_IN_A_RUN}", {"bag": "/nowhere"}),
+            ("stop_recording", StopRecording, "^records a run of /bench/supervisor ", {}),
         )
     ),
-    Fault("daq: rate_hz in a run", _set_rate, "mode identification", Ending.COMPLETE, told=""),
-    Fault("second supervisor", _start_second_supervisor, "", Ending.COMPLETE, told=""),
+    Fault("daq: rate_hz in a run", _set_rate, f"^{_IN_A_RUN}", Ending.COMPLETE, told=""),
+    Fault(
+        "second supervisor", _start_second_supervisor, "", Ending.COMPLETE, told="", repair=_require_second_supervisor_ended
+    ),
     Fault("second bench in the namespace", _start_second_bench, "is occupied by another bench", Ending.COMPLETE, told=""),
 )
