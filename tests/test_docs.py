@@ -4,14 +4,20 @@ import argparse
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mrd_cli.cli import mrd
+from mrd_identification import identify
+from mrd_identification.fit_file import write_fit
+from mrd_identification.method import Method
+from mrd_runs import read_runs
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
@@ -111,6 +117,64 @@ def test_the_first_hour_goes_as_it_says(tmp_path):
         printed = iter([masked(line) for line in done.stdout.splitlines()])
         for line in expected:
             assert line == "..." or masked(line) in printed, f"{command}\n{line}\n{done.stdout}"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_what_the_readme_does_by_hand_without_a_bench_is_done(tmp_path):
+    """Imported recordings stand in for those of the bench; all other commands are run as they stand, in their order."""
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## By hand")[2].partition("\n## ")[0]
+    lines = re.findall(r"^    (ros2 run .*)$", section, re.MULTILINE)
+    by_hand = [
+        line for line in lines if not line.startswith(("ros2 run mrd_bench_driver", "ros2 run mrd_trajectory generator"))
+    ]
+    assert len(by_hand) >= 7
+    runs = tmp_path / "runs"
+    recordings = sorted((ROOT / "examples/worn_joint").glob("*.csv"))
+    importing = ["ros2", "run", "mrd_runs", "import", *map(str, recordings), "--output", str(runs / "characterise-1")]
+    subprocess.run(importing, check=True, capture_output=True)
+    for number, recording in enumerate(recordings, 1):
+        (runs / "characterise-1" / recording.stem).rename(runs / "characterise-1" / f"{number:02}_{recording.stem[2:]}")
+    shutil.copytree(runs / "characterise-1" / "01_multisine", runs / "paper" / "bag")
+    for command in by_hand:
+        done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, timeout=600)
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    for name in ("paper/fit.html", "comparison/compare.html", "gap/gap_report.html"):
+        assert (runs / name).exists()
+    assert (tmp_path / "damper.fmu").exists()
+
+
+@pytest.fixture(scope="module")
+def own_files(tmp_path_factory):
+    """A folder with the files that the Python of the pages reads: three runs, a table of another program, a fit."""
+    folder = tmp_path_factory.mktemp("own")
+    recordings = sorted((ROOT / "examples/worn_joint").glob("*.csv"))
+    for name, recording in zip("abc", recordings, strict=False):
+        shutil.copy(recording, folder / f"{name}.csv")
+    time, position, _, force = np.loadtxt(recordings[0], delimiter=",", skiprows=1, usecols=range(4)).T
+    table = np.column_stack([1e3 * time, 1e3 * position, 1e-3 * force])
+    np.savetxt(folder / "rig.txt", table, delimiter=";", header="Time [ms];Weg [mm];Kraft [kN]", comments="")
+    method = Method(population=16, generations=5, seeds=1, profile=False)
+    write_fit(identify(read_runs([folder / "a.csv"]), "bingham", method=method), folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", ["README.md", "docs/diagnosis.md", "docs/control.md", "docs/export.md", "docs/own_data.md"])
+def test_the_python_of_a_page_runs(name, own_files, monkeypatch):
+    """Blocks of Python are run in their order. That of the standard set needs a bench; other tests have the user's own."""
+    monkeypatch.chdir(own_files)
+    (own_files / "runs").mkdir(exist_ok=True)
+    time = np.arange(2000) / 500
+    motion = {"position": 5e-3 * np.sin(9 * time), "velocity": 0.045 * np.cos(9 * time)}
+    motion["acceleration"] = -81.0 * motion["position"]
+    names = {"time": time, "dt": 0.002, "current": np.full(2000, 0.2), **motion}
+    blocks = re.findall(r"^```python\n(.*?)^```$", (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    assert blocks
+    for block in blocks:
+        exec(block, names)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from mrd_base.figures import LAYOUT, MEASURED, MODELLED, to_html
 from mrd_control.experiment import ControlExperiment
 from mrd_control.explanation import PARAMETERS, TRACKING, Explanation, explain_difference
 from mrd_control.loop import LoopResult
@@ -17,7 +18,6 @@ from mrd_control.recording import DEADLINE, HybridRun
 from mrd_control.ride import METRICS, Ride, ride_metrics
 from mrd_control.tracking import Tracking, tracking
 from mrd_control.twin import run_twin
-from mrd_identification.figures import LAYOUT, MEASURED, MODELLED, to_html
 from mrd_identification.json_file import finite_or_none, make_folder, write_json
 from mrd_identification.report import render
 from mrd_sim.damper import Damper
@@ -182,6 +182,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         "hybrid_test",
         folder,
         "mrd_control",
+        files=[comparison.run.bag],
         title=f"Hybrid test {comparison.run.experiment.name}",
         sentence=comparison.sentence,
         over_time=to_html(over_time(comparison)),

@@ -295,11 +295,12 @@ def optimise_gains(
     population: int = 24,
     generations: int = 12,
     seed: int = 0,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> GainFront:
     """Search the gains of a law by NSGA-II (Deb et al., 2002) for comfort against contact force, or drift without contact.
 
     Currents are searched from zero to the largest one, shares over their range, and other gains on a logarithmic scale
-    about their default. ``damper`` and ``excitation`` come with their labels.
+    about their default. ``damper`` and ``excitation`` come with their labels; ``progress`` is called with the share done.
     """
     linear = system.linear()
     second = "contact" if linear.contact_stiffness else "drift"
@@ -329,7 +330,12 @@ def optimise_gains(
 
     first = LHS().do(Objectives(), population, random_state=np.random.default_rng(seed)).get("X")
     result = minimize(
-        Objectives(), NSGA2(pop_size=population, sampling=first), ("n_gen", generations), seed=seed, verbose=False
+        Objectives(),
+        NSGA2(pop_size=population, sampling=first),
+        ("n_gen", generations),
+        seed=seed,
+        verbose=False,
+        callback=lambda algorithm: progress(algorithm.n_gen / generations),
     )
     found, units = np.atleast_2d(result.opt.get("F")), np.atleast_2d(result.opt.get("X"))
     order = np.argsort(found[:, 0], kind="stable")

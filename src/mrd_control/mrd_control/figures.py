@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.signal import welch
 
+from mrd_base.figures import LAYOUT, MEASURED, MODELLED
 from mrd_control.evaluation import Entry, Evaluation, GainFront, comfort
 from mrd_control.loop import LoopResult
-from mrd_identification.figures import LAYOUT, MEASURED, MODELLED
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base import to_mapping
+from mrd_base.figures import to_html
+from mrd_base.quantities import quantity
 from mrd_control import figures
 from mrd_control.evaluation import Entry, Evaluation, GainFront, comfort
 from mrd_control.laws import LAWS
 from mrd_control.systems import SYSTEMS
-from mrd_identification.figures import to_html
 from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import render
 
@@ -126,6 +127,13 @@ def to_json(evaluation: Evaluation, fronts: Sequence[GainFront] = ()) -> dict[st
     }
 
 
+def _gains(front: GainFront) -> str:
+    """Return the gains at the knee of a front in words."""
+    units = {parameter.name: parameter.unit for parameter in LAWS[front.law].parameters}
+    knee = zip(front.names, front.gains[front.knee], strict=True)
+    return ", ".join(f"{name} {quantity(float(gain), units[name])}" for name, gain in knee)
+
+
 def _entry_json(entry: Entry) -> dict[str, Any]:
     return {
         "label": entry.candidate.label,
@@ -138,8 +146,13 @@ def _entry_json(entry: Entry) -> dict[str, Any]:
     }
 
 
-def write_evaluation(evaluation: Evaluation, fronts: Sequence[GainFront], folder: str | Path) -> Path:
-    """Write evaluation.json and evaluation.html into ``folder``; return the path of the page, which needs no network."""
+def write_evaluation(
+    evaluation: Evaluation, fronts: Sequence[GainFront], folder: str | Path, files: Sequence[str] = ()
+) -> Path:
+    """Write evaluation.json and evaluation.html into ``folder``; return the path of the page, which needs no network.
+
+    The page names the ``files`` that dampers, system and excitations are from.
+    """
     write_json(to_json(evaluation, fronts), "mrd_control", "evaluation", folder)
     kind = next(name for name, kind in SYSTEMS.items() if kind is type(evaluation.system))
     drawn = evaluation.results["passive", evaluation.entries[0].excitation].time.size > 1
@@ -147,6 +160,7 @@ def write_evaluation(evaluation: Evaluation, fronts: Sequence[GainFront], folder
         "evaluation",
         folder,
         "mrd_control",
+        files=files,
         title=f"Control laws for a {kind.replace('_', ' ')}",
         sentence=sentence(evaluation),
         trade_off=to_html(figures.trade_off(evaluation)),
@@ -154,7 +168,7 @@ def write_evaluation(evaluation: Evaluation, fronts: Sequence[GainFront], folder
         spectra=to_html(figures.spectra(evaluation)),
         loops=to_html(figures.loops(evaluation)),
         fronts=to_html(figures.gain_fronts(evaluation, fronts)) if fronts else "",
-        knees=[(front, front.gains[front.knee], front.objectives[front.knee]) for front in fronts],
+        knees=[(front, _gains(front), front.objectives[front.knee]) for front in fronts],
         columns=columns(evaluation),
         rows=rows(evaluation),
         laws=[LAWS[name] for name in dict.fromkeys(entry.candidate.law for entry in evaluation.entries)],

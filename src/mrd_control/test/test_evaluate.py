@@ -78,6 +78,7 @@ def test_a_hybrid_test_states_margin_and_tracking(tool, tmp_path):
     assert content["margins"]["bench"]["delay_s"] > 0.003
     assert content["system"]["unsprung_mass_kg"] == 120
     assert abs(content["laws"][0]["tracking"]["delay"]) < 1e-3
+    assert "<code>car.yaml</code>" in (tmp_path / "out" / "evaluation.html").read_text().partition("<footer>")[2]
     assert "NRMS" in out
     status, _, err = tool(*arguments, "--delay", 40)
     assert status == 2

@@ -218,6 +218,9 @@ def test_files_fit_their_schema(growing, tmp_path):
     text = page.read_text()
     assert growing.sentence in text
     assert text.count("<td>2024-") == 10
+    assert len(text.encode()) < 1_000_000
+    # Small quantities have a prefix.
+    assert '<code>creep_speed</code></td><td class="n">0.01 m/s' in text or " mm/s</td>" in text
     stored = json.loads((tmp_path / "trend.json").read_text())
     jsonschema.validate(stored, read_schema("mrd_diagnosis", "trend"))
     assert stored["slope"]["unit"] == "N/day"
@@ -238,7 +241,9 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["trend", *paths, "--output", str(tmp_path / "out"), *arguments])
         tool.main()
-        return capsys.readouterr().out
+        captured = capsys.readouterr()
+        assert captured.err.startswith(f"4 runs in {tmp_path}; ")
+        return captured.out
 
     def refusal(*arguments):
         with pytest.raises(SystemExit) as stopped:
@@ -251,6 +256,11 @@ def test_the_tool(tmp_path, monkeypatch, capsys):
     refusal("--model", "bingham", "--parameter", "viscous", "--dates", "2024-01-01")
     printed = call("--model", "bingham", "--parameter", "yield_force", "--limit", "150")
     assert printed.startswith("yield_force grows by ")
+    # The page says which files it is about, and what to ask next.
+    page = (tmp_path / "out" / "trend.html").read_text()
+    footer = page.partition("<footer>")[2]
+    assert all(f"<code>{path}</code>" in footer for path in paths)
+    assert f"diagnose {paths[-1]} --reference {paths[0]} --model bingham --output DIR</code>" in page
     assert json.loads((tmp_path / "out" / "trend.json").read_text())["limit"]["crossing"]["label"] == "run 6"
 
 

@@ -6,11 +6,12 @@ from typing import Any
 
 import plotly.graph_objects as go
 
+from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, to_html
 from mrd_identification import figures
 from mrd_identification.compare import Comparison
 from mrd_identification.fit_file import write_fit
 from mrd_identification.json_file import finite_or_none, write_json
-from mrd_identification.report import render
+from mrd_identification.report import diagnose_command, render
 
 SCHEMA = "mrd-comparison/3"
 COLUMNS = (
@@ -96,7 +97,7 @@ def error_chart(comparison: Comparison) -> go.Figure:
             y=names,
             mode="markers",
             name="fitted runs",
-            marker={"symbol": "circle-open", "color": figures.MEASURED, "size": 10, "line": {"width": 2}},
+            marker={"symbol": "circle-open", "color": MEASURED, "size": 10, "line": {"width": 2}},
         )
     )
     figure.add_scatter(
@@ -104,12 +105,12 @@ def error_chart(comparison: Comparison) -> go.Figure:
         y=names,
         mode="markers",
         name="held-out runs, 95 % interval",
-        marker={"color": [figures.ACCENT if entry.on_par else figures.MODELLED for entry in entries], "size": 10},
+        marker={"color": [ACCENT if entry.on_par else MODELLED for entry in entries], "size": 10},
         error_x=figures.error_bars(*zip(*((e.nrmse - e.lower, e.upper - e.nrmse) for e in entries), strict=True)),
     )
     figure.update_xaxes(title_text="NRMSE: rms error / standard deviation of the force", rangemode="tozero")
     figure.update_yaxes(automargin=True)
-    figure.update_layout(**figures.LAYOUT, height=160 + 34 * len(entries))
+    figure.update_layout(**LAYOUT, height=160 + 34 * len(entries))
     return figure
 
 
@@ -126,14 +127,15 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         "compare",
         folder,
         runs=[result.run for result in (*best.fitted, *best.held_out)],
+        command=diagnose_command(comparison.simplest.fit),
         title=f"{len(comparison.entries)} damper models on {len(best.held_out)} held-out runs",
         sentence=sentence(comparison),
         comparison=comparison,
         columns=COLUMNS,
         selections=selections(comparison),
         rows=list(zip(comparison.entries, ranking(comparison), strict=True)),
-        error_chart=figures.to_html(error_chart(comparison)),
-        loops=figures.to_html(figures.loops(best.held_out)),
+        error_chart=to_html(error_chart(comparison)),
+        loops=to_html(figures.loops(best.held_out)),
     )
 
 

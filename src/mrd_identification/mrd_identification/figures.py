@@ -1,7 +1,5 @@
 """Figures of a fit."""
 
-import html
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,23 +8,10 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from mrd_identification.drawing import draw
+from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 from mrd_identification.fit import Fit, RunResult
 
 Array = NDArray[np.float64]
-
-MEASURED = "#aab4c0"
-MODELLED = "#d1495b"
-ACCENT = "#00798c"
-MOST_POINTS = 1500
-"""Points of a line; more would not be visible, and would make the page slow."""
-
-LAYOUT = {
-    "template": "plotly_white",
-    "font": {"family": "system-ui, sans-serif", "size": 13},
-    "margin": {"l": 60, "r": 20, "t": 40, "b": 50},
-    "legend": {"orientation": "h", "x": 1, "xanchor": "right", "y": 1.02, "yanchor": "bottom"},
-}
 
 
 def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
@@ -67,9 +52,9 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     return figure
 
 
-def force_over_time(result: RunResult) -> go.Figure:
-    """Draw force, error and coil current over time, for the seconds of a run in which they vary most."""
-    shown = _window(result)
+def force_over_time(result: RunResult, points: int = MOST_POINTS) -> go.Figure:
+    """Draw force, error and coil current over time, for the seconds of a run in which they vary most, in some points."""
+    shown = _window(result, points=points)
     time = np.round(result.run.time[shown], 4)
     figure = make_subplots(rows=3, cols=1, shared_xaxes=True, row_heights=[0.55, 0.25, 0.2], vertical_spacing=0.05)
     force, modelled = result.run.force[shown], result.modelled[shown]
@@ -217,7 +202,7 @@ def _spread(results: Sequence[RunResult], most: int) -> list[RunResult]:
     return [ordered[i] for i in picks]
 
 
-def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
+def _window(result: RunResult, seconds: float = 6.0, points: int = MOST_POINTS) -> NDArray[np.intp]:
     """Return the indices of the counted samples in which force and current vary most, not more than a line has points."""
     run, counted = result.run, result.counted
     length = min(int(seconds * run.rate), counted.stop - counted.start)
@@ -229,53 +214,4 @@ def _window(result: RunResult, seconds: float = 6.0) -> NDArray[np.intp]:
         return float(np.std(run.force[part]) / np.std(run.force) + np.std(run.current[part]) / span)
 
     best = max(starts, key=variation)
-    return np.arange(best, best + length, -(-length // MOST_POINTS))
-
-
-FULL, HALF, NARROW = 1130, 550, 360
-"""Widths in pixels: of a page, of a column of two, and of a telephone, where every figure takes the page."""
-
-
-def to_html(figure: go.Figure, width: int = FULL) -> str:
-    """Return a figure, with its description for those who cannot see it, as a part of a page that is drawn without script.
-
-    A figure that would be too small to read on a telephone is drawn for it as well; the page shows one of the two.
-    """
-    if width <= NARROW:
-        return _in_page(figure, draw(figure, width))
-    return _in_page(figure, f'<div class="wide">{draw(figure, width)}</div><div class="narrow">{draw(figure, NARROW)}</div>')
-
-
-def interactive_html(figure: go.Figure) -> str:
-    """Return a figure, with its description, as a part of a page that includes Plotly (see `render`)."""
-    return _in_page(
-        figure, figure.to_html(full_html=False, include_plotlyjs=False, config={"displayModeBar": False, "responsive": True})
-    )
-
-
-def _in_page(figure: go.Figure, drawing: str) -> str:
-    return f'<figure class="plot" role="img" aria-label="{html.escape(describe(figure), quote=True)}">{drawing}</figure>'
-
-
-def describe(figure: go.Figure) -> str:
-    """Describe a figure in words: what is drawn over what; of bars, their lengths."""
-    drawn = figure.to_plotly_json()
-    titles = {
-        axis: [
-            text
-            for name, settings in drawn["layout"].items()
-            if name.startswith(axis) and (text := (settings.get("title") or {}).get("text"))
-        ]
-        for axis in ("xaxis", "yaxis")
-    }
-    over = " over ".join(filter(None, (" and ".join(dict.fromkeys(titles[axis])) for axis in ("yaxis", "xaxis"))))
-    names = dict.fromkeys(name for trace in figure.data if (name := trace.name))
-    lengths = [
-        f"{label} {length:.3g}"
-        for trace in figure.data
-        if trace.type == "bar" and trace.orientation == "h"
-        for label, length in zip(trace.y, trace.x, strict=True)
-        if length is not None
-    ]
-    kind = "Map" if any(trace.type == "heatmap" for trace in figure.data) else "Chart"
-    return re.sub(r"<[^>]*>", " ", ": ".join(filter(None, (f"{kind} of {over}", ", ".join([*names, *reversed(lengths)])))))
+    return np.arange(best, best + length, -(-length // points))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.quantities import quantity
 from mrd_identification.effect_selection import Selection
 from mrd_identification.method import Method
 from mrd_identification.metrics import Metrics, metrics
@@ -189,14 +190,17 @@ class Fit:
 
     def summary(self) -> str:
         """Return the error, the parameters with their 95 % intervals, and what limits the trust in them, as text."""
-        rows = [("parameter", "value", "95 % interval", "unit")]
+        rows = [("parameter", "value", "95 % interval")]
         for estimate in self.estimates:
-            interval = f"{estimate.lower:.4g} to {estimate.upper:.4g}" if np.isfinite(estimate.lower) else "none"
+            value, lower, upper = (
+                quantity(number, estimate.parameter.unit) for number in (estimate.value, estimate.lower, estimate.upper)
+            )
+            interval = f"{lower} to {upper}" if np.isfinite(estimate.lower) else "none"
             if estimate.fixed or estimate.on_bound:
                 interval = "fixed" if estimate.fixed else "on bound"
-            rows.append((estimate.parameter.name, f"{estimate.value:.4g}", interval, estimate.parameter.unit))
-        first, second, third = (max(len(row[column]) for row in rows) for column in range(3))
-        table = (f"{row[0]:{first}}  {row[1]:>{second}}  {row[2]:>{third}}  {row[3]}".rstrip() for row in rows)
+            rows.append((estimate.parameter.name, value, interval))
+        first, second = (max(len(row[column]) for row in rows) for column in range(2))
+        table = (f"{row[0]:{first}}  {row[1]:>{second}}  {row[2]}" for row in rows)
         return "\n".join([self.sentence, *table, *(f"note: {warning}" for warning in self.warnings)])
 
     def plot(self) -> "go.Figure":

@@ -1,25 +1,24 @@
-"""The page fit.html, and the rendering of pages from templates."""
+"""The page fit.html, and pages about runs."""
 
-import datetime
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from plotly.offline import get_plotlyjs
-
+from mrd_base import page
+from mrd_base.figures import HALF, MOST_POINTS, to_html
 from mrd_base.tool import command
-from mrd_base.version import VERSION
 from mrd_identification import figures
 from mrd_identification.effect_selection import LEAST_IMPROVEMENT
 from mrd_identification.fit import Fit
 from mrd_runs import Run
+from mrd_runs.read import run_arguments
+from mrd_sim.own import model_arguments
 
-MOST_RUNS = 4
+MOST_RUNS = 24
 """Runs that fit.html draws over time, those with the largest error; more would make the page too large."""
+POINTS = 6000
+"""Points of all these drawings together; the lines of more runs are coarser."""
 
-_PREFIXED_UNITS = ("m", "s", "N", "A", "V", "J", "W", "Pa")
 _EVALUATED_ON = {"runs": "held-out runs", "leave-one-run-out": "each run held out in turn", "none": "fitted runs"}
 
 
@@ -27,23 +26,24 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
     """Write fit.html, a page that needs no network, into ``folder`` and return its path."""
     results, metrics = fit.held_out or fit.fitted, fit.pooled
     by_error = sorted(results, key=lambda result: -result.metrics.nrmse)
+    points = min(POINTS // min(len(results), MOST_RUNS), MOST_POINTS)
     return render(
         "fit",
         folder,
         runs=[result.run for result in (*fit.fitted, *fit.held_out)],
         title=f"{fit.model.title} model of {len(fit.fitted)} run{'s' if len(fit.fitted) > 1 else ''}",
         sentence=fit.sentence,
-        loops=figures.to_html(figures.loops(results)),
+        loops=to_html(figures.loops(results)),
         over_time=[
-            (f"{result.run.name}, NRMSE {result.metrics.nrmse:.4f}", figures.to_html(figures.force_over_time(result)))
+            (f"{result.run.name}, NRMSE {result.metrics.nrmse:.4f}", to_html(figures.force_over_time(result, points)))
             for result in by_error[:MOST_RUNS]
         ],
         omitted=len(by_error[MOST_RUNS:]),
-        command=f"{command('mrd_diagnosis', 'diagnose')} {_sources(fit)} --model {fit.model.id} --output DIR",
-        residuals=figures.to_html(figures.residuals(results)),
-        front=figures.to_html(figures.pareto_front(fit), figures.HALF),
-        intervals=figures.to_html(figures.parameters(fit), figures.HALF),
-        correlation=figures.to_html(figures.correlation(fit), figures.HALF) if len(fit.correlation) > 1 else "",
+        command=diagnose_command(fit),
+        residuals=to_html(figures.residuals(results)),
+        front=to_html(figures.pareto_front(fit), HALF),
+        intervals=to_html(figures.parameters(fit), HALF),
+        correlation=to_html(figures.correlation(fit), HALF) if len(fit.correlation) > 1 else "",
         headline=[
             (f"NRMSE, {_EVALUATED_ON[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
             ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),
@@ -60,10 +60,11 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
     )
 
 
-def _sources(fit: Fit) -> str:
-    """Return the fitted runs as arguments of a tool."""
-    files = [str(result.run.info.get("source", "")) for result in fit.fitted]
-    return shlex.join(files) if all(files) else "RUN..."
+def diagnose_command(fit: Fit) -> str:
+    """Return the command that looks for the cause of the errors of a fit."""
+    runs = run_arguments([result.run for result in fit.fitted])
+    model = model_arguments(fit.model.id, fit.model.laws)
+    return f"{command('mrd_diagnosis', 'diagnose')} {runs} {model} --output DIR"
 
 
 def render(
@@ -73,45 +74,9 @@ def render(
     /,
     *,
     runs: Sequence[Run] = (),
-    interactive: bool = False,
+    files: Sequence[str] = (),
     **content: Any,
 ) -> Path:
-    """Write ``name``.html from the template of a package into ``folder`` and return its path.
-
-    The page ends with the version of the program, the date, and the files of the ``runs`` that it is about. An
-    ``interactive`` page includes Plotly, which takes 4.7 MB. The file is complete or absent, even when the process is
-    interrupted.
-    """
-    loaders = [jinja2.PackageLoader(name) for name in dict.fromkeys((package, "mrd_identification"))]
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
-    )
-    environment.filters["figures"] = four_figures
-    environment.filters["quantity"] = quantity
-    page = environment.get_template(f"{name}.html.j2").render(
-        plotly=get_plotlyjs() if interactive else "",
-        version=VERSION,
-        written=f"{datetime.datetime.now():%Y-%m-%d %H:%M}",
-        sources=list(dict.fromkeys(str(run.info["source"]) for run in runs if run.info.get("source"))),
-        **content,
-    )
-    path = Path(folder) / f"{name}.html"
-    partial = path.with_suffix(".part")
-    partial.write_text(page, encoding="utf-8")
-    return partial.replace(path)
-
-
-def four_figures(value: float) -> str:
-    """Format a number with four significant figures."""
-    return f"{value:.4g}"
-
-
-def quantity(value: float, unit: str) -> str:
-    """Format a quantity in SI with four significant figures, and with a prefix where it is small or large: 125 µm."""
-    first = unit.partition("/")[0].partition(" ")[0]
-    if first not in _PREFIXED_UNITS or value == 0.0 or 0.1 <= abs(value) < 1e4:
-        return f"{four_figures(value)} {unit}".rstrip()
-    # Matplotlib is slow to import, and only pages need it.
-    from matplotlib.ticker import EngFormatter
-
-    return str(EngFormatter(unit=unit)(float(four_figures(value))))
+    """Write ``name``.html, a page about ``runs`` and other ``files``, into ``folder``; see `mrd_base.page.render`."""
+    sources = [str(run.info["source"]) for run in runs if run.info.get("source")]
+    return page.render(name, Path(folder) / f"{name}.html", package, files=[*sources, *files], **content)

@@ -74,6 +74,8 @@ def test_each_fit_is_what_identify_returns(comparison):
 def test_files_follow_their_schema_and_the_page_needs_no_network(comparison, tmp_path):
     page = write_comparison(comparison, tmp_path).read_text()
     assert "<script src=" not in page
+    assert len(page.encode()) < 1_000_000
+    assert "diagnose RUN... --model bouc_wen --output DIR</code>" in page
     content = json.loads((tmp_path / "compare.json").read_text())
     assert content["schema"] == "mrd-comparison/3"
     jsonschema.validate(content, read_schema("mrd_identification", "compare"))

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_base.quantities import quantity
 from mrd_base.version import VERSION
 from mrd_identification import figures, identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import find_knee
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
-from mrd_identification.report import quantity, write_report
+from mrd_identification.report import MOST_RUNS, write_report
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -315,23 +316,28 @@ def test_every_run_can_be_chosen_the_worst_first(bouc_wen_fit, tmp_path):
     (result, *_) = bouc_wen_fit.fitted
     runs = tuple(
         replace(result, run=replace(result.run, name=name), metrics=replace(result.metrics, nrmse=error))
-        for name, error in (("good", 0.1), ("bad", 0.9), *((f"other_{i}", 0.5) for i in range(3)))
+        for name, error in (("good", 0.1), ("bad", 0.9), *((f"other_{i}", 0.5) for i in range(MOST_RUNS - 1)))
     )
     page = write_report(replace(bouc_wen_fit, fitted=runs, held_out=()), tmp_path).read_text()
     assert re.findall(r'<details name="run"( open|)><summary>(\w+), ', page)[0] == (" open", "bad")
-    assert page.count('<details name="run"') == 4
+    assert page.count('<details name="run"') == MOST_RUNS
     assert "The 1 runs" not in page
     assert "The run with the least error is left out." in page
+    assert len(page.encode()) < 1_000_000
+    # A standard set of ten runs is there as a whole.
+    page = write_report(replace(bouc_wen_fit, fitted=runs[:10], held_out=()), tmp_path).read_text()
+    assert page.count('<details name="run"') == 10
+    assert "left out" not in page.partition('<div class="figures">')[0]
     assert len(page.encode()) < 1_000_000
 
 
 def test_a_fit_says_and_draws_itself(bouc_wen_fit):
     lines = bouc_wen_fit.summary().splitlines()
     assert lines[0] == bouc_wen_fit.sentence
-    assert lines[1].split() == ["parameter", "value", "95", "%", "interval", "unit"]
+    assert lines[1].split() == ["parameter", "value", "95", "%", "interval"]
     for estimate, line in zip(bouc_wen_fit.estimates, lines[2:], strict=False):
         assert line.startswith(f"{estimate.parameter.name} ")
-        assert f" {estimate.value:.4g} " in line
+        assert f" {quantity(estimate.value, estimate.parameter.unit)}  " in line
         assert len(line) <= 80
     assert lines[2 + len(bouc_wen_fit.estimates) :] == [f"note: {warning}" for warning in bouc_wen_fit.warnings]
     assert [line.name for line in bouc_wen_fit.plot().data[:2]] == ["measured", "model"]

@@ -71,21 +71,22 @@ _CHECKS: tuple[tuple[Callable[[Run], bool], str], ...] = (
     (
         _has_wrong_sign,
         "the damper drives the rod, expected that it resists: the force or the position has the wrong sign "
-        "(force > 0 resists extension, position > 0 extends); turn it with `{import_} FILE --flip force`",
+        "(force > 0 resists extension, position > 0 extends); turn it with `{import_} FILE --flip force --output DIR`",
     ),
     (
         _has_turned_velocity,
         "the velocity falls where the position rises: one of them has the wrong sign; turn it with "
-        "`{import_} FILE --flip velocity` or position",
+        "`{import_} FILE --flip velocity --output DIR` or position",
     ),
     (
         _has_small_force,
         f"the force spans less than {_SMALLEST_FORCE:g} N while the rod moves: is it in kN or V? Convert it with "
-        "`{import_} FILE --units force=kN`",
+        "`{import_} FILE --units force=kN --output DIR`",
     ),
     (
         _has_large_force,
-        f"the force spans more than {_LARGEST_FORCE:g} N: is it in mN? Convert it with `{{import_}} FILE --units force=mN`",
+        f"the force spans more than {_LARGEST_FORCE:g} N: is it in mN? "
+        "Convert it with `{import_} FILE --units force=mN --output DIR`",
     ),
 )
 

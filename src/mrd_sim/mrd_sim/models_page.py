@@ -128,11 +128,11 @@ its lower bound where its law would take it below.
 $sections
 ## Your own
 
-Write one file for each model and name their folder with `--models-folder FOLDER`, before or after `--model ID` (in Python:
-`mrd_sim.models.load_models`). The kernel fills the force, sample by sample. `q` holds the coefficients at the current of
-each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the
-functions of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit
-needs.
+Write one file for each model and name their folder with `--models-folder FOLDER`, before or after `--model ID` (in a plant
+file and in goals of actions: `models_folder`; in Python: `mrd_sim.models.load_models`). The kernel fills the force, sample
+by sample. `q` holds the coefficients at the current of each sample, which are read by name; `state` is carried on from
+block to block; `dt[0] == 0` begins a path. Use the functions of `mrd_sim.dual` instead of `math`'s and compare `.real`:
+then the kernel also carries the derivatives that a fit needs.
 
 A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that
 lacks a property that it claims: `odd` (turning the motion round turns the force round) and `dissipative` (no closed cycle

@@ -40,8 +40,12 @@ def test_writes_a_page_that_needs_no_network(run, tmp_path):
     page = (tmp_path / "paper.html").read_text()
     assert status == 0
     assert str(tmp_path / "paper.html") in out
-    assert "position in mm" in page
-    assert "<script src=" not in page
+    assert "position, mm" in page
+    assert "<script" not in page
+    assert page.count('role="img"') == 1
+    assert f"<code>{PAPER}</code>" in page.partition("<footer>")[2]
+    assert "prefers-color-scheme: dark" in page
+    assert len(page.encode()) < 1_000_000
     assert [path.name for path in tmp_path.iterdir()] == ["paper.html"]
 
 

@@ -1,14 +1,14 @@
 """Compare control laws on roads with dampers: one table, one page."""
 
 import argparse
-import sys
+from functools import partial
 from pathlib import Path
 
 from rich.table import Column, Table
-from tqdm import tqdm
 
 from mrd_base import InputError, run_tool
 from mrd_base.console import print_table
+from mrd_base.progress import shown_progress
 from mrd_control.controller import Actuator
 from mrd_control.evaluation import Candidate, Conditions, evaluate, optimise_gains, parse_candidate
 from mrd_control.excitations import Excitation, Road, read_excitation
@@ -19,6 +19,7 @@ from mrd_control.report import columns, rows, sentence, write_evaluation
 from mrd_control.systems import SYSTEMS, System, read_system
 from mrd_identification.export import load_damper
 from mrd_identification.json_file import make_folder
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.models import MODELS
 from mrd_sim.plant import DamperConfig, read_damper
@@ -43,27 +44,29 @@ def work() -> None:
     searched = [find_law(name) for name in arguments.pareto]
     make_folder(arguments.output)
     runs = len(dampers) * len(excitations) * (len(candidates) + len(conditions.currents))
-    with tqdm(total=runs, desc="evaluating", unit="run", file=sys.stderr, disable=None, leave=False) as bar:
-
-        def progress(count: int) -> None:
-            bar.update(count - bar.n)
-
-        evaluation = evaluate(system, dampers, candidates, excitations, conditions, arguments.scheduler, progress)
-    first_damper, first_excitation = next(iter(dampers.items())), next(iter(excitations.items()))
-    fronts = [
-        optimise_gains(
-            system,
-            first_damper,
-            law,
-            first_excitation,
-            conditions,
-            arguments.population,
-            arguments.generations,
-            arguments.seed,
+    with shown_progress("evaluating") as report:
+        evaluation = evaluate(
+            system, dampers, candidates, excitations, conditions, arguments.scheduler, lambda count: report("", count / runs)
         )
-        for law in searched
-    ]
-    page = write_evaluation(evaluation, fronts, arguments.output)
+    first_damper, first_excitation = next(iter(dampers.items())), next(iter(excitations.items()))
+    fronts = []
+    for law in searched:
+        with shown_progress(f"searching the gains of {law.id}") as report:
+            found = optimise_gains(
+                system,
+                first_damper,
+                law,
+                first_excitation,
+                conditions,
+                arguments.population,
+                arguments.generations,
+                arguments.seed,
+                partial(report, ""),
+            )
+        fronts.append(found)
+    system_file = [] if arguments.system in SYSTEMS else [arguments.system]
+    files = [*arguments.damper, *system_file, *arguments.excitation]
+    page = write_evaluation(evaluation, fronts, arguments.output, files)
     titles = columns(evaluation)
     table = Table(titles[0], *(Column(title, justify="right") for title in titles[1:]), box=None)
     for row in rows(evaluation):
@@ -164,6 +167,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--model", default="", help=f"a damper model instead: one of {', '.join(MODELS)}")
     parser.add_argument("--parameters", default="", metavar="'{NAME: VALUE}'", help="of the model, in SI")
+    add_effects_folder(parser)
+    add_models_folder(parser)
     parser.add_argument(
         "--laws",
         nargs="+",

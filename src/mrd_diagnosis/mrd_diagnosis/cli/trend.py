@@ -13,9 +13,11 @@ from mrd_diagnosis.trend.calendar import Calendar, make_calendar
 from mrd_diagnosis.trend.change_over_dates import change_over_dates, parameter_to_follow
 from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import write_trend
+from mrd_identification.cli.options import announce
 from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_identification.json_file import make_folder
 from mrd_runs import Run, read_runs
+from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
@@ -34,6 +36,7 @@ def work() -> None:
     runs = read_runs(arguments.runs)
     calendar = make_calendar(runs, [date for date in arguments.dates.split(",") if date])
     folder = make_folder(arguments.output)
+    announce(describe_runs(runs))
     if not start.follow:
         start = _follow_what_changed(start, runs, calendar, folder, arguments.seed)
     if not start.follow:

@@ -9,13 +9,13 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 from mrd_diagnosis.diagnosis import Diagnosis, Gap, Interval, Region, RunResidual
 from mrd_diagnosis.effect_names import candidate_title
 from mrd_diagnosis.excess_maps import Map, maps
 from mrd_diagnosis.quantities import format_error
 from mrd_diagnosis.report.candidate_text import describe_candidate, ordered_candidates, with_probabilities
 from mrd_diagnosis.sentences import corrected_label
-from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mrd_base.figures import HALF, NARROW, to_html
 from mrd_diagnosis.diagnosis import (
     Advice,
     Cause,
@@ -39,7 +40,6 @@ from mrd_diagnosis.sentences import (
     where_sentence,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_identification.figures import HALF, NARROW, to_html
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS

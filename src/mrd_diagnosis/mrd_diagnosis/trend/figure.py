@@ -6,8 +6,8 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from mrd_base import figures
 from mrd_diagnosis.trend.trend import Trend
-from mrd_identification import figures
 
 Array = NDArray[np.float64]
 

@@ -3,13 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+from mrd_base.figures import to_html
+from mrd_base.tool import command
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.trend.figure import trend_figure
 from mrd_diagnosis.trend.trend import Trend
 from mrd_diagnosis.trend.trend_line import CHANGE_ALPHA
-from mrd_identification import figures
 from mrd_identification.json_file import finite_or_none, run_json, versions, write_json
 from mrd_identification.report import render
+from mrd_runs.read import run_arguments
+from mrd_sim.own import model_arguments
 
 SCHEMA = "mrd-trend/2"
 
@@ -70,14 +73,24 @@ def write_trend(trend: Trend, folder: str | Path) -> Path:
         "trend",
         folder,
         "mrd_diagnosis",
+        runs=trend.runs,
         title=f"{trend.fit.parameter.name} over {len(trend.calendar.times)} dates",
         sentence=trend.sentence,
-        figure=figures.to_html(trend_figure(trend)),
+        figure=to_html(trend_figure(trend)),
         trend=trend,
         units=_units(trend),
         change_alpha=CHANGE_ALPHA,
+        command=change_command(trend),
         runs_by_date=[", ".join(run.name for run in runs) for runs in trend.calendar.by_date(trend.runs)],
     )
+
+
+def change_command(trend: Trend) -> str:
+    """Return the command that explains what has changed from the first to the last date."""
+    first, *_, last = trend.calendar.by_date(trend.runs)
+    runs = f"{run_arguments(last)} --reference {run_arguments(first)}"
+    model = model_arguments(trend.fit.model.id, trend.fit.model.laws)
+    return f"{command('mrd_diagnosis', 'diagnose')} {runs} {model} --output DIR"
 
 
 def _units(trend: Trend) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import argparse
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.markup import escape
@@ -14,6 +15,9 @@ from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
 from mrd_trajectory.waveforms import waveform_table
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 # More points than this make the page slow and cannot be seen.
 _MOST_POINTS = 20_000
@@ -62,7 +66,7 @@ def _preview(arguments: argparse.Namespace) -> None:
     rows = [(p.quantity, f"{p.value:.4g}", f"{p.limit:.4g}", p.unit) for p in planned.peaks]
     _print_table(("peak", "value", "limit", "unit"), *rows)
     if arguments.output:
-        _write_page(planned, Path(arguments.output))
+        _write_page(planned, arguments.experiment, Path(arguments.output))
         print(f"\n{Path(arguments.output).resolve()}")
 
 
@@ -105,37 +109,48 @@ def _print_table(header: tuple[str, ...], *rows: tuple[str, ...]) -> None:
     print_table(table)
 
 
-def _write_page(planned: Plan, path: Path) -> None:
+def _write_page(planned: Plan, file: Path, path: Path) -> None:
+    # Plotly is slow to import, and only the page needs it.
+    from mrd_base.figures import to_html
+    from mrd_base.page import render
+
+    experiment = planned.experiment
+    render(
+        "preview",
+        path,
+        "mrd_trajectory",
+        files=[str(file)],
+        title=experiment.name,
+        sentence=experiment.description or f"{planned.duration:.2f} s",
+        motion=to_html(_motion(planned)),
+        peaks=planned.peaks,
+    )
+
+
+def _motion(planned: Plan) -> "go.Figure":
+    """Draw position, velocity, acceleration and current over time."""
     from plotly.subplots import make_subplots
+
+    from mrd_base.figures import ACCENT, LAYOUT, MEASURED
 
     time = np.linspace(0, planned.duration, min(_MOST_POINTS, int(planned.duration * 1000) + 2))
     setpoints = planned.at(time)
     panels = [
-        ("position in mm", setpoints.position * 1e3),
-        ("velocity in mm/s", setpoints.velocity * 1e3),
-        ("acceleration in m/s²", setpoints.acceleration),
-        ("coil current in mA", setpoints.current * 1e3),
+        ("position, mm", setpoints.position * 1e3),
+        ("velocity, mm/s", setpoints.velocity * 1e3),
+        ("acceleration, m/s²", setpoints.acceleration),
+        ("coil current, mA", setpoints.current * 1e3),
     ]
     figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
     for row, (title, series) in enumerate(panels, 1):
         # The current is drawn with sharp steps: a sloping line would show currents that never flow.
-        line = {"width": 1, "shape": "hv" if row == len(panels) else "linear"}
-        figure.add_scattergl(x=time, y=series, line=line, name=title, row=row, col=1)
+        line = {"width": 1, "color": ACCENT, "shape": "hv" if row == len(panels) else "linear"}
+        figure.add_scatter(x=time, y=series, line=line, name=title, row=row, col=1)
         figure.update_yaxes(title_text=title, row=row, col=1)
     for edge in planned.body:
-        figure.add_vline(x=edge, line={"width": 1, "dash": "dot"})
-    figure.update_xaxes(title_text="time in s", row=len(panels), col=1)
-    experiment = planned.experiment
-    figure.update_layout(
-        title=f"{experiment.name}: {experiment.description}", height=900, showlegend=False, template="plotly_white"
-    )
-    temporary = path.with_name(path.name + ".part")
-    try:
-        temporary.write_text(figure.to_html(include_plotlyjs=True), encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
+        figure.add_vline(x=edge, line={"width": 1, "dash": "dot", "color": MEASURED})
+    figure.update_xaxes(title_text="time, s", row=len(panels), col=1)
+    return figure.update_layout(**LAYOUT, height=900, showlegend=False)
 
 
 if __name__ == "__main__":

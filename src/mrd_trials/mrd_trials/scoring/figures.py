@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import plotly.graph_objects as go
 
-from mrd_identification.figures import ACCENT, LAYOUT, MEASURED, MODELLED
+from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED
 from mrd_trials.scoring.naming import MethodRates, NamingRates
 from mrd_trials.scoring.rates import Calibration, Distribution, Rate
 from mrd_trials.scoring.verdict_counts import Counts

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from mrd_identification.figures import interactive_html
+from mrd_base.figures import interactive_html
 from mrd_identification.report import render
 from mrd_trials.scoring import figures
 from mrd_trials.scoring.score import TrialScore

@@ -8,8 +8,8 @@ import plotly.graph_objects as go
 import pytest
 from plotly.subplots import make_subplots
 
-from mrd_identification.drawing import draw
-from mrd_identification.figures import LAYOUT, to_html
+from mrd_base.drawing import _shortened, draw
+from mrd_base.figures import LAYOUT, to_html
 
 
 def texts(svg: str) -> list[str]:
@@ -49,6 +49,26 @@ def test_a_long_line_is_thinned_to_what_can_be_seen():
     time = np.linspace(0, 10, 20_000)
     long = go.Figure(go.Scatter(x=time, y=np.sin(time))).update_layout(height=300)
     assert len(draw(long, 600)) < 40_000
+
+
+def points(path: str) -> list[tuple[float, float]]:
+    """Return the points of a path of straight lines."""
+    found: list[tuple[float, float]] = []
+    for command, numbers in re.findall(r"([MLl])([^MLlz]*)", path):
+        pairs = [float(number) for number in re.findall(r"-?(?:\d+\.?\d*|\.\d+)", numbers)]
+        for x, y in zip(pairs[::2], pairs[1::2], strict=True):
+            found.append((found[-1][0] + x, found[-1][1] + y) if command == "l" else (x, y))
+    return found
+
+
+def test_a_shortened_path_has_the_same_points():
+    random = np.random.default_rng(0).uniform(-500, 500, (2000, 2))
+    random[1::2] = random[::2] + 0.3
+    path = "".join(f"{'M' if k % 400 == 0 else 'L'} {x:.2f} {y:.2f} \n" for k, (x, y) in enumerate(random))
+    assert np.allclose(points(_shortened(path)), random, atol=0.06)
+    assert len(_shortened(path)) < 0.7 * len(path)
+    assert _shortened("M 1 2 L 3.04 -4 L 3 -3.5 z") == "M1 2l2-6 0 .5z"
+    assert _shortened("M 0.55 5.25 C 1.23 4 5 6 7 8") == "M 0.5 5.2 C 1.2 4 5 6 7 8"
 
 
 def test_rows_columns_titles_and_maps_have_their_places():

@@ -103,13 +103,36 @@ def _for_page(svg: str) -> str:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg)  # a page needs none
     svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
+    # Groups need no names, several drawings of a page would share them, and the page has its own font.
+    svg = re.sub(r'<g id="[^"]*"/>', "", svg)
+    svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
+    svg = re.sub(r' transform="rotate\(-0 [^)]*\)"', "", svg).replace("font-family: 'DejaVu Sans'; ", "")
     # Places are written to a hundredth of a pixel; numbers in texts, which stand between the tags, are not touched.
     svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\.\d\d)\d+", r"\1", tag.group()), svg)
-    svg = re.sub(r' d="[^"]*"', lambda line: re.sub(r"(\.\d)\d", r"\1", line.group()), svg)  # lines to a tenth
+    svg = re.sub(r' d="([^"]*)"', lambda line: f' d="{_shortened(line.group(1))}"', svg)
     svg = re.sub(r"\s*\n\s*", "\n", svg)
     for colour, of_page in _OF_PAGE.items():
         svg = svg.replace(colour, of_page)
     return svg
+
+
+def _shortened(path: str) -> str:
+    """Return a path to a tenth of a pixel; one of straight lines with the steps between its points, which are short."""
+    words = path.split()
+    if set(re.findall("[A-Za-z]", path)) - {"M", "L", "z"}:
+        return re.sub(r"(\.\d)\d", r"\1", path)
+    written, before, last = [], "", (0, 0)
+    for command, x, y in zip(words, words[1:], words[2:], strict=False):
+        if command not in ("M", "L"):
+            continue
+        point = round(10 * float(x)), round(10 * float(y))
+        start = (0, 0) if command == "M" else last
+        sign = "M" if command == "M" else "l" if before != "L" else " "  # a step after a step needs none
+        written.append(f"{sign}{(point[0] - start[0]) / 10:g} {(point[1] - start[1]) / 10:g}")
+        before, last = command, point
+    # Numbers begin with their point, and a minus parts them as a space does.
+    text = re.sub(r"(?<![\d.])0\.", ".", "".join(written)).replace(" -", "-")
+    return text + "z" * (words[-1:] == ["z"])
 
 
 class _Panel:
@@ -212,6 +235,7 @@ class _Drawing:
         self._error_bars(panel, trace, x, y, colour)
         width = line.get("width", 2.0) if "lines" in mode else 0.0
         style: dict[str, Any] = {"linewidth": width, "linestyle": _DASHES[line.get("dash", "solid")] if width else "none"}
+        style["drawstyle"] = "steps-post" if line.get("shape") == "hv" else "default"
         (drawn,) = panel.axes.plot(x, y, color=colour, solid_joinstyle="round", **style)
         handle = drawn
         if "markers" in mode:
@@ -365,8 +389,8 @@ class _Drawing:
                 label.set(rotation=-angle, ha="left" if angle > 0 else "right", rotation_mode="anchor")
 
     def _line_across(self, shape: dict[str, Any]) -> None:
-        axes = next(iter(self.panels.values())).axes
-        line = shape.get("line") or {}
+        panel = self.panels.get((_reference(shape, "x"), _reference(shape, "y"))) or next(iter(self.panels.values()))
+        axes, line = panel.axes, shape.get("line") or {}
         style = {"color": _colour(line.get("color", SOFT)), "linestyle": _DASHES[line.get("dash", "solid")]}
         if shape["x0"] == shape["x1"]:
             place = shape["x0"]
