@@ -18,7 +18,7 @@ from mrd_identification.report import render
 
 SCHEMA = "mrd-evaluation/2"
 _SHARED = ("law", "excitation", "damper")
-_METRICS = ("a, m/s²", "a W_k, m/s²", "vs. passive", "travel, mm", "peak, mm", "power, W", "switching, 1/s")
+_METRICS = ("a, m/s²", "a W_k, m/s²", "vs. passive", "travel, mm", "peak, mm", "% of stroke", "power, W", "switching, 1/s")
 
 
 def columns(evaluation: Evaluation) -> list[str]:
@@ -29,7 +29,7 @@ def columns(evaluation: Evaluation) -> list[str]:
         else ["drift, mm", "peak drift, mm"]
     )
     tracked = ["delay, ms", "NRMS, %", "peak, %"] if evaluation.conditions.actuator else []
-    return [*_SHARED, *_METRICS[:5], *second, *_METRICS[5:], *tracked]
+    return [*_SHARED, *_METRICS[:6], *second, *_METRICS[6:], *tracked]
 
 
 def rows(evaluation: Evaluation) -> list[list[str]]:
@@ -53,7 +53,8 @@ def _row(evaluation: Evaluation, entry: Entry, best: Entry, label: str) -> list[
         f"{ride.weighted:.3f}",
         f"{100 * (ride.weighted / comfort(best) - 1):+.1f} %",
         f"{1e3 * ride.travel:.2f}",
-        f"{1e3 * ride.peak_travel:.1f}{', beyond the stroke' if ride.peak_share > 1.0 else ''}",
+        f"{1e3 * ride.peak_travel:.1f}",
+        f"{100 * ride.peak_share:.0f}",
     ]
     lifts = f", lifts off {100 * ride.lift_off:.2g} %" if ride.lift_off > 0.0 else ""
     cells += (

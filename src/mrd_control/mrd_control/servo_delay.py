@@ -1,7 +1,7 @@
 """How late the rod is: dead time and lag of the servo, fitted to the setpoints and the rod of a recorded run.
 
 Between a setpoint and the rod lies a dead time, over which the servo carries the setpoint on in a straight line. So at a
-constant speed the dead time costs nothing; it shows where the speed changes. The rod then lags behind what the servo follows.
+constant speed the dead time costs nothing; it shows where the speed changes. The rod lags behind what the servo follows.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ MOST = 0.1
 """s, up to which either is looked for."""
 FEWEST = 200
 """Setpoints."""
-CLEAR = 0.3e-3
+CLEAR = 1e-3
 """s; a fit that is less certain of the dead time or the lag is refused."""
 
 

@@ -40,6 +40,24 @@ def test_the_text_of_an_experiment_is_complete(shipped):
     assert np.array_equal(again.base, shipped.base)
 
 
+def test_the_text_of_an_experiment_with_a_recorded_excitation_needs_no_file(tmp_path):
+    """The recording of a test can be reviewed elsewhere, when the file is gone."""
+    road = tmp_path / "road.csv"
+    time = np.linspace(0.0, 12.0, 301)
+    rows = [f"{t:.3f},{0.01 * np.sin(3.0 * t):.9f}" for t in time]
+    road.write_text("\n".join(["time_s,position_m", *rows]))
+    sweep = "excitation: {excitation: sine_sweep, amplitude_mm: 55, start_hz: 0.5, end_hz: 4}"
+    text = SHIPPED.read_text()
+    assert sweep in text
+    (tmp_path / "test.yaml").write_text(text.replace(sweep, "excitation: {excitation: recorded_profile, file: road.csv}"))
+    experiment = read_control_experiment(tmp_path / "test.yaml")
+    complete = format_control_experiment(experiment)
+    expected = experiment.base
+    road.unlink()
+    assert np.array_equal(parse_control_experiment(complete, "bag").base, expected)
+    assert np.ptp(expected[:, 0]) > 0.015
+
+
 def test_the_base_moves_as_excited_and_comes_to_rest(shipped):
     free = shipped.excitation.base(shipped.samples, shipped.rate)
     assert np.array_equal(shipped.base[: shipped.counted.stop], free[: shipped.counted.stop])

@@ -44,9 +44,7 @@ def test_dead_time_and_lag_are_found(delay, lag):
 
 
 def test_a_motion_that_does_not_show_it_is_refused():
-    with pytest.raises(
-        InputError, match=r"the motion does not show dead time and lag: they are known to .* expected 0\.3 ms"
-    ):
+    with pytest.raises(InputError, match=r"the motion does not show dead time and lag: they are known to .* expected 1 ms"):
         fit_servo_delay(*recorded(0.017, 0.002, ((0.1, 5e-3, 0.0),)))
 
 

@@ -108,7 +108,7 @@ def _read_system(text: str) -> System:
 
 
 def _read_dampers(arguments: argparse.Namespace) -> dict[str, Damper]:
-    """Return the dampers by label: fits, plants, models; without any, that of the shipped plant."""
+    """Return the dampers by label: fits, plants, models; without any, that of the simulated bench."""
     dampers: dict[str, Damper] = {}
     for path in arguments.damper:
         file = Path(path)
@@ -120,12 +120,7 @@ def _read_dampers(arguments: argparse.Namespace) -> dict[str, Damper]:
         dampers[arguments.model] = Damper(arguments.model, parse_values(arguments.parameters, "--parameters"))
     elif arguments.parameters:
         raise InputError("--parameters are those of a --model, which is missing")
-    if not dampers:
-        shipped = DamperConfig()
-        # The coil of the simulated bench has no lag of its own (config/plant.yaml).
-        values = parse_values(shipped.parameters, "damper.parameters") | {"coil_lag": 0.0}
-        dampers["bench"] = Damper(shipped.model, values)
-    return dampers
+    return dampers or {"bench": DamperConfig().build()}
 
 
 def _read_excitations(arguments: argparse.Namespace) -> dict[str, Excitation]:

@@ -44,9 +44,9 @@ def work() -> None:
 
 def print_comparison(comparison: Comparison) -> None:
     """Print tracking, ride metrics and timing."""
-    print(f"{'metric':18} {'bench':>10} {'twin':>10}")
+    print(f"{'metric':32} {'bench':>10} {'twin':>10}")
     for name, bench, twin, difference in comparison.rows():
-        print(f"{name:18} {bench:>10} {twin:>10}  {difference}")
+        print(f"{name:32} {bench:>10} {twin:>10}  {difference}")
     if comparison.explanation:
         print(
             f"\n{'in % of the twin':18}",
