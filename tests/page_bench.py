@@ -136,7 +136,12 @@ _MOVES = "async () => Math.max(0, ...(await (await fetch('/live.json')).json()).
 
 
 def reset_fault(page: Any) -> None:
-    """Release the emergency stop, and wait until the bench is idle."""
+    """Release the emergency stop once the bench has heard it, and wait until the bench is idle."""
     open_tab(page, "Live")
-    page.get_by_role("button", name="reset fault").click()
-    page.get_by_text("idle", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+    page.get_by_text("fault", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+    deadline, idle = time.monotonic() + 120, page.get_by_text("idle", exact=True)
+    while not idle.count():
+        # It is refused while the run is still ending.
+        assert time.monotonic() < deadline, page.inner_text("body")
+        page.get_by_role("button", name="reset fault").click()
+        page.wait_for_timeout(2000)

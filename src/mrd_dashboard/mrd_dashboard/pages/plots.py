@@ -9,6 +9,7 @@ from mrd_trajectory.limits import Limits
 # Measured, predicted, residual: distinguishable with red-green blindness, on white and on black (Okabe and Ito, 2008).
 MEASURED, PREDICTED, RESIDUAL, LIMIT = "#2b8cd6", "#e69f00", "#009e73", "#d55e00"
 _AXIS, _GRID = "#808080", "#80808040"
+_LOW = 15.0  # percent; a plot lower than that has few lines
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ def chart(panels: Sequence[Panel], *, show_limits: bool = True, columns: Mapping
         grids.append({"left": f"{left}%", "top": f"{top}%", "width": f"{width}%", "height": f"{height}%"})
         x_axes.append(_axis(index, title(panel.x), panel.x_limits, show_limits, gap=22))
         y_axes.append(_axis(index, title(panel.curves[0][0]), panel.y_limits, show_limits, gap=44))
+        if height < _LOW:
+            y_axes[-1]["splitNumber"] = 3  # the labels of more lines would cover each other
         if panel.x == "time_s":
             x_axes[-1] |= {"min": "dataMin", "max": "dataMax", "scale": True}
         lines = [{"yAxis": limit} for limit in panel.y_limits] + [{"xAxis": limit} for limit in panel.x_limits]
@@ -120,12 +123,12 @@ def live_panels(limits: Limits) -> list[Panel]:
     current = (1e3 * limits.current_min, 1e3 * limits.current_max)
     both = [("force_N", MEASURED, "measured"), ("predicted_N", PREDICTED, "predicted")]
     return [
-        Panel("time_s", (6, 2, 42, 24), both, (), force),
-        Panel("time_s", (6, 33, 42, 10), [("residual_N", RESIDUAL, "residual")]),
-        Panel("time_s", (6, 51, 42, 17), [("position_mm", MEASURED, "position")], (), reach),
-        Panel("time_s", (6, 76, 42, 17), [("current_mA", MEASURED, "current")], (), current),
-        Panel("velocity_mm_per_s", (56, 2, 42, 40), both, speed, force),
-        Panel("position_mm", (56, 51, 42, 42), both, reach, force),
+        Panel("time_s", (8, 2, 40, 24), both, (), force),
+        Panel("time_s", (8, 33, 40, 10), [("residual_N", RESIDUAL, "residual")]),
+        Panel("time_s", (8, 51, 40, 17), [("position_mm", MEASURED, "position")], (), reach),
+        Panel("time_s", (8, 76, 40, 17), [("current_mA", MEASURED, "current")], (), current),
+        Panel("velocity_mm_per_s", (58, 2, 40, 40), both, speed, force),
+        Panel("position_mm", (58, 51, 40, 42), both, reach, force),
     ]
 
 
