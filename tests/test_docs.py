@@ -166,7 +166,6 @@ def own_files(tmp_path_factory):
 def test_the_python_of_a_page_runs(name, own_files, monkeypatch):
     """Blocks of Python are run in their order. That of the standard set needs a bench; other tests have the user's own."""
     monkeypatch.chdir(own_files)
-    (own_files / "runs").mkdir(exist_ok=True)
     time = np.arange(2000) / 500
     motion = {"position": 5e-3 * np.sin(9 * time), "velocity": 0.045 * np.cos(9 * time)}
     motion["acceleration"] = -81.0 * motion["position"]

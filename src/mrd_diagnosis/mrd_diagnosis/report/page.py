@@ -40,6 +40,7 @@ from mrd_diagnosis.sentences import (
     where_sentence,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_identification.json_file import make_folder
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
 from mrd_sim.effects import EFFECTS
@@ -114,11 +115,12 @@ GLOSSARY = {
 
 
 def write_gap_report(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write a diagnosis into ``folder``, and return the path of the page.
+    """Write a diagnosis into ``folder``, which is made where it does not exist, and return the path of the page.
 
     The files are gap_report.json, gap_report.html, which needs no network, and next_experiment.yaml where an experiment is
     advised. A next_experiment.yaml of an earlier diagnosis is removed.
     """
+    make_folder(str(folder))
     write_gap_file(diagnosis, folder)
     experiment = Path(folder) / "next_experiment.yaml"
     experiment.unlink(missing_ok=True)
