@@ -6,7 +6,7 @@ from collections.abc import Callable
 from mrd_base import InputError
 
 ABSENCE = 60.0
-"""s after which control is free again, once the last page of its holder was closed."""
+"""s after which control is free again, once the last page of its holder is no longer waited for."""
 
 
 class ControlRight:
@@ -55,7 +55,7 @@ class ControlRight:
         self._expire()
         if self.holder not in ("", session):
             raise InputError(
-                f"{self.name} holds control; ask them to release it, or wait until their page is closed for 60 s"
+                f"{self.name} holds control; ask them to release it, or wait until their page is closed for 80 s"
             )
         self.holder, self.name, self._seen = session, name, self._clock()
 

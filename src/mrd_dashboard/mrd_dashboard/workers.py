@@ -3,6 +3,7 @@
 import asyncio
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -19,7 +20,12 @@ _PROCESSES = 2  # one may look at a long recording while somebody waits for a pr
 def _new_pool() -> Executor:
     # Fresh interpreters: a fork of the page would share its sockets and threads. The bench and the page come first.
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(_PROCESSES, context, initializer=os.nice, initargs=(10,))
+    # The first pool starts a process that cleans up, and unblocks SIGINT and SIGTERM here, which a node hears in a thread.
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    try:
+        return ProcessPoolExecutor(_PROCESSES, context, initializer=os.nice, initargs=(10,))
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 
 class Workers:

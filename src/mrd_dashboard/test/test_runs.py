@@ -3,6 +3,8 @@
 import asyncio
 import json
 import os
+import subprocess
+import sys
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -303,6 +305,18 @@ def test_news_of_a_run_that_has_ended_change_nothing(tmp_path: Path) -> None:
     queue.end(run.number, "done", "12 samples", "")
     queue.progress(run.number, "running", 2.0)
     assert (queue.runs[0].state, queue.runs[0].phase, queue.runs[0].elapsed) == ("done", "", 1.0)
+
+
+def test_workers_leave_blocked_the_signals_that_end_a_node() -> None:
+    # In a fresh process: multiprocessing unblocks them with its first pool only.
+    script = (
+        "import signal; from mrd_dashboard.workers import Workers\n"
+        "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT}); Workers().close()\n"
+        "print(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "SIGTERM" in done.stdout
+    assert "SIGINT" in done.stdout
 
 
 def test_workers_are_started_again_when_one_has_died() -> None:

@@ -70,7 +70,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         check_button.disable()
         answer.text = "computing stability and offline twin"
         try:
-            text = hybrid_text(form, dashboard.hybrid_test, _fits(dashboard))
+            text = await asyncio.to_thread(hybrid_text, form, dashboard.hybrid_test, _fits(dashboard))
             found = await dashboard.compute(check_hybrid_test, text, dashboard.bench.generator.limits)
         except InputError as error:
             answer.text = str(error)
