@@ -271,7 +271,9 @@ def test_the_coil_is_at_0_volts_when_the_node_ends(graph: Any, own_terminals: Te
     graph.until(lambda: process.poll() is not None)
     assert process.returncode == 0
     # On a busy machine, the first setpoint may come before the first lease.
-    assert [line for line in graph.log("daq").splitlines() if "a setpoint is refused: no supervisor watches" not in line] == []
+    assert [
+        line for line in graph.log("daq").splitlines() if "a setpoint is refused: no supervisor watches" not in line
+    ] == []
 
 
 def test_a_tare_needs_rest(graph: Any, own_terminals: Terminals) -> None:
