@@ -14,7 +14,8 @@ def quantity(value: float, unit: str) -> str:
     """Format a quantity in SI with four significant figures, and with a prefix where it is small or large: 125 µm."""
     first = unit.partition("/")[0].partition(" ")[0]
     if first not in _PREFIXED_UNITS or value == 0.0 or not math.isfinite(value) or 0.1 <= abs(value) < 1e4:
-        return f"{four_figures(value)} {unit}".rstrip()
+        sign = "\N{MINUS SIGN}" if value < 0 else ""  # as below
+        return f"{sign}{four_figures(abs(value))} {unit}".rstrip()
     # Matplotlib is slow to import.
     from matplotlib.ticker import EngFormatter
 

@@ -306,6 +306,8 @@ def test_the_page_writes_quantities_with_prefixes():
     assert quantity(0.0001247, "m") == "124.7 µm"
     assert quantity(-0.0123, "m/A") == "-12.3 mm/A".replace("-", "\N{MINUS SIGN}")
     assert quantity(80.0, "N") == "80 N"
+    assert quantity(-80.0, "N") == "\N{MINUS SIGN}80 N"
+    assert quantity(float("nan"), "N") == "nan N"
     assert quantity(123456.0, "N s/m") == "123.5 kN s/m"
     assert quantity(0.0, "s") == "0 s"
     assert quantity(0.001, "1/A") == "0.001 1/A"
