@@ -140,7 +140,7 @@ def test_stop_needs_no_websocket_and_says_when_it_fails(bench: PageBench, page: 
     page.locator(".mrd-stop").click()
     page.get_by_text("STOP WAS NOT SENT").wait_for(timeout=ANSWER_TIMEOUT)
     page.unroute("**/stop")
-    page.evaluate("window.socket.connect()")
+    page.reload()
     reset_fault(page)
 
 
