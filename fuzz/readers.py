@@ -51,9 +51,8 @@ from mrd_runs.summary import summarise
 CORPUS = Path(__file__).parent / "corpus"
 TARGETS = (
     *("csv", "mcap", "db3", "yaml", "recover"),
-    *("text", "xlsx", "h5", "tdms"),
+    *("text", "xlsx", "mat", "h5", "tdms"),
     *("replies", "experiment", "control", "goal", "bench", "plant", "fit", "gap_report", "run_info"),
-    "mat",  # the last one: a damaged file can end the process, in SciPy's compiled reader
 )
 PACKAGES = (
     *(mrd_base, mrd_runs, mrd_trajectory, mrd_sim, mrd_bench_driver, mrd_identification, mrd_control, mrd_diagnosis),

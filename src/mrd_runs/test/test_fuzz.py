@@ -15,9 +15,9 @@ def test_some_changed_inputs(tmp_path: Path) -> None:
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=220)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    recordings, foreign = ["csv", "mcap", "db3", "yaml", "recover"], ["text", "xlsx", "h5", "tdms"]
+    recordings, foreign = ["csv", "mcap", "db3", "yaml", "recover"], ["text", "xlsx", "mat", "h5", "tdms"]
     others = ["replies", "experiment", "control", "goal", "bench", "plant", "fit", "gap_report", "run_info"]
-    assert [line.split()[0] for line in lines] == [*recordings, *foreign, *others, "mat"]
+    assert [line.split()[0] for line in lines] == [*recordings, *foreign, *others]
     assert all(int(line.split()[1]) > 0 for line in lines)
     assert not (tmp_path / "failures").exists()
 

@@ -16,6 +16,7 @@ from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.importing import Mapped, read_foreign
 from mrd_runs.importing.integration import integrate_velocity
+from mrd_runs.importing.matlab import read_matlab_table
 from mrd_runs.importing.tdms import read_tdms_table
 
 RATE, COUNT = 500, 1000
@@ -196,6 +197,21 @@ def test_matlab_vectors_structures_and_matrices(import_tool, tmp_path: Path) -> 
     assert mapping == "--map time='data(1)' position='data(2)' force='data(3)'"
     assert import_tool(f"c.mat --current 0.5 {mapping} --output bags")[0] == 0
     check(tmp_path / "bags/c")
+
+
+def test_a_matlab_file_that_ends_its_reader_is_refused_in_one_line(tmp_path: Path) -> None:
+    """SciPy trusts the type in which it reads the header of an array; with another one it ends the process."""
+    whole, damaged = tmp_path / "whole.mat", tmp_path / "damaged.mat"
+    scipy.io.savemat(whole, {"data": {"time": np.arange(40.0), "force": np.arange(40.0)}})
+    content = whole.read_bytes()
+    refusals = []
+    for place in (place for place in range(128, len(content), 4) if content[place : place + 4] == b"\6\0\0\0"):
+        damaged.write_bytes(content[:place] + b"\5" + content[place + 1 :])
+        try:
+            read_matlab_table(damaged)
+        except InputError as error:
+            refusals.append(str(error))
+    assert f"{damaged}: is damaged, so that no reader survives it; save it anew" in refusals
 
 
 def test_hdf5_and_matlab_7_3(import_tool, tmp_path: Path) -> None:

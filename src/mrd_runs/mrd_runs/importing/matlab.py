@@ -1,5 +1,7 @@
 """Tables in MATLAB files: vectors, matrices, and structures of them."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,9 @@ from mrd_runs.text import one_line
 Array = NDArray[np.float64]
 
 _LARGEST_FILE = 8 * MOST_VALUES  # bytes
+
+# A damaged file can end the process in SciPy's compiled reader. So a process of its own reads it first.
+_TRIAL = "import sys; from scipy.io import loadmat; loadmat(sys.argv[1], simplify_cells=True)"
 
 
 def read_matlab_table(path: Path) -> Table:
@@ -33,6 +38,9 @@ def read_matlab_table(path: Path) -> Table:
         values = sum(int(np.prod(shape, dtype=np.float64)) for _, shape, _ in whosmat(path))
         if path.stat().st_size > _LARGEST_FILE or values > MOST_VALUES:
             raise InputError(f"{path}: holds more than {MOST_VALUES} values; split it")
+        trial = subprocess.run([sys.executable, "-c", _TRIAL, str(path.resolve())], stderr=subprocess.DEVNULL, check=False)
+        if trial.returncode < 0:
+            raise InputError(f"{path}: is damaged, so that no reader survives it; save it anew")
         content = loadmat(path, simplify_cells=True)
     except InputError:
         raise
