@@ -4,6 +4,7 @@ import asyncio
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -17,13 +18,26 @@ T = TypeVar("T")
 _PROCESSES = 2  # one may look at a long recording while somebody waits for a preview
 
 
+def _begin() -> None:
+    """Let the bench and the page come first, and end with the page even if it is killed."""
+    os.nice(10)
+    page = multiprocessing.parent_process()
+
+    def end_with_page() -> None:
+        if page is not None:
+            page.join()
+            os._exit(1)
+
+    threading.Thread(target=end_with_page, name="page", daemon=True).start()
+
+
 def _new_pool() -> Executor:
-    # Fresh interpreters: a fork of the page would share its sockets and threads. The bench and the page come first.
+    # Fresh interpreters: a fork of the page would share its sockets and threads.
     context = multiprocessing.get_context("spawn")
     # The first pool starts a process that cleans up, and unblocks SIGINT and SIGTERM here, which a node hears in a thread.
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     try:
-        return ProcessPoolExecutor(_PROCESSES, context, initializer=os.nice, initargs=(10,))
+        return ProcessPoolExecutor(_PROCESSES, context, initializer=_begin)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 

@@ -10,6 +10,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from mrd_base import InputError
@@ -317,6 +318,20 @@ def test_workers_leave_blocked_the_signals_that_end_a_node() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert "SIGTERM" in done.stdout
     assert "SIGINT" in done.stdout
+
+
+def test_workers_end_when_the_page_is_killed() -> None:
+    script = (
+        "import asyncio, os, signal\nfrom mrd_dashboard.workers import Workers\n"
+        "async def work():\n    workers = Workers()\n    print(await workers.run(os.getpid), flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+        "asyncio.run(work())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, timeout=60)
+    worker, deadline = int(done.stdout), time.monotonic() + 60
+    while psutil.pid_exists(worker) and psutil.Process(worker).status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
 
 
 def test_workers_are_started_again_when_one_has_died() -> None:
