@@ -293,13 +293,15 @@ def test_definitions_run_no_code(tmp_path: Path, name: str, text: str) -> None:
 def test_no_package_code_runs_what_it_reads() -> None:
     """No pickle, no eval, no shell; YAML only by a loader that makes plain values."""
     forbidden = {"pickle", "marshal", "shelve", "dill", "joblib", "subprocess", "ctypes", "code", "runpy"}
+    allowed = {"matlab.py": {"subprocess"}}  # it starts Python with a constant text, for a file that may end its reader
     sources = list(Path(mrd_runs.__file__).parent.rglob("*.py"))
     assert len(sources) > 30
     for source in sources:
         for node in ast.walk(ast.parse(source.read_text())):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not forbidden & {name.partition(".")[0] for name in names}, source
+            used = {name.partition(".")[0] for name in names} - allowed.get(source.name, set())
+            assert not forbidden & used, source
             if isinstance(node, ast.Call):
                 called = ast.unparse(node.func)
                 assert called not in (
