@@ -49,10 +49,10 @@ def shared_bench(whole_bench: Any, tmp_path_factory: pytest.TempPathFactory) -> 
         yield bench
 
 
-def service(bench: Any, name: str, kind: Any = Trigger, **fields: Any) -> Any:
+def service(bench: Any, name: str, kind: Any = Trigger, timeout: float = 15.0, **fields: Any) -> Any:
     client = bench.client.node.create_client(kind, name)
     assert bench.client.spin(client.service_is_ready, 10), f"no service {name}"
-    response = bench.call(client, kind.Request(**fields))
+    response = bench.call(client, kind.Request(**fields), timeout)
     client.destroy()
     return response
 
@@ -117,8 +117,9 @@ def test_without_its_supervisor_the_bench_stops_by_itself(bench: Any, end: signa
         modes = bench.subscribe("bench_state", BenchState, LATCHED)
         assert bench.client.spin(lambda: modes and modes[-1].mode == BenchState.FAULT, 60)
         assert "has been silent for" in modes[-1].message
-        # The recorder does not cling to the run of the dead.
-        assert service(bench, "reset_fault").success
+        # The recorder does not cling to the run of the dead. ROS takes these for alive for 20 s, so that the bench waits in
+        # vain for some messages to the new supervisor, 10 s each.
+        assert service(bench, "reset_fault", timeout=60.0).success
         again = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
         assert again.success, again.message
         assert len(read_run(tmp_path / "bag")) > 100
