@@ -138,6 +138,21 @@ def test_a_note_is_kept_and_a_script_in_it_is_text(visit, dashboard, new_bag) ->
     assert dashboard.recordings.find("sine-1").notes.text == script
 
 
+def test_details_stay_open_when_the_list_changes(visit, dashboard, new_bag) -> None:
+    new_bag(dashboard.recordings.folder / "sine-1")
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        await user.should_see(marker="more sine-1", retries=30)
+        user.find(marker="more sine-1").click()
+        await user.should_see(marker="note")
+        new_bag(dashboard.recordings.folder / "sine-2")
+        await user.should_see(marker="more sine-2", retries=100)
+        await user.should_see(marker="note")
+
+    visit(work)
+
+
 def test_a_recording_is_deleted_after_a_question(visit, dashboard, new_bag) -> None:
     dashboard.control.take("a", "Ann")
     path = new_bag(dashboard.recordings.folder / "sine-1")

@@ -41,6 +41,7 @@ def recordings_list(dashboard: Dashboard, who: Visitor, visible: Callable[[], bo
         ui.space()
         ui.button("Compare two", on_click=lambda: compare()).props("outline dense no-caps padding='4px 12px'")
     rows = ui.column().classes("w-full gap-0")
+    details = ui.element()  # beside the rows, so that it stays open when these are drawn anew
     sheets = ui.pagination(1, 1, direction_links=True, on_change=lambda event: turn(event.value)).props("max-pages=7")
 
     async def list_again() -> None:
@@ -100,7 +101,8 @@ def recordings_list(dashboard: Dashboard, who: Visitor, visible: Callable[[], bo
             await draw()
 
     def show(recording: Recording) -> None:
-        _details(dashboard, who, recording, list_again)
+        with details:
+            _details(dashboard, who, recording, list_again)
 
     async def compare() -> None:
         if len(chosen) != 2:
