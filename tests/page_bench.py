@@ -80,7 +80,7 @@ class PageBench:
 
     @property
     def log(self) -> str:
-        """What the bench has printed."""
+        """Return what the bench has printed."""
         return (self.folder / "bench.log").read_text()
 
     def page_process(self) -> int:

@@ -119,7 +119,7 @@ def test_what_breaks_the_loop_ends_it_and_is_named(bench: Any, tmp_path: Path, f
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_the_tools_run_a_hybrid_test_and_review_it(tmp_path: Path) -> None:
-    """As `make demo-control` does."""
+    """The tools run and review a hybrid test as `make demo-control` does."""
     output = tmp_path / "out"
     shipped = ROOT / "config/control/hybrid_test.yaml"
     ran = tool("hybrid_test", shipped, "--simulated", "--output", output)

@@ -1,4 +1,4 @@
-"""What may break in a hybrid test, in mode control: its loop, and what every run needs."""
+"""These faults break a hybrid test, in mode control: its loop, or what every run needs."""
 
 import dataclasses
 import signal

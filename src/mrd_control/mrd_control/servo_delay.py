@@ -1,4 +1,4 @@
-"""How late the rod is: dead time and lag of the servo, fitted to the setpoints and the rod of a recorded run.
+"""Dead time and lag of the servo are fitted to the setpoints and the rod of a recorded run: they say how late the rod is.
 
 Between a setpoint and the rod lies a dead time, over which the servo carries the setpoint on in a straight line. So at a
 constant speed the dead time costs nothing; it shows where the speed changes. The rod lags behind what the servo follows.
@@ -76,13 +76,14 @@ def fit_servo_delay(setpoints: Array, time: Array, rod: Array) -> ServoDelay:
         raise InputError(f"found {len(stamps)} setpoints, expected at least {FEWEST}; record a longer run")
     begin, end = stamps[0] + 2 * MOST, stamps[-1]
     kept = (time > begin) & (time < end)
-    # The lag has forgotten where it began after some of its time constants.
     times, measured = time[kept], rod[kept]
     period = float(np.median(np.diff(times)))
     if np.diff(times).max() > 1.5 * period:
         raise InputError("samples are missing in the run; repeat it")
     motion = CubicHermiteSpline(stamps, position, velocity)
-    speed, counted = CubicHermiteSpline(stamps, velocity, acceleration), slice(round(5 * MOST / period), None)
+    speed = CubicHermiteSpline(stamps, velocity, acceleration)
+    # The lag has forgotten where it began after some of its time constants.
+    counted = slice(round(5 * MOST / period), None)
 
     def followed(delay: float, lag: float) -> Array:
         ago = times - delay

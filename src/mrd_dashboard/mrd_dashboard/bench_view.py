@@ -19,7 +19,7 @@ NODE_SILENT_AFTER = 5.0
 """Wall time in s without diagnostics, which every node sends once a second, after which the page calls it silent."""
 
 SERVO, DAQ = "servo", "DAQ"
-"""What is heard many times a second."""
+"""These are heard many times a second."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from mrd_dashboard.guard import LOGIN, SESSION, Guard, address_of
 from mrd_dashboard.hybrid_view import hybrid_frame
 
 STOP, SESSION_OPEN, LOGOUT = "/stop", "/session", "/logout"
-"""Where a page asks for the emergency stop, whether its session is open, and to end it."""
+"""A page asks at these paths for the emergency stop, whether its session is open, and for the end of its session."""
 
 _LONGEST_LOGIN = 4096  # bytes
 
