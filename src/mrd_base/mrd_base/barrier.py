@@ -61,13 +61,15 @@ class _Participant:
     descriptor: int
     process: int
     name: str = ""
+    identity: str = ""
     sends: dict[int, str] = field(default_factory=dict)
-    receives: list[str] = field(default_factory=list)
+    receives: list[tuple[str, bool]] = field(default_factory=list)  # channels, and whether messages last there
     counts: dict[int, int] = field(default_factory=dict)
     pending: dict[int, int] = field(default_factory=dict)
     granted: int = 0
     done: int = 0
     busy: bool = True
+    connected: bool = False  # whether it has been told to let ROS connect it
     matching: bool = False
     due: float = math.inf
     line: bool = False
@@ -222,10 +224,10 @@ class Barrier:
             participant.since = time.monotonic()
 
     def _on_hello(self, participant: _Participant, hello: dict[str, Any]) -> None:
-        participant.name = hello["name"]
+        participant.name, participant.identity = hello["name"], hello["identity"]
         participant.sends = {index: channel for channel, index in hello["sends"].items()}
         participant.receives = hello["receives"]
-        for index, channel in enumerate(participant.receives):
+        for index, (channel, _) in enumerate(participant.receives):
             self._receivers.setdefault(channel, []).append((participant, index))
         self._missing.discard(participant.name)
         self._newcomers = True
@@ -287,8 +289,8 @@ class Barrier:
 
     def _deliver(self) -> bool:
         """Let participants receive what was sent to them; return whether there was anything."""
-        receivers, self._addressed = self._addressed, {}
-        for participant in receivers.values():
+        receivers = [participant for participant in self._addressed.values() if participant.connected]
+        for participant in receivers:
             self._grant(participant)
         return bool(receivers)
 
@@ -298,16 +300,28 @@ class Barrier:
             return False
         self._newcomers = False
         participants = self._joined
-        sent = {channel for participant in participants for channel in participant.sends.values()}
+        senders: dict[str, list[str]] = {}
         for participant in participants:
-            receivers = {channel: len(self._receivers.get(channel, ())) for channel in participant.sends.values()}
-            del receivers[LINE]
-            senders = [channel for channel in participant.receives if channel in sent]
+            for channel in participant.sends.values():
+                senders.setdefault(channel, []).append(participant.identity)
+        for participant in participants:
+            others = {
+                "receivers": {
+                    channel: [receiver.identity for receiver, _ in self._receivers.get(channel, ())]
+                    for channel in participant.sends.values()
+                    if channel != LINE
+                },
+                "senders": {channel: senders.get(channel, []) for channel, _ in participant.receives},
+                "core": self._core,
+            }
+            if not participant.connected:
+                # What was sent since it joined came before ROS had connected it, and comes late or never.
+                participant.pending = {
+                    inbox: count for inbox, count in participant.pending.items() if participant.receives[inbox][1]
+                }
+                participant.connected = True
             participant.matching = True
-            self._send(
-                participant,
-                Packet.MATCH + json.dumps({"receivers": receivers, "senders": senders, "core": self._core}).encode(),
-            )
+            self._send(participant, Packet.MATCH + json.dumps(others).encode())
         self._origin = (self.now, time.monotonic())
         return True
 

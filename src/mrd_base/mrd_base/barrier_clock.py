@@ -10,7 +10,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -65,6 +65,10 @@ def time_file(path: Path) -> Path:
 
 class Inbox(Protocol):
     """The messages that arrive on one channel."""
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the latest messages come also to one who joins after they were sent."""
 
     def take(self) -> tuple[Any, int] | None:
         """Return the next message and its number, or None if none is there."""
@@ -145,23 +149,25 @@ class BarrierClock(BenchClock):
         self._changed: set[int] = set()
         self._waiting: dict[_BarrierWaiter, tuple[float, bool]] = {}
         self._timers: list[BenchTimer] = []
+        self._received: list[str] = []
         self._inboxes: list[Inbox] = []
         self._seen: list[int] = []
         self._last_look = 0.0
         self._left_behind = False  # whether the owner of the time goes on without this process
         self._alone: float | None = None  # difference of bench time and wall time once the owner of the time is lost
         self._thread = threading.Thread(target=self._serve, name="bench time", daemon=True)
-        self._count_of_subscribers: Mapping[str, Callable[[], int]] = {}
-        self._count_of_publishers: Mapping[str, Callable[[], int]] = {}
+        self._receivers: Mapping[str, Callable[[], Collection[str]]] = {}
+        self._senders: Mapping[str, Callable[[], Collection[str]]] = {}
         self.begun = threading.Event()  # whether all expected participants have joined and are connected
         self.error: Exception | None = None  # of a callback
         self.on_loss: Callable[[str], None] = lambda _what: None  # receives what was lost, in one line
 
     def join(
         self,
-        publishers: Mapping[str, Callable[[], int]] | None = None,
-        subscriptions: Sequence[tuple[str, Inbox, Callable[[], int]]] = (),
+        publishers: Mapping[str, Callable[[], Collection[str]]] | None = None,
+        subscriptions: Sequence[tuple[str, Inbox, Callable[[], Collection[str]]]] = (),
         *,
+        identity: str = "",
         share_core: bool = False,
     ) -> None:
         """Take part from now on.
@@ -169,22 +175,26 @@ class BarrierClock(BenchClock):
         Parameters
         ----------
         publishers : mapping
-            Channels on which the process sends, each with a callable that counts those who receive.
+            Channels on which the process sends, each with a callable that returns the identities of those who receive.
         subscriptions : sequence
-            Channels on which it receives, each with an inbox and a callable that counts those who send.
+            Channels on which it receives, each with an inbox and a callable that returns the identities of those who send.
+        identity : str
+            What tells the process from all others, also from one of its name that has died.
         share_core : bool
             Whether the process moves to the processor core of the other nodes once time begins. They mostly work one after
             the other, and to wake a process on another core takes longer than most of their work.
         """
         self._share_core = share_core
         with self._lock:
-            self._count_of_subscribers = publishers or {}
-            self._count_of_publishers = {channel: count for channel, _, count in subscriptions}
+            self._receivers = publishers or {}
+            self._senders = {channel: senders for channel, _, senders in subscriptions}
+            self._received = [channel for channel, _, _ in subscriptions]
             self._inboxes = [inbox for _, inbox, _ in subscriptions]
             self._seen = [0] * len(self._inboxes)
-            for channel in self._count_of_subscribers:
+            for channel in self._receivers:
                 self._index(channel)
-            hello = {"name": self._name, "sends": self._channels, "receives": [channel for channel, _, _ in subscriptions]}
+            receives = [(channel, inbox.lasting) for channel, inbox, _ in subscriptions]
+            hello = {"name": self._name, "identity": identity, "sends": self._channels, "receives": receives}
             self._send(Packet.HELLO + json.dumps(hello).encode())
             self._changed.update(range(len(self._sent)))
             self.release()
@@ -393,7 +403,10 @@ class BarrierClock(BenchClock):
             if self._seen[index] >= last and waited > _STRANGER_WAIT:
                 return
             if waited > _LOST_AFTER:
-                self.on_loss(f"{last - self._seen[index]} announced messages did not come within {_LOST_AFTER:g} s")
+                channel = self._received[index]
+                self.on_loss(
+                    f"{last - self._seen[index]} announced messages on {channel} did not come within {_LOST_AFTER:g} s"
+                )
                 self._seen[index] = last
                 return
             time.sleep(2e-5)
@@ -422,8 +435,12 @@ class BarrierClock(BenchClock):
         deadline = time.monotonic() + _MATCHING_TIMEOUT
 
         def matched() -> bool:
-            subscribed = (self._count_of_subscribers[name]() >= count for name, count in others["receivers"].items())
-            return all(subscribed) and all(self._count_of_publishers[name]() > 0 for name in others["senders"])
+            connected = ((self._receivers, others["receivers"]), (self._senders, others["senders"]))
+            return all(
+                set(identities) <= set(found[channel]())
+                for found, wanted in connected
+                for channel, identities in wanted.items()
+            )
 
         while not matched():
             if time.monotonic() > deadline:
@@ -434,8 +451,8 @@ class BarrierClock(BenchClock):
             for thread in os.listdir("/proc/self/task"):
                 with suppress(OSError):
                     os.sched_setaffinity(int(thread), {others["core"]})
-        self._look_for_outsiders()
         self._seen = [0] * len(self._seen)  # another sender counts from the beginning
+        self._look_for_outsiders()
         self.begun.set()
         self._send(Packet.MATCHED)
 

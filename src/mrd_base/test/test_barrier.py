@@ -94,6 +94,8 @@ def until(condition, timeout: float = 10.0) -> None:
 class Inbox:
     """A channel between two threads, on which messages take a while."""
 
+    lasting = False
+
     def __init__(self, handle, delay: float = 0.0) -> None:
         self._messages: queue.Queue = queue.Queue()
         self._sent, self._delay = 0, delay
@@ -153,8 +155,8 @@ def test_time_stands_until_messages_have_been_processed_in_the_order_of_the_inst
     receiver.on_loss = losses.append
     inbox = Inbox(lambda sent: received.append((sent, receiver.now())), delay=0.02)
     timer = sender.timer(0.05, lambda: inbox.send(sender, sender.now()))
-    sender.join({"channel": lambda: 1})
-    receiver.join(None, [("channel", inbox, lambda: 1)])
+    sender.join({"channel": lambda: ["b"]}, identity="a")
+    receiver.join(None, [("channel", inbox, lambda: ["a"])], identity="b")
     until(lambda: len(received) >= 20)
     timer.cancel()
     assert [sent for sent, _ in received[:20]] == pytest.approx([0.05 * k for k in range(1, 21)])

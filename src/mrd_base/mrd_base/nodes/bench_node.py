@@ -3,13 +3,14 @@
 import functools
 import gc
 import itertools
+import os
 import signal
 import sys
 import threading
 import typing
 import warnings
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -24,9 +25,12 @@ from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter, get_parameter_value, parameter_value_to_python
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
+from std_msgs.msg import Empty
 
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
@@ -78,6 +82,11 @@ class _Inbox:
 
     def __init__(self, subscription: Subscription, callback: Callable[[Any], None]) -> None:
         self.subscription, self.handle = subscription, callback
+
+    @property
+    def lasting(self) -> bool:
+        """Whether the latest messages come also to one who joins after they were sent."""
+        return _is_lasting(self.subscription.qos_profile)
 
     def take(self) -> tuple[Any, int] | None:
         """Return the next message and its number, or None if none is there."""
@@ -279,13 +288,43 @@ class BenchNode(Node, Generic[C]):
         """Take part in a simulated bench, once all publishers and subscriptions exist."""
         if isinstance(self.bench, BarrierClock):
             self.bench.join(
-                {publisher.topic_name: publisher.get_subscription_count for publisher in self._announcing},
+                {publisher.topic_name: functools.partial(self._receivers, publisher) for publisher in self._announcing},
                 [
-                    (subscription.topic_name, inbox, subscription.get_publisher_count)
+                    (subscription.topic_name, inbox, functools.partial(self._senders, subscription))
                     for subscription, inbox in self._inboxes.items()
                 ],
+                identity=self._identity(),
                 share_core=True,
             )
+
+    def _identity(self) -> str:
+        """Return what the identifiers of all endpoints of this process begin with.
+
+        A killed process of the same name stays in the graph for 20 s, so that only a topic nobody else has tells which
+        endpoints are one's own.
+        """
+        publisher = super().create_publisher(Empty, f"~/process_{os.getpid()}", 1)
+        (endpoint,) = self.get_publishers_info_by_topic(publisher.topic_name)
+        self.destroy_publisher(publisher)
+        return _process(endpoint)
+
+    def _receivers(self, publisher: Publisher) -> Collection[str]:
+        """Return the identities of those who receive from a publisher, or none before ROS has connected all it knows."""
+        endpoints = [
+            endpoint
+            for endpoint in self.get_subscriptions_info_by_topic(publisher.topic_name)
+            if _fit(publisher.qos_profile, endpoint.qos_profile)
+        ]
+        return {_process(endpoint) for endpoint in endpoints if publisher.get_subscription_count() >= len(endpoints)}
+
+    def _senders(self, subscription: Subscription) -> Collection[str]:
+        """Return the identities of those who send to a subscription, or none before ROS has connected all it knows."""
+        endpoints = [
+            endpoint
+            for endpoint in self.get_publishers_info_by_topic(subscription.topic_name)
+            if _fit(endpoint.qos_profile, subscription.qos_profile)
+        ]
+        return {_process(endpoint) for endpoint in endpoints if subscription.get_publisher_count() >= len(endpoints)}
 
     def stamp(self, bench_time: float | None = None) -> Time:
         """Return the ROS time of a bench time in s, by default of now."""
@@ -325,6 +364,24 @@ class BenchNode(Node, Generic[C]):
 
     def close(self) -> None:
         """Leave the machine in a safe state; called once, however the node ends, when ROS may already be shut down."""
+
+
+def _is_lasting(profile: QoSProfile) -> bool:
+    return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def _is_reliable(profile: QoSProfile) -> bool:
+    return bool(profile.reliability == ReliabilityPolicy.RELIABLE)
+
+
+def _fit(publisher: QoSProfile, subscription: QoSProfile) -> bool:
+    """Return whether ROS connects a publisher with a subscription; neither has a deadline or a lease here."""
+    return _is_reliable(publisher) >= _is_reliable(subscription) and _is_lasting(publisher) >= _is_lasting(subscription)
+
+
+def _process(endpoint: TopicEndpointInfo) -> str:
+    """Return what the identifiers of all endpoints of a process begin with (DDSI-RTPS 2.5, section 8.2.4.1: 12 bytes)."""
+    return bytes(endpoint.endpoint_gid[:12]).hex()
 
 
 def seconds(stamp: Time) -> float:
