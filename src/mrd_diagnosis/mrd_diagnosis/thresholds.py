@@ -78,6 +78,12 @@ class Thresholds:
         "share that effects of the form must close by their own formulas to be named",
         "other forms with one effect, seed 990",
     )
+    named_support: float = threshold(
+        0.5,
+        "",
+        "probability of an effect, averaged over the damper models that count, from which it is named beside a wrong form",
+        "measured recordings with known errors, seed 53",
+    )
     least_information: float = threshold(
         0.01,
         "of the most informative run before or after, whichever is less",

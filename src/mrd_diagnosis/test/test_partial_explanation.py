@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
+from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
-from mrd_diagnosis.partial_explanation import stacking_weights
+from mrd_diagnosis.partial_explanation import holds, stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import find_model
@@ -132,3 +133,15 @@ def test_another_form_alone_is_no_effect():
     assert diagnosis.verdict == "unknown_effect"
     assert diagnosis.causes == ()
     assert diagnosis.gap.form_fraction > 0.8
+
+
+@pytest.mark.parametrize(
+    ("probability", "closed", "named"),
+    [
+        (0.95, (0.01, 0.005, 0.02), True),
+        (0.07, (1.0, 0.01, 1.0), False),  # another effect does as much around the other damper models
+        (0.78, (1.0, -0.04, 1.0), False),  # one fold alone speaks for it
+    ],
+)
+def test_what_is_unlikely_or_closes_nothing_for_sure_is_not_named(probability, closed, named):
+    assert holds(probability, Interval(*closed)) is named
