@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from mrd_base.quantities import quantity
 from mrd_identification.problem import Problem
 from mrd_identification.uncertainty import LEAST_DEGREES_OF_FREEDOM, Uncertainty, normal_inverse
 from mrd_sim.models import Parameter
@@ -120,7 +121,7 @@ def _share(parameter: Parameter, lower: float, upper: float) -> float:
 
 
 def _with_unit(value: float, parameter: Parameter) -> str:
-    return f"{value:.3g} {parameter.unit}".rstrip()
+    return quantity(float(f"{value:.3g}"), parameter.unit)
 
 
 def _on_bound(problem: Problem, theta: Array, uncertain: Uncertainty, place: int) -> str:
@@ -160,8 +161,9 @@ def _wide_interval(parameter: Parameter, lower: float, upper: float) -> str:
         return ""
     lower, upper = max(lower, parameter.lower), min(upper, parameter.upper)
     if lower <= 0.0 <= upper:
+        least = _with_unit(lower, parameter) if lower < 0.0 else "0"
         return (
-            f"{parameter.name} may be 0: the runs are fitted equally well by every value from {lower:.3g} to "
+            f"{parameter.name} may be 0: the runs are fitted equally well by every value from {least} to "
             f"{_with_unit(upper, parameter)}"
         )
     open_below, open_above = np.isclose([lower, upper], [parameter.lower, parameter.upper], rtol=1e-4, atol=0)

@@ -495,7 +495,7 @@ def test_an_interval_that_reaches_to_a_bound_is_reported():
     ]
     assert_warnings(
         warnings_for("modified_dahl", runs, theta),
-        r"The runs limit series_stiffness on one side only: .* from \S+ N/m to its upper bound, 2e\+07 N/m",
+        r"The runs limit series_stiffness on one side only: .* from \S+ MN/m to its upper bound, 20 MN/m",
     )
 
 
