@@ -25,7 +25,7 @@ class DaqConfig:
         0.05, "A", "largest difference of measured and commanded coil current, to which a tenth of it is added", lower=0.001
     )
     coil_response: float = quantity(
-        0.15, "ms", "time within which the coil current follows its command", lower=0.02, upper=10
+        0.13, "ms", "time within which the coil current follows its command", lower=0.02, upper=10
     )
     tare_duration: float = quantity(1.0, "s", "length of the readings that a tare averages", lower=0.05, upper=60)
     channels: ChannelMap = ChannelMap()
