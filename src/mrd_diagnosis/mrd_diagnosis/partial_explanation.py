@@ -144,13 +144,14 @@ def rests_on_form(comparison: ModelComparison) -> bool:
     return bool(form_effects(comparison.weighting, comparison.base, comparison.effects))
 
 
-def holds(probability: float, closed_fraction: Interval) -> bool:
-    """Whether an effect can be named beside a wrong form: it is more likely than not, and surely closes a share of the gap.
+def holds(probability: float, without: Refit, with_effect: Refit) -> bool:
+    """Whether an effect can be named beside a wrong form: it is more likely than not, and not one fold alone speaks for it.
 
-    Without the second, an effect was named whose share in the gap reached from -4 to 100 %: without it, the model had no
-    optimum in one of the folds.
+    Without the second, an effect was named whose share in the gap was 100 %, between -4 and 100: without it, the model
+    diverged in one of the folds.
     """
-    return probability >= THRESHOLDS.named_support and closed_fraction.lower > 0.0
+    gains = without.held_out_squares - with_effect.held_out_squares
+    return bool(probability >= THRESHOLDS.named_support and gains.sum() > max(gains.max(), 0.0))
 
 
 def stacking_weights(refits: Sequence[Refit]) -> Array:
@@ -253,11 +254,11 @@ def _search_beside_remainder(
             _with_and_without(*space, compared.best, effect) for space in spaces[1:]
         ]
         support = sum(weight * float(probabilities(pair, rng)[0]) for pair, (_, weight) in zip(of_forms, forms, strict=True))
-        closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
-        if not holds(support, closed):
+        if not holds(support, others[NO_EFFECT], others[effect]):
             continue
         shares = map(float, probabilities(list(others.values()), rng))
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
+        closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
     return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
 
@@ -297,10 +298,10 @@ def _form_causes(
         probability = float(probabilities([fitted, *instead], rng)[0])
         if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
             break
+        if not holds(probability, explained, fitted):
+            break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
         closed = closed_fraction_between(explained, fitted, comparison, rng)
-        if not holds(probability, closed):
-            break
         causes[effect] = HeldCause({effect: probability}, p_value(gain, null_gains), closed)
         explained = fitted
     return causes, explained

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
-from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
 from mrd_diagnosis.partial_explanation import holds, stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
+from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import find_model
+from mrd_sim.path import make_path
 
 FORCE_NOISE = 1.5
 BOUC_WEN = find_model("bouc_wen")
@@ -136,12 +137,56 @@ def test_another_form_alone_is_no_effect():
 
 
 @pytest.mark.parametrize(
-    ("probability", "closed", "named"),
+    ("probability", "gains", "named"),
     [
-        (0.95, (0.01, 0.005, 0.02), True),
-        (0.07, (1.0, 0.01, 1.0), False),  # another effect does as much around the other damper models
-        (0.78, (1.0, -0.04, 1.0), False),  # one fold alone speaks for it
+        (0.95, (1.0, 2.0, 1.5), True),
+        (0.9, (9.0, 20.0, -7.0, 0.3), True),
+        (0.07, (1.0, 2.0, 1.5), False),  # around the other damper models, it does nothing
+        (0.78, (900.0, -2.0, 1.5, -0.1), False),  # one fold alone speaks for it
+        (0.95, (-1.0, -2.0), False),
     ],
 )
-def test_what_is_unlikely_or_closes_nothing_for_sure_is_not_named(probability, closed, named):
-    assert holds(probability, Interval(*closed)) is named
+def test_what_is_unlikely_or_shows_in_one_fold_alone_is_not_named(wrong_form, probability, gains, named):
+    _, base = wrong_form
+    without, with_effect = (replace(base, held_out_squares=np.array(squares)) for squares in (gains, np.zeros(len(gains))))
+    assert holds(probability, without, with_effect) is named
+
+
+def growing_play(current):
+    """Return the current that acts behind an iron whose loop is the wider, the larger the current is."""
+    acting, state = np.empty_like(current), current[0]
+    for k, value in enumerate(current):
+        width = 0.02 + 0.1 * value
+        state = min(max(state, value - width), value + width)
+        acting[k] = 0.6 * state + 0.4 * value
+    return acting
+
+
+def with_formula_of_its_own(effect):
+    """Record a damper of the base's form with an effect whose formula is not that of the catalogue."""
+    theta, cap = BOUC_WEN.vector({"coil_lag": 0.0}), BOUC_WEN.with_effects(find_effects(["cavitation"]))
+    values = [EFFECTS["cavitation"].typical.get(p.name, p.default) for p in EFFECTS["cavitation"].parameters]
+    recorded = []
+    for run in runs():
+        motion = run.position, run.velocity, np.gradient(run.velocity, run.time)
+        acting = growing_play(run.current) if effect == "magnetic_hysteresis" else run.current
+        path = make_path(run.time, *motion, acting)
+        force = BOUC_WEN.force(theta, path)
+        if effect == "side_load_friction":
+            force += 6e5 * run.position**2 * np.tanh(run.velocity / 4e-3)
+        if effect == "cavitation":  # in one of two chambers
+            force = 0.4 * force + 0.6 * cap.force(np.append(theta, values), path)
+        recorded.append(replace(run, force=force + np.random.default_rng(1).normal(0, FORCE_NOISE, len(force))))
+    return recorded
+
+
+@pytest.mark.parametrize("effect", ["magnetic_hysteresis", "side_load_friction", "cavitation"])
+def test_an_effect_with_another_formula_is_named_though_it_does_not_close_the_gap(effect):
+    diagnosis = diagnose(
+        with_formula_of_its_own(effect),
+        "bouc_wen",
+        effects=(*CANDIDATES, "magnetic_hysteresis", "side_load_friction", "cavitation", "seal_friction", "flow_asymmetry"),
+    )
+    assert diagnosis.verdict == "partly_explained"
+    assert [cause.effect for cause in diagnosis.causes] == [effect]
+    assert 0.2 < diagnosis.gap.closed_fraction.value < 0.95
