@@ -84,11 +84,11 @@ def test_c_file_gives_the_force_of_the_fit(fit, path, run, tmp_path):
     library = ctypes.CDLL(tmp_path / "damper.so")
     library.front_step.restype = ctypes.c_double
     library.front_step.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 5]
-    state = ctypes.create_string_buffer(8 * (len(fit.model.parameters) + 2 + fit.model.states + 5))
+    path_of_rows = make_path(run.time, run.position, run.velocity, 0 * run.time, run.current)
+    state = ctypes.create_string_buffer(8 * (len(fit.model.parameters) + len(fit.model.initial_state(path_of_rows)) + 5))
     library.front_init(state)
     rows = np.stack([np.diff(run.time, prepend=0.0), run.position, run.velocity, 0 * run.time, run.current], axis=1)
     force = np.array([library.front_step(state, *row) for row in rows.tolist()])
-    path_of_rows = make_path(run.time, run.position, run.velocity, 0 * run.time, run.current)
     expected = fit.model.force(fit.model.vector(fit.values), path_of_rows)
     assert np.abs(force - expected).max() <= 1e-9 * np.abs(expected).max()
 

@@ -43,8 +43,8 @@ void ${p}_init(${p}_state *s);
 
 /*
  * Advance the damper by dt (s) to a sample of position (m), velocity (m/s), acceleration (m/s^2) and coil current (A);
- * returns its force (N) as it is measured. The first step only sets where the damper is, whatever its dt; so does a later one with dt = 0.
- * Where the velocity has changed its sign, the turning point in between is passed too.
+ * returns its force (N) as it is measured. The first step only sets where the damper is, whatever its dt; so does a later
+ * one with dt = 0. Where the velocity has changed its sign, the turning point in between is passed too.
  */
 double ${p}_step(
     ${p}_state *s, double dt, double position, double velocity, double acceleration, double current);
