@@ -97,7 +97,7 @@ def damper_step(damper: Damper) -> tuple[Any, ...]:
         For effects that need more than one vertex at a time, or more effects than the loop has room for.
     """
     model = damper.model
-    if model.has_series_elements:
+    if model.series_elements:
         series = ", ".join(effect.id for effect in model.effects if effect.elongation is not None)
         raise InputError(
             f"damper {damper.description}: {series} in series with the damper cannot act in a loop; leave it out"

@@ -88,30 +88,22 @@ def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", wit
     prefix : str
         Prefix of the names in the C file.
     without_effects : bool
-        Leave out the effects that act with the model, which have no translation to C.
+        Leave out the effects that act with the model.
 
     Raises
     ------
     InputError
-        As `load_damper`; also for effects that are not to be left out, another ending, an existing file, a prefix that is
-        not a C name, and an FMU without a C compiler.
+        As `load_damper`; also for another ending, an existing file, a prefix that is not a C name, an FMU without a C
+        compiler, and a user's own model or effect that has no translation to C.
     """
     output = Path(output)
     if output.suffix not in (".c", ".fmu"):
         raise InputError(f"{output}: expected a name that ends in .c (C99 source) or .fmu (FMI 2.0 co-simulation)")
     damper = load_damper(file)
-    if damper.model.effects:
-        names = ", ".join(effect.id for effect in damper.model.effects)
-        if not without_effects:
-            raise InputError(
-                f"{file}: acts with the effects {names}, which have no translation to C; simulate it in Python "
-                "(simulate --plant), or leave them out with --without-effects"
-            )
-        values_of_all = zip(damper.model.names, map(float, damper.theta), strict=True)
-        damper = Damper(
-            damper.model.id, {name: value for name, value in values_of_all if "." not in name}, damper.model.laws
-        )
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
+    if without_effects:
+        values = {name: value for name, value in values.items() if "." not in name}
+        damper = Damper(damper.model.id, values, damper.model.laws)
     source = output.suffix == ".c"
     content = c_source(damper.model, values, prefix).encode() if source else fmu_archive(damper.model, values)
     try:

@@ -168,7 +168,7 @@ class Problem:
         theta = self.theta(unit)
         scale = self.scale(theta)
         solutions: SeriesSolutions = {}
-        if self.model.has_series_elements:
+        if self.model.series_elements:
             self.forces(theta, solutions)
 
         def column(index: int) -> Array:

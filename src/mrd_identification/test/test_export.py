@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from mrd_identification.cli import export as cli
 from mrd_identification.export import export_damper
 from mrd_runs import Run
 from mrd_runs.signals.smoothed_run import smooth_run
+from mrd_sim import effects
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path, run_path
 
@@ -82,11 +84,11 @@ def test_c_file_gives_the_force_of_the_fit(fit, path, run, tmp_path):
     library = ctypes.CDLL(tmp_path / "damper.so")
     library.front_step.restype = ctypes.c_double
     library.front_step.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 5]
-    state = ctypes.create_string_buffer(8 * (len(fit.model.parameters) + 2 + fit.model.states + 5))
+    path_of_rows = make_path(run.time, run.position, run.velocity, 0 * run.time, run.current)
+    state = ctypes.create_string_buffer(8 * (len(fit.model.parameters) + len(fit.model.initial_state(path_of_rows)) + 5))
     library.front_init(state)
     rows = np.stack([np.diff(run.time, prepend=0.0), run.position, run.velocity, 0 * run.time, run.current], axis=1)
     force = np.array([library.front_step(state, *row) for row in rows.tolist()])
-    path_of_rows = make_path(run.time, run.position, run.velocity, 0 * run.time, run.current)
     expected = fit.model.force(fit.model.vector(fit.values), path_of_rows)
     assert np.abs(force - expected).max() <= 1e-9 * np.abs(expected).max()
 
@@ -96,7 +98,7 @@ def test_the_tool_writes_an_fmu(fit, path, tmp_path, monkeypatch, capsys):
     output = tmp_path / "damper.fmu"
     monkeypatch.setattr(sys, "argv", ["export", str(path), "--output", str(output)])
     cli.work()
-    assert capsys.readouterr().out == f"{output}: Bingham, {len(fit.model.parameters)} parameters\n"
+    assert capsys.readouterr().out == f"{output}: bingham, {len(fit.model.parameters)} parameters\n"
     with zipfile.ZipFile(io.BytesIO(output.read_bytes())) as archive:
         text = archive.read("modelDescription.xml").decode()
         assert archive.testzip() is None
@@ -155,12 +157,27 @@ def test_a_corrected_simulator_is_read_with_its_effects(corrected):
 
 
 def test_effects_are_left_out_of_an_export_only_where_that_is_asked_for(corrected, tmp_path):
-    with pytest.raises(InputError, match=r"acts with the effects gas_spring, .* or leave them out with --without-effects"):
-        export_damper(corrected, tmp_path / "damper.c")
-    assert not (tmp_path / "damper.c").exists()
-    damper = export_damper(corrected, tmp_path / "damper.c", without_effects=True)
-    assert damper.description == "bingham"
-    assert '{"viscous", "N s/m", 1234' in (tmp_path / "damper.c").read_text()
+    for without_effects, description in ((False, "bingham with gas_spring"), (True, "bingham")):
+        file = tmp_path / f"{description}.c"
+        assert export_damper(corrected, file, without_effects=without_effects).description == description
+        assert '{"viscous", "N s/m", 1234' in file.read_text()
+        assert ('{"gas_spring.stiffness", "N/m", 500.0, ' in file.read_text()) is not without_effects
+
+
+def test_an_effect_of_the_users_own_that_has_no_translation_is_refused_in_one_line(tmp_path, monkeypatch):
+    own = (Path(effects.__file__).parent / "gas_spring.py").read_text().replace('id="gas_spring"', 'id="own_spring"')
+    folder, plant, output = tmp_path / "own", tmp_path / "plant.yaml", tmp_path / "damper.c"
+    folder.mkdir()
+    (folder / "own_spring.py").write_text(own.replace("in range(len(x)):", "in list(range(len(x))):"))
+    plant.write_text(PLANT.replace("gas_spring", "own_spring"))
+    for catalogue in ("EFFECTS", "EFFECT_FOLDERS"):
+        monkeypatch.setattr(effects, catalogue, dict(getattr(effects, catalogue)))
+    arguments = ["export", str(plant), "--effects-folder", str(folder), "--output", str(output)]
+    monkeypatch.setattr(sys, "argv", arguments)
+    line = 1 + own[: own.index("in range(len(x)):")].count("\n")
+    with pytest.raises(InputError, match=rf"own_spring\._apply, line {line}: for k in list.* has no translation to C"):
+        cli.work()
+    assert not output.exists()
 
 
 def test_a_diagnosis_that_proves_nothing_is_not_exported(tmp_path):

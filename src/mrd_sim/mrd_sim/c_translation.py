@@ -1,7 +1,7 @@
 """Translation of compiled Python functions into C99.
 
-A small subset of Python has a translation: numbers, arrays, named rows of coefficients, loops over ranges, conditions and
-calls. Anything else is refused with its line.
+A small subset of Python has a translation: numbers, arrays, named coefficients and parameters, loops over ranges, conditions
+and calls. Anything else is refused with its line.
 """
 
 import ast
@@ -17,7 +17,7 @@ from typing import Any
 
 from mrd_base import InputError
 from mrd_sim import dual
-from mrd_sim.named import named_row
+from mrd_sim.named import named, named_row
 
 _SAME_IN_C = re.findall(
     r"\w+",
@@ -87,7 +87,7 @@ class _Signature:
     """A translated function.
 
     ``result`` is its C type and ``parts`` the length of the tuple that it returns, or 0. For each parameter, ``kinds`` has
-    the C type and ``writes`` whether it is written to.
+    the C type and ``writes`` whether it is written to; ``defaults`` are those of the last ones.
     """
 
     name: str
@@ -95,6 +95,7 @@ class _Signature:
     parts: int
     kinds: tuple[str, ...]
     writes: tuple[bool, ...]
+    defaults: tuple[Any, ...]
 
 
 class CUnit:
@@ -117,7 +118,7 @@ class CUnit:
         self.columns = {name: f"C_{name.upper()}" for name in coefficients}
         self._text: list[str] = []
         self._names = names
-        self._constants: dict[tuple[str, float], str] = {}
+        self._constants: dict[tuple[str, Any], str] = {}
         self._functions: dict[Callable[..., Any], _Signature | None] = {}
 
     @property
@@ -125,12 +126,12 @@ class CUnit:
         """C source of all functions and constants so far."""
         return "\n".join(self._text)
 
-    def function(self, compiled: Any) -> _Signature:
-        """Translate a compiled function, once."""
+    def function(self, compiled: Any, kinds: Sequence[str] = ()) -> _Signature:
+        """Translate a compiled function, once; ``kinds`` are the C types of its parameters, or its annotations say them."""
         python = getattr(compiled, "py_func", compiled)
         if python not in self._functions:
             self._functions[python] = None
-            translated = _Function(self, python)
+            translated = _Function(self, python, kinds)
             self._text.append(translated.text)
             self._functions[python] = translated.signature
         signature = self._functions[python]
@@ -138,12 +139,24 @@ class CUnit:
             raise InputError(f"{python.__module__}.{python.__name__} calls itself, which has no translation to C")
         return signature
 
-    def constant(self, module: str, name: str, value: float) -> str:
-        """Return the C name of a constant of a module."""
+    def constant(self, module: str, name: str, value: float | tuple[float, ...]) -> str:
+        """Return the C name of a constant of a module: a number, or an array for a tuple."""
         key = (f"{module}.{name}", value)
         if key not in self._constants:
-            self._constants[key] = self.name(module, name)
-            self._text.append(f"static const double {self._constants[key]} = {c_number(value)};\n")
+            chosen = self._constants[key] = self.name(module, name)
+            array, text = (
+                ("[]", f"{{{', '.join(map(c_number, value))}}}") if isinstance(value, tuple) else ("", c_number(value))
+            )
+            self._text.append(f"static const double {chosen}{array} = {text};\n")
+        return self._constants[key]
+
+    def structure(self, kind: Any) -> str:
+        """Return the C name of a structure with the fields of a type of named tuples."""
+        key = (f"{kind.__module__}.{kind.__name__}", kind)
+        if key not in self._constants:
+            self._constants[key] = self.name(kind.__module__, kind.__name__)
+            fields = ", ".join(map(_c, kind._fields))
+            self._text.append(f"typedef struct {{ double {fields}; }} {self._constants[key]};\n")
         return self._constants[key]
 
     def name(self, module: str, name: str) -> str:
@@ -160,11 +173,11 @@ class _Function:
 
     Numbers are double or, where Python has integers, int. An array is a pointer. An array with two indices holds row after
     row of the model's coefficients or, if of integers, of the columns of their laws' parameters. A named row of coefficients
-    is a pointer to its first. An array that is made and returned becomes one more parameter. A number with a derivative
-    is its value.
+    is a pointer to its first, a named vector a structure. An array that is made and returned becomes one more parameter. A
+    number with a derivative is its value.
     """
 
-    def __init__(self, unit: CUnit, python: Callable[..., Any]) -> None:
+    def __init__(self, unit: CUnit, python: Callable[..., Any], kinds: Sequence[str]) -> None:
         self.unit, self.python = unit, python
         self.module = python.__module__
         lines, self.first = inspect.getsourcelines(python)
@@ -173,13 +186,10 @@ class _Function:
             raise InputError(f"{self.module}: {python.__name__} is no function, which has no translation to C")
         self.tree = tree
         nodes = sorted(ast.walk(tree), key=lambda node: (getattr(node, "lineno", 0), getattr(node, "col_offset", 0)))
-        self.parameters = {arg.arg: self._c_type(arg) for arg in tree.args.args}
+        self.parameters = {arg.arg: kinds[index] if kinds else self._c_type(arg) for index, arg in enumerate(tree.args.args)}
         self.rows = {name for name, kind in self.parameters.items() if kind == _C_TYPES["Row"]}
-        self.rows |= {
-            node.targets[0].id
-            for node in nodes
-            if isinstance(node, ast.Assign) and self._makes_row(node.value) and isinstance(node.targets[0], ast.Name)
-        }
+        self.rows |= self._made_by(named_row, nodes).keys()
+        self.vectors = {name: self._global(call.args[0])._fields for name, call in self._made_by(named, nodes).items()}
         self.made = {
             name.id
             for node in nodes
@@ -191,7 +201,7 @@ class _Function:
         self.written: set[str] = set(self.made)
         stored = [node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)]
         self.counters = {node.target.id for node in nodes if isinstance(node, ast.For) and isinstance(node.target, ast.Name)}
-        declared = self.parameters.keys() | self.made | self.counters | self.rows
+        declared = self.parameters.keys() | self.made | self.counters | self.rows | self.vectors.keys()
         self.locals = [name for name in dict.fromkeys(stored) if name not in declared]
         self.integers = self._find_integers(nodes)
         returned = [node.value for node in nodes if isinstance(node, ast.Return) and node.value is not None]
@@ -211,7 +221,8 @@ class _Function:
         ends = isinstance(last, ast.Return) and self.result == "void"
         body = self._block(tree.body[:-1] if ends else tree.body, 1)
         writes = tuple(parameter in self.written for parameter in self.parameters)
-        self.signature = _Signature(name, self.result, parts, tuple(self.parameters.values()), writes)
+        defaults = python.__defaults__ or ()
+        self.signature = _Signature(name, self.result, parts, tuple(self.parameters.values()), writes, defaults)
         self.text = self._head(parts, name) + self._declarations() + body + "}\n"
 
     def _head(self, parts: int, name: str) -> str:
@@ -225,7 +236,7 @@ class _Function:
         listed += [f"double *{_c(made)}" for made in sorted(self.made)]
         summary = c_comment((ast.get_docstring(self.tree) or "").partition("\n\n")[0])
         comment = textwrap.fill(f"{summary} ({self.module})" if summary else self.module, 100, subsequent_indent="   ")
-        signature = _wrapped(f"static {self.result} {name}(", listed or ["void"], ")")
+        signature = wrapped(f"static {self.result} {name}(", listed or ["void"], ")")
         return f"{structure}/* {comment} */\n{signature}\n{{\n"
 
     def _declarations(self) -> str:
@@ -235,7 +246,7 @@ class _Function:
             ("int", [name for name in self.locals if name in self.integers]),
         ):
             if chosen:
-                text += _wrapped(f"    {kind} ", [_c(name) for name in chosen], ";") + "\n"
+                text += wrapped(f"    {kind} ", [_c(name) for name in chosen], ";") + "\n"
         return text
 
     # What the names stand for.
@@ -246,12 +257,14 @@ class _Function:
             raise self._refuse(arg, f"parameter {arg.arg} of type {annotation or 'unknown'}")
         return _C_TYPES[annotation]
 
-    def _makes_row(self, node: ast.AST) -> bool:
-        return (
-            isinstance(node, ast.Call)
-            and isinstance(node.func, ast.Name)
-            and self.python.__globals__.get(node.func.id) is named_row
-        )
+    def _made_by(self, function: Callable[..., Any], nodes: Sequence[ast.AST]) -> dict[str, ast.Call]:
+        """Names that calls of a function are assigned to, and the calls."""
+        return {
+            node.targets[0].id: node.value
+            for node in nodes
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and isinstance(node.value, ast.Call)
+            if isinstance(node.value.func, ast.Name) and self.python.__globals__.get(node.value.func.id) is function
+        }
 
     def _makes_array(self, node: ast.AST) -> bool:
         return isinstance(node, ast.Call) and ast.unparse(node.func) in ("np.empty", "np.empty_like")
@@ -319,7 +332,7 @@ class _Function:
                 return self._is_integer(value)
             case ast.Subscript(value=ast.Name(id=name)):
                 return self.parameters.get(name) == "int *"
-            case ast.Call(func=ast.Name(id="len")):
+            case ast.Call(func=ast.Name(id="len" | "int")):
                 return True
             case ast.Call(func=func):
                 called = self._global(func)
@@ -356,10 +369,13 @@ class _Function:
                 return []
             case ast.Assign(value=value) if self._makes_array(value):
                 return []
-            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Call(args=[_, matrix, row]) as value) if self._makes_row(
-                value
-            ):
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Call(args=[_, matrix, row])) if name in self.rows:
                 return [f"const double *{_c(name)} = {self._text(matrix)} + {self._text(row, _PRODUCT)} * COEFFICIENTS;"]
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Call(args=[kind, vector])) if name in self.vectors:
+                if not (isinstance(vector, ast.Name) and self._is_array(vector.id)):
+                    raise self._refuse(vector, f"{ast.unparse(vector)} as an array")
+                entries = ", ".join(f"{self._text(vector)}[{index}]" for index in range(len(self.vectors[name])))
+                return [f"const {self.unit.structure(self._global(kind))} {_c(name)} = {{{entries}}};"]
             case ast.Assign(targets=[target], value=value):
                 return self._assign(target, value)
             case ast.AnnAssign(target=target, value=ast.expr() as value):
@@ -457,12 +473,17 @@ class _Function:
                 if field not in self.unit.columns:
                     raise self._refuse(node, f"{name}.{field}, which is no coefficient of the model,")
                 return f"{_c(name)}[{self.unit.columns[field]}]", 9
+            case ast.Attribute(value=ast.Name(id=name), attr=field) if field in self.vectors.get(name, ()):
+                return f"{_c(name)}.{_c(field)}", 9
             case ast.Attribute():
                 return c_number(self._value(node)), 9
             case ast.Subscript():
                 return self._element(node), 9
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
                 return f"pow({self._text(left)}, {self._text(right)})", 9
+            case ast.BinOp(left=left, op=ast.Mod(), right=right) if self._is_integer(node):
+                divisor = self._text(right, 8)  # the remainder has the divisor's sign in Python, the dividend's in C
+                return f"({self._text(left, _PRODUCT)} % {divisor} + {divisor}) % {divisor}", _PRODUCT
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
                 sign, binds = _BINARY[type(op)]
                 whole = self._is_integer(left) and self._is_integer(right)
@@ -490,10 +511,10 @@ class _Function:
                 return sign.join(self._text(value, 4) for value in values), binds
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 return f"{self._text(test, 2)} ? {self._text(body, 2)} : {self._text(orelse, 1)}", 1
-            case ast.Call(func=ast.Name(id="len"), args=[ast.Name(id=name)]):
+            case ast.Call(func=ast.Name(id="len"), args=[ast.Name(id=name)]) if name not in ("state", "parameters"):
                 return ("COEFFICIENTS" if self.parameters.get(name) == "int *" else "vertices"), 9
-            case ast.Call(func=ast.Name(id="float"), args=[value]):
-                return f"(double){self._text(value, 8)}", 8
+            case ast.Call(func=ast.Name(id="float" | "int" as kind), args=[value]):
+                return f"({_C_TYPES[kind]}){self._text(value, 8)}", 8
             case ast.Call(keywords=[]):
                 return self._call(node), 9
         raise self._refuse(node, ast.unparse(node))
@@ -512,11 +533,17 @@ class _Function:
 
     def _element(self, node: ast.Subscript) -> str:
         match node:
+            case ast.Subscript(slice=ast.UnaryOp(op=ast.USub())):  # Python counts it from the end
+                raise self._refuse(node, ast.unparse(node))
             case ast.Subscript(value=ast.Name(id=name), slice=ast.Tuple(elts=[row, column])) if self._is_array(name):
                 width = "LAW_PARAMETERS" if self.parameters.get(name) == "int *" else "COEFFICIENTS"
                 return f"{_c(name)}[{self._text(row, 7)} * {width} + {self._text(column, 6)}]"
             case ast.Subscript(value=ast.Name(id=name), slice=index) if self._is_array(name) and self._is_integer(index):
                 return f"{_c(name)}[{self._text(index)}]"
+            case ast.Subscript(value=ast.Name(id=name) as array, slice=index) if self._is_integer(index):
+                values = self._global(array)
+                if isinstance(values, tuple) and all(isinstance(value, int | float) for value in values):
+                    return f"{self.unit.constant(self.module, name, values)}[{self._text(index)}]"
         raise self._refuse(node, ast.unparse(node))
 
     def _is_array(self, name: str) -> bool:
@@ -531,11 +558,11 @@ class _Function:
         if not hasattr(called, "py_func"):
             raise self._refuse(node, ast.unparse(node))
         target = self.unit.function(called)
-        if len(node.args) != len(target.kinds):
-            raise self._refuse(node, f"{ast.unparse(node)} with defaults")
+        left_out = len(target.kinds) - len(node.args)
+        arguments = [*node.args, *map(ast.Constant, target.defaults[len(target.defaults) - left_out :])]
         is_array = [kind.endswith("*") and kind != _C_TYPES["Row"] for kind in target.kinds]
         given = ["vertices"] if any(is_array) else []
-        for arg, kind, array, written in zip(node.args, target.kinds, is_array, target.writes, strict=True):
+        for arg, kind, array, written in zip(arguments, target.kinds, is_array, target.writes, strict=True):
             if array and not (isinstance(arg, ast.Name) and self._is_array(arg.id)):
                 raise self._refuse(arg, f"{ast.unparse(arg)} as an array")
             if kind == _C_TYPES["Row"] and not (isinstance(arg, ast.Name) and arg.id in self.rows):
@@ -546,7 +573,7 @@ class _Function:
         return f"{target.name}({', '.join(given)})"
 
 
-def _wrapped(head: str, parts: Sequence[str], tail: str) -> str:
+def wrapped(head: str, parts: Sequence[str], tail: str) -> str:
     """Join a list that may break between its parts only."""
     whole = head + ", ".join(parts) + tail
     kept = whole.replace(" ", "\0").replace(",\0", ", ")

@@ -75,13 +75,14 @@ def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
 
 def model_description(model: DamperModel, values: Mapping[str, float], guid: str) -> bytes:
     """Return the content of modelDescription.xml."""
+    effects = [f"with {effect.title}: {effect.equation}" for effect in model.effects]
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
         modelName=model.id,
         guid=guid,
         generationTool="mrd_sim",
-        description=f"{model.title}: {model.equation}",
+        description="; ".join([f"{model.title}: {model.equation}", *effects]),
         variableNamingConvention="flat",
     )
     slave = ElementTree.SubElement(

@@ -13,6 +13,7 @@ from numba import njit
 from mrd_base import InputError
 from mrd_sim.c_code import c_source
 from mrd_sim.current import LAWS
+from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.models.model import Array
 from mrd_sim.path import make_path
@@ -37,12 +38,24 @@ def values_of(model):
     }
 
 
+def typical_values(effects):
+    return {f"{effect}.{name}": value for effect in effects for name, value in EFFECTS[effect].typical.items()}
+
+
 CASES = {model.id: (model, {}) for model in MODELS.values()}
 CASES |= {f"{model.id}_laws": (all_laws(model), values_of(all_laws(model))) for model in MODELS.values()}
 CASES |= {
     f"{name}_n{10 * n:.0f}": (find_model(name), {"exponent": n, "shape": 1.1})
     for name in ("bouc_wen", "modified_bouc_wen")
     for n in (1.0, 1.7)
+}
+ONE_OF_EACH_STAGE = ("servo_ripple", "coil_lag", "shear_thinning", "seal_friction", "channel_delay")
+IN_SERIES = tuple(effect.id for effect in EFFECTS.values() if effect.elongation)
+EFFECT_SETS = {name: (name,) for name in EFFECTS}
+EFFECT_SETS |= {"one_of_each_stage": ONE_OF_EACH_STAGE, "all_in_series": IN_SERIES, "all": tuple(EFFECTS)}
+CASES |= {
+    f"with_{name}": (find_model("bouc_wen", effects=effects), typical_values(effects))
+    for name, effects in EFFECT_SETS.items()
 }
 EVERY = pytest.mark.parametrize("case", CASES)
 
@@ -63,7 +76,7 @@ class Damper:
         class State(ctypes.Structure):
             _fields_ = [
                 ("parameters", ctypes.c_double * len(model.parameters)),
-                ("inner", ctypes.c_double * (2 + model.states)),
+                ("inner", ctypes.c_double * len(model.initial_state(make_path(*motion(10))))),
                 ("before", ctypes.c_double * 4),
                 ("moved", ctypes.c_int),
             ]
@@ -128,14 +141,15 @@ def test_parameters_change_between_steps(library):
 
 
 @needs_compiler
-def test_a_step_of_no_time_begins_a_path(library):
+@pytest.mark.parametrize("case", ["bouc_wen", "with_all"])
+def test_a_step_of_no_time_begins_a_path(library, case):
     """As a path does in Python: the rod is where it is, without a motion that led there."""
-    model = find_model("bouc_wen")
+    model, values = CASES[case]
     time, *series = motion(200)
-    damper, state = Damper(library, "bouc_wen", model), model.initial_state(make_path(time, *series))
+    damper, state = Damper(library, case, model), model.initial_state(make_path(time, *series))
     for shift in (0.0, 0.004):
         shifted = time, series[0] + shift, *series[1:]
-        expected = model.force(model.defaults, make_path(*shifted), state)
+        expected = model.force(model.vector(values), make_path(*shifted), state)
         assert np.abs(damper.force(*shifted) - expected).max() <= 1e-9 * np.abs(expected).max()
 
 
@@ -154,20 +168,21 @@ def test_other_files_see_the_declarations(tmp_path):
 
 
 def test_every_parameter_stands_in_the_file_with_its_unit():
-    model = find_model("modified_bouc_wen")
+    model = find_model("modified_bouc_wen", effects=["seal_friction"])
     text = c_source(model, {"yield_force": 123.5})
     for parameter in model.parameters:
         value = 123.5 if parameter.name == "yield_force" else parameter.default
         assert f'{{"{parameter.name}", "{parameter.unit}", {value!r}, ' in text
-        assert re.search(rf"\bMRD_{parameter.name.upper()},", text)
+        assert re.search(rf"\bMRD_{parameter.name.upper().replace('.', '_')},", text)
 
 
 ORDER = 3
+WEIGHTS = (0.5, -2.0, 1.5)
 
 
 @njit
-def exchanged(a: float, b: float) -> tuple[float, float]:
-    a, b = b, a + b
+def exchanged(a: float, b: float, scale: float = 1.0) -> tuple[float, float]:
+    a, b = b, scale * (a + b)
     return a, b
 
 
@@ -179,13 +194,14 @@ def awkward(q, state, dt, x, v, a, force):  # type: ignore[no-untyped-def]
 
 @njit
 def arithmetic(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
-    """What no model needs today: */ in its words, exchanged variables, negative steps, divided integers, chained signs."""
+    """What few need today: */ in its words, exchanged variables, negative steps, integer quotients, constant tuples."""
     for k in range(len(x)):
         first, second = exchanged(v[k], 1.0 / ORDER)
         total = 0.0
         for i in range(ORDER, 0, -1):
             if i == 2 and not (total > 1e6 or total < -1e6):
                 continue
+            total += WEIGHTS[(2 * i - 7) % -ORDER + 2] * ((i - 5) % ORDER) + int(-30.0 * second)
             total += i / 2 - -(-first) + (ORDER + 1) // 2 * max(second, x[k] ** 2)  # noqa: B002
             total -= total - (second - first)
         force[k] = 1000 * total + q[k, 0] + (min(v[k], 0.0) if 0.0 <= abs(x[k]) < 1.0 else 0.0)
@@ -246,7 +262,37 @@ def test_wrong_values_and_prefixes_are_refused():
         c_source(model, {}, prefix="2b")
 
 
-def test_a_model_with_effects_is_refused():
-    words = r"model bingham with effects \(thermal_fade, joint_play\) has no translation to C, expected one without effects"
+def with_effect(**changes):
+    return find_model("bouc_wen").with_effects([replace(EFFECTS["seal_friction"], **changes)])
+
+
+@njit
+def acts_by_numpy(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    force += parameters[0] * np.sign(v)
+
+
+@njit
+def from_the_end(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    force[0] += state[-1]
+
+
+@njit
+def counts_states(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
+    force[0] += len(state) * parameters[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"kernel": acts_by_numpy}, r"test_c_code\.acts_by_numpy, line \d+: .* has no translation to C"),
+        ({"kernel": from_the_end}, r"test_c_code\.from_the_end, line \d+: state\[-1\] has no translation to C"),
+        ({"kernel": counts_states}, r"test_c_code\.counts_states, line \d+: len\(state\) has no translation to C"),
+        (
+            {"begin": lambda path: np.array([0.0, path.position[0]])},
+            "effect seal_friction: a state that begins with the path's motion has no translation to C",
+        ),
+    ],
+)
+def test_an_effect_that_has_no_translation_is_refused(changes, words):
     with pytest.raises(InputError, match=words):
-        c_source(find_model("bingham", effects=["joint_play", "thermal_fade"]), {})
+        c_source(with_effect(**changes), {})

@@ -12,12 +12,19 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
+from mrd_sim.effects import find_effects
 from mrd_sim.fmu import fmu_archive, model_description
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import make_path
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler (cc)")
-NAMES = ("bouc_wen", "polynomial")
+EFFECTS = find_effects(["servo_ripple", "coil_lag", "series_compliance", "joint_play", "seal_friction", "channel_delay"])
+TYPICAL = {f"{effect.id}.{name}": value for effect in EFFECTS for name, value in effect.typical.items()}
+CASES = {
+    "bouc_wen": (find_model("bouc_wen"), {}),
+    "polynomial": (find_model("polynomial"), {}),
+    "with_effects": (find_model("bouc_wen").with_effects(EFFECTS), TYPICAL),
+}
 OK, DISCARD, ERROR = 0, 2, 3
 
 # Of the standard, for co-simulation.
@@ -38,11 +45,11 @@ class Callbacks(ctypes.Structure):
 class Slave:
     """An instance of an FMU, by its C interface."""
 
-    def __init__(self, folder, name, guid=None, kind=1):
+    def __init__(self, folder, guid=None, kind=1):
         self.xml = ElementTree.parse(folder / "modelDescription.xml").getroot()
         self.variables = {v.get("name"): v for v in self.xml.iter("ScalarVariable")}
         self.references = {n: int(v.get("valueReference")) for n, v in self.variables.items()}
-        (binary,) = (folder / "binaries").rglob(f"{name}.*")
+        (binary,) = (folder / "binaries").rglob("*.*")
         self.library = ctypes.CDLL(binary)
         self.messages = []
         # Held here as long as the instance lives.
@@ -95,7 +102,7 @@ def motion(rate=1000.0, seconds=0.6):
 
 @pytest.fixture(scope="module")
 def archives():
-    return {name: fmu_archive(find_model(name), {}) for name in NAMES}
+    return {name: fmu_archive(*case) for name, case in CASES.items()}
 
 
 @pytest.fixture(scope="module")
@@ -107,15 +114,15 @@ def folders(archives, tmp_path_factory):
     return folders
 
 
-def expected(name, series, **values):
-    model = find_model(name)
-    return model.force(model.vector(values), make_path(*series))
+def expected(name, series, **changes):
+    model, values = CASES[name]
+    return model.force(model.vector({**values, **changes}), make_path(*series))
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", CASES)
 def test_the_same_force_as_in_python(folders, name):
-    slave = Slave(folders[name], name)
+    slave = Slave(folders[name])
     slave.initialize()
     force = expected(name, motion())
     assert np.ptp(force) > 100.0
@@ -127,7 +134,7 @@ def test_the_same_force_as_in_python(folders, name):
 
 @needs_compiler
 def test_parameters_are_tunable_within_their_bounds(folders):
-    slave = Slave(folders["bouc_wen"], "bouc_wen")
+    slave = Slave(folders["bouc_wen"])
     assert slave.set(yield_force=200.0, offset=12.0) == OK
     assert slave.get("yield_force") == 200.0
     force = expected("bouc_wen", motion(), yield_force=200.0, offset=12.0)
@@ -140,12 +147,23 @@ def test_parameters_are_tunable_within_their_bounds(folders):
 
 
 @needs_compiler
+def test_parameters_of_effects_are_tunable_too(folders):
+    slave, changes = Slave(folders["with_effects"]), {"seal_friction.coulomb": 90.0, "series_compliance.compliance": 1e-6}
+    assert slave.set(**changes) == OK
+    force = expected("with_effects", motion(), **changes)
+    assert np.abs(force - expected("with_effects", motion())).max() > 10.0
+    assert np.abs(slave.follow(*motion()) - force).max() <= 1e-9 * np.abs(force).max()
+    assert slave.set(**{"seal_friction.coulomb": 200.0}) == ERROR
+    assert slave.messages == ["seal_friction.coulomb is 200, expected 0 to 120 N"]
+
+
+@needs_compiler
 def test_until_inputs_are_set_the_motion_goes_on(folders):
     """What most masters read: the force after a step, inputs still those from before it. The error is of second order."""
     errors = []
     for rate in (1000.0, 2000.0):
         series = motion(rate)
-        slave, force, read = Slave(folders["bouc_wen"], "bouc_wen"), expected("bouc_wen", series), []
+        slave, force, read = Slave(folders["bouc_wen"]), expected("bouc_wen", series), []
         for k, row in enumerate(np.stack(series[1:], axis=1).tolist()):
             slave.set(**dict(zip(("position", "velocity", "acceleration", "current"), row, strict=True)))
             slave.step(series[0][k], 1 / rate)
@@ -157,8 +175,9 @@ def test_until_inputs_are_set_the_motion_goes_on(folders):
 
 
 @needs_compiler
-def test_a_state_can_be_kept_and_gone_back_to(folders):
-    slave, state = Slave(folders["bouc_wen"], "bouc_wen"), c_void_p()
+@pytest.mark.parametrize("name", CASES)
+def test_a_state_can_be_kept_and_gone_back_to(folders, name):
+    slave, state = Slave(folders[name]), c_void_p()
     series = [s[:100] for s in motion()]
     slave.follow(*series)
     assert slave.call("GetFMUstate", byref(state)) == OK
@@ -173,11 +192,11 @@ def test_a_state_can_be_kept_and_gone_back_to(folders):
 
 @needs_compiler
 def test_what_does_not_belong_to_it_is_refused(folders):
-    assert Slave(folders["bouc_wen"], "bouc_wen", guid="{other}").instance is None
-    slave = Slave(folders["bouc_wen"], "bouc_wen", kind=0)
+    assert Slave(folders["bouc_wen"], guid="{other}").instance is None
+    slave = Slave(folders["bouc_wen"], kind=0)
     assert slave.instance is None
     assert slave.messages == ["this FMU is for co-simulation only"]
-    slave = Slave(folders["bouc_wen"], "bouc_wen")
+    slave = Slave(folders["bouc_wen"])
     assert slave.step(0.0, -1e-3) == ERROR
     assert slave.call("CancelStep") == ERROR
     assert slave.call("GetBooleanStatus", 3, byref(c_int())) == DISCARD
@@ -196,14 +215,14 @@ def test_archive_holds_its_sources_and_is_the_same_again(archives, folders):
         "sources/fmi2.c",
     }
     assert [name.stem for name in names if name.parts[0] == "binaries"] == ["bouc_wen"]
-    library = Slave(folders["bouc_wen"], "bouc_wen").library
+    library = Slave(folders["bouc_wen"]).library
     library.fmi2GetVersion.restype = library.fmi2GetTypesPlatform.restype = c_char_p
     assert (library.fmi2GetVersion(), library.fmi2GetTypesPlatform()) == (b"2.0", b"default")
     for name in FUNCTIONS.split():
         assert hasattr(library, f"fmi2{name}"), name
 
 
-@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("model", [*MODELS.values(), CASES["with_effects"][0]], ids=[*MODELS, "with_effects"])
 def test_description(model):
     root = ElementTree.fromstring(model_description(model, {"coil_lag": 0.007}, "{guid}"))
     variables = list(root.iter("ScalarVariable"))

@@ -23,9 +23,7 @@ def work() -> None:
         help="file of identify, of diagnose (its corrected simulator), or of apply",
     )
     parser.add_argument(
-        "--without-effects",
-        action="store_true",
-        help="export the damper model alone; the effects that act with it have no translation to C",
+        "--without-effects", action="store_true", help="export the damper model alone, without the effects that act with it"
     )
     add_effects_folder(parser)
     add_models_folder(parser)
@@ -35,4 +33,4 @@ def work() -> None:
     )
     arguments = parser.parse_args()
     damper = export_damper(arguments.damper, arguments.output, arguments.prefix, arguments.without_effects)
-    print(f"{arguments.output}: {damper.model.title}, {len(damper.model.parameters)} parameters")
+    print(f"{arguments.output}: {damper.description}, {len(damper.model.parameters)} parameters")

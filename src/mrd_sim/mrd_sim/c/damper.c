@@ -4,7 +4,7 @@
 $equation
  *
 $source
- *
+$effects *
  * C99; needs the C library and its mathematics (-lm), nothing else. Generated from Python by mrd_sim: do not edit.
  * SI units; position > 0 extends the damper, force > 0 resists extension.
  *
@@ -33,7 +33,7 @@ extern const ${p}_parameter ${p}_parameters[${P}_PARAMETERS];
 /* A damper with its parameters and its present state. It may be copied. */
 typedef struct {
     double parameters[${P}_PARAMETERS];
-    double inner[$states];                                   /* effective current, measured current, state of the model */
+    double inner[$states];                             /* of the coil, the model, the effects; elongations in series, force */
     double position, velocity, acceleration, current;  /* at the sample before */
     int moved;                                         /* whether there was such a sample */
 } ${p}_state;
@@ -43,8 +43,8 @@ void ${p}_init(${p}_state *s);
 
 /*
  * Advance the damper by dt (s) to a sample of position (m), velocity (m/s), acceleration (m/s^2) and coil current (A);
- * returns its force (N). The first step only sets where the damper is, whatever its dt; so does a later one with dt = 0.
- * Where the velocity has changed its sign, the turning point in between is passed too.
+ * returns its force (N) as it is measured. The first step only sets where the damper is, whatever its dt; so does a later
+ * one with dt = 0. Where the velocity has changed its sign, the turning point in between is passed too.
  */
 double ${p}_step(
     ${p}_state *s, double dt, double position, double velocity, double acceleration, double current);
@@ -72,13 +72,13 @@ static const int columns[] = {$law_columns};
 static const double floors[] = {$floors};
 
 $functions
-static double vertex(${p}_state *s, double dt, double x, double v, double a, double current)
+${series}static double vertex(${p}_state *s, double dt, double x, double v, double a, double current)
 {
-    double effective, q[COEFFICIENTS], force;
-    $lag(1, s->parameters[${P}_COIL_LAG], s->inner, &dt, &current, &effective);
+    double effective, q[COEFFICIENTS], force = 0.0;
+$before    $lag(1, s->parameters[${P}_COIL_LAG], s->inner, &dt, &current, &effective);
     $laws(1, s->parameters, codes, columns, floors, &effective, q);
-    $kernel(1, q, s->inner + 2, &dt, &x, &v, &a, &force);
-    return force;
+    $damper
+$after    return force;
 }
 
 void ${p}_init(${p}_state *s)
@@ -87,7 +87,7 @@ void ${p}_init(${p}_state *s)
     for (int i = 0; i < ${P}_PARAMETERS; i++) {
         s->parameters[i] = ${p}_parameters[i].value;
     }
-}
+$start}
 
 double ${p}_step(
     ${p}_state *s, double dt, double position, double velocity, double acceleration, double current)

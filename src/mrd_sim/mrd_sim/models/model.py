@@ -125,8 +125,8 @@ class DamperModel:
             For more elements in series with the damper than can be solved for.
         """
         extended = replace(self, effects=tuple(effects))
-        if len(extended._series) > MOST_IN_SERIES:
-            series = ", ".join(effect.id for effect in extended._series)
+        if len(extended.series_elements) > MOST_IN_SERIES:
+            series = ", ".join(effect.id for effect in extended.series_elements)
             raise InputError(f"effects {series}: all in series with the damper, expected at most {MOST_IN_SERIES} of these")
         return extended
 
@@ -226,7 +226,7 @@ class DamperModel:
         """
         effects = [effect.begin(path) if effect.begin else np.zeros(effect.states) for effect in self.effects]
         currents = [path.current[0], path.current[0]]
-        return np.concatenate([currents, np.zeros(self.states), *effects, np.zeros(len(self._series) + 1)])
+        return np.concatenate([currents, np.zeros(self.states), *effects, np.zeros(len(self.series_elements) + 1)])
 
     def next_state(self, state: Array, path: Path) -> Array:
         """Return the state at the start of a path recorded after another: that at rest, but for what outlasts a run.
@@ -239,7 +239,7 @@ class DamperModel:
             The path to come.
         """
         following = self.initial_state(path).astype(state.dtype)
-        for effect, part in zip(self.effects, self._effect_states, strict=True):
+        for effect, part in zip(self.effects, self.effect_states, strict=True):
             if effect.outlasts_run:
                 following[part] = state[part]
         return following
@@ -290,8 +290,8 @@ class DamperModel:
             current = lagged_current(lag, state, path.dt, current)
         rows = self._coefficients_along(theta, current)
         inner = state[2 : 2 + self.states]
-        if self._series:
-            elongations = state[-len(self._series) - 1 :]
+        if self.series_elements:
+            elongations = state[-len(self.series_elements) - 1 :]
             self._run_in_series(theta, path, start, (elongations, rows.T, inner, path.dt, x, v, a, force), solutions)
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
@@ -309,7 +309,9 @@ class DamperModel:
 
         Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
         """
-        parameters = np.stack([np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self._series)])
+        parameters = np.stack(
+            [np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self.series_elements)]
+        )
         with_derivatives = np.iscomplexobj(theta)
         key = theta.real.tobytes(), start
         known = solutions.get(id(path)) if solutions is not None and with_derivatives else None
@@ -329,23 +331,18 @@ class DamperModel:
         """Whether effects need vertices between samples where the force changes fast."""
         return any(effect.follows_force for effect in self.effects)
 
-    @property
-    def has_series_elements(self) -> bool:
-        """Whether elements are in series with the damper, so that its force is the root of an equation."""
-        return bool(self._series)
-
     @cached_property
-    def _series(self) -> tuple[Effect, ...]:
-        """Effects that are elements in series with the damper."""
+    def series_elements(self) -> tuple[Effect, ...]:
+        """Effects that are elements in series with the damper; with any, its force is the root of an equation."""
         return tuple(effect for effect in self.effects if effect.elongation is not None)
 
     @cached_property
     def _series_functions(self) -> tuple[Any, ...]:
         """The kernel and the elongations of the elements in series, as compiled functions take them."""
-        return first_class(self.kernel, [effect.elongation for effect in self._series])
+        return first_class(self.kernel, [effect.elongation for effect in self.series_elements])
 
     @cached_property
-    def _effect_states(self) -> tuple[slice, ...]:
+    def effect_states(self) -> tuple[slice, ...]:
         """Slice of each effect's state in the model's state."""
         edges = np.cumsum([2 + self.states, *(effect.states for effect in self.effects)]).tolist()
         return tuple(slice(first, last) for first, last in pairwise(edges))
@@ -358,7 +355,7 @@ class DamperModel:
     def _act(self, stages: Sequence[Stage], theta: Array, dt: Array, signals: tuple[Array, ...], state: Array) -> None:
         """Let the effects of some stages change the signals in place."""
         for stage in stages:
-            for effect, states in zip(self.effects, self._effect_states, strict=True):
+            for effect, states in zip(self.effects, self.effect_states, strict=True):
                 if effect.stage == stage and effect.kernel is not None:
                     (parameters,) = self._effect_parameters([effect])
                     effect.kernel(theta[parameters], state[states], dt, *signals)
