@@ -23,6 +23,7 @@ from mrd_base import InputError, run_tool
 from mrd_base.domain import claim_domain
 from mrd_diagnosis.correction import Correction, write_plant
 from mrd_diagnosis.quantities import format_error, format_quantity
+from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
 from mrd_interfaces.action import Identify
 from mrd_runs import read_run
 from mrd_sim.current import parse_laws
@@ -30,7 +31,6 @@ from mrd_sim.damper import parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model
 from mrd_sim.plant import read_damper
-from mrd_sim.simulate import simulate_run
 
 PLANT = Path("config/plant.yaml")
 MODEL = "bouc_wen"
@@ -140,13 +140,19 @@ def describe(effect: str, sizes: Mapping[str, float]) -> str:
 
 
 def error_left(plant: Path, bags: list[Path]) -> float:
-    """Return the error of a simulator along the recorded motions, relative to the standard deviation of the force."""
+    """Return the error of a simulator along the recorded motions, relative to the standard deviation of the force.
+
+    The runs follow each other: the damper is still magnetised, and warm, from the one before.
+    """
     damper = read_damper(plant).build()
+    recordings = [prepare_recording(read_run(bag)) for bag in bags]
     squared = power = 0.0
-    for bag in bags:
-        run = read_run(bag)
-        # The state of the damper at the start of a run is not known, and each run has its own zero.
-        error = (run.force - simulate_run(run, damper).force)[len(run) // 10 :]
+    for recording, force in zip(
+        recordings, consecutive_modelled_forces(damper.model, damper.theta, recordings), strict=True
+    ):
+        run = recording.run
+        # The state of the damper at the start of the first run is not known, and each run has its own zero.
+        error = (run.force - force)[len(run) // 10 :]
         squared, power = squared + float(error.var()), power + float(run.force.var())
     return float(np.sqrt(squared / power))
 
