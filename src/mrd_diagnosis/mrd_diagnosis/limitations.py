@@ -85,8 +85,11 @@ def _distortion_note(recording: Recording) -> str:
         levels = None
     if levels is None:
         return ""
+    if levels.excited == 1:
+        motion, even, odd = "a sine", "even multiples of its frequency", "odd multiples"
+    else:
+        motion, even, odd = "an odd multisine", "even lines", "odd lines that are not excited"
     return (
-        f"Run {run.name} is an odd multisine. Its force differs by {levels.noise:.1f} N rms from period to period (noise); "
-        f"{levels.even:.1f} N rms lie at even lines (asymmetry) and {levels.odd:.1f} N rms at odd lines that are not "
-        "excited (friction, hysteresis)."
+        f"Run {run.name} is {motion}. Its force differs by {levels.noise:.1f} N rms from period to period (noise); "
+        f"{levels.even:.1f} N rms lie at {even} (asymmetry) and {levels.odd:.1f} N rms at {odd} (friction, hysteresis)."
     )

@@ -24,6 +24,8 @@ class Distortion:
         Level at the even lines, which a damper with an odd characteristic leaves empty, without noise.
     odd : float
         Level at the odd lines that are not excited, without noise; nan where all are excited.
+    excited : int
+        Number of excited lines: one for a sine.
     periods : int
         Number of periods that were compared.
     highest : float
@@ -33,6 +35,7 @@ class Distortion:
     noise: float
     even: float
     odd: float
+    excited: int
     periods: int
     highest: float
 
@@ -84,6 +87,7 @@ def distortion(run: Run, period: float) -> Distortion:
         noise=float(np.sqrt(scatter[line > 0].sum())),
         even=float(np.sqrt(max(without_noise[even].sum(), 0.0))),
         odd=float(np.sqrt(max(without_noise[odd].sum(), 0.0))) if odd.any() else float("nan"),
+        excited=int(excited.sum()),
         periods=periods,
         highest=float(line[considered].max() / period),
     )

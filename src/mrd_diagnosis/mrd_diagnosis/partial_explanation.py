@@ -258,6 +258,8 @@ def _search_beside_remainder(
             continue
         shares = map(float, probabilities(list(others.values()), rng))
         chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
+        if max(chances, key=chances.__getitem__) != effect:  # something is missing there, but which effect is not known
+            continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
     return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)

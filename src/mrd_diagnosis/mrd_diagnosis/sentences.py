@@ -20,6 +20,20 @@ NEARLY_ALL = 0.85
 FORM = "speed, recent travel and current"
 """What the form remainder depends on; see `mrd_diagnosis.form_remainder`."""
 
+_PLACEHOLDERS = {
+    "PLANT.yaml": "the plant file of your simulator (this workspace has config/plant.yaml)",
+    "CORRECTED.yaml": "the plant file to write",
+    "RUN...": "the recordings",
+    "NEW_RUN": "the new recording",
+    "DIR": "a folder for the reports",
+}
+"""Words of a command that stand for something of the reader."""
+
+
+def placeholders(command: str) -> list[str]:
+    """Return what the words of a command that stand for something of the reader mean."""
+    return [f"{word}: {meaning}" for word, meaning in _PLACEHOLDERS.items() if word in command.split()]
+
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict in words."""

@@ -181,6 +181,7 @@ def write_csv(run: Run, path: str | Path, *, velocity: bool = True) -> None:
     if run.acceleration is not None:
         columns["acceleration_mps2"] = run.acceleration
     try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
         with Path(path).open("x", encoding="utf-8") as stream:
             np.savetxt(stream, np.stack(list(columns.values()), axis=1), "%.12g", ",", header=",".join(columns), comments="")
     except FileExistsError:

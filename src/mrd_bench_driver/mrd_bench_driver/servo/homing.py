@@ -207,5 +207,6 @@ class Homing:
     def _disagreement(self, difference: float) -> str:
         return (
             f"LVDT and encoder disagree by {1e3 * difference:.2f} mm after homing's move (limit "
-            f"{1e3 * self._tolerance:g} mm); check sign and calibration of the LVDT, the gear ratio and the coupling"
+            f"{1e3 * self._tolerance:g} mm); check sign and calibration of the LVDT, the direction of the motor "
+            "(drive.reversed), the gear ratio and the coupling"
         )

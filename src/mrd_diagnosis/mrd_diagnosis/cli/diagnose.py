@@ -20,7 +20,7 @@ from mrd_diagnosis.report.candidate_text import (
     with_probabilities,
 )
 from mrd_diagnosis.report.page import write_gap_report
-from mrd_diagnosis.sentences import next_command, next_step
+from mrd_diagnosis.sentences import next_command, next_step, placeholders
 from mrd_identification.cli.options import add_run_arguments, announce, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
@@ -120,6 +120,8 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
         print(f"next step: {step}")
     if command := next_command(diagnosis, str(page.parent)):
         print(f"next command: {command}")
+        for meaning in placeholders(command):
+            print(f"  {meaning}")
     for finding in diagnosis.findings:
         print(f"{finding.severity}: {finding.sentence}")
     if diagnosis.candidates and nothing_removes(diagnosis):

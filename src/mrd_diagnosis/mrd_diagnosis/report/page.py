@@ -36,6 +36,7 @@ from mrd_diagnosis.sentences import (
     next_step,
     notable_model,
     open_share,
+    placeholders,
     share_of_form,
     where_sentence,
 )
@@ -78,15 +79,6 @@ _STAGES = {
     "sensing": "force measurement",
 }
 """Where an effect of each stage sits."""
-
-_PLACEHOLDERS = {
-    "PLANT.yaml": "the plant file of your simulator (this workspace has config/plant.yaml)",
-    "CORRECTED.yaml": "the plant file to write",
-    "RUN...": "the recordings",
-    "NEW_RUN": "the new recording",
-    "DIR": "a folder for the reports",
-}
-"""Words of a command that stand for something of the reader."""
 
 GLOSSARY = {
     "gap": "The part of the model's error that noise does not explain, after all parameters of the model were refitted. It "
@@ -143,7 +135,7 @@ def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
         "verdict_sentence": diagnosis.sentence,
         "next_step": next_step(diagnosis),
         "command": command,
-        "placeholders": [f"{word}: {meaning}" for word, meaning in _PLACEHOLDERS.items() if word in command.split()],
+        "placeholders": placeholders(command),
         "diagnosis": diagnosis,
         "glossary": GLOSSARY,
         "faults": [finding for finding in diagnosis.findings if finding.severity == "fault"],

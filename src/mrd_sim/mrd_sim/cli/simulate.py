@@ -12,6 +12,7 @@ from mrd_runs import read_run
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
+from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 from mrd_sim.plant import read_damper
 from mrd_sim.simulate import measure_plans, simulate_plan, simulate_run, write_csv
@@ -144,4 +145,13 @@ def parse_effect(text: str) -> tuple[str, str, float]:
     except ValueError:
         raise InputError(
             f"--effect: {text} is no parameter of an effect with its value, expected EFFECT.PARAMETER=VALUE"
+            f"{_example(effect)}"
         ) from None
+
+
+def _example(effect: str) -> str:
+    """Return a value of an effect of the catalogue as an example, or "" for anything else."""
+    if effect not in EFFECTS:
+        return ""
+    size = EFFECTS[effect].parameters[0].name
+    return f", for example {effect}.{size}={EFFECTS[effect].typical[size]:g}"
