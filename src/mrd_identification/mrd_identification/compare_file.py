@@ -104,7 +104,7 @@ def error_chart(comparison: Comparison) -> go.Figure:
         x=[entry.nrmse for entry in entries],
         y=names,
         mode="markers",
-        name="held-out runs, 95 % interval",
+        name="held-out runs" if math.isnan(entries[0].lower) else "held-out runs, 95 % interval",
         marker={"color": [ACCENT if entry.on_par else MODELLED for entry in entries], "size": 10},
         error_x=figures.error_bars(*zip(*((e.nrmse - e.lower, e.upper - e.nrmse) for e in entries), strict=True)),
     )
@@ -143,19 +143,24 @@ def ranking(comparison: Comparison) -> list[tuple[str, ...]]:
     """Return the cells of the ranking as text, a row for each model with the columns `COLUMNS`."""
     rows: list[tuple[str, ...]] = []
     for entry in comparison.entries:
-        difference = "on par" if entry.on_par else f"{entry.difference_lower:.4f} … {entry.difference_upper:.4f}"
+        difference = "on par" if entry.on_par else _interval(entry.difference_lower, entry.difference_upper)
         rows.append(
             (
                 entry.name,
                 str(entry.free),
                 f"{entry.nrmse:.4f}",
-                f"{entry.lower:.4f} … {entry.upper:.4f}",
+                _interval(entry.lower, entry.upper),
                 "the best" if entry is comparison.best else difference,
                 f"{entry.fit.pooled_fitted.nrmse:.4f}",
                 f"{entry.fit.elapsed:.0f}",
             )
         )
     return rows
+
+
+def _interval(lower: float, upper: float) -> str:
+    """Return an interval as text; "none" where the runs tell of none."""
+    return "none" if math.isnan(lower) else f"{lower:.4f} … {upper:.4f}"
 
 
 def markdown(comparison: Comparison) -> str:
