@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from mrd_base.figures import LAYOUT, MEASURED, MODELLED, to_html
+from mrd_base.figures import HALF, LAYOUT, MEASURED, MODELLED, to_html
 from mrd_control.experiment import ControlExperiment
 from mrd_control.explanation import PARAMETERS, TRACKING, Explanation, explain_difference
 from mrd_control.loop import LoopResult
@@ -186,7 +186,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         title=f"Hybrid test {comparison.run.experiment.name}",
         sentence=comparison.sentence,
         over_time=to_html(over_time(comparison)),
-        loops=to_html(loops(comparison)),
+        loops=to_html(loops(comparison), HALF),
         cycles=to_html(cycles(comparison)),
         comparison=comparison,
         causes=[title_of(cause) for cause in comparison.explanation.causes] if comparison.explanation else [],
