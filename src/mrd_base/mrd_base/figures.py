@@ -23,6 +23,9 @@ LAYOUT = {
 FULL, HALF, NARROW = 1130, 550, 360
 """Widths in pixels: of a page, of a column of two, and of a telephone, where every figure takes the page."""
 
+LEAST_COLUMN = 190
+"""Width in pixels that a diagram needs at least beside others, with its labels."""
+
 
 def to_html(figure: go.Figure, width: int = FULL) -> str:
     """Return a figure, with its description for those who cannot see it, as a part of a page that is drawn without script.
@@ -31,7 +34,9 @@ def to_html(figure: go.Figure, width: int = FULL) -> str:
     """
     if width <= NARROW:
         return _in_page(figure, draw(figure, width))
-    return _in_page(figure, f'<div class="wide">{draw(figure, width)}</div><div class="narrow">{draw(figure, NARROW)}</div>')
+    columns = {axis.domain for axis in figure.select_xaxes() if axis.domain}
+    narrow = max(NARROW, len(columns) * LEAST_COLUMN)  # then the page shows it smaller
+    return _in_page(figure, f'<div class="wide">{draw(figure, width)}</div><div class="narrow">{draw(figure, narrow)}</div>')
 
 
 def interactive_html(figure: go.Figure) -> str:

@@ -73,7 +73,7 @@ def trade_off(evaluation: Evaluation) -> go.Figure:
                     row=1,
                     col=column,
                 )
-        figure.update_xaxes(title_text="W_k-weighted acceleration, m/s² rms", row=1, col=column)
+        figure.update_xaxes(title_text="a W_k, m/s² rms", row=1, col=column)
     figure.update_yaxes(title_text=title, row=1, col=1)
     figure.update_layout(**LAYOUT, height=480)
     figure.update_layout(legend={"orientation": "v", "x": 1.02, "xanchor": "left", "y": 1, "yanchor": "top"})
@@ -194,7 +194,7 @@ def gain_fronts(evaluation: Evaluation, fronts: Sequence[GainFront]) -> go.Figur
                 for gains in front.gains
             ],
         )
-    figure.update_xaxes(title_text="W_k-weighted acceleration, m/s² rms")
+    figure.update_xaxes(title_text="a W_k, m/s² rms")
     figure.update_yaxes(title_text=title)
     figure.update_layout(**LAYOUT, height=440, title_text=f"{fronts[0].excitation}; knees are larger", title_x=0.01)
     return figure

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base import to_mapping
-from mrd_base.figures import to_html
+from mrd_base.figures import HALF, to_html
 from mrd_base.quantities import quantity
 from mrd_control import figures
 from mrd_control.evaluation import Entry, Evaluation, GainFront, comfort
@@ -166,8 +166,8 @@ def write_evaluation(
         sentence=sentence(evaluation),
         trade_off=to_html(figures.trade_off(evaluation)),
         over_time=to_html(figures.over_time(evaluation)) if drawn else "",
-        spectra=to_html(figures.spectra(evaluation)),
-        loops=to_html(figures.loops(evaluation)),
+        spectra=to_html(figures.spectra(evaluation), HALF),
+        loops=to_html(figures.loops(evaluation), HALF),
         fronts=to_html(figures.gain_fronts(evaluation, fronts)) if fronts else "",
         knees=[(front, _gains(front), front.objectives[front.knee]) for front in fronts],
         columns=columns(evaluation),

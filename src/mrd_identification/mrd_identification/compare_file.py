@@ -108,7 +108,7 @@ def error_chart(comparison: Comparison) -> go.Figure:
         marker={"color": [ACCENT if entry.on_par else MODELLED for entry in entries], "size": 10},
         error_x=figures.error_bars(*zip(*((e.nrmse - e.lower, e.upper - e.nrmse) for e in entries), strict=True)),
     )
-    figure.update_xaxes(title_text="NRMSE: rms error / standard deviation of the force", rangemode="tozero")
+    figure.update_xaxes(title_text="NRMSE of the force", rangemode="tozero")
     figure.update_yaxes(automargin=True)
     figure.update_layout(**LAYOUT, height=160 + 34 * len(entries))
     return figure
