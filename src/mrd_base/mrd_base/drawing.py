@@ -342,6 +342,7 @@ class _Drawing:
                 legend.set_ticks(bar["tickvals"], labels=list(bar["ticktext"]))
 
     def _finish_axis(self, panel: _Panel, axis: str) -> None:
+        from matplotlib.dates import AutoDateFormatter, AutoDateLocator
         from matplotlib.ticker import FuncFormatter, MaxNLocator
 
         layout, axes = panel.layout[axis], panel.axes
@@ -373,6 +374,10 @@ class _Drawing:
         elif layout.get("type") != "log" and side.get_converter() is None:
             most = min(layout.get("nticks") or 7, max(3, int(pixels / (70 if axis == "x" else 45))))
             side.set_major_locator(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]))
+        elif side.get_converter() is not None:
+            locator = AutoDateLocator(minticks=2, maxticks=max(5, int(pixels / 90)))
+            side.set_major_locator(locator)
+            side.set_major_formatter(AutoDateFormatter(locator))
         if form := layout.get("tickformat"):
             side.set_major_formatter(FuncFormatter(_tick_formats(form)))
         if layout.get("range") is not None:
