@@ -67,6 +67,14 @@ def diagnose_command(fit: Fit) -> str:
     return f"{command('mrd_diagnosis', 'diagnose')} {runs} {model} --output DIR"
 
 
+def next_command(fit: Fit) -> str:
+    """Return the command that leads on: to other models where parameters are on bounds, else to what is still missing."""
+    if not any(estimate.on_bound for estimate in fit.estimates):
+        return diagnose_command(fit)
+    runs = run_arguments([result.run for result in fit.fitted])
+    return f"{command('mrd_identification', 'compare')} {runs} --output DIR"
+
+
 def render(
     name: str,
     folder: str | Path,

@@ -16,7 +16,7 @@ from mrd_identification.json_file import make_folder
 from mrd_identification.nsga2 import find_knee
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
-from mrd_identification.report import MOST_RUNS, write_report
+from mrd_identification.report import MOST_RUNS, next_command, write_report
 from mrd_runs import Run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
@@ -372,6 +372,13 @@ def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_pat
     footer = page.partition("<footer>")[2]
     assert f"mrd {VERSION} on {datetime.date.today().year}-" in footer
     assert all(f"<code>rig/{of.run.name}.csv</code>" in footer for of in files)
+
+
+def test_where_a_parameter_is_on_its_bound_other_models_are_the_next_step(bouc_wen_fit):
+    on_bound = replace(bouc_wen_fit.estimates[0], on_bound=True)
+    free = [replace(estimate, on_bound=False) for estimate in bouc_wen_fit.estimates]
+    assert " compare " in next_command(replace(bouc_wen_fit, estimates=(on_bound, *free[1:])))
+    assert " diagnose " in next_command(replace(bouc_wen_fit, estimates=tuple(free)))
 
 
 def test_unusable_input_is_one_line():

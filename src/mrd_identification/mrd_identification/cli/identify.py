@@ -17,7 +17,7 @@ from mrd_identification.cli.options import (
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
-from mrd_identification.report import write_report
+from mrd_identification.report import next_command, write_report
 from mrd_runs.read import describe_runs
 from mrd_sim.models import MODELS, find_model
 
@@ -59,4 +59,5 @@ def work() -> None:
     print(fit.summary())
     for text in fit.selection.sentences if fit.selection else ():
         print(f"{text}.")
+    print(f"next command: {next_command(fit)}")
     print(report)
