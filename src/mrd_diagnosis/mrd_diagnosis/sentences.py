@@ -74,7 +74,11 @@ def _no_gap_sentence(gap: Gap) -> str:
             f"The parameters caused the gap. With refitted parameters, the error falls from {format_error(gap.as_given)} to "
             f"{before} of the force's standard deviation; noise explains that ({noise})."
         )
-    return f"No gap beyond the noise. The model's error is {before} of the force's standard deviation, the noise is {noise}."
+    errors = f"The model's error is {before} of the force's standard deviation, the noise is {noise}."
+    if gap.before.value**2 <= THRESHOLDS.noise_chi_square * gap.noise_floor.value**2:
+        return f"No gap beyond the noise. {errors}"
+    reason = "It is larger only where a whole run is held out, because the others do not determine all parameters."
+    return f"No gap beyond the noise. {errors} {reason}"
 
 
 def _no_change_sentence(gap: Gap) -> str:

@@ -431,6 +431,10 @@ def test_sentences():
     )
     no_gap = with_sentence(diagnosed("no_gap"), gap=replace(gap, as_given=None))
     assert no_gap.sentence.startswith("No gap beyond the noise. The model's error is 0.9")
+    assert no_gap.sentence.endswith("%.")
+    # One run is needed for parameters that the others do not show: held out, it errs by far more than the noise.
+    needed = with_sentence(diagnosed("no_gap"), gap=replace(gap, as_given=None, before=Interval(5 * gap.noise_floor.value)))
+    assert needed.sentence.endswith("because the others do not determine all parameters.")
     assert diagnosed("data_fault").sentence == (
         "Data problem (run multisine_1, force): 42 samples stay at 981 N; widen the range. (1 more problem below.)"
     )
