@@ -303,7 +303,7 @@ class BenchNode(Node, Generic[C]):
         A killed process of the same name stays in the graph for 20 s, so that only a topic nobody else has tells which
         endpoints are one's own.
         """
-        publisher = super().create_publisher(Empty, f"~/process_{os.getpid()}", 1)
+        publisher = super().create_publisher(Empty, f"~/process_{os.getpid()}", COMMAND)
         (endpoint,) = self.get_publishers_info_by_topic(publisher.topic_name)
         self.destroy_publisher(publisher)
         return _process(endpoint)
