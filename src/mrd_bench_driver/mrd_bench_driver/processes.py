@@ -233,7 +233,7 @@ class BenchProcesses:
                 continue
             lines = self.log(name).read_text(errors="replace").splitlines()[-_LOG_LINES:]
             if status == 2 and lines:
-                raise InputError(f"{name}: {lines[-1].removeprefix('error: ')}")
+                raise InputError(f"{name}: {lines[-1].removeprefix('error: ')} (the logs of all nodes are in {self._logs})")
             output = "".join(f"\n  {line}" for line in lines) or " nothing"
             raise ProcessDiedError(name, f"{name} ended with status {status}; its log {self.log(name)} ends with{output}")
 

@@ -93,7 +93,9 @@ def test_one_that_refuses_its_configuration_is_unusable_input(prefix: Path, tmp_
     refusing = add(prefix, "daq", "#!/bin/sh\necho 'error: node daq: unknown parameter rte_hz'\nexit 2\n")
     with BenchProcesses([refusing], tmp_path / "log") as processes:
         processes.running["daq"].wait(5)
-        with pytest.raises(InputError, match=r"^daq: node daq: unknown parameter rte_hz$"):
+        with pytest.raises(
+            InputError, match=r"^daq: node daq: unknown parameter rte_hz \(the logs of all nodes are in .*\)$"
+        ):
             processes.check()
 
 
