@@ -194,7 +194,7 @@ def awkward(q, state, dt, x, v, a, force):  # type: ignore[no-untyped-def]
 
 @njit
 def arithmetic(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
-    """What few need today: */ in its words, exchanged variables, negative steps, integer quotients, constant tuples."""
+    """This model needs what few others do: */ in its words, exchanged variables, negative steps, constant tuples."""
     for k in range(len(x)):
         first, second = exchanged(v[k], 1.0 / ORDER)
         total = 0.0

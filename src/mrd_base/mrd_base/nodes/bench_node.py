@@ -10,7 +10,7 @@ import threading
 import typing
 import warnings
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -310,21 +310,15 @@ class BenchNode(Node, Generic[C]):
 
     def _receivers(self, publisher: Publisher) -> Collection[str]:
         """Return the identities of those who receive from a publisher, or none before ROS has connected all it knows."""
-        endpoints = [
-            endpoint
-            for endpoint in self.get_subscriptions_info_by_topic(publisher.topic_name)
-            if _fit(publisher.qos_profile, endpoint.qos_profile)
-        ]
-        return {_process(endpoint) for endpoint in endpoints if publisher.get_subscription_count() >= len(endpoints)}
+        profile, known = publisher.qos_profile, self.get_subscriptions_info_by_topic(publisher.topic_name)
+        fitting = [endpoint for endpoint in known if _fit(profile, endpoint.qos_profile)]
+        return _identities(fitting, publisher.get_subscription_count())
 
     def _senders(self, subscription: Subscription) -> Collection[str]:
         """Return the identities of those who send to a subscription, or none before ROS has connected all it knows."""
-        endpoints = [
-            endpoint
-            for endpoint in self.get_publishers_info_by_topic(subscription.topic_name)
-            if _fit(endpoint.qos_profile, subscription.qos_profile)
-        ]
-        return {_process(endpoint) for endpoint in endpoints if subscription.get_publisher_count() >= len(endpoints)}
+        profile, known = subscription.qos_profile, self.get_publishers_info_by_topic(subscription.topic_name)
+        fitting = [endpoint for endpoint in known if _fit(endpoint.qos_profile, profile)]
+        return _identities(fitting, subscription.get_publisher_count())
 
     def stamp(self, bench_time: float | None = None) -> Time:
         """Return the ROS time of a bench time in s, by default of now."""
@@ -377,6 +371,11 @@ def _is_reliable(profile: QoSProfile) -> bool:
 def _fit(publisher: QoSProfile, subscription: QoSProfile) -> bool:
     """Return whether ROS connects a publisher with a subscription; neither has a deadline or a lease here."""
     return _is_reliable(publisher) >= _is_reliable(subscription) and _is_lasting(publisher) >= _is_lasting(subscription)
+
+
+def _identities(endpoints: Sequence[TopicEndpointInfo], connected: int) -> Collection[str]:
+    """Return the identities of endpoints that ROS knows, or none as long as it has ``connected`` fewer."""
+    return {_process(endpoint) for endpoint in endpoints} if connected >= len(endpoints) else ()
 
 
 def _process(endpoint: TopicEndpointInfo) -> str:

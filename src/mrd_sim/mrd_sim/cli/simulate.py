@@ -43,7 +43,6 @@ def work() -> None:
     files = [Path(arguments.output)]
     if Path(arguments.input).is_dir() and experiments:
         files = [Path(arguments.output) / f"{file.stem}.csv" for file in experiments]
-        Path(arguments.output).mkdir(parents=True, exist_ok=True)
     for run, file in zip(runs, files, strict=True):
         # A bench measures no velocity: the simulated one would be better than what can be known.
         write_csv(run, file, velocity=not arguments.noise)
