@@ -101,11 +101,11 @@ def _for_page(svg: str) -> str:
     """Return an SVG file as an element that takes the width of its place and the colours of the page."""
     svg = svg[svg.index("<svg") :].strip()
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg)  # a page needs none
+    svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg).replace("xlink:", "")  # a page needs no namespaces
     svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
     # Groups need no names, several drawings of a page would share them, and the page has its own font.
     svg = re.sub(r'<g id="[^"]*"/>', "", svg)
-    svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
+    svg = _without_plain_groups(re.sub(r'<g id="[^"]*">', "<g>", svg))
     svg = re.sub(r' transform="rotate\(-0 [^)]*\)"', "", svg).replace("font-family: 'DejaVu Sans'; ", "")
     # Places are written to a hundredth of a pixel; numbers in texts, which stand between the tags, are not touched.
     svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\.\d\d)\d+", r"\1", tag.group()), svg)
@@ -114,6 +114,19 @@ def _for_page(svg: str) -> str:
     for colour, of_page in _OF_PAGE.items():
         svg = svg.replace(colour, of_page)
     return svg
+
+
+def _without_plain_groups(svg: str) -> str:
+    """Return an SVG without the tags of groups that have no attributes: they are a twentieth of a small drawing."""
+    opened: list[str] = []
+
+    def kept(tag: re.Match[str]) -> str:
+        if tag.group() != "</g>":
+            opened.append("" if tag.group() == "<g>" else tag.group())
+            return opened[-1]
+        return opened.pop() and "</g>"
+
+    return re.sub(r"<g\b[^>]*(?<!/)>|</g>", kept, svg)
 
 
 def _shortened(path: str) -> str:

@@ -2,6 +2,7 @@
 
 import html
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import plotly.graph_objects as go
@@ -37,6 +38,12 @@ def test_a_drawing_is_the_same_each_time_and_has_names_of_its_own():
     names = [set(re.findall(r' id="(m[0-9a-f]+|p[0-9a-f]+)"', draw(lines, width))) for width in (360, 600)]
     assert all(names)
     assert not names[0] & names[1]
+
+
+def test_a_drawing_has_no_groups_that_do_nothing():
+    elements = list(ElementTree.fromstring(draw(bars(), 600)).iter())
+    assert {"path", "text", "g"} <= {element.tag for element in elements}  # error bars are clipped as a group
+    assert all(element.attrib for element in elements if element.tag == "g")
 
 
 def test_colours_follow_the_page():
