@@ -26,8 +26,8 @@ FIRST_EFFECTS_TRIED = 2
 BEST_SCORES = 8
 """Effects that are fitted beside another one because of their score."""
 
-QUICK_SCORES = 4
-"""Effects that are fitted beside another one because of their score in a quick search."""
+QUICK_SINGLES, QUICK_SCORES = 12, 4
+"""Effects that are fitted because of their score in a quick search: by themselves, and beside another one."""
 
 BEST_SINGLES = 3
 """Effects that are fitted beside another one because they were the best by themselves, whatever their score."""
@@ -118,7 +118,7 @@ def search_effects(
         weighting,
         BaseFit.linearise(weighting, base),
         effects,
-        len(effects),
+        QUICK_SINGLES if quick else len(effects),
         progress=lambda fraction: progress(0.6 * fraction),
         null_errors=null_errors,
         converged=ROUGHLY_CONVERGED if quick else CONVERGED,

@@ -20,6 +20,9 @@ from mrd_sim.models import DamperModel, Parameter, SeriesSolutions
 Array = NDArray[np.float64]
 Loss = Literal["linear", "soft_l1", "huber"]
 
+CONSTANT = 1e-12
+"""Relative. A current that varies by less is constant but for rounding."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -163,7 +166,7 @@ class Problem:
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return the exact derivatives (samples, indices) of the residuals with respect to unit coordinates.
 
-        All free parameters, or those of ``indices``.
+        All free parameters, or those at the places ``indices`` among them.
         """
         theta = self.theta(unit)
         scale = self.scale(theta)
@@ -171,13 +174,45 @@ class Problem:
         if self.model.series_elements:
             self.forces(theta, solutions)
 
-        def column(index: int) -> Array:
+        def derivative(index: int) -> Array:
             shifted = theta.astype(complex)
             shifted[self.free[index]] += 1j * STEP * scale[index]
-            return self.counted(self.forces(shifted, solutions).imag / STEP)
+            return self.forces(shifted, solutions).imag / STEP
 
-        columns = in_threads(column, range(len(self.free)) if indices is None else indices)
+        asked = list(range(len(self.free)) if indices is None else indices)
+        slopes = {slope: value for slope, value in self._values_of_slopes.items() if slope in asked and value in asked}
+        computed = [index for index in asked if index not in slopes]
+        of_force = dict(zip(computed, in_threads(derivative, computed), strict=True))
+        for slope, value in slopes.items():
+            of_force[slope] = of_force[value] * self._constant_current * (scale[slope] / scale[value])
+        columns = [self.counted(of_force[index]) for index in asked]
         return np.stack(columns, axis=1) if columns else np.empty((len(self.force), 0))
+
+    @cached_property
+    def _constant_current(self) -> Array:
+        """Coil current in A at every counted sample, where each run has a constant one; otherwise empty."""
+        currents = [recording.path.current for recording in self.recordings]
+        if any(np.ptp(current) > CONSTANT * np.abs(current).max() for current in currents):
+            return np.empty(0)
+        return np.concatenate([np.full(len(r.force), r.path.current[0]) for r in self.recordings])
+
+    @cached_property
+    def _values_of_slopes(self) -> dict[int, int]:
+        """Place of a coefficient's value for that of its slope over current, where one derivative gives the other.
+
+        Where each run has a constant current, both change the coefficient throughout the run, in the ratio of the current.
+        This needs an effective current that is the measured one, and runs that do not depend on each other.
+        """
+        changed = any(effect.stage == "magnetics" or effect.outlasts_run for effect in self.model.effects)
+        if changed or not self._constant_current.size:
+            return {}
+        places = {self.model.names[index]: place for place, index in enumerate(self.free)}
+        pairs = [
+            [parameter.name for parameter in coefficient.parameters()[:2]]
+            for coefficient in self.model.coefficients
+            if coefficient.per_ampere and coefficient.law in ("affine", "quadratic")
+        ]
+        return {places[slope]: places[value] for value, slope in pairs if {value, slope} <= places.keys()}
 
     def offset_of_runs(self, theta: Array) -> Array:
         """Return the force offset in N of each run relative to the model where offsets are free, zeros otherwise."""

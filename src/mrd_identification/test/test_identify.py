@@ -175,6 +175,19 @@ def test_jacobian_matches_central_differences(offsets):
         assert np.linalg.norm(jacobian[:, column] - central) <= 1e-4 * np.linalg.norm(central)
 
 
+@pytest.mark.parametrize("effect", ["", "series_compliance", "force_sensor_lag", "current_saturation", "thermal_fade"])
+@pytest.mark.parametrize("model", ["bouc_wen", "shear_thinning_bouc_wen", "polynomial"])
+def test_at_constant_currents_the_derivative_to_a_slope_is_the_same_whatever_else_is_asked_for(model, effect):
+    """It then follows from the one to the value, where it may: not where an effect changes the current or outlasts a run."""
+    damper = find_model(model, "quadratic", [effect] if effect else [])
+    runs = [simulate("bouc_wen", TRUTH, seed=k, current=level) for k, level in enumerate((0.0, 0.3, 0.8))]
+    problem, _ = make_problem(damper, [prepare_recording(run) for run in runs])
+    unit = 0.8 * problem.unit(damper.defaults) + 0.2 * np.random.default_rng(1).random(len(problem.free))
+    together = problem.jacobian(unit)
+    alone = np.concatenate([problem.jacobian(unit, [place]) for place in range(len(unit))], axis=1)
+    np.testing.assert_allclose(together, alone, rtol=1e-6, atol=1e-9 * np.abs(alone).max())
+
+
 @pytest.mark.parametrize("offsets", [False, True])
 @pytest.mark.parametrize("model", ["bouc_wen", "modified_bouc_wen", "polynomial"])
 def test_projection_is_the_bounded_optimum_of_the_linear_parameters(model, offsets):
