@@ -51,8 +51,9 @@ HYBRID = format_control_experiment(
 )
 """A hybrid test whose rod moves as fast all the time."""
 
-MOVES, FLOWS, STANDS = 2e-3, 0.02, 2e-4
-"""m/s and A above which rod and coil are not at rest; m by which a rod that stands may be displaced."""
+MOVES, FLOWS, STANDS, FAST = 2e-3, 0.02, 2e-4, 0.045
+"""m/s and A above which rod and coil are not at rest; m by which a rod that stands may be displaced; m/s from which faults
+are injected."""
 _MOMENTS = 8.0
 """Bench time in s from the goal within which random moments lie: homing, tare, and some seconds of the run."""
 
@@ -211,6 +212,15 @@ class Bench(WholeBench):
         end = self.clock.now() + duration
         self.client.spin(lambda: bool(self.truth) and seconds(self.truth[-1].header.stamp) > end, 30, watch=False)
 
+    def is_at_full_speed(self) -> bool:
+        """Whether the rod was nearly at full speed and still on its way to mid-stroke, by a true state of just now.
+
+        Behind mid-stroke it slows down, and a difference of positions that shows a fault takes longer to build up.
+        """
+        state = self.truth[-1]
+        is_recent = self.clock.now() - seconds(state.header.stamp) < 0.03
+        return is_recent and abs(state.velocity[0]) > FAST and state.position[0] * state.velocity[0] < 0.0
+
     def homes(self, state: JointState) -> bool:
         """Whether the bench was in mode homing at the time of a true state."""
         before = [mode.mode for mode in self.modes if seconds(mode.header.stamp) <= seconds(state.header.stamp)]
@@ -232,10 +242,7 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         bench.advance(bench.random.uniform(0.0, _MOMENTS))
     elif not fault.idle:
         ended = bench.run_at_speed(experiment, bench.bag, bench.action)
-    with bench.clock.busy():
-        begun = bench.clock.now()
-        bench.told.clear()
-        answer = fault.inject(bench) or ""
+    begun, answer = _inject(fault, bench)
     if fault.idle:
         bench.advance(0.5)
         result, ends = bench.client.run_experiment(experiment, bench.bag, 0), True
@@ -278,6 +285,16 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
     if problem := bench.reset():
         failures.append(problem)
     return Reaction(rest, coil, said, recording, tuple(failures))
+
+
+def _inject(fault: Fault, bench: Bench) -> tuple[float, str]:
+    """Inject a fault while bench time stands still; return when that was, and what was said to whoever did it."""
+    while True:
+        with bench.clock.busy():
+            if fault.at_random or fault.idle or bench.is_at_full_speed():
+                bench.told.clear()
+                return bench.clock.now(), fault.inject(bench) or ""
+        bench.advance(0.01)
 
 
 def _is_gone(bench: Bench, name: str) -> bool:
