@@ -1,12 +1,14 @@
-"""Writes the tables of docs/control.md that are computed offline.
+"""Writes tables of docs/control.md.
 
-python docs/tables/control.py runs/utfsm/fit.json    # with the damper that the page identifies (a minute)
-python docs/tables/control.py                        # only those with the damper of the simulated bench (ten seconds)
+python docs/tables/control.py                        # those with the damper of the simulated bench (ten seconds)
+python docs/tables/control.py runs/utfsm/fit.json    # and those with the damper that the page identifies (a minute)
+python docs/tables/control.py --hybrid-test runs/hybrid/hybrid_test.json    # and that of a hybrid test on the bench
 
-With --check either writes nothing, and fails where the page is not up to date.
+With --check it writes nothing, and fails where the page is not up to date.
 """
 
 import argparse
+import json
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
@@ -173,7 +175,7 @@ def delays(damper: Damper) -> str:
                     name if predictor == "none" else "",
                     predictor,
                     f"{1e3 * margin:.1f}{refused}",
-                    f"{round(1e3 * followed.delay, 2) + 0.0:.2f}".replace("-", "−"),
+                    milliseconds(followed.delay),
                     *(f"{100 * part:.{1 if part >= 0.01 else 2}f}" for part in (followed.nrms, followed.peak, heavy.nrms)),
                 ]
             )
@@ -186,6 +188,28 @@ def tracked(system: System, damper: Damper, conditions: Conditions) -> Tracking:
     return followed
 
 
+def hybrid_test(path: str) -> str:
+    """Return how well the rod followed in a hybrid test, and how near the test was to its offline twin."""
+    found = json.loads(Path(path).read_text(encoding="utf-8"))
+    tracking, timing, ride = found["tracking"], found["timing"], found["ride"]
+    apart = max(abs(value / ride["twin"][name] - 1) for name, value in ride["bench"].items() if value)
+    rows = [
+        ["delay of the rod (J1)", f"{milliseconds(tracking['delay'])} ms", "1 ms"],
+        ["NRMS of the tracking (J2)", f"{100 * tracking['nrms']:.1f} %", "3 %"],
+        ["peak of the tracking error (J3)", f"{100 * tracking['peak']:.1f} %", ""],
+        ["emulated motion against the offline twin", f"{100 * found['twin']['motion_nrms']:.1f} % NRMS", "2 %"],
+        ["ride metrics against the twin", f"within {100 * apart:.1f} %", ""],
+        ["largest latency", f"{milliseconds(timing['largest_latency_s'])} ms", ""],
+        ["jitter, missed deadlines", f"{milliseconds(timing['jitter_s'])} ms, {timing['missed']}", ""],
+    ]
+    return table(("", "this test", "bound"), rows)
+
+
+def milliseconds(seconds: float) -> str:
+    """Return a time in ms; there is no minus before a zero."""
+    return f"{round(1e3 * seconds, 2) + 0.0:.2f}".replace("-", "−")
+
+
 OF_FIT = {"laws": laws, "gains": gains, "delays": delays}
 """Sections of the page with the identified damper."""
 OF_BENCH = {"lever": lever, "building": building, "refusal": refusal}
@@ -196,17 +220,20 @@ def main() -> None:
     """Write or check the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("fit", nargs="?", help="the identified damper")
+    parser.add_argument("--hybrid-test", metavar="JSON", help="written by the tool hybrid_test")
     parser.add_argument("--check", action="store_true", help="write nothing, fail where the page is not up to date")
     arguments = parser.parse_args()
     sections: dict[str, Callable[[], str]] = dict(OF_BENCH)
     if arguments.fit:
         damper = load_damper(arguments.fit)
         sections |= {name: partial(section, damper) for name, section in OF_FIT.items()}
+    if arguments.hybrid_test:
+        sections["hybrid test"] = partial(hybrid_test, arguments.hybrid_test)
     old = new = PAGE.read_text(encoding="utf-8")
     for name, section in sections.items():
         new = page_with(new, name, section(), PAGE)
     if arguments.check and new != old:
-        sys.exit(f"{PAGE}: is not up to date; run: python docs/tables/control.py {arguments.fit or ''}".rstrip())
+        sys.exit(f"{PAGE}: is not up to date; run: python docs/tables/control.py, with the same arguments but --check")
     PAGE.write_text(new, encoding="utf-8")
 
 
