@@ -97,6 +97,12 @@ def test_links_lead_somewhere(page):
             assert part in anchors, target
 
 
+@pytest.mark.slow
+def test_the_tables_on_control_are_those_of_the_simulated_bench():
+    written = subprocess.run([sys.executable, ROOT / "docs/tables/control.py", "--check"], capture_output=True, text=True)
+    assert written.returncode == 0, written.stderr
+
+
 def masked(line: str) -> str:
     """Return a line without its numbers: they differ in the last digits from machine to machine."""
     return re.sub(r"[−-]?\d+(?:\.\d+)?", "#", line).strip()

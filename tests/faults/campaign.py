@@ -50,6 +50,18 @@ HYBRID = format_control_experiment(
     )
 )
 """A hybrid test whose rod moves as fast all the time."""
+LIVELY = format_control_experiment(
+    dataclasses.replace(
+        _SHIPPED,
+        name="lively",
+        duration=30.0,
+        system=dataclasses.replace(_SHIPPED.system, unsprung_mass=40.0, passive_damping=0.0),
+        excitation=dataclasses.replace(_SHIPPED.excitation, amplitude=0.006, start=1.2, end=1.3),
+        law="constant_current",
+        gains={"current": 0.1},
+    )
+)
+"""One that only the damper damps, with a light wheel: stable while the rod is no later than declared."""
 
 MOVES, FLOWS, STANDS, FAST = 2e-3, 0.02, 2e-4, 0.045
 """m/s and A above which rod and coil are not at rest; m by which a rod that stands may be displaced; m/s from which faults
@@ -94,6 +106,8 @@ class Fault:
         Whether a homing that is under way may go on, because it needs nothing of what was broken.
     hybrid : bool
         Whether it is injected in a hybrid test, which ends by it, instead of an experiment.
+    experiment : str
+        What runs then, where it is not the usual one.
     """
 
     name: str
@@ -109,6 +123,7 @@ class Fault:
     recorded: bool = True
     homes_on: bool = False
     hybrid: bool = False
+    experiment: str = ""
 
 
 @dataclass(frozen=True)
@@ -235,7 +250,8 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
     """Inject a fault, measure what happens, mend it, and reset the bench."""
     bench.bag = bench.folder / f"bag{number}"
     bench.truth.clear()
-    experiment = HYBRID if fault.hybrid else SHORT if fault.ending in (Ending.COMPLETE, Ending.COMPLAINS) else LONG
+    usual = HYBRID if fault.hybrid else SHORT if fault.ending in (Ending.COMPLETE, Ending.COMPLAINS) else LONG
+    experiment = fault.experiment or usual
     ended: Any = None
     if fault.at_random:
         ended = bench.send(experiment)

@@ -7,7 +7,7 @@ from typing import Any
 from std_srvs.srv import Trigger
 
 from faults import people, processes
-from faults.campaign import Ending, Fault
+from faults.campaign import LIVELY, Ending, Fault
 from faults.plant_faults import in_plant
 
 
@@ -27,6 +27,15 @@ FAULTS = (
     # The balance of energy sums up half a second, and the damper has to give 2 J in it.
     _fault(
         "wires of the load cell exchanged", in_plant("reverse_force"), "the damper seems to have given", rest=1.0, coil=1.0
+    ),
+    # The loop becomes unstable: it grows until it shows.
+    _fault(
+        "motor slower than declared",
+        in_plant("slow_motor"),
+        r"the damper seems to have given|following error|position error too large \(Be\)",
+        rest=1.0,
+        coil=1.0,
+        experiment=LIVELY,
     ),
     *(
         dataclasses.replace(fault, name=f"hybrid test: {fault.name}", hybrid=True)

@@ -33,7 +33,7 @@ def trade_off(evaluation: Evaluation) -> go.Figure:
     labels = list(dict.fromkeys(entry.candidate.label for entry in evaluation.entries))
     second = second_metric(evaluation)
     title, factor = SECOND[second]
-    figure = make_subplots(cols=len(excitations), subplot_titles=excitations, horizontal_spacing=0.08)
+    figure = make_subplots(cols=len(excitations), subplot_titles=excitations, horizontal_spacing=_spacing(len(excitations)))
     for column, excitation in enumerate(excitations, 1):
         for damper, symbol in zip(dampers, SYMBOLS * len(dampers), strict=False):
             passive = [e for e in evaluation.passive if (e.damper, e.excitation) == (damper, excitation) and e.ride]
@@ -174,27 +174,50 @@ def loops(evaluation: Evaluation) -> go.Figure:
 
 
 def gain_fronts(evaluation: Evaluation, fronts: Sequence[GainFront]) -> go.Figure:
-    """Draw the Pareto fronts over the gains of laws, with constant currents as the line to beat."""
+    """Draw the Pareto fronts over the gains of laws by excitation and damper, with constant currents as the line to beat."""
     title, factor = SECOND[fronts[0].second]
-    passive = [
-        e for e in evaluation.passive if (e.damper, e.excitation) == (fronts[0].damper, fronts[0].excitation) and e.ride
-    ]
-    x, y = _points(passive, fronts[0].second, factor)
-    figure = go.Figure(go.Scatter(x=x, y=y, name="constant currents", line={"color": MEASURED, "width": 2}))
-    for front, colour in zip(fronts, PALETTE * len(fronts), strict=False):
-        figure.add_scatter(
-            x=np.round(front.objectives[:, 0], 5),
-            y=np.round(factor * front.objectives[:, 1], 5),
-            mode="lines+markers",
-            name=front.law,
-            line={"color": colour, "width": 1},
-            marker={"size": [14 if i == front.knee else 7 for i in range(len(front.gains))]},
-            hovertext=[
-                ", ".join(f"{name} {value:.4g}" for name, value in zip(front.names, gains, strict=True))
-                for gains in front.gains
-            ],
-        )
-    figure.update_xaxes(title_text="a W_k, m/s² rms")
-    figure.update_yaxes(title_text=title)
-    figure.update_layout(**LAYOUT, height=440, title_text=f"{fronts[0].excitation}; knees are larger", title_x=0.01)
+    excitations, dampers, laws = (list(dict.fromkeys(names)) for names in zip(*map(_labels, fronts), strict=True))
+    places = [(damper, excitation) for damper in dampers for excitation in excitations]
+    figure = make_subplots(
+        rows=len(dampers),
+        cols=len(excitations),
+        subplot_titles=[excitation + (f", {damper}" if len(dampers) > 1 else "") for damper, excitation in places],
+        horizontal_spacing=_spacing(len(excitations)),
+        vertical_spacing=2 * _spacing(len(dampers)),
+    )
+    for index, place in enumerate(places):
+        row, column = divmod(index, len(excitations))
+        cell = {"row": row + 1, "col": column + 1}
+        passive = [entry for entry in evaluation.passive if (entry.damper, entry.excitation) == place]
+        x, y = _points(passive, fronts[0].second, factor)
+        shown = {"name": "constant currents", "legendgroup": "", "showlegend": index == 0}
+        figure.add_scatter(x=x, y=y, line={"color": MEASURED, "width": 2}, **shown, **cell)
+        for front in (front for front in fronts if (front.damper, front.excitation) == place):
+            figure.add_scatter(
+                x=np.round(front.objectives[:, 0], 5),
+                y=np.round(factor * front.objectives[:, 1], 5),
+                mode="lines+markers",
+                name=front.law,
+                legendgroup=front.law,
+                showlegend=index == 0,
+                line={"color": PALETTE[laws.index(front.law) % len(PALETTE)], "width": 1},
+                marker={"size": [14 if i == front.knee else 7 for i in range(len(front.gains))]},
+                hovertext=[
+                    ", ".join(f"{name} {value:.4g}" for name, value in zip(front.names, gains, strict=True))
+                    for gains in front.gains
+                ],
+                **cell,
+            )
+        figure.update_xaxes(title_text="a W_k, m/s² rms", **cell)
+    figure.update_yaxes(title_text=title, col=1)
+    figure.update_layout(**LAYOUT, height=60 + 380 * len(dampers), title_text="knees are larger", title_x=0.01)
     return figure
+
+
+def _labels(front: GainFront) -> tuple[str, str, str]:
+    return front.excitation, front.damper, front.law
+
+
+def _spacing(count: int) -> float:
+    """Return the part of a figure between two of several diagrams side by side."""
+    return min(0.08, 0.4 / count)

@@ -128,11 +128,23 @@ def to_json(evaluation: Evaluation, fronts: Sequence[GainFront] = ()) -> dict[st
     }
 
 
-def _gains(front: GainFront) -> str:
-    """Return the gains at the knee of a front in words."""
+def knee_columns(fronts: Sequence[GainFront]) -> list[str]:
+    """Return the titles of the table of the knees."""
+    return [*_SHARED, "gains at the knee", "a W_k, m/s²", "tyre load, N" if fronts[0].second == "contact" else "drift, mm"]
+
+
+def knee_rows(fronts: Sequence[GainFront]) -> list[list[str]]:
+    """Return the cells of the table of the knees: the best compromise of each search, and on what it was searched."""
+    return [_knee_row(front) for front in fronts]
+
+
+def _knee_row(front: GainFront) -> list[str]:
     units = {parameter.name: parameter.unit for parameter in LAWS[front.law].parameters}
     knee = zip(front.names, front.gains[front.knee], strict=True)
-    return ", ".join(f"{name} {quantity(float(gain), units[name])}" for name, gain in knee)
+    gains = ", ".join(f"{name} {quantity(float(gain), units[name])}" for name, gain in knee)
+    weighted, second = front.objectives[front.knee]
+    reached = f"{second:.1f}" if front.second == "contact" else f"{1e3 * second:.3f}"
+    return [front.law, front.excitation, front.damper, gains, f"{weighted:.3f}", reached]
 
 
 def _entry_json(entry: Entry) -> dict[str, Any]:
@@ -169,7 +181,8 @@ def write_evaluation(
         spectra=to_html(figures.spectra(evaluation), HALF),
         loops=to_html(figures.loops(evaluation), HALF),
         fronts=to_html(figures.gain_fronts(evaluation, fronts)) if fronts else "",
-        knees=[(front, _gains(front), front.objectives[front.knee]) for front in fronts],
+        knee_columns=knee_columns(fronts) if fronts else [],
+        knees=knee_rows(fronts),
         columns=columns(evaluation),
         rows=rows(evaluation),
         laws=[LAWS[name] for name in dict.fromkeys(entry.candidate.law for entry in evaluation.entries)],

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from itertools import combinations, product
 from pathlib import Path
 
 import jsonschema
@@ -13,6 +14,7 @@ from mrd_base import InputError
 from mrd_control.cli.evaluate import _parser, _read_dampers, main
 from mrd_control.evaluation import Candidate, Conditions, evaluate, optimise_gains, parse_candidate
 from mrd_control.excitations import GroundMotion, Road
+from mrd_control.figures import trade_off
 from mrd_control.laws import LAWS
 from mrd_control.report import columns, rows, sentence, write_evaluation
 from mrd_control.systems import QuarterCar, ShearBuilding
@@ -42,7 +44,7 @@ def tool(monkeypatch, capsys, tmp_path):
 
 
 def test_all_laws_are_compared_on_a_page_and_in_a_file(tool, tmp_path):
-    status, out, err = tool(*SHORT, "--roads", "B,C", "--pareto", "skyhook", "--population", 4, "--generations", 2)
+    status, out, err = tool(*SHORT, "--roads", "B,C")
     assert status == 0, err
     content = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     jsonschema.validate(content, read_schema("mrd_control", "evaluation"))
@@ -59,6 +61,30 @@ def test_all_laws_are_compared_on_a_page_and_in_a_file(tool, tmp_path):
     for law in LAWS.values():
         assert law.id in page
     assert "most comfortable law" in out
+
+
+def test_gains_are_searched_on_every_road_with_every_damper(tool, tmp_path):
+    """Page, file and output say for which road and damper each front holds."""
+    for name, viscous in (("soft", 500), ("stiff", 2000)):
+        plant = f"plant:\n  ros__parameters:\n    damper:\n      parameters: '{{viscous: {viscous}}}'\n"
+        (tmp_path / f"{name}.yaml").write_text(plant)
+    dampers = ("--damper", "soft.yaml", "--damper", "stiff.yaml")
+    search = ("--pareto", "skyhook", "groundhook", "--population", 4, "--generations", 2)
+    status, out, err = tool(*SHORT, "--roads", "A,B", *dampers, "--laws", "skyhook", *search)
+    assert status == 0, err
+    content = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    jsonschema.validate(content, read_schema("mrd_control", "evaluation"))
+    roads = ("class A, 20 m/s", "class B, 20 m/s")
+    places = list(product(("skyhook", "groundhook"), ("soft", "stiff"), roads))
+    assert [(front["law"], front["damper"], front["excitation"]) for front in content["fronts"]] == places
+    points = [front["points"] for front in content["fronts"]]
+    assert all(one != other for one, other in combinations(points, 2))
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    _, _, section = page.partition("<h2>Pareto fronts of the gains</h2>")
+    for law, damper, road in places:
+        assert f"<td>{law}</td><td>{road}</td><td>{damper}</td>" in section
+        assert f"{road}, {damper}" in section
+    assert out.count("skyhook_viscous ") == len(places) // 2
 
 
 def test_the_same_seed_gives_the_same_file_and_another_seed_another_road(tool, tmp_path):
@@ -141,6 +167,14 @@ def test_the_search_finds_gains_that_beat_the_default_and_the_constant_currents(
     assert front.objectives[-1, 1] < passive.contact
     names = set(front.names)
     assert names == {"skyhook_viscous", "groundhook_viscous", "share"}
+
+
+def test_many_roads_stand_side_by_side():
+    roads = {f"{speed} m/s": Road("A", float(speed)) for speed in range(10, 25)}
+    evaluation = evaluate(
+        QuarterCar(), {"bench": Damper("bingham")}, [parse_candidate("skyhook")], roads, Conditions(duration=5.0)
+    )
+    assert len(trade_off(evaluation).layout.annotations) == len(roads)
 
 
 def test_several_dampers_stand_in_one_table_and_a_building_has_drifts():

@@ -29,6 +29,7 @@ MOTOR_FAULTS = {
     "stuck_encoder": "the encoder goes on reading the same position",
     "slip": "the pinion slips on its shaft: the rod moves half as far as the motor",
     "jam": "the rod is held in place",
+    "slow_motor": "the motor lags by 25 ms behind its commanded position",
 }
 CONVERTER_FAULTS = {
     "freeze_daq": "no analog samples come",
@@ -44,6 +45,7 @@ CONVERTER_FAULTS = {
     "reverse_force": "the two wires of the load cell are exchanged",
 }
 _LEAK = 0.3  # A
+_SLOW = 0.025  # s
 COIL_FAULTS = {
     "open_coil": "the cable of the coil is broken",
     "short_coil": "the cable of the coil is shorted behind the sensor: what the supply can give flows, but not in the coil",
@@ -236,6 +238,7 @@ class Plant:
         motor.faults = {fault} & LINE_FAULTS.keys()
         motor.limit_touched = fault == "touch_limit"
         axis.jammed, axis.encoder_stuck = fault == "jam", fault == "stuck_encoder"
+        axis.lag = _SLOW if fault == "slow_motor" else self.config.motor.lag
         axis.supply_voltage = 12.0 if fault == "low_voltage" else self.config.motor.supply_voltage
         if "overheat" in (fault, self._fault):
             axis.temperature = 95.0 if fault == "overheat" else self.config.motor.ambient

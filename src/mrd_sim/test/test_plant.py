@@ -287,6 +287,16 @@ def test_a_stuck_encoder_lets_the_rod_run_away_until_the_position_error_trips():
     assert not plant.motor.axis.on
 
 
+def test_a_slow_motor_follows_later_until_it_is_mended():
+    plant = started()
+    plant.motor.feed(b"MV VT=65536 G ", plant.time)
+    for fault, lag, until in (("", 0.002, 1.0), ("slow_motor", 0.025, 1.5), ("", 0.002, 2.0)):
+        plant.set_fault(fault, plant.time)
+        run(plant, until)
+        axis = plant.motor.axis
+        assert (axis.commanded - axis.position) / axis.velocity == pytest.approx(lag, abs=1e-3)
+
+
 def test_limit_switches_trip_only_where_they_are_wired():
     for wired in (False, True):
         plant = Plant(PlantConfig(motor=MotorConfig(limit_switches=wired)))

@@ -2,6 +2,7 @@
 
 import argparse
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 from rich.table import Column, Table
@@ -15,7 +16,7 @@ from mrd_control.excitations import Excitation, Road, read_excitation
 from mrd_control.excitations.road import CLASSES
 from mrd_control.laws import LAWS, find_law
 from mrd_control.prediction import PREDICTORS
-from mrd_control.report import columns, rows, sentence, write_evaluation
+from mrd_control.report import columns, knee_columns, knee_rows, rows, sentence, write_evaluation
 from mrd_control.systems import SYSTEMS, System, read_system
 from mrd_identification.export import load_damper
 from mrd_identification.json_file import make_folder
@@ -48,15 +49,14 @@ def work() -> None:
         evaluation = evaluate(
             system, dampers, candidates, excitations, conditions, arguments.scheduler, lambda count: report("", count / runs)
         )
-    first_damper, first_excitation = next(iter(dampers.items())), next(iter(excitations.items()))
     fronts = []
-    for law in searched:
-        with shown_progress(f"searching the gains of {law.id}") as report:
+    for law, damper, excitation in product(searched, dampers.items(), excitations.items()):
+        with shown_progress(f"searching the gains of {law.id} on {excitation[0]} with {damper[0]}") as report:
             found = optimise_gains(
                 system,
-                first_damper,
+                damper,
                 law,
-                first_excitation,
+                excitation,
                 conditions,
                 arguments.population,
                 arguments.generations,
@@ -67,13 +67,19 @@ def work() -> None:
     system_file = [] if arguments.system in SYSTEMS else [arguments.system]
     files = [*arguments.damper, *system_file, *arguments.excitation]
     page = write_evaluation(evaluation, fronts, arguments.output, files)
-    titles = columns(evaluation)
-    table = Table(titles[0], *(Column(title, justify="right") for title in titles[1:]), box=None)
-    for row in rows(evaluation):
-        table.add_row(*row)
-    print_table(table)
+    _print(columns(evaluation), rows(evaluation), 1)
+    if fronts:
+        _print(knee_columns(fronts), knee_rows(fronts), 4)
     print(sentence(evaluation))
     print(page)
+
+
+def _print(titles: list[str], lines: list[list[str]], left: int) -> None:
+    """Print a table whose first columns are words."""
+    table = Table(*titles[:left], *(Column(title, justify="right") for title in titles[left:]), box=None)
+    for line in lines:
+        table.add_row(*line)
+    print_table(table)
 
 
 def _conditions(arguments: argparse.Namespace) -> Conditions:
@@ -189,7 +195,11 @@ def _parser() -> argparse.ArgumentParser:
         "--predictor", choices=list(PREDICTORS), default="none", help="and its compensation (default %(default)s)"
     )
     parser.add_argument(
-        "--pareto", nargs="+", default=[], metavar="LAW", help="search the gains of laws for comfort against contact force"
+        "--pareto",
+        nargs="+",
+        default=[],
+        metavar="LAW",
+        help="search the gains of laws for comfort against contact force, anew on each road with each damper",
     )
     parser.add_argument("--population", type=int, default=24, help="of NSGA-II (default %(default)s)")
     parser.add_argument("--generations", type=int, default=12, help="of NSGA-II (default %(default)s)")

@@ -250,6 +250,8 @@ class ServoAxis:
         Whether something holds the rod.
     encoder_stuck : bool
         Whether the encoder goes on reading the same position.
+    lag : float
+        s, of actual behind commanded position at constant speed.
     supply_voltage : float
         V of the motor supply without load.
     following_limit, upper_limit, lower_limit, speed_limit : float
@@ -262,6 +264,7 @@ class ServoAxis:
         self.config = config
         self.load = 0.0
         self.jammed = self.encoder_stuck = False
+        self.lag = config.lag
         self.supply_voltage = config.supply_voltage
         self.following_limit = 1000.0
         self.upper_limit = math.inf
@@ -394,7 +397,7 @@ class ServoAxis:
             lead=config.lead,
             stiffness=omega**2,
             damping=damping,
-            feed_forward=1.0 - config.lag * omega**2 / damping,
+            feed_forward=1.0 - self.lag * omega**2 / damping,
             inertia=config.inertia,
             peak_force=config.peak_force,
             brake=config.back_emf**2 / config.winding_resistance,
