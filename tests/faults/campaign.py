@@ -5,6 +5,7 @@ an experiment or of a hybrid test.
 Motion and current are the true ones of the simulated plant, every 20 ms; all times are bench times.
 """
 
+import contextlib
 import dataclasses
 import random
 import re
@@ -23,7 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from whole_bench import ROOT, WholeBench
 
 from faults.broken_machine import BrokenMachine
-from mrd_base.nodes.bench_node import LATCHED, seconds
+from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
 from mrd_control.experiment import format_control_experiment, read_control_experiment
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchState
@@ -153,12 +154,14 @@ class Bench(WholeBench):
         self.told: list[str] = []
         self.up: set[str] = set()
         """Nodes whose diagnostics have come."""
+        self._awaits_full_speed = False
         self.background: list[Any] = []
         """Processes that a fault has started."""
 
     def __enter__(self) -> "Bench":
         super().__enter__()
         self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
+        self.client.node.create_subscription(JointState, "plant/true_state", self._on_true_state, RECORDED)
         self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.run = ActionClient(self.client.node, RunExperiment, self.action)
         assert self.client.spin(self.run.server_is_ready, 30)
@@ -227,14 +230,19 @@ class Bench(WholeBench):
         end = self.clock.now() + duration
         self.client.spin(lambda: bool(self.truth) and seconds(self.truth[-1].header.stamp) > end, 30, watch=False)
 
-    def is_at_full_speed(self) -> bool:
-        """Whether the rod was nearly at full speed and still on its way to mid-stroke, by a true state of just now.
+    def stand_still_at_full_speed(self, ended: Any) -> None:
+        """Let bench time stand still, until the clock is released, once the rod is nearly at full speed.
 
-        Behind mid-stroke it slows down, and a difference of positions that shows a fault takes longer to build up.
+        That is before mid-stroke: behind it the rod slows down, and a difference of positions takes longer to build up.
         """
-        state = self.truth[-1]
-        is_recent = self.clock.now() - seconds(state.header.stamp) < 0.03
-        return is_recent and abs(state.velocity[0]) > FAST and state.position[0] * state.velocity[0] < 0.0
+        self._awaits_full_speed = True
+        assert self.client.spin(lambda: not self._awaits_full_speed or ended.done(), 40, watch=False)
+        assert not self._awaits_full_speed, ended.result().result.message
+
+    def _on_true_state(self, state: JointState) -> None:
+        if self._awaits_full_speed and abs(state.velocity[0]) > FAST and state.position[0] * state.velocity[0] < 0.0:
+            self._awaits_full_speed = False
+            self.clock.hold()
 
     def homes(self, state: JointState) -> bool:
         """Whether the bench was in mode homing at the time of a true state."""
@@ -258,7 +266,15 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         bench.advance(bench.random.uniform(0.0, _MOMENTS))
     elif not fault.idle:
         ended = bench.run_at_speed(experiment, bench.bag, bench.action)
-    begun, answer = _inject(fault, bench)
+    with contextlib.ExitStack() as still:
+        if fault.at_random or fault.idle:
+            still.enter_context(bench.clock.busy())
+        else:
+            bench.stand_still_at_full_speed(ended)
+            still.callback(bench.clock.release)
+        begun = bench.clock.now()
+        bench.told.clear()
+        answer = fault.inject(bench) or ""
     if fault.idle:
         bench.advance(0.5)
         result, ends = bench.client.run_experiment(experiment, bench.bag, 0), True
@@ -301,16 +317,6 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
     if problem := bench.reset():
         failures.append(problem)
     return Reaction(rest, coil, said, recording, tuple(failures))
-
-
-def _inject(fault: Fault, bench: Bench) -> tuple[float, str]:
-    """Inject a fault while bench time stands still; return when that was, and what was said to whoever did it."""
-    while True:
-        with bench.clock.busy():
-            if fault.at_random or fault.idle or bench.is_at_full_speed():
-                bench.told.clear()
-                return bench.clock.now(), fault.inject(bench) or ""
-        bench.advance(0.01)
 
 
 def _is_gone(bench: Bench, name: str) -> bool:
