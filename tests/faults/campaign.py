@@ -5,7 +5,6 @@ an experiment or of a hybrid test.
 Motion and current are the true ones of the simulated plant, every 20 ms; all times are bench times.
 """
 
-import contextlib
 import dataclasses
 import random
 import re
@@ -24,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 from whole_bench import ROOT, WholeBench
 
 from faults.broken_machine import BrokenMachine
-from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
+from mrd_base.nodes.bench_node import LATCHED, seconds
 from mrd_control.experiment import format_control_experiment, read_control_experiment
 from mrd_interfaces.action import RunExperiment
 from mrd_interfaces.msg import BenchState
@@ -154,14 +153,12 @@ class Bench(WholeBench):
         self.told: list[str] = []
         self.up: set[str] = set()
         """Nodes whose diagnostics have come."""
-        self._awaits_full_speed = False
         self.background: list[Any] = []
         """Processes that a fault has started."""
 
     def __enter__(self) -> "Bench":
         super().__enter__()
         self.modes: list[BenchState] = self.subscribe("bench_state", BenchState, LATCHED)
-        self.client.node.create_subscription(JointState, "plant/true_state", self._on_true_state, RECORDED)
         self.client.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
         self.run = ActionClient(self.client.node, RunExperiment, self.action)
         assert self.client.spin(self.run.server_is_ready, 30)
@@ -230,19 +227,19 @@ class Bench(WholeBench):
         end = self.clock.now() + duration
         self.client.spin(lambda: bool(self.truth) and seconds(self.truth[-1].header.stamp) > end, 30, watch=False)
 
-    def stand_still_at_full_speed(self, ended: Any) -> None:
-        """Let bench time stand still, until the clock is released, once the rod is nearly at full speed.
+    def reach_full_speed(self) -> None:
+        """Let bench time, which stands still, pass until the rod is nearly at full speed.
 
         That is before mid-stroke: behind it the rod slows down, and a difference of positions takes longer to build up.
         """
-        self._awaits_full_speed = True
-        assert self.client.spin(lambda: not self._awaits_full_speed or ended.done(), 40, watch=False)
-        assert not self._awaits_full_speed, ended.result().result.message
-
-    def _on_true_state(self, state: JointState) -> None:
-        if self._awaits_full_speed and abs(state.velocity[0]) > FAST and state.position[0] * state.velocity[0] < 0.0:
-            self._awaits_full_speed = False
-            self.clock.hold()
+        for _ in range(300):
+            self.clock.sleep(0.01)
+            now = self.clock.now()
+            assert self.client.spin(lambda now=now: now - seconds(self.truth[-1].header.stamp) < 0.021, 10, watch=False)
+            position, velocity = self.truth[-1].position[0], self.truth[-1].velocity[0]
+            if abs(velocity) > FAST and position * velocity < 0.0:
+                return
+        raise AssertionError("the rod does not reach its full speed")
 
     def homes(self, state: JointState) -> bool:
         """Whether the bench was in mode homing at the time of a true state."""
@@ -266,12 +263,9 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
         bench.advance(bench.random.uniform(0.0, _MOMENTS))
     elif not fault.idle:
         ended = bench.run_at_speed(experiment, bench.bag, bench.action)
-    with contextlib.ExitStack() as still:
-        if fault.at_random or fault.idle:
-            still.enter_context(bench.clock.busy())
-        else:
-            bench.stand_still_at_full_speed(ended)
-            still.callback(bench.clock.release)
+    with bench.clock.busy():
+        if not (fault.at_random or fault.idle):
+            bench.reach_full_speed()
         begun = bench.clock.now()
         bench.told.clear()
         answer = fault.inject(bench) or ""
