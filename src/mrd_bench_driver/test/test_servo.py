@@ -22,7 +22,7 @@ from mrd_bench_driver.servo.communication import ServoCommunication
 from mrd_bench_driver.servo.config import ServoConfig
 from mrd_bench_driver.servo.controller import ServoController
 from mrd_bench_driver.servo.motor_setup import MotorIdentity
-from mrd_bench_driver.servo.smartmotor import STATUS_0, Drivetrain, MotorUnits
+from mrd_bench_driver.servo.smartmotor import STATUS_0, Drivetrain, MotorUnits, ReplyError
 from mrd_bench_driver.servo.streaming import RodSetpoint
 
 pytestmark = pytest.mark.realtime
@@ -141,8 +141,12 @@ class SimulatedServo:
             else:
                 self.now += 0.002 + 10 * (len(replies[0]) + 1) / self.config.baud_rate
                 self.motor.advance(self.now)
-                values = [query.parse(reply.encode()) for query, reply in zip(batch.queries, replies, strict=True)]
-                self.servo.take_replies(batch, values, self.now)
+                try:
+                    values = [query.parse(reply.encode()) for query, reply in zip(batch.queries, replies, strict=True)]
+                except ReplyError:
+                    self.servo.replies_missed()
+                else:
+                    self.servo.take_replies(batch, values, self.now)
             self.trace.append((self.now, self.rod))
 
     def settle(self, duration: float) -> float:
@@ -456,6 +460,18 @@ def test_a_fault_that_is_read_once_is_not_believed(homed):
     homed.servo._check_motor_status(STATUS_0, homed.now)
     homed.run(0.3)
     assert homed.status.message == ""
+
+
+def test_replies_that_are_swapped_are_not_taken_for_faults_of_the_motor(homed):
+    """Not even where those that the replies are checked by happen to come in order. 40 counts look like two faults."""
+
+    def setpoint(now):
+        return RodSetpoint(now, UNITS.metres(40), 0, 0)
+
+    homed.run(0.3, setpoint)
+    homed.tamper = lambda replies: replies if "/" in replies[0] and len(replies) == 2 else [*replies[1::-1], *replies[2:]]
+    homed.run(0.5, setpoint)
+    assert "motor:" not in homed.status.message
 
 
 def test_disable_lets_go(homed):

@@ -311,14 +311,16 @@ class ServoController:
         with self._lock:
             if batch.time <= self._switched:
                 return  # the replies show the state before the last switching command
-            for query, value in zip(batch.queries, values, strict=True):
-                if query is RESOLUTION:
-                    # FIRMWARE and RESOLUTION have known replies of different patterns. If they come in this order, no late
-                    # reply is left, and replies match their queries again.
-                    self._in_step = value == self.config.drive.counts_per_revolution
-                elif query is FIRMWARE:
-                    continue
-                elif query is POSITION:
+            replies = dict(zip(batch.queries, values, strict=True))
+            if RESOLUTION in replies:
+                # FIRMWARE and RESOLUTION have known replies of different patterns. If they come in this order, no late reply
+                # is left, and replies match their queries again.
+                self._in_step = replies.pop(RESOLUTION) == self.config.drive.counts_per_revolution
+                if not self._in_step:
+                    return
+            replies.pop(FIRMWARE, None)
+            for query, value in replies.items():
+                if query is POSITION:
                     read = min(batch.position_time, arrived - 10 * (len(str(value)) + 1) / self._baud_rate)
                     self._process_position(max(batch.time, read), self._units.metres(value))
                 else:
@@ -481,7 +483,7 @@ class ServoController:
         if self._homing is not None and self._homing.phase is Phase.ORIGIN:
             return (POSITION, STATUS_1)
         if self._suspect is not None:
-            return (POSITION, self._suspect)
+            return (FIRMWARE, self._suspect, RESOLUTION)  # no reply between these two can be that to another query
         if self._ticks % self._schedule.status_interval:
             return (POSITION,)
         self._rotation = (self._rotation + 1) % len(_ROTATION)
@@ -519,7 +521,7 @@ class ServoController:
         settled = query is STATUS_0 and queried >= self._switched + _STATUS_DELAY
         if ((motor.faults and not self._fault) or (settled and self._drive_on and motor.off)) and self._suspect is None:
             # A reply to another query may look like a fault. The motor stops by itself; so there is time to ask again.
-            self._suspect, self._in_step = query, False
+            self._suspect = query
             return
         self._suspect = None
         if motor.faults and not self._fault:
