@@ -77,6 +77,9 @@ DISSIPATIVE = {"sigma": (0.5, 2.0)}
 LOOP = {"travel": 1.5e-4, "sigma": 0.8}
 SPEEDS = {"speed_0": 6e-3, "speed_1": 8e-3}
 
+PRE_YIELD_FLOW = ("bypass_flow",)
+"""Contained in forms whose force rises with the speed before they yield, as where fluid flows past the piston."""
+
 DAMPER_FORMS: dict[str, DamperForm] = {
     form.id: form
     for form in (
@@ -96,6 +99,7 @@ DAMPER_FORMS: dict[str, DamperForm] = {
             KWOK,
             "development",
             {"travel": 3e-4, **SPEEDS, "shift": 0.8},
+            implied=PRE_YIELD_FLOW,
         ),
         DamperForm(
             "lugre",
@@ -111,7 +115,7 @@ DAMPER_FORMS: dict[str, DamperForm] = {
             "development",
             {"travel": 5e-5, "sigma": 0.8, "series_0": 15e3, "series_1": 60e3},
             DISSIPATIVE,
-            ("bypass_flow",),
+            PRE_YIELD_FLOW,
         ),
         DamperForm("dahl", "pre-yield slope the same at every current (Dahl 1968)", DAHL, "development", {"slope": 3.5e6}),
         DamperForm(
@@ -121,6 +125,7 @@ DAMPER_FORMS: dict[str, DamperForm] = {
             "development",
             {**SPEEDS, "motion_lag": 4e-3, "knee": 2.5},
             {"knee": (2.0, 3.2)},
+            PRE_YIELD_FLOW,
         ),
         DamperForm(
             "frohlich",
@@ -145,6 +150,7 @@ DAMPER_FORMS: dict[str, DamperForm] = {
             SIGMOID,
             "evaluation",
             {**SPEEDS, "motion_lag": 5e-3, "growth": 1.0},
+            implied=PRE_YIELD_FLOW,
         ),
         DamperForm(
             "polynomial",
@@ -152,6 +158,7 @@ DAMPER_FORMS: dict[str, DamperForm] = {
             POLYNOMIAL,
             "evaluation",
             {"speed_0": 15e-3, "speed_1": 20e-3, "motion_lag": 5e-3},
+            implied=PRE_YIELD_FLOW,
         ),
         DamperForm(
             "herschel_bulkley",
