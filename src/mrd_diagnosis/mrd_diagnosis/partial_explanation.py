@@ -261,8 +261,7 @@ def _search_beside_remainder(
         if max(chances, key=chances.__getitem__) != effect:  # something is missing there, but which effect is not known
             continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
-        if closed.value >= THRESHOLDS.named_share:
-            causes[effect] = HeldCause(chances, p, closed)
+        causes[effect] = HeldCause(chances, p, closed)
     return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
 
 
@@ -305,8 +304,6 @@ def _form_causes(
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
         closed = closed_fraction_between(explained, fitted, comparison, rng)
-        if not closed.value >= THRESHOLDS.named_share:
-            break
         causes[effect] = HeldCause({effect: probability}, p_value(gain, null_gains), closed)
         explained = fitted
     return causes, explained

@@ -84,13 +84,6 @@ class Thresholds:
         "probability of an effect, averaged over the damper models that count, from which it is named beside a wrong form",
         "measured recordings with known errors, seed 53",
     )
-    named_share: float = threshold(
-        0.05,
-        "of the gap",
-        "share of the gap that an effect must close to be named beside a wrong form: the form errs by as much in every half "
-        "and around every model",
-        "measured recordings with known errors, seed 53",
-    )
     least_information: float = threshold(
         0.01,
         "of the most informative run before or after, whichever is less",

@@ -181,12 +181,6 @@ def test_beside_an_unknown_effect_what_is_known_is_named():
     assert 0.8 < diagnosis.gap.closed_fraction.value < 0.97
 
 
-def test_beside_a_wrong_form_nothing_is_named_that_closes_a_fiftieth_of_the_gap():
-    runs = recorded({"channel_delay": {"delay": 0.012}, "gas_spring": {"stiffness": 1200.0}})
-    diagnosis = diagnose(runs, "bingham", effects=("pre_yield_hysteresis", "gas_spring"))
-    assert [cause.effect for cause in diagnosis.causes] == ["pre_yield_hysteresis"]
-
-
 def test_one_run_is_held_out_by_folds(delayed):
     diagnosis = diagnose(delayed[:1], "bouc_wen", effects=FEW)
     assert diagnosis.held_out_by == "blocks"
