@@ -6,11 +6,12 @@ python docs/tables/architecture.py --check    # fails where the page is not up t
 
 import argparse
 import ast
-import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
+
+from sections import page_with
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
@@ -57,21 +58,13 @@ def package_diagram() -> str:
     return "\n".join([*lines, "```"])
 
 
-def page_with(text: str, name: str, content: str, page: Path = PAGE) -> str:
-    """Replace what stands between the markers of a section of a page."""
-    pattern = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- /{name} -->)", re.DOTALL)
-    if not pattern.search(text):
-        raise SystemExit(f"{page}: has no section {name}, expected <!-- {name} --> and <!-- /{name} -->")
-    return pattern.sub(lambda match: match[1] + content + match[2], text)
-
-
 def main() -> None:
     """Write or check the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing, fail where the page is not up to date")
     arguments = parser.parse_args()
     old = PAGE.read_text(encoding="utf-8")
-    new = page_with(old, "packages", package_diagram())
+    new = page_with(old, "packages", package_diagram(), PAGE)
     if arguments.check and new != old:
         sys.exit(f"{PAGE}: is not up to date; run: python docs/tables/architecture.py")
     PAGE.write_text(new, encoding="utf-8")

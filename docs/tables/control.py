@@ -11,14 +11,14 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
-from architecture import page_with
+from sections import page_with, table
 
 from mrd_base import InputError
 from mrd_control.controller import Actuator
@@ -49,7 +49,7 @@ EXPECTED = {
     "clipped_lqg": "as LQR, from measured signals",
     "force_tracking": "as skyhook; the feedback only corrects the model",
 }
-"""What the literature expects of a law."""
+"""The literature expects this of each law."""
 ACTUATORS = {
     "2 ms dead time": Actuator(0.002),
     "8 ms dead time": Actuator(0.008),
@@ -57,11 +57,6 @@ ACTUATORS = {
 }
 MOST_CURRENT = 0.4
 """A, of the loops with an actuator."""
-
-
-def table(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    return "\n".join(f"| {' | '.join(line)} |" for line in (titles, ["---"] * len(titles), *rows))
 
 
 def change(value: float, reference: float, digits: int = 0) -> str:

@@ -10,11 +10,11 @@ import inspect
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from architecture import page_with
+from sections import page_with, table
 
 from mrd_base.nodes.bench_node import BenchNode
 from mrd_base.nodes.graph import ACTIONS, NODES, SERVICES, TOPICS, describe_qos, type_name
@@ -64,12 +64,6 @@ def diagram() -> str:
     lines = ["```mermaid", "flowchart LR"]
     lines += [f"    {source} -->|{', '.join(sorted(names))}| {target}" for (source, target), names in sorted(arrows.items())]
     return "\n".join([*lines, "```"])
-
-
-def table(titles: Sequence[str], rows: Iterator[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    lines = [titles, ["---"] * len(titles), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 def code(names: Sequence[str]) -> str:
