@@ -21,6 +21,7 @@ from mrd_base import BenchClock, from_mapping, read_node_parameters
 from mrd_bench_driver.servo.communication import ServoCommunication
 from mrd_bench_driver.servo.config import ServoConfig
 from mrd_bench_driver.servo.controller import ServoController
+from mrd_bench_driver.servo.homing import Phase
 from mrd_bench_driver.servo.motor_setup import MotorIdentity
 from mrd_bench_driver.servo.smartmotor import STATUS_0, Drivetrain, MotorUnits, ReplyError
 from mrd_bench_driver.servo.streaming import RodSetpoint
@@ -462,6 +463,11 @@ def test_a_fault_that_is_read_once_is_not_believed(homed):
     assert homed.status.message == ""
 
 
+def swap_first_two(replies):
+    """Swap replies, but for those that they are checked by where these come alone."""
+    return replies if "/" in replies[0] and len(replies) == 2 else [*replies[1::-1], *replies[2:]]
+
+
 def test_replies_that_are_swapped_are_not_taken_for_faults_of_the_motor(homed):
     """Not even where those that the replies are checked by happen to come in order. 40 counts look like two faults."""
 
@@ -469,9 +475,19 @@ def test_replies_that_are_swapped_are_not_taken_for_faults_of_the_motor(homed):
         return RodSetpoint(now, UNITS.metres(40), 0, 0)
 
     homed.run(0.3, setpoint)
-    homed.tamper = lambda replies: replies if "/" in replies[0] and len(replies) == 2 else [*replies[1::-1], *replies[2:]]
+    homed.tamper = swap_first_two
     homed.run(0.5, setpoint)
     assert "motor:" not in homed.status.message
+
+
+def test_nor_are_they_while_the_origin_is_set():
+    bench = SimulatedServo(position=4 * MM)
+    assert bench.servo.home(bench.now).success
+    while bench.servo._homing.phase is not Phase.ORIGIN:
+        bench.run(bench.servo.period)
+    bench.tamper = swap_first_two
+    bench.run(0.2)
+    assert "motor:" not in bench.status.message
 
 
 def test_disable_lets_go(homed):

@@ -480,10 +480,10 @@ class ServoController:
     def _next_queries(self, moves: bool) -> tuple[Query, ...]:
         if not self._in_step:
             return (FIRMWARE, RESOLUTION)
-        if self._homing is not None and self._homing.phase is Phase.ORIGIN:
-            return (POSITION, STATUS_1)
         if self._suspect is not None:
             return (FIRMWARE, self._suspect, RESOLUTION)  # no reply between these two can be that to another query
+        if self._homing is not None and self._homing.phase is Phase.ORIGIN:
+            return (POSITION, STATUS_1)
         if self._ticks % self._schedule.status_interval:
             return (POSITION,)
         self._rotation = (self._rotation + 1) % len(_ROTATION)
