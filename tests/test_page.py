@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from page_bench import ANSWER_TIMEOUT, ROOT, PageBench, find_chromium, open_tab, reset_fault, start_run, take_control
 from sensor_msgs.msg import JointState
@@ -235,3 +236,37 @@ def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page:
     assert run.duration > 30.0
     assert run.info["lost"] == 0
     assert bench.process.poll() is None
+
+
+def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) -> None:
+    bench, name = PageBench(tmp_path), EXAMPLES[0]
+    try:
+        import_examples(bench)
+        for number in range(10_000):
+            folder = bench.runs / f"{name}-{number}"
+            folder.mkdir()
+            for file in filter(Path.is_file, (bench.runs / name).iterdir()):
+                os.link(file, folder / file.name)
+        bench.wait_until_up()
+        for page in open_page(bench):
+            server, search = psutil.Process(bench.page_process()), page.get_by_label("search name")
+            begun = time.monotonic()
+            open_tab(page, "Runs")
+            page.get_by_text("10002 found", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+            listed = time.monotonic()
+            search.fill(f"{name}-77")
+            page.get_by_text("111 found", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+            found = time.monotonic()
+            page.get_by_label("8", exact=True).click()
+            page.get_by_text(f"{name}-77", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+            turned = time.monotonic()
+            search.fill("")
+            page.get_by_text("10002 found", exact=True).wait_for(timeout=ANSWER_TIMEOUT)
+            load = sum(server.cpu_times()[:2])
+            page.wait_for_timeout(10_000)
+            load = sum(server.cpu_times()[:2]) - load
+            print(f"listed {listed - begun:.2f} s, found {found - listed:.2f} s, turned {turned - found:.2f} s")
+            print(f"server while the list is seen: {10 * load:.0f} % of a core")
+            assert turned - begun < 30.0
+    finally:
+        bench.close()

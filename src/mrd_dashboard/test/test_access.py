@@ -12,6 +12,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 import httpx
+import numpy as np
 import pytest
 
 from mrd_base import InputError
@@ -247,6 +248,13 @@ def test_nobody_enters_without_logging_in(dashboard, credentials: Credentials) -
         ("logout", "done"),
     ]
     assert PASSWORD not in dashboard.audit.path.read_text()
+
+
+def test_a_sample_that_is_no_number_is_null_in_the_live_frame(dashboard) -> None:
+    dashboard.bench.samples.add(0, 1.0, 1e-3, np.zeros(8), np.array([*range(7), np.nan]), np.zeros(8))
+    answer = Browser(dashboard, Sessions(None)).get("/live.json")
+    assert answer.headers["content-type"] == "application/json"
+    assert answer.json()["force_N"][-2:] == [6.0, None]
 
 
 def test_on_this_machine_every_browser_gets_a_session(dashboard) -> None:
