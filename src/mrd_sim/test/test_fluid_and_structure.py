@@ -224,6 +224,14 @@ def test_end_stop_pushes_back_beyond_its_limit_only():
     assert found[x.argmax()] == pytest.approx(1e7 * 0.002**2)
 
 
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
+def test_end_stop_follows_a_power_of_its_depth(exponent: float):
+    motion = sine()
+    depth = motion[1] - 0.014
+    found = added("end_stop", {"stiffness": 1e7, "limit": 0.014, "exponent": exponent}, motion)
+    assert found[depth > 0] == pytest.approx(40.0 * (depth[depth > 0] / 0.002) ** exponent)
+
+
 def test_joint_play_is_crossed_against_its_resistance():
     """At constant force far from its ends the joint opens at F / c_g; at its end the damper gets all of the motion."""
     time = np.arange(4000) / 4000
