@@ -30,6 +30,8 @@ ORDER = 3
 """Of the extrapolating polynomial: Horiuchi et al. (1999) found the third order best."""
 FORGETTING_TIME = 1.0
 """s, over which the adaptive predictor forgets."""
+SMOOTHING_TIME = 8e-3
+"""s, time constant of each of the three lags behind which the adaptive predictor sees rod and command alike."""
 LEAST_SPEED = 1e-3
 """m/s of the rod, below which the adaptive predictor does not learn."""
 TRUST = 0.3
@@ -99,20 +101,23 @@ def adaptive_prediction(
     Ricles, Earthq. Eng. Struct. Dyn. 42 (2013) 1697.
 
     The coefficients are those that give the past commands from the measured motion. They follow by recursive least squares
-    with exponential forgetting, where Chae et al. solve over a moving window; and they stay within `LEAST` and `MOST`.
+    with exponential forgetting, where Chae et al. solve over a moving window; and they stay within `LEAST` and `MOST`. Rod
+    and command are seen behind the same lags, which change nothing of what is between them: the derivatives of a noisy
+    position would be noise, and coefficients learnt from them too small.
 
-    ``parameters`` are the period, the delay guessed at first and the forgetting factor; ``memory`` holds coefficients (3,),
-    covariance (3, 3), room for products (3,), the last measured positions (2,) and commands (2,), and the number of samples.
+    ``parameters`` are the period, the delay guessed at first, the forgetting factor and what each lag keeps from sample to
+    sample; ``memory`` holds coefficients (3,), covariance (3, 3), room for products (3,), the lags of rod (3,) and command
+    (3,), and the last command.
     """
-    period, guess, forgetting = parameters[0], parameters[1], parameters[2]
+    period, guess, forgetting, decay = parameters[0], parameters[1], parameters[2], parameters[3]
     coefficients, covariance, products = memory[:3], memory[3:12].reshape((3, 3)), memory[12:15]
-    last, before = memory[15], memory[16]  # measured
-    speed = (measured - before) / (2.0 * period)
-    if memory[19] >= 3.0 and abs(speed) > LEAST_SPEED:
-        # In the middle of three measured positions; scaled so that all coefficients are about one.
-        bend = (measured - 2.0 * last + before) / (period * period)
-        regressor = (last, guess * speed, 0.5 * guess * guess * bend)
-        error, scale = memory[18], forgetting
+    rod, command = memory[15:18], memory[18:21]
+    smoothed, speed, bend = _smoothed(rod, measured, decay, period)
+    wanted, _, _ = _smoothed(command, memory[21], decay, period)
+    if abs(speed) > LEAST_SPEED:
+        # Scaled so that all coefficients are about one.
+        regressor = (smoothed, guess * speed, 0.5 * guess * guess * bend)
+        error, scale = wanted, forgetting
         for i in range(3):
             error -= coefficients[i] * regressor[i]
             products[i] = 0.0
@@ -129,10 +134,17 @@ def adaptive_prediction(
         + coefficients[1] * guess * velocity
         + coefficients[2] * 0.5 * guess * guess * acceleration
     )
-    memory[15], memory[16] = measured, last
-    memory[17], memory[18] = predicted, memory[17]  # commands
-    memory[19] += 1.0
+    memory[21] = predicted
     return float(predicted)
+
+
+@njit(cache=True, nogil=True)
+def _smoothed(state: Array, value: float, decay: float, period: float) -> tuple[float, float, float]:
+    """Return a value behind three equal lags, with its first two derivatives; ``state`` (3,) is what each lag gives."""
+    rate = (1.0 - decay) / (decay * period)
+    for i in range(3):
+        value = state[i] = value + decay * (state[i] - value)
+    return state[2], rate * (state[1] - state[2]), rate * rate * (state[0] - 2.0 * state[1] + state[2])
 
 
 def _prepare_none(period: float, ahead: float) -> tuple[Array, Array]:
@@ -148,10 +160,11 @@ def _prepare_polynomial(period: float, ahead: float) -> tuple[Array, Array]:
 
 
 def _prepare_adaptive(period: float, ahead: float) -> tuple[Array, Array]:
-    memory = np.zeros(20)
+    memory = np.zeros(22)
     memory[:3] = 1.0
     memory[3:12] = np.ravel(np.eye(3) * (TRUST / COMMAND_ERROR) ** 2)
-    return np.array([period, max(ahead, period), math.exp(-period / FORGETTING_TIME)]), memory
+    decays = math.exp(-period / FORGETTING_TIME), math.exp(-period / SMOOTHING_TIME)
+    return np.array([period, max(ahead, period), *decays]), memory
 
 
 PREDICTORS = {
