@@ -170,17 +170,29 @@ def delays(damper: Damper) -> str:
                     name if predictor == "none" else "",
                     predictor,
                     f"{1e3 * margin:.1f}{refused}",
-                    milliseconds(followed.delay),
-                    *(f"{100 * part:.{1 if part >= 0.01 else 2}f}" for part in (followed.nrms, followed.peak, heavy.nrms)),
+                    *(("unstable", "", "") if followed is None else shown(followed)),
+                    "unstable" if heavy is None else percent(heavy.nrms),
                 ]
             )
     return table(("actuator", "predictor", "margin, ms", "delay, ms", "NRMS, %", "peak, %", "NRMS with 120 kg, %"), rows)
 
 
-def tracked(system: System, damper: Damper, conditions: Conditions) -> Tracking:
-    """Return the tracking of the rod under skyhook on class B; the check of the stability is left out."""
+def tracked(system: System, damper: Damper, conditions: Conditions) -> Tracking | None:
+    """Return the tracking of the rod under skyhook on class B, None where the loop diverges; the check of the stability is
+    left out.
+    """
     _, followed = measure_case(system.linear(), damper, Candidate("skyhook", "skyhook"), ROADS["B"], conditions)
     return followed
+
+
+def shown(followed: Tracking) -> tuple[str, str, str]:
+    """Return delay in ms, NRMS and peak in %."""
+    return milliseconds(followed.delay), percent(followed.nrms), percent(followed.peak)
+
+
+def percent(share: float) -> str:
+    """Return a share in %, a small one with a digit more."""
+    return f"{100 * share:.{1 if share >= 0.01 else 2}f}"
 
 
 def hybrid_test(path: str) -> str:

@@ -30,7 +30,7 @@ ORDER = 3
 """Of the extrapolating polynomial: Horiuchi et al. (1999) found the third order best."""
 FORGETTING_TIME = 1.0
 """s, over which the adaptive predictor forgets."""
-SMOOTHING_TIME = 8e-3
+SMOOTHING_TIME = 2e-3
 """s, time constant of each of the three lags behind which the adaptive predictor sees rod and command alike."""
 LEAST_SPEED = 1e-3
 """m/s of the rod, below which the adaptive predictor does not learn."""
@@ -107,17 +107,18 @@ def adaptive_prediction(
 
     ``parameters`` are the period, the delay guessed at first, the forgetting factor and what each lag keeps from sample to
     sample; ``memory`` holds coefficients (3,), covariance (3, 3), room for products (3,), the lags of rod (3,) and command
-    (3,), and the last command.
+    (3,), the last two positions and the last command behind them, the last command, and the number of samples.
     """
-    period, guess, forgetting, decay = parameters[0], parameters[1], parameters[2], parameters[3]
+    period, guess, forgetting, kept = parameters[0], parameters[1], parameters[2], parameters[3]
     coefficients, covariance, products = memory[:3], memory[3:12].reshape((3, 3)), memory[12:15]
-    rod, command = memory[15:18], memory[18:21]
-    smoothed, speed, bend = _smoothed(rod, measured, decay, period)
-    wanted, _, _ = _smoothed(command, memory[21], decay, period)
-    if abs(speed) > LEAST_SPEED:
-        # Scaled so that all coefficients are about one.
-        regressor = (smoothed, guess * speed, 0.5 * guess * guess * bend)
-        error, scale = wanted, forgetting
+    now, commanded = _behind_lags(memory[15:18], measured, kept), _behind_lags(memory[18:21], memory[24], kept)
+    last, before = memory[21], memory[22]
+    speed = (now - before) / (2.0 * period)
+    if memory[25] >= 3.0 and abs(speed) > LEAST_SPEED:
+        # In the middle of three positions; scaled so that all coefficients are about one.
+        bend = (now - 2.0 * last + before) / (period * period)
+        regressor = (last, guess * speed, 0.5 * guess * guess * bend)
+        error, scale = memory[23], forgetting
         for i in range(3):
             error -= coefficients[i] * regressor[i]
             products[i] = 0.0
@@ -134,17 +135,19 @@ def adaptive_prediction(
         + coefficients[1] * guess * velocity
         + coefficients[2] * 0.5 * guess * guess * acceleration
     )
-    memory[21] = predicted
+    memory[21], memory[22] = now, last
+    memory[23], memory[24] = commanded, predicted
+    memory[25] += 1.0
     return float(predicted)
 
 
 @njit(cache=True, nogil=True)
-def _smoothed(state: Array, value: float, decay: float, period: float) -> tuple[float, float, float]:
-    """Return a value behind three equal lags, with its first two derivatives; ``state`` (3,) is what each lag gives."""
-    rate = (1.0 - decay) / (decay * period)
-    for i in range(3):
-        value = state[i] = value + decay * (state[i] - value)
-    return state[2], rate * (state[1] - state[2]), rate * rate * (state[0] - 2.0 * state[1] + state[2])
+def _behind_lags(lags: Array, value: float, kept: float) -> float:
+    """Return a value behind equal lags, which it moves."""
+    for i in range(len(lags)):
+        lags[i] = value + kept * (lags[i] - value)
+        value = lags[i]
+    return value
 
 
 def _prepare_none(period: float, ahead: float) -> tuple[Array, Array]:
@@ -160,7 +163,7 @@ def _prepare_polynomial(period: float, ahead: float) -> tuple[Array, Array]:
 
 
 def _prepare_adaptive(period: float, ahead: float) -> tuple[Array, Array]:
-    memory = np.zeros(22)
+    memory = np.zeros(26)
     memory[:3] = 1.0
     memory[3:12] = np.ravel(np.eye(3) * (TRUST / COMMAND_ERROR) ** 2)
     decays = math.exp(-period / FORGETTING_TIME), math.exp(-period / SMOOTHING_TIME)
