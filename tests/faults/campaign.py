@@ -333,7 +333,10 @@ def _look_at_bag(bench: Bench, begun: float, rest: float, fault: Fault) -> tuple
         return "none", "" if fault.at_random or not fault.recorded else "nothing was recorded"
     try:
         bag = read_bag(bench.bag, {"samples"})
-        (topic,) = (entry for entry in bag.topics.values() if entry.messages)
+        topics = [entry for entry in bag.topics.values() if entry.messages]
+        if not topics:  # broken before the first samples were written, a quarter of a second after the bag was made
+            return "empty", "" if fault.at_random else "the bag has no samples"
+        (topic,) = topics
         blocks = decode_blocks(topic.messages, bag.types)
     except ValueError as error:
         empty = fault.at_random and "samples" in str(error)
