@@ -70,6 +70,7 @@ ROSDEP = {
 WITHOUT_ROSDEP_KEY = {
     "fastapi",
     "nicegui",
+    "pydantic",
     "starlette",
     "uvicorn",
     "distributed",

@@ -106,12 +106,12 @@ def test_an_experiment_goes_from_the_form_into_the_queue(visit, dashboard) -> No
         user.find("Runs").click()
         user.find(marker="rod amplitude_mm").clear().type("80")
         user.find("Preview").click()
-        await user.should_see("exceeds ±26 mm")
+        await user.should_see("exceeds ±26 mm", retries=30)
         user.find(marker="rod amplitude_mm").clear().type("5")
         user.find("Preview").click()
-        await user.should_see("within the limits")
+        await user.should_see("within the limits", retries=30)
         user.find("Add to queue").click()
-        await user.should_see("waits in the queue")
+        await user.should_see("waits in the queue", retries=30)
 
     visit(work)
     (run,) = dashboard.queue.runs
