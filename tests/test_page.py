@@ -242,10 +242,11 @@ def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) 
     bench, name = PageBench(tmp_path), EXAMPLES[0]
     try:
         import_examples(bench)
+        files = [*filter(Path.is_file, (bench.runs / name).iterdir())]
         for number in range(10_000):
             folder = bench.runs / f"{name}-{number}"
             folder.mkdir()
-            for file in filter(Path.is_file, (bench.runs / name).iterdir()):
+            for file in files:
                 os.link(file, folder / file.name)
         bench.wait_until_up()
         for page in open_page(bench):

@@ -1,24 +1,20 @@
-"""Writes the table of docs/control.md on the benchmark problem of real-time hybrid simulation.
-
-python docs/tables/benchmark_problem.py [--check]
+"""The benchmark problem of real-time hybrid simulation, for its table in docs/control.md, which control.py writes.
 
 The building, the hydraulic actuator, the specimen, their spread and the noise are those of the benchmark problem (Silva et
 al., Mech. Syst. Signal Process. 135 (2020) 106381). The inverse of third order of the nominal actuator is what adaptive
 model-based compensation begins with; here it does not learn.
 """
 
-import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete
-from sections import page_with, table
+from sections import table
 
 from mrd_control.excitations import GroundMotion
 from mrd_control.prediction import find_predictor
@@ -27,7 +23,6 @@ from mrd_control.tracking import Tracking, tracking
 Array = NDArray[np.float64]
 Prediction = Callable[[Any, Any, Any, Any, Any, Any], float]
 
-PAGE = Path(__file__).resolve().parents[1] / "control.md"
 RATE = 4096.0
 DURATION = 40.0
 PLANTS = 20
@@ -76,7 +71,7 @@ class Transfer:
 
     @property
     def denominator(self) -> Array:
-        """Coefficients of 1, s, s², s³ of the transfer from position to command without a specimen of a mass."""
+        """Coefficients of 1, s, s², s³ of the transfer from position to command, without the specimen."""
         valve = np.array([self.valve_stiffness, self.valve_damping, 1.0])
         piston = np.array([self.leakage, 1.0 + self.piston])
         closed = np.convolve(valve, piston)
@@ -179,13 +174,15 @@ def benchmark_problem() -> str:
     ground = np.gradient(GROUND.base(int(DURATION * RATE), RATE)[:, 1], 1.0 / RATE)
     rng = np.random.default_rng(1)
     drawn = [Transfer.drawn(rng) for _ in range(PLANTS)]
+    ways: dict[str, Callable[[], tuple[Prediction, Array, Array]]] = {
+        "none": partial(ours, "none"),
+        "inverse of the nominal actuator": inverse,
+        "polynomial": partial(ours, "polynomial"),
+        "adaptive": partial(ours, "adaptive"),
+    }
     rows = []
-    for name in ("none", "inverse of the nominal actuator", "polynomial", "adaptive"):
-
-        def tracked(transfer: Transfer, seed: int, name: str = name) -> Tracking | None:
-            return follow(inverse() if name.startswith("inverse") else ours(name), transfer, ground, seed)
-
-        nominal, *others = (tracked(transfer, seed) for seed, transfer in enumerate((NOMINAL, *drawn)))
+    for name, way in ways.items():
+        nominal, *others = (follow(way(), transfer, ground, seed) for seed, transfer in enumerate((NOMINAL, *drawn)))
         if nominal is None:
             rows.append([name, "unstable", "", "", ""])
             continue
@@ -195,20 +192,3 @@ def benchmark_problem() -> str:
     return table(
         ("compensation", "delay (J1), ms", "NRMS (J2), %", "peak (J3), %", f"NRMS of {PLANTS} drawn plants, %"), rows
     )
-
-
-def main() -> None:
-    """Write or check the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing, fail where the page is not up to date")
-    arguments = parser.parse_args()
-    old = PAGE.read_text(encoding="utf-8")
-    new = page_with(old, "benchmark problem", benchmark_problem(), PAGE)
-    if arguments.check and new != old:
-        sys.exit(f"{PAGE}: not up to date; run docs/tables/benchmark_problem.py")
-    if not arguments.check:
-        PAGE.write_text(new, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -18,6 +18,7 @@ from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
+from benchmark_problem import benchmark_problem
 from sections import page_with, table
 
 from mrd_base import InputError
@@ -219,8 +220,8 @@ def milliseconds(seconds: float) -> str:
 
 OF_FIT = {"laws": laws, "gains": gains, "delays": delays}
 """Sections of the page with the identified damper."""
-OF_BENCH = {"lever": lever, "building": building, "refusal": refusal}
-"""Sections with that of the simulated bench."""
+OF_BENCH = {"lever": lever, "building": building, "refusal": refusal, "benchmark problem": benchmark_problem}
+"""Sections with that of the simulated bench, and with none."""
 
 
 def main() -> None:

@@ -58,7 +58,7 @@ def test_the_adaptive_predictor_learns_a_delay_that_it_was_not_told(delay):
 
 
 def test_the_adaptive_predictor_learns_from_a_noisy_sensor():
-    """As in the benchmark problem: 4096 Hz, 16 µm of noise; here a dead time of 20 ms, told 15 ms."""
+    """Rate and noise are those of the benchmark problem; the predictor is told 15 ms, and the rod is late by 20 ms."""
     predictor = find_predictor("adaptive")
     period, late = 1 / 4096, 82
     parameters, memory = predictor.prepare(period, 0.015)
