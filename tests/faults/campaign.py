@@ -198,6 +198,12 @@ class Bench(WholeBench):
         assert self.client.spin(accepted.done, 30)
         return accepted.result().get_result_async()
 
+    def run_to_random_moment(self, experiment: str) -> Any:
+        """Send an experiment; return the future of its result at a random moment of the procedure."""
+        ended = self.send(experiment)
+        self.advance(self.random.uniform(0.0, _MOMENTS))
+        return ended
+
     def restart(self, name: str) -> None:
         """Start a node that has ended, or was stopped by a signal."""
         if name in self.processes.running:
@@ -260,12 +266,10 @@ def measure(fault: Fault, bench: Bench, number: int) -> Reaction:
     experiment = fault.experiment or usual
     ended: Any = None
     if fault.at_random:
-        ended = bench.send(experiment)
-        bench.advance(bench.random.uniform(0.0, _MOMENTS))
+        ended = bench.run_to_random_moment(experiment)
         if ended.done() and "loaded another experiment" in ended.result().result.message:
             # The generator has answered a request of the supervisor that was killed before.
-            ended = bench.send(experiment)
-            bench.advance(bench.random.uniform(0.0, _MOMENTS))
+            ended = bench.run_to_random_moment(experiment)
     elif not fault.idle:
         ended = bench.run_at_speed(experiment, bench.bag, bench.action)
     with bench.clock.busy():
