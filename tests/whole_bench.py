@@ -1,6 +1,7 @@
 """The whole bench as processes, for the tests of this folder and the fault campaign."""
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,11 @@ BENCH, PLANT = ROOT / "config/bench.yaml", ROOT / "config/plant.yaml"
 
 SLOW = 2e-3
 """m/s; the rod counts as stopped below it."""
+
+
+def without_progress(errors: str) -> list[str]:
+    """Return the lines of stderr but those of the progress, which a bench slowed down by other work has time to print."""
+    return [line for line in errors.splitlines() if not re.search(r", \d+ %(, about \d+ s left)?$", line)]
 
 
 class WholeBench:
