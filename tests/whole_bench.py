@@ -113,7 +113,7 @@ class WholeBench:
             first_fast.append(seconds(self.truth[-1].header.stamp))
             return first_fast[-1] - first_fast[0] > 0.3
 
-        assert self.client.spin(lambda: fast() or ended.done(), 40), "the rod never moved"
+        assert self.client.spin(lambda: fast() or ended.done(), 120), "the rod never moved"
         assert not ended.done(), ended.result().result.message
         return ended
 
