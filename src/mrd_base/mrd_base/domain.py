@@ -15,7 +15,7 @@ _FIRST_PORT, _PORTS_OF_DOMAIN = 7400, 250
 
 
 def domains_in_use() -> set[int]:
-    """Return the domains that ROS programs of this machine are in, by their open UDP ports (DDSI-RTPS 2.5, section 9.6.2)."""
+    """Return the domains that ROS programs of this machine are in, by their UDP ports (DDSI-RTPS 2.5, section 9.6.2)."""
     lines = Path("/proc/net/udp").read_text().splitlines()[1:]
     ports = [int(line.split()[1].rpartition(":")[2], 16) for line in lines]
     return {(port - _FIRST_PORT) // _PORTS_OF_DOMAIN for port in ports if port >= _FIRST_PORT}
