@@ -10,10 +10,19 @@ from pathlib import Path
 
 # Higher domains use ports that Linux also gives to short-lived connections.
 _LAST_DOMAIN = 101
+# Port of the first domain, and how many each has.
+_FIRST_PORT, _PORTS_OF_DOMAIN = 7400, 250
+
+
+def domains_in_use() -> set[int]:
+    """Return the domains that ROS programs of this machine are in, by their UDP ports (DDSI-RTPS 2.5, section 9.6.2)."""
+    lines = Path("/proc/net/udp").read_text().splitlines()[1:]
+    ports = [int(line.split()[1].rpartition(":")[2], 16) for line in lines]
+    return {(port - _FIRST_PORT) // _PORTS_OF_DOMAIN for port in ports if port >= _FIRST_PORT}
 
 
 def claim_domain() -> int:
-    """Put this process and its children into a ROS domain that no other caller on this machine has.
+    """Put this process and its children into a ROS domain that no other program on this machine has.
 
     Sets ``ROS_DOMAIN_ID`` in the environment; call it before ROS is started. The domain is free again when the process ends.
 
@@ -27,8 +36,11 @@ def claim_domain() -> int:
     RuntimeError
         When all domains are in use.
     """
+    in_use = domains_in_use()  # a bench that was given its domain has no lock on it
     for offset in range(_LAST_DOMAIN):
         domain = 1 + (os.getpid() + offset) % _LAST_DOMAIN
+        if domain in in_use:
+            continue
         try:
             lock = os.open(Path(tempfile.gettempdir(), f"mrd_domain_{domain}.lock"), os.O_CREAT | os.O_RDWR, 0o666)
         except OSError:  # the file belongs to another user

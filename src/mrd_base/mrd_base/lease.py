@@ -52,6 +52,8 @@ class Lease:
         Mode of the bench.
     number : int
         What setpoints must carry; 0 where nobody may send any.
+    source : str
+        Node whose setpoints these are; "" where they come from anybody who has the number.
     """
 
     time: float = -math.inf
@@ -59,6 +61,7 @@ class Lease:
     since: float = math.inf
     mode: Mode = Mode.IDLE
     number: int = 0
+    source: str = ""
 
 
 class LeaseWatch:
@@ -73,13 +76,15 @@ class LeaseWatch:
     ----------
     lease : Lease
         Latest renewal by the holder.
+    halt_time : float
+        Bench time in s of the latest `revoke`.
     """
 
     def __init__(self, timeout: float) -> None:
         self._timeout = timeout
         self.lease = Lease()
         self._granted = 0  # latest number
-        self._stopped = -math.inf  # bench time in s of the latest stop
+        self.halt_time = -math.inf
         self._revoked = False  # whether a stop has ended the lease
 
     def renew(self, lease: Lease, now: float) -> str:
@@ -92,7 +97,7 @@ class LeaseWatch:
         # A message that was under way for long is no sign of life, nor is a stamp from the future.
         if now - lease.time <= self._timeout:
             begins = lease.mode.may_move and not self.lease.mode.may_move
-            self._revoked = lease.mode.may_move and (self._revoked or (begins and now - self._stopped < _STOP_MEMORY))
+            self._revoked = lease.mode.may_move and (self._revoked or (begins and now - self.halt_time < _STOP_MEMORY))
             self.lease = replace(lease, time=min(lease.time, now))
             self._granted = lease.number or self._granted
         return ""
@@ -103,7 +108,7 @@ class LeaseWatch:
 
     def revoke(self, now: float) -> None:
         """Permit no motion until the present procedure has ended: somebody has asked for a stop."""
-        self._stopped, self._revoked = now, self.lease.mode.may_move
+        self.halt_time, self._revoked = now, self.lease.mode.may_move
 
     def is_valid(self, now: float) -> bool:
         """Whether the holder has renewed the lease lately."""
@@ -133,11 +138,11 @@ class LeaseWatch:
             return f"the bench is in mode {self.lease.mode}; call stop of {self.lease.holder} first"
         return ""
 
-    def reason_not_to_start(self, mode: Mode, now: float) -> str:
-        """Return why the setpoints of a run in a mode must not be started, or ""; without a lease nobody follows them."""
+    def reason_not_to_start(self, source: str, now: float) -> str:
+        """Return why a source of setpoints must not be started, or ""; without a lease nobody follows them."""
         if self.is_valid(now) and self.lease.mode is Mode.FAULT:
             return f"the emergency stop is latched; call reset_fault of {self.lease.holder} first"
-        return "" if self.lease.mode is mode else self.reason_not_to_change(now)
+        return "" if self.lease.source == source else self.reason_not_to_change(now)
 
     def is_lost(self, now: float) -> bool:
         """Whether the supervisor has fallen silent while rod or coil may move."""

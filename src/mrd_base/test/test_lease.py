@@ -43,11 +43,18 @@ def test_setpoints_need_the_number_of_the_lease() -> None:
 
 def test_a_run_of_one_kind_permits_none_of_the_other_to_start() -> None:
     watch = LeaseWatch(0.15)
-    assert watch.reason_not_to_start(Mode.CONTROL, 100.0) == ""  # nobody is there who would follow it
-    watch.renew(OWN, 100.0)
-    assert watch.reason_not_to_start(Mode.IDENTIFICATION, 100.0) == ""
-    assert "the bench is in mode identification; call stop of one" in watch.reason_not_to_start(Mode.CONTROL, 100.0)
-    assert watch.reason_not_to_start(Mode.CONTROL, 101.0) == ""
+    assert watch.reason_not_to_start("controller", 100.0) == ""  # nobody is there who would follow it
+    watch.renew(dataclasses.replace(OWN, source="generator"), 100.0)
+    assert watch.reason_not_to_start("generator", 100.0) == ""
+    assert "the bench is in mode identification; call stop of one" in watch.reason_not_to_start("controller", 100.0)
+    assert watch.reason_not_to_start("controller", 101.0) == ""
+
+
+def test_a_controller_does_not_join_in_where_somebody_controls_by_hand() -> None:
+    """The supervisor would not apply the interlocks of a hybrid test."""
+    by_hand = watch(dataclasses.replace(OWN, mode=Mode.CONTROL))
+    assert by_hand.reason_not_to_follow(7, 100.0) == ""
+    assert "the bench is in mode control; call stop of one" in by_hand.reason_not_to_start("controller", 100.0)
 
 
 def test_a_lease_is_void_once_it_is_not_renewed() -> None:

@@ -53,7 +53,7 @@ class LivePrediction:
 
     def force(self, samples: Samples) -> Array:
         """Return the modelled force (n,) in N at the samples."""
-        velocity, acceleration = motion(samples)
+        velocity, acceleration = derivative(samples, 1), derivative(samples, 2)
         path = make_path(samples.time - samples.time[0], samples.position, velocity, acceleration, samples.current)
         return np.asarray(self.model.force(self.theta, path))
 
@@ -77,19 +77,16 @@ def compile_prediction(fit: str) -> None:
     try_prediction(fit)
 
 
-def motion(samples: Samples) -> tuple[Array, Array]:
-    """Return velocity (n,) in m/s and acceleration (n,) in m/s² of a local quadratic through the positions.
+def derivative(samples: Samples, order: int) -> Array:
+    """Return velocity (order 1, in m/s) or acceleration (2, in m/s²) (n,) of a local quadratic through the positions.
 
     Source: Savitzky and Golay (1964), Analytical Chemistry 36, 1627-1639.
     """
     if len(samples) < 5:
-        return np.zeros(len(samples)), np.zeros(len(samples))
+        return np.zeros(len(samples))
     period = (samples.time[-1] - samples.time[0]) / (len(samples) - 1)
     window = min(max(5, 2 * round(_SMOOTHING / period / 2) + 1), len(samples) - 1 + len(samples) % 2)
-    velocity, acceleration = (
-        savgol_filter(samples.position, window, 2, deriv=derivative, delta=period) for derivative in (1, 2)
-    )
-    return velocity, acceleration
+    return np.asarray(savgol_filter(samples.position, window, 2, deriv=order, delta=period))
 
 
 def live_frame(history: SampleHistory, prediction: LivePrediction | None = None) -> dict[str, list[float]]:
@@ -100,7 +97,7 @@ def live_frame(history: SampleHistory, prediction: LivePrediction | None = None)
     samples = history.latest(SHOWN + (_LEAD if prediction else 0.0))
     if not len(samples):
         return {name: [] for name in COLUMNS}
-    velocity, _ = motion(samples)
+    velocity = derivative(samples, 1)
     stride = -(-int(np.count_nonzero(samples.time > samples.time[-1] - SHOWN)) // MOST_POINTS)
     drawn = np.flatnonzero((samples.number % stride == 0) & (samples.time >= samples.time[-1] - SHOWN))
     columns = [samples.time - samples.time[-1], samples.force, 1e3 * samples.position, 1e3 * samples.current, 1e3 * velocity]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mrd_base import InputError
-from mrd_dashboard.live_frame import motion
+from mrd_dashboard.live_frame import derivative
 from mrd_dashboard.sample_history import Samples
 from mrd_identification.preflight import preflight
 from mrd_runs import Run, read_run
@@ -88,7 +88,7 @@ def look_at(path: str) -> Look:
 def velocity_of(run: Run) -> Any:
     """Return the velocity (n,) in m/s by which a run is drawn."""
     samples = Samples(np.arange(len(run)), run.time, run.position, run.force, run.current)
-    return motion(samples)[0]
+    return derivative(samples, 1)
 
 
 def _picture(velocity: Any, force: Any) -> str:

@@ -42,12 +42,14 @@ class SampleHistory:
 
     def __init__(self, capacity: int = 60_000) -> None:
         self._lock = threading.Lock()
-        self._ring = np.zeros((4, capacity))
-        self._numbers = np.zeros(capacity, dtype=np.int64)
-        self._added = 0
+        self._capacity = capacity
+        # Twice as long as what is kept: samples follow each other in memory, and move to the front when the end is reached.
+        self._series = np.zeros((4, 2 * capacity))
+        self._numbers = np.zeros(2 * capacity, dtype=np.int64)
+        self._end = 0
 
     def add(self, number: int, time: float, period: float, position: Array, force: Array, current: Array) -> None:
-        """Add a block of samples.
+        """Add a block of samples, at most as many as are kept.
 
         Parameters
         ----------
@@ -59,23 +61,24 @@ class SampleHistory:
             In m, N, A.
         """
         count = len(position)
-        times = time + period * np.arange(count)
         with self._lock:
-            capacity = len(self._numbers)
-            if self._added and count and times[0] <= self._ring[0, (self._added - 1) % capacity]:
-                self._added = 0  # the bench was started again
-            places = (self._added + np.arange(count)) % capacity
-            self._ring[:, places] = times, position, force, current
-            self._numbers[places] = number + np.arange(count)
-            self._added += count
+            if self._end and count and time <= self._series[0, self._end - 1]:
+                self._end = 0  # the bench was started again
+            if self._end + count > 2 * self._capacity:
+                kept = slice(self._end - self._capacity + count, self._end)
+                self._end = self._capacity - count
+                self._series[:, : self._end], self._numbers[: self._end] = self._series[:, kept], self._numbers[kept]
+            new = slice(self._end, self._end + count)
+            self._series[:, new] = time + period * np.arange(count), position, force, current
+            self._numbers[new] = number + np.arange(count)
+            self._end += count
 
     def latest(self, duration: float) -> Samples:
         """Return the samples of the last ``duration`` s; none before the first block came."""
         with self._lock:
-            capacity = len(self._numbers)
-            kept = min(self._added, capacity)
-            places = (self._added - kept + np.arange(kept)) % capacity
-            times = self._ring[0, places]
-            if kept:
-                places = places[np.searchsorted(times, times[-1] - duration) :]
-            return Samples(self._numbers[places], *self._ring[:, places])
+            first = max(self._end - self._capacity, 0)
+            times = self._series[0, first : self._end]
+            if len(times):
+                first += int(np.searchsorted(times, times[-1] - duration))
+            shown = slice(first, self._end)
+            return Samples(self._numbers[shown].copy(), *self._series[:, shown].copy())

@@ -62,13 +62,18 @@ class _Formattable:
 
     value: Interval
     unit: str
+    undetermined: bool = False
 
     def __format__(self, style: str) -> str:
+        if self.undetermined:
+            return f"{format_quantity(self.value.value, self.unit, style)} (not determined)"
         return format_quantity(self.value, self.unit, style)
 
 
 def _formattable(parameter: Parameter, known: Mapping[str, ParameterEstimate]) -> _Formattable:
     if parameter.name in known:
         estimate = known[parameter.name]
-        return _Formattable(estimate.value, estimate.unit or parameter.unit)
+        interval = estimate.value
+        undetermined = interval.lower <= parameter.lower and interval.upper >= parameter.upper
+        return _Formattable(interval, estimate.unit or parameter.unit, undetermined)
     return _Formattable(Interval(parameter.default), parameter.unit)

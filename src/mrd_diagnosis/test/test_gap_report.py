@@ -727,6 +727,17 @@ def test_every_effect_has_a_phrase(effect):
     assert "±" in clause
 
 
+def test_a_size_that_may_be_any_is_called_undetermined():
+    viscous, exponent, _ = EFFECTS["shear_thinning"].parameters
+    sizes = {
+        "viscous": ParameterEstimate(Interval(viscous.upper, viscous.lower, viscous.upper), viscous.unit),
+        "exponent": ParameterEstimate(Interval(0.9, exponent.lower, 0.95), exponent.unit),
+    }
+    clause = effect_clause("shear_thinning", sizes)
+    assert "5000 N·s/m (not determined) of its viscosity" in clause
+    assert "the exponent 0.9 (0.3 to " in clause
+
+
 def test_an_effect_without_phrase_is_called_by_its_title(monkeypatch):
     monkeypatch.setitem(EFFECTS, "joint_play", replace(EFFECTS["joint_play"], phrase=""))
     parameters = {"joint_play.play": ParameterEstimate(Interval(3e-4), "m")}

@@ -58,7 +58,14 @@ class LeaseFollower(LeaseWatch):
             return
         self.check()  # a new supervisor must not hide the loss of the one before
         before = self.lease.mode
-        lease = Lease(seconds(message.header.stamp), message.holder, message.since, Mode(message.mode), int(message.number))
+        lease = Lease(
+            seconds(message.header.stamp),
+            message.holder,
+            message.since,
+            Mode(message.mode),
+            int(message.number),
+            message.source,
+        )
         if refusal := self.renew(lease, self._node.bench.now()):
             self._warn(refusal)
         elif before.may_move and self.lease.mode is Mode.FAULT:

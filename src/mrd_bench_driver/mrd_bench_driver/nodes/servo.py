@@ -116,6 +116,8 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def _publish(self, status: ServoStatus) -> None:
         """Publish a status. Only the thread of the serial line calls this, so that only it uses these publishers."""
+        self._lease.check()  # also where a callback hangs, with which the executor's own check does
+        status = dataclasses.replace(status, halt_time=self._lease.halt_time)
         state = msg.ServoState(**{name: value for name, value in vars(status).items() if name != "time"})
         state.header.stamp = self.stamp(status.time)
         self._state.publish(state)

@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -65,6 +65,8 @@ _REQUEST_THREADS = 8
 _RENEWAL = 0.04
 # Wall time in s for running actions to end when the node closes.
 _CLOSE_TIMEOUT = 2.0
+# Bench time in s within which an emergency stop that is heard may be our own.
+_ECHO = 0.1
 
 
 class SupervisorNode(BenchNode[SupervisorConfig]):
@@ -82,11 +84,9 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._emergency_stop = EMERGENCY_STOP.publisher(self)
         self._lease = LEASE.publisher(self)
         self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
-        self._late = 0
+        self._late, self._stop_sent = 0, -math.inf
         self._renewed, self._lease_lock = -math.inf, threading.Lock()
-        self._supervisor = Supervisor(
-            self.config, self.bench, self._peers, self._announce, lambda stop: self._emergency_stop.publish(Bool(data=stop))
-        )
+        self._supervisor = Supervisor(self.config, self.bench, self._peers, self._announce, self._send_emergency_stop)
         hear_emergency_stop(self, self._on_emergency_stop)
         LEASE.subscription(self, self._on_lease)
         # First what servo and DAQ say, then what they measure: a cause comes before its consequences.
@@ -102,6 +102,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self.create_bench_timer(self.config.check, self._tick)
 
         self._active_goals: list[ServerGoalHandle] = []
+        self._stops_before: dict[bytes, int] = {}  # number of stops that came before a goal was accepted, by its id
         self._request_node = Node("supervisor_requests", start_parameter_services=False, enable_rosout=False)
         self._create_request_servers()
         self._request_executor = MultiThreadedExecutor(num_threads=_REQUEST_THREADS)
@@ -143,6 +144,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
                 execute,
                 callback_group=group,
                 goal_callback=self._goal_callback(action.name, check),
+                handle_accepted_callback=self._accept,
                 cancel_callback=lambda _goal: CancelResponse.ACCEPT,
             )
             for action, (execute, check) in actions.items()
@@ -160,6 +162,11 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             return GoalResponse.ACCEPT
 
         return accept
+
+    def _accept(self, goal: ServerGoalHandle) -> None:
+        # A stop that comes before the goal begins is meant for it.
+        self._stops_before[bytes(goal.goal_id.uuid)] = self._supervisor.stops
+        goal.execute()
 
     # Topics and the service emergency_stop
 
@@ -216,19 +223,26 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         # Mode and number are read under the lock, so that no renewal with an earlier mode comes after a change.
         with self._lease_lock:
             self._renewed = self.bench.now()
-            lease = Lease(holder=self._holder, since=self._since, mode=int(mode.current), number=mode.lease)
+            lease = Lease(
+                holder=self._holder, since=self._since, mode=int(mode.current), number=mode.lease, source=mode.source
+            )
             lease.header.stamp = self.stamp(self._renewed)
             self._lease.publish(lease)
 
     def _on_emergency_stop(self, message: Bool) -> None:
-        # False has no effect: only reset_fault releases the stop. In a fault, this message may be our own.
-        if message.data and self._supervisor.mode.current is not Mode.FAULT:
+        # False has no effect: only reset_fault releases the stop. In a fault, this message may be our own; else it must
+        # not be missed there either, because a reset may be under way.
+        if message.data and (self._supervisor.mode.current is not Mode.FAULT or self.bench.now() > self._stop_sent + _ECHO):
             self._supervisor.emergency_stop("emergency stop on the topic")
 
     def _on_emergency_stop_service(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._supervisor.emergency_stop("emergency stop by the service")
         response.success, response.message = True, "latched; call reset_fault"
         return response
+
+    def _send_emergency_stop(self, stop: bool) -> None:
+        self._stop_sent = self.bench.now()
+        self._emergency_stop.publish(Bool(data=stop))
 
     def _announce(self, mode: BenchMode) -> None:
         # Servo and DAQ hear of the mode first: whoever reads the state and calls a stop means this mode.
@@ -247,8 +261,8 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         def progress(phase: str, elapsed: float, duration: float) -> None:
             goal.publish_feedback(RunExperiment.Feedback(phase=phase, elapsed=elapsed, duration=duration))
 
-        with self._active(goal):
-            outcome = run(request.experiment, request.bag, request.seed, progress, lambda: goal.is_cancel_requested)
+        with self._active(goal) as cancelled:
+            outcome = run(request.experiment, request.bag, request.seed, progress, cancelled)
             self._end(goal, outcome)
         return RunExperiment.Result(success=outcome.success, message=outcome.message, **_bag_fields(outcome.recorded))
 
@@ -260,10 +274,8 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
                 RunSet.Feedback(experiment=run.name, number=number, phase=phase, elapsed=elapsed, duration=duration)
             )
 
-        with self._active(goal):
-            outcome = self._supervisor.run_set(
-                request.experiments, request.folder, request.seed, progress, lambda: goal.is_cancel_requested
-            )
+        with self._active(goal) as cancelled:
+            outcome = self._supervisor.run_set(request.experiments, request.folder, request.seed, progress, cancelled)
             self._end(goal, outcome)
         recordings = [
             Recording(experiment=run.name, complete=run_outcome.success, **_bag_fields(run_outcome.recorded))
@@ -273,10 +285,12 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         return RunSet.Result(success=outcome.success, message=outcome.message, recordings=recordings)
 
     @contextlib.contextmanager
-    def _active(self, goal: ServerGoalHandle) -> Any:
+    def _active(self, goal: ServerGoalHandle) -> Iterator[Callable[[], bool]]:
+        """Keep a goal among those that run; yields what tells whether it is cancelled, or the bench stopped."""
         self._active_goals.append(goal)
+        before = self._stops_before.pop(bytes(goal.goal_id.uuid))
         try:
-            yield
+            yield lambda: goal.is_cancel_requested or self._supervisor.stops != before
         finally:
             self._active_goals.remove(goal)
 

@@ -21,4 +21,5 @@ class ServoStatus:
     moving: bool = False
     fault: bool = False
     stopped: bool = False
+    halt_time: float = -math.inf
     message: str = ""

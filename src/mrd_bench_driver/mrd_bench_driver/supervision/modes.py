@@ -32,6 +32,8 @@ class BenchMode:
     current, reason : Mode, str
     lease : int
         Number of the lease that the mode grants for setpoints; 0 where nobody may send any.
+    source : str
+        Node whose setpoints these are; "" where they come from anybody who has the number.
     """
 
     def __init__(self, on_change: Callable[["BenchMode"], None], new_number: Callable[[], int] | None = None) -> None:
@@ -40,12 +42,12 @@ class BenchMode:
         self._new_number = new_number or itertools.count(1).__next__
         self._set(Mode.IDLE, "started")
 
-    def _set(self, mode: Mode, reason: str) -> None:
+    def _set(self, mode: Mode, reason: str, source: str = "") -> None:
         self.lease = self._new_number() if mode.takes_setpoints else 0
-        self.current, self.reason = mode, reason
+        self.current, self.reason, self.source = mode, reason, source
         self._on_change(self)
 
-    def enter(self, mode: Mode, reason: str) -> None:
+    def enter(self, mode: Mode, reason: str, source: str = "") -> None:
         """Change to another mode.
 
         Raises
@@ -60,7 +62,7 @@ class BenchMode:
                 raise TrippedError(self.reason)
             if mode not in TRANSITIONS[self.current]:
                 raise RefusedError(f"the bench cannot go from {self.current} to {mode}; call stop first")
-            self._set(mode, reason)
+            self._set(mode, reason, source)
 
     def leave(self, reason: str) -> None:
         """Return to idle from a mode in which the rod may move. A fault stays."""

@@ -214,6 +214,8 @@ class BenchOperations:
         """Start the setpoints of the loaded experiment."""
         if self._told.loads != self._loads:
             raise RefusedError(f"{self.source.node}: somebody has loaded another experiment meanwhile; run this one again")
+        if self._told.state == "aborted":
+            raise RefusedError(f"the {self.source.node} aborted the experiment before its start; {self._told.reason}")
         self._call(self.source.start)
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
@@ -334,9 +336,9 @@ class BenchOperations:
 
     # The rod
 
-    def enter(self, mode: Mode, reason: str = "run_experiment") -> None:
+    def enter(self, mode: Mode, reason: str, source: str = "") -> None:
         """Change to a mode in which the rod may move and the interlocks are checked; wait until all have heard of it."""
-        self._mode.enter(mode, reason)
+        self._mode.enter(mode, reason, source)
         self._clock.sleep(_LEASE_DELAY)
 
     def centre(self, *, always: bool = False, require: Callable[[], None] = lambda: None) -> None:
@@ -383,6 +385,7 @@ class BenchOperations:
             self._peers.call("servo/stop", timeout)
         finally:
             self._peers.call("servo/enable", timeout, data=False)
+            self._monitor.own_halt_time = self._clock.now()
 
     def halt_all(self) -> list[str]:
         """Stop the rod and an experiment, whatever runs; return what failed."""

@@ -54,7 +54,7 @@ class _Experiment:
         self._undo.append(bench.halt)
         bench.centre(require=bench.require_recorder)
         # From here on, nobody else homes, records or tares. Nothing moves without the setpoints, which come last.
-        bench.enter(bench.source.mode, bench.source.action)
+        bench.enter(bench.source.mode, bench.source.action, bench.source.node)
         bench.tare()
         bench.enable()
         self._progress("recording", 0.0, self._duration)

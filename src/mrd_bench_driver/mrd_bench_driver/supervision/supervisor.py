@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -55,6 +56,8 @@ class Supervisor:
         The mode of the bench and its reason.
     procedure : str
         Name of the procedure that runs, or "".
+    stops : int
+        How often `stop` was called.
     """
 
     def __init__(
@@ -69,13 +72,16 @@ class Supervisor:
         self._send_emergency_stop = send_emergency_stop
         self._runs = Path(config.runs).expanduser()
         self._lock = threading.Lock()
-        self._stop_requested = threading.Event()
+        self._emergency_stops = 0  # so many have come
+        self._stops_before = 0  # stops that came before the present procedure
+        self._begun = -math.inf  # bench time of its beginning
         self._punctuality = Punctuality(config.late)
         self._checked = clock.now()
         self.monitor = BenchMonitor(clock)
         # The time in microseconds is unique, also among supervisors that follow each other.
         self.mode = BenchMode(on_mode, lambda: int(1e6 * clock.now()))
         self.procedure = ""
+        self.stops = 0
 
     # Interlocks and the emergency stop
 
@@ -110,6 +116,7 @@ class Supervisor:
 
     def emergency_stop(self, reason: str) -> None:
         """Stop everything at once. The stop is latched until `reset_fault`; the reason of the first stop stays."""
+        self._emergency_stops += 1
         self._send_emergency_stop(True)
         self.mode.trip(reason)
 
@@ -151,7 +158,7 @@ class Supervisor:
 
     def stop(self) -> str:
         """Stop whatever runs; return the message of success."""
-        self._stop_requested.set()
+        self.stops += 1
         try:
             with self._clock.busy():
                 failures = self._operations().halt_all()
@@ -170,8 +177,12 @@ class Supervisor:
                 raise RefusedError(f"the bench is in mode {self.mode.current}; call stop first")
             bench = self._operations(never_interrupted)
             bench.require_servo_and_daq()
+            emergency_stops = self._emergency_stops
             try:
                 bench.reset_faults()
+                # The reset of servo and DAQ has erased what they heard meanwhile.
+                if self._emergency_stops != emergency_stops:
+                    raise RefusedError("an emergency stop came during the reset; reset again once nobody is in danger")
             except RefusedError:
                 # A node that was reset already is stopped again.
                 self._send_emergency_stop(True)
@@ -250,8 +261,11 @@ class Supervisor:
     def _raise_if_interrupted(self) -> None:
         self._check_stall()
         self.mode.require_no_fault()
-        if self._stop_requested.is_set():
+        if self.stops != self._stops_before:
             raise CancelledError
+        # Servo and DAQ forget a stop of what does not move yet. The procedure must not go on as if nobody had asked.
+        if (servo := self.monitor.servo) and servo.halt_time > max(self._begun, self.monitor.own_halt_time):
+            raise RefusedError("servo: somebody stopped the rod (by servo/stop or servo/enable); begin anew")
 
     def _run_exclusively(
         self,
@@ -299,7 +313,7 @@ class Supervisor:
         with self._lock:
             self._require_no_procedure()
             self.procedure = procedure
-            self._stop_requested.clear()
+            self._stops_before, self._begun = self.stops, self._clock.now()
         try:
             with self._clock.busy():
                 yield

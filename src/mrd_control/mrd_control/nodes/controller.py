@@ -104,7 +104,7 @@ class ControllerNode(BenchNode[ControllerSettings]):
         return response
 
     def _start(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if reason := self._lease.reason_not_to_start(Mode.CONTROL, self.bench.now()):
+        if reason := self._lease.reason_not_to_start("controller", self.bench.now()):
             response.message = reason
         elif self._state != "loaded":
             response.message = f"no hybrid test is loaded ({self._state}); call load_control first"
@@ -122,6 +122,8 @@ class ControllerNode(BenchNode[ControllerSettings]):
         response.success = True
         if self._state == "running":
             self._end("on request")
+        elif self._state == "loaded":
+            self._enter("aborted", "on request")
         else:
             response.message = f"nothing was running ({self._state})"
         return response

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from ament_index_python import get_package_share_directory
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
@@ -284,8 +283,7 @@ def _experiments(folder: str) -> Path:
 
 def main() -> None:
     """Entry point of ``ros2 run mrd_dashboard page``."""
-    # Commands are sent from the thread of the web server; this executor may be used from two threads.
-    run_node(Page, SingleThreadedExecutor)
+    run_node(Page)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ class Generator(BenchNode[GeneratorSettings]):
         return response
 
     def _start_experiment(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if reason := self._lease.reason_not_to_start(Mode.IDENTIFICATION, self.bench.now()):
+        if reason := self._lease.reason_not_to_start("generator", self.bench.now()):
             response.message = reason
         elif self._state != "loaded":
             response.message = f"no experiment is loaded ({self._state}); call load_experiment first"
@@ -86,7 +86,7 @@ class Generator(BenchNode[GeneratorSettings]):
 
     def _abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
-        if self._state == "running":
+        if self._state in ("loaded", "running"):
             self._enter("aborted", "on request")
         else:
             response.message = f"nothing was running ({self._state})"
