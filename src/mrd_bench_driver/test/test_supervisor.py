@@ -91,6 +91,8 @@ class Fakes:
         self.bag = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
         self.refusing: dict[str, str] = {}  # message of each service that refuses
         self.planning = 0.0  # wall time in s that the generator takes to plan
+        self.meanwhile: dict[str, Callable[[], None]] = {}  # what happens when a service is called
+        self.deaf = False  # whether the servo has forgotten the emergency stop that it heard
         self.remaining = 0
         self.recorder_said = "idle", ""
 
@@ -115,6 +117,7 @@ class Fakes:
     def _serve(self, name: str, work: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
         def serve(request: Any, response: Any) -> Any:
             self.calls.append(name + (f" {request.data}" if name == "servo/enable" else ""))
+            self.meanwhile.get(name, lambda: None)()
             if name in self.refusing:
                 response.message = self.refusing[name]
                 return response
@@ -130,12 +133,17 @@ class Fakes:
 
     def _on_stop(self, message: Bool) -> None:
         self.stops.append((self.graph.clock.now(), message.data))
-        if message.data:
+        if message.data and not self.deaf:
             self.servo.stopped, self.servo.enabled, self.servo.velocity = True, False, 0.0
             self._abort(None, None)
 
     def _enable(self, request: Any, _response: Any) -> None:
         self.servo.enabled = request.data
+        if not request.data:
+            self.note_halt()
+
+    def note_halt(self) -> None:
+        self.servo.halt_time = self.graph.clock.now()
 
     def _home(self, _request: Any, _response: Any) -> None:
         self.position = self.servo.position = 0.0
@@ -143,6 +151,7 @@ class Fakes:
 
     def _halt(self, _request: Any, _response: Any) -> None:
         self.servo.velocity = 0.0
+        self.note_halt()
 
     def _reset_servo(self, _request: Any, _response: Any) -> None:
         self.servo.stopped = self.servo.fault = False
@@ -169,6 +178,9 @@ class Fakes:
     def _start_recording(self, request: Any, _response: Any) -> None:
         self.bag["bag"] = request.bag
         self.tell_recorder_state("recording")
+
+    def tell_experiment(self, state: str) -> None:
+        self._experiment.publish(String(data=state))
 
     def tell_recorder_state(self, state: str, problem: str = "") -> None:
         self.recorder_said = state, problem
@@ -440,6 +452,53 @@ def test_stop_ends_an_experiment_and_control(fakes: Fakes) -> None:
     fakes.force = -900.0
     fakes.graph.until(lambda: fakes.mode() == BenchState.FAULT)
     assert fakes.stops[-1][1]
+
+
+@pytest.mark.parametrize("step", STEPS[:3])
+def test_a_stop_of_a_rod_that_does_not_move_yet_ends_the_procedure(fakes: Fakes, step: str) -> None:
+    """The servo answers that it has stopped; what it then forgets, the supervisor must not."""
+    fakes.meanwhile[step] = fakes.note_halt
+    result = fakes.result(fakes.send()).result
+    assert result.message.startswith("servo: somebody stopped the rod"), result.message
+    assert "start_experiment" not in fakes.calls
+    fakes.meanwhile.clear()
+    assert fakes.result(fakes.send()).result.success, "the stop is over with the procedure"
+
+
+def test_a_stop_between_two_runs_ends_their_set(fakes: Fakes, tmp_path: Any) -> None:
+    fakes.meanwhile["stop_recording"] = fakes.note_halt
+    result = fakes.result(fakes.send_set(str(tmp_path))).result
+    assert result.message.startswith("02_b: servo: somebody stopped the rod"), result.message
+    assert [recording.experiment for recording in result.recordings] == ["01_a"]
+
+
+def test_an_abort_before_the_start_ends_the_run(fakes: Fakes) -> None:
+    fakes.meanwhile["servo/home"] = lambda: fakes.tell_experiment("aborted: on request")
+    result = fakes.result(fakes.send()).result
+    assert result.message.startswith("the generator aborted the experiment before its start; on request"), result.message
+    assert "start_experiment" not in fakes.calls
+
+
+def test_an_emergency_stop_during_the_reset_is_not_erased_by_it(fakes: Fakes) -> None:
+    assert fakes.graph.call("emergency_stop", Trigger).success
+    fakes.graph.until(lambda: fakes.servo.stopped)
+    fakes.await_ticks(10)  # longer than the supervisor takes what it hears for its own stop
+    fakes.deaf = True  # the servo has heard it before it was reset
+    fakes.meanwhile["daq/reset_fault"] = lambda: fakes.emergency_stop.publish(Bool(data=True))
+    fakes.meanwhile["servo/reset_fault"] = lambda: fakes.emergency_stop.publish(Bool(data=True))
+    answer = fakes.graph.call("reset_fault", Trigger)
+    assert not answer.success
+    assert answer.message.startswith("an emergency stop came during the reset"), answer.message
+    assert fakes.mode() == BenchState.FAULT
+
+
+def test_the_lease_names_whose_setpoints_are_followed(fakes: Fakes) -> None:
+    handle = fakes.running()
+    assert fakes.leases[-1].source == "generator"
+    fakes.result(handle)
+    assert fakes.graph.call("control", SetBool, data=True).success
+    fakes.graph.until(lambda: fakes.leases[-1].mode == BenchState.CONTROL)
+    assert (fakes.leases[-1].source, fakes.leases[-1].number > 0) == ("", True)
 
 
 def test_what_is_missing_refuses_the_experiment_before_anything_moves(graph: Any, start: Callable[..., Fakes]) -> None:
