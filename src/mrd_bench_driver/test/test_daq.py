@@ -1,11 +1,15 @@
 """The DAQ as a process, with a fake of the simulated plant's terminals."""
 
 import array
+import itertools
 import math
+import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -13,6 +17,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, seconds
+from mrd_bench_driver.nodes.daq import DaqNode
 from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, BenchState, Calibration, Lease, Setpoint
 
 pytestmark = pytest.mark.realtime
@@ -390,3 +395,71 @@ def test_a_daq_that_cannot_work_says_one_line(graph: Any, parameters: dict[str, 
     assert said.startswith("error: ")
     assert line in said
     assert said.count("\n") == 1
+
+
+class HungDaq:
+    """A DAQ node whose callbacks the test calls: nobody spins it, as if a callback hung. A plant follows its output."""
+
+    def __init__(self) -> None:
+        self.node = DaqNode()
+        self.volts = [0.0]
+        self.problems = [""]  # when each voltage was set
+        self.node._backend.send = self._set
+        self._numbers = itertools.count(0, BLOCK)
+
+    def _set(self, volts: float) -> None:
+        self.volts.append(volts)
+        self.problems.append(self.node._daq.problem)
+
+    def renew(self, mode: int) -> None:
+        self.node._lease._on_lease(Lease(header=self._header(), holder="test", mode=mode, number=7))
+
+    def drive(self) -> None:
+        self.renew(BenchState.IDENTIFICATION)
+        self.node._on_setpoint(Setpoint(header=self._header(), coil_current=0.5, lease=7))
+        assert self.volts[-1] == 2.5
+
+    def _header(self) -> Any:
+        header = Lease().header
+        header.stamp = self.node.stamp()
+        return header
+
+    def read(self) -> None:
+        """Let the converter deliver a block, in which the coil has the current that was asked for."""
+        current = 2.5 + 0.185 * 0.2 * self.volts[-1]
+        rows = [np.full(BLOCK, volts) for volts in (REST[0], REST[1], current, REST[4])]
+        inputs = ["ai0", "ai1", "ai2", "ai4"]
+        self.node._backend.feed(next(self._numbers), self.node.bench.now(), 1 / RATE, inputs, np.concatenate(rows))
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def hung(monkeypatch: pytest.MonkeyPatch) -> Iterator[HungDaq]:
+    # On a busy machine, neither may be old before the test has gone on.
+    options = ["-p", "lease_timeout_ms:=1000.0", "-p", "setpoint_timeout_ms:=300.0"]
+    monkeypatch.setattr("sys.argv", ["daq", "--ros-args", *options])
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/hung"])
+    daq = HungDaq()
+    yield daq
+    daq.node.close()
+    daq.node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_a_daq_whose_callbacks_hang_sets_0_volts_as_long_as_it_reads(hung: HungDaq) -> None:
+    hung.read()
+    hung.drive()
+    end = time.monotonic() + 1.5
+    while time.monotonic() < end:
+        hung.read()
+    # The setpoint is old first, which stops nothing for good. Then the lease is lost.
+    assert (hung.volts, hung.problems) == ([0.0, 2.5, 0.0], ["", "", ""])
+    assert hung.node.health()[0].startswith("the supervisor test has been silent for ")
+
+
+def test_the_coil_is_off_when_the_bench_may_move_no_more_and_the_next_run_may_switch_it_on(hung: HungDaq) -> None:
+    hung.drive()
+    hung.renew(BenchState.IDLE)
+    assert hung.volts == [0.0, 2.5, 0.0]
+    assert hung.node.health()[0] == ""
+    hung.drive()

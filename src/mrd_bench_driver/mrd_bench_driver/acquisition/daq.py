@@ -17,6 +17,8 @@ from mrd_bench_driver.acquisition.config import DaqConfig
 
 # Wall time in s for the reading thread to notice a fault or the end; a read returns within this time.
 _READ_TIMEOUT = 3.0
+# It comes before the fault, so that nobody cuts it off.
+_LIVE_COIL = "the coil may still have current, switch its supply off; "
 
 
 class Daq:
@@ -31,7 +33,7 @@ class Daq:
     on_calibration : callable
         Called when `channels`, `rate` or `tare_time` have changed.
     on_problem : callable
-        Receives the fault or the reason of a latched stop when there is a new one, and "" after `reset_fault`.
+        Receives the fault or the reason of a latched stop when it has changed, and "" after `reset_fault`.
 
     Attributes
     ----------
@@ -73,7 +75,10 @@ class Daq:
         self._fault = ""
         self._refused = ""  # why the latest refused setpoint was refused
         self._setpoint_time = -math.inf
-        self._volts = 0.0  # on the coil output
+        self._told = ""  # the problem that was told last
+        self._volts = 0.0  # on the coil output, as last written with success
+        self._live = False  # whether the output may have another voltage than 0: a write that failed may have come through
+        self._stuck = False  # whether the latest try to set a live output to 0 V failed
         self._commands: collections.deque[tuple[float, float]] = collections.deque([(-math.inf, 0.0)])  # times and A
 
         self._closing = threading.Event()
@@ -89,6 +94,7 @@ class Daq:
         """Set the coil output to 0 V, stop reading, and close the backend."""
         with self._lock:
             self._emergency_stop = "the node ends"
+            self._told = self.problem  # nobody needs to hear of that
             with contextlib.suppress(Exception):
                 self._backend.write(0.0)
         self._closing.set()
@@ -214,30 +220,41 @@ class Daq:
             if not self._emergency_stop and not self._fault:
                 self._write(coil_voltage(current, self._config.coil, limits), allowed)
 
-    def check_setpoint_age(self) -> None:
-        """Set the coil output to 0 V if no setpoint has come for too long."""
+    def check_output(self) -> None:
+        """Set the coil output to 0 V if no setpoint has come for too long, or if that failed when the DAQ stopped."""
         with self._lock:
-            if self._volts != 0 and self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
+            if self.problem or self._clock.now() - self._setpoint_time > self._config.setpoint_timeout:
+                self.rest()
+
+    def rest(self) -> None:
+        """Set the coil output to 0 V until the next setpoint."""
+        with self._lock:
+            if self._live:
                 self._write(0.0)
 
     def emergency_stop(self, reason: str = "emergency stop") -> None:
         """Set the coil output to 0 V until `reset_fault`; the first reason stays."""
         with self._lock:
-            new = not self._emergency_stop
             self._emergency_stop = self._emergency_stop or reason
             self._write(0.0)
-        if new:
-            self._on_problem(self.problem)
 
     def _write(self, volts: float, current: float = 0.0) -> None:
-        try:
-            with self._lock:
+        with self._lock:
+            self._live = self._live or volts != 0
+            try:
                 self._backend.write(volts)
-                self._volts = volts
-                if current != self._commands[-1][1]:
-                    self._commands.append((self._clock.now(), current))
-        except AcquisitionError as error:
-            self._fail(str(error))
+            except AcquisitionError as error:
+                self._stuck = self._live and volts == 0
+                self._fail(str(error))
+            else:
+                self._note_output(volts, current)
+            self._tell()
+
+    def _note_output(self, volts: float, current: float) -> None:
+        """Note what is on the output, and the coil current in A that it commands."""
+        self._volts, self._live, self._stuck = volts, volts != 0, False
+        if current != self._commands[-1][1]:
+            self._commands.append((self._clock.now(), current))
 
     # Faults
 
@@ -246,11 +263,14 @@ class Daq:
             if self._fault:
                 return
             self._fault = message
-        self._on_problem(message)
-        with self._lock:
-            with contextlib.suppress(AcquisitionError):
-                self._backend.write(0.0)
-            self._volts = 0.0
+            self._tell()  # first, because a broken converter may take long to refuse the voltage
+            self._write(0.0)
+
+    def _tell(self) -> None:
+        """Tell the problem if it has changed; under the lock, so that the latest is told last."""
+        if (problem := self.problem) != self._told:
+            self._told = problem
+            self._on_problem(problem)
 
     def reset_fault(self) -> None:
         """Release the emergency stop and restart a converter that failed; raise InputError if it does not restart."""
@@ -260,10 +280,13 @@ class Daq:
             self._backend.close()
             self._backend.open()
             self._paused.clear()
-            self._fault = ""
+            with self._lock:
+                self._note_output(0.0, 0.0)  # set by `open`
+                self._fault = ""
             self._resume.set()
-        self._refused = self._emergency_stop = ""
-        self._on_problem("")
+        with self._lock:
+            self._refused = self._emergency_stop = ""
+            self._tell()
 
     @property
     def lost(self) -> int:
@@ -273,7 +296,9 @@ class Daq:
     @property
     def problem(self) -> str:
         """The fault, or the reason of a latched stop, or ""."""
-        return self._fault or (f"{self._emergency_stop}; call reset_fault" if self._emergency_stop else "")
+        if self._fault:
+            return f"{_LIVE_COIL if self._stuck else ''}{self._fault}"
+        return f"{self._emergency_stop}; call reset_fault" if self._emergency_stop else ""
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or the latched stop, and counts of lost and clipped readings and the latest refused setpoint."""

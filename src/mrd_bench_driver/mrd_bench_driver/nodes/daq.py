@@ -69,17 +69,20 @@ class DaqNode(BenchNode[DaqConfig]):
 
         self._lost = 0
         self._followed = 0  # number of the lease of the latest setpoint
-        self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop)
+        self._lease = LeaseFollower(self, config.lease_timeout, self._daq.emergency_stop, self._daq.rest)
         self.accept_parameter("rate_hz", config.rate, self._set_rate)
         DAQ_TARE.serve(self, self._on_tare)
         DAQ_RESET_FAULT.serve(self, self._on_reset_fault)
         DAQ_EMERGENCY_STOP.serve(self, self._on_emergency_stop_service)
         hear_emergency_stop(self, self._on_emergency_stop)
         SETPOINT.subscription(self, self._on_setpoint)
-        self.create_bench_timer(0.2 * config.setpoint_timeout, self._daq.check_setpoint_age)
-        self._daq.start()
+        self.create_bench_timer(0.2 * config.setpoint_timeout, self._daq.check_output)
+        self._daq.start()  # last, because the reading thread uses all of the above
 
     def _check_readings(self, block: VoltBlock) -> None:
+        # The timers of both fall silent when a callback hangs. Samples go on then, and nobody else would stop the current.
+        self._lease.check()
+        self._daq.check_output()
         if self._lease.lease.mode.may_move:
             self._daq.check_inputs(block)
         self._daq.check_coil(block)

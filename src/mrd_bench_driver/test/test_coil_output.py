@@ -1,0 +1,137 @@
+"""What the DAQ puts on its coil output when the converter does not take it."""
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from mrd_base import BenchClock
+from mrd_bench_driver.acquisition import AcquisitionError, VoltBlock
+from mrd_bench_driver.acquisition.config import DaqConfig
+from mrd_bench_driver.acquisition.daq import Daq
+
+LIVE = "the coil may still have current, switch its supply off; "
+
+
+class Clock(BenchClock):
+    """A clock that the test sets."""
+
+    time = 100.0
+
+    def now(self) -> float:
+        return self.time
+
+
+class Bench:
+    """A DAQ, its converter, and what happened in which order."""
+
+    def __init__(self) -> None:
+        self.product = "converter"
+        self.output, self.fail = 0.0, ""  # why writes fail
+        self.fail_read = ""
+        self.events: list[str] = []
+        self.clock = Clock()
+        self.daq = Daq(DaqConfig(), self.clock, self, lambda _: None, lambda _: None, lambda: None, self._on_problem)
+
+    def _on_problem(self, problem: str) -> None:
+        self.events.append(f"told: {problem}")
+
+    def open(self) -> None:
+        self.output = 0.0
+
+    def close(self) -> None:
+        pass
+
+    def read(self) -> VoltBlock | None:
+        if self.fail_read:
+            raise AcquisitionError(self.fail_read)
+        time.sleep(1e-3)
+        return None
+
+    def write(self, volts: float) -> None:
+        self.events.append(f"write: {volts:g}")
+        if self.fail:
+            raise AcquisitionError(self.fail)
+        self.output = volts
+
+    def drive(self) -> None:
+        self.daq.set_coil_current(0.5, self.clock.now())
+        assert self.output == self.coil_volts() == 2.5
+        self.events.clear()
+
+    def coil_volts(self) -> float:
+        return float(self.daq.health()[1]["coil_V"])
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    yield bench
+    bench.fail = bench.fail_read = ""
+    if bench.daq._thread.is_alive():
+        bench.daq.close()
+
+
+def test_a_stop_that_the_converter_refuses_is_tried_again_and_told(bench: Bench) -> None:
+    bench.drive()
+    bench.fail = "no answer"
+    bench.daq.emergency_stop()
+    assert [event for event in bench.events if event.startswith("told")] == [f"told: {LIVE}no answer"]
+    assert bench.daq.health()[0] == bench.daq.problem == f"{LIVE}no answer"
+    assert bench.coil_volts() == 2.5
+    bench.events.clear()
+    for _ in range(3):
+        bench.daq.check_output()
+    assert bench.events == 3 * ["write: 0"]
+    bench.fail = ""
+    for _ in range(3):
+        bench.daq.check_output()
+    assert bench.events[3:] == ["write: 0", "told: no answer"]
+    assert bench.output == bench.coil_volts() == 0.0
+    assert bench.daq.health()[0] == "no answer"
+
+
+def test_old_setpoints_whose_end_the_converter_refuses_are_a_fault(bench: Bench) -> None:
+    bench.drive()
+    bench.fail = "no answer"
+    bench.clock.time += 0.2
+    bench.daq.check_output()
+    assert bench.daq.problem == f"{LIVE}no answer"
+    bench.fail = ""
+    bench.daq.check_output()
+    assert (bench.daq.problem, bench.output) == ("no answer", 0.0)
+
+
+def test_a_voltage_that_was_refused_may_still_be_on_the_output(bench: Bench) -> None:
+    bench.fail = "no answer"
+    bench.daq.set_coil_current(0.5, bench.clock.now())
+    assert bench.coil_volts() == 0.0
+    assert bench.daq.problem == f"{LIVE}no answer"
+    bench.fail, bench.output = "", 2.5
+    bench.daq.check_output()
+    assert (bench.daq.problem, bench.output) == ("no answer", 0.0)
+
+
+def test_no_supply_must_be_switched_off_where_no_voltage_was_written(bench: Bench) -> None:
+    bench.fail = "no answer"
+    bench.daq.emergency_stop()
+    assert bench.daq.problem == "no answer"
+
+
+def test_a_converter_that_is_gone_is_told_first_and_opened_anew_with_0_volts(bench: Bench) -> None:
+    bench.drive()
+    bench.daq.start()
+    bench.fail = bench.fail_read = "gone"
+    end = time.monotonic() + 5
+    while len(bench.events) < 3 and time.monotonic() < end:
+        time.sleep(1e-3)
+    assert bench.events == ["told: gone", "write: 0", f"told: {LIVE}gone"]
+    bench.fail = bench.fail_read = ""
+    bench.daq.reset_fault()
+    assert bench.coil_volts() == 0.0
+    assert bench.events[3:] == ["told: "]
+    # 0 A are commanded since then: a coil without current follows.
+    bench.clock.time += 1.0
+    bench.daq.check_coil(VoltBlock(0, bench.clock.now(), np.full((4, 20), 2.5)))
+    assert bench.daq.problem == ""
