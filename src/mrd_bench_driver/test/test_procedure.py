@@ -59,8 +59,8 @@ class FakeBench:
     def require_punctual_machine(self) -> None:
         self._do("require_punctual_machine")
 
-    def enter(self, mode: Mode, reason: str) -> None:
-        assert reason == self.source.action
+    def enter(self, mode: Mode, reason: str, source: str = "") -> None:
+        assert (reason, source) == (self.source.action, self.source.node if mode.takes_setpoints else "")
         self._do(f"enter {mode}")
 
     def require_recorder(self) -> None:

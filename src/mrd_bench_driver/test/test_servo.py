@@ -810,8 +810,17 @@ def test_node_homes_follows_and_lets_go(fake):
         enter(msg.BenchState.IDENTIFICATION)
         assert call(SetBool, "servo/enable", data=True).success
         spin(lambda: states[-1].enabled)
+        # The supervisor's request to let go may be lost, but not the end of its leave to move.
+        enter(msg.BenchState.IDLE)
+        spin(lambda: not states[-1].enabled)
+        assert states[-1].halt_time == -math.inf
+        enter(msg.BenchState.IDENTIFICATION)
+        assert call(SetBool, "servo/enable", data=True).success
+        spin(lambda: states[-1].enabled)
         # A stop ends the lease: nobody goes on with it as if nothing had happened.
+        called = clock.now()
         assert call(Trigger, "servo/stop").success
+        spin(lambda: states[-1].halt_time > called)
         assert call(SetBool, "servo/enable", data=True).message.startswith("somebody called a stop")
         # Without a supervisor, the servo stops by itself, and latches.
         enter(None)

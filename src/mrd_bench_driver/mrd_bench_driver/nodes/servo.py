@@ -55,7 +55,7 @@ class ServoNode(BenchNode[ServoConfig]):
         self._joint = JOINT_STATES.publisher(self)
         SETPOINT.subscription(self, self._on_setpoint)
         SAMPLES.subscription(self, self._on_samples)
-        self._lease = LeaseFollower(self, self.config.lease_timeout, self._emergency_stop)
+        self._lease = LeaseFollower(self, self.config.lease_timeout, self._emergency_stop, self._rest)
         hear_emergency_stop(self, self._on_emergency_stop)
         services: dict[Service, Callable[[Any], Response]] = {
             SERVO_ENABLE: lambda request: self._enable() if request.data else self._disable(),
@@ -100,6 +100,11 @@ class ServoNode(BenchNode[ServoConfig]):
     def _halt(self) -> Response:
         self._lease.revoke(self.bench.now())
         return self._controller.stop()
+
+    def _rest(self) -> None:
+        now = self.bench.now()
+        if self._controller.status(now).enabled:
+            self._controller.enable(False, now)
 
     def _reset_fault(self) -> Response:
         now = self.bench.now()
