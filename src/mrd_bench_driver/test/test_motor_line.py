@@ -1,5 +1,6 @@
 """The line over a pseudo-terminal: whole replies or an error, in time."""
 
+import math
 import os
 import pty
 import select
@@ -29,7 +30,7 @@ class Far:
         self.line = MotorLine(os.ttyname(self.slave), 115200, clock, self.waiter)
         self.line.drain()
 
-    def ask(self, *script: tuple[float, bytes], count: int = 1, timeout: float = 0.05):
+    def ask(self, *script: tuple[float, bytes], count: int = 1, timeout: float = 0.05, most: float = math.inf):
         def answer() -> None:
             select.select([self.master], [], [], 1.0)
             os.read(self.master, 1024)
@@ -41,7 +42,8 @@ class Far:
         thread.start()
         begin = time.monotonic()
         try:
-            return [reply for reply, _ in self.line.exchange(b"RPA\r", count, timeout)]
+            latest = self.line.clock.now() + most
+            return [reply for reply, _ in self.line.exchange(b"RPA\r", count, timeout, latest)]
         finally:
             self.took = time.monotonic() - begin
             thread.join()
@@ -99,6 +101,32 @@ def test_trickling_bytes_do_not_stretch_the_timeout(far):
     with pytest.raises(ReplyError):
         far.ask(*[(0.01, b"1")] * 100)
     assert far.took < 0.5
+
+
+def test_an_exchange_ends_in_time_and_its_reply_is_not_the_next_answer(far):
+    with pytest.raises(ReplyError, match="no reply"):
+        far.ask((0.1, b"111\r"), timeout=2.0, most=0.05)
+    assert far.took < 1.0
+    assert far.ask((0, b"7\r")) == [b"7"]
+
+
+def test_nothing_is_asked_before_the_line_is_quiet_and_its_owner_is_not_kept(far, monkeypatch):
+    far.line.baud_rate = 2400  # quiet after 20 ms: time enough for a byte to be delivered
+    wait = far.waiter.wait
+
+    def wait_for_noise(until: float, line: int) -> bool:
+        os.write(far.master, b"1")
+        return wait(until, line)
+
+    with monkeypatch.context() as noisy:
+        noisy.setattr(far.waiter, "wait", wait_for_noise)
+        for _ in range(3):
+            begin = time.monotonic()
+            with pytest.raises(ReplyError, match="without a query"):
+                far.line.exchange(b"RPA\r", 1, 0.02)
+            assert time.monotonic() - begin < 0.3
+            assert not select.select([far.master], [], [], 0.0)[0], "a query was sent"
+    assert far.ask((0, b"7\r")) == [b"7"]
 
 
 def test_wake_breaks_off_at_once(far):

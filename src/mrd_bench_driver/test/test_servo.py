@@ -5,6 +5,7 @@ import math
 import os
 import pty
 import random
+import re
 import select
 import signal
 import subprocess
@@ -520,7 +521,7 @@ class FakeLine:
         self.link, self.baud_rate = path, baud_rate
         self.motor = FakeMotor(3 * MM)
         self.motor.time = time.monotonic()
-        self.mute = False
+        self.mute = self.babble = False
         self.answer = lambda text, reply: reply
         self.plug()
 
@@ -543,7 +544,9 @@ class FakeLine:
     def _serve(self) -> None:
         rest = b""
         while not self._stop.is_set():
-            if not select.select([self.master], [], [], 0.005)[0]:
+            if self.babble:
+                os.write(self.master, b"1")
+            if not select.select([self.master], [], [], 2e-4 if self.babble else 0.005)[0]:
                 continue
             data = os.read(self.master, 1024)
             speed = termios.tcgetattr(self.slave)[5]
@@ -705,6 +708,19 @@ def test_a_motor_that_falls_silent_is_a_lost_line(fake):
         fake.mute = True
         until(lambda: not statuses[-1].connected)
         assert "no longer answers" in statuses[-1].message
+
+
+@pytest.mark.parametrize("fault", ["mute", "babble"])
+def test_a_motion_without_positions_is_stopped_in_time_whatever_the_line_does(fake, fault):
+    with communicating(fake, baud_rate=9600, feedback_timeout=0.18) as (controller, statuses):
+        until(lambda: statuses and statuses[-1].connected)
+        assert controller.home(BenchClock().now()).success
+        setattr(fake, fault, True)
+        until(lambda: statuses[-1].fault)
+        named = re.match(r"no valid position from the motor for (\d+) ms of motion; check the line", statuses[-1].message)
+        assert named, statuses[-1].message
+        assert int(named[1]) < 210  # a loaded machine is late by less than an exchange on this slow line takes
+        until(lambda: "X" in fake.motor.log)
 
 
 # As a node

@@ -113,14 +113,16 @@ class ServoCommunication:
             self._waiter.clear()
             if data := controller.take_commands():
                 line.write(data)
-            if self._waiter.wait(due):
+            # A line on which nothing useful comes must not delay the stop of a motion that it leaves without positions.
+            # Neither this wait nor that for replies therefore goes on beyond it.
+            if self._waiter.wait(min(due, controller.position_due)):
                 continue
             batch = controller.tick(clock.now())
             # After a delay the next tick is one period away: ticks to catch up would send targets in a burst.
             due = max(due + controller.period, batch.time)
             timeout = _REPLY_MARGIN + sum(TURNAROUND + line.duration(8) for _ in batch.queries)
             try:
-                replies = line.exchange(batch.data, len(batch.queries), timeout)
+                replies = line.exchange(batch.data, len(batch.queries), timeout, controller.position_due)
                 values = [query.parse(reply) for query, (reply, _) in zip(batch.queries, replies, strict=True)]
             except ReplyError as error:
                 controller.replies_missed()

@@ -285,6 +285,12 @@ class ServoController:
         """Time in s between two ticks."""
         return 1 / self._schedule.rate
 
+    @property
+    def position_due(self) -> float:
+        """Bench time in s at which `tick` stops the present motion if no valid position has come."""
+        with self._lock:
+            return math.inf if self._activity is Activity.NOTHING else self._rod.time + self.config.feedback_timeout
+
     def take_commands(self) -> bytes:
         """Return the commands that wait to be sent, stops first, and remove them from the queue."""
         with self._lock:
@@ -410,7 +416,7 @@ class ServoController:
                 self._rod.set_command(None)
             else:
                 self._fail("setpoints stopped while the rod moved; check the generator")
-        if self._activity is not Activity.NOTHING and now - self._rod.time > self.config.feedback_timeout:
+        if now >= self.position_due:
             self._fail(
                 f"no valid position from the motor for {1e3 * (now - self._rod.time):.0f} ms of motion; check the line"
             )

@@ -3,6 +3,7 @@
 One thread owns the line. Other threads may only wake its `Waiter`, which ends any wait of the owner at once.
 """
 
+import math
 import select
 import termios
 from collections.abc import Iterator
@@ -81,7 +82,7 @@ class MotorLine:
         with self._guarded("does not take data"):
             self._serial.write(data)
 
-    def exchange(self, request: bytes, count: int, timeout: float) -> list[tuple[bytes, float]]:
+    def exchange(self, request: bytes, count: int, timeout: float, latest: float = math.inf) -> list[tuple[bytes, float]]:
         """Send a request and wait for its ``count`` replies.
 
         Parameters
@@ -92,6 +93,8 @@ class MotorLine:
             Number of replies expected.
         timeout : float
             Longest wait in bench s for all replies, after the time that the bytes of the request take.
+        latest : float
+            Bench time in s at which any wait ends, because the owner of the line has something else to do.
 
         Returns
         -------
@@ -101,34 +104,38 @@ class MotorLine:
         Raises
         ------
         ReplyError
-            If a reply is missing or surplus. Bytes that still arrive are discarded before the next request, so that no late
-            reply is taken for another.
+            If a reply is missing or surplus, or the line does not become quiet. Bytes that still arrive are discarded before
+            the next request, so that no late reply is taken for another.
         WaitInterrupted
             If a wake-up came.
         """
         if self._stale:
-            self.drain()
-        if self._buffer or self._ready(self.clock.now()):
-            self.drain()
+            self.drain(latest=latest)
+        if self._stale or self._ready(self.clock.now()):
+            self.drain(latest=latest)
             raise ReplyError("bytes came without a query: a late reply, or noise")
         self.write(request)
         self._stale = True
-        deadline = self.clock.now() + max(MIN_TIMEOUT, timeout + self.duration(len(request)))
+        deadline = min(latest, self.clock.now() + max(MIN_TIMEOUT, timeout + self.duration(len(request))))
         replies = [(self._line(deadline), self.clock.now()) for _ in range(count)]
         if self._buffer:
             raise ReplyError(f"{bytes(self._buffer)!r} came after the last expected reply")
         self._stale = False
         return replies
 
-    def drain(self, limit: float = 0.2) -> None:
-        """Discard what arrives until the line has been quiet, for at most ``limit`` bench seconds."""
+    def drain(self, limit: float = 0.04, latest: float = math.inf) -> None:
+        """Discard what arrives until the line has been quiet, for at most ``limit`` bench seconds, and until ``latest``.
+
+        A line that is not quiet by then is drained further before the next request.
+        """
         quiet = max(0.002, self.duration(5))
-        deadline = self.clock.now() + max(MIN_TIMEOUT, limit)
+        deadline = min(latest, self.clock.now() + max(MIN_TIMEOUT, limit))
+        self._stale = True
+        while self._stale and self.clock.now() < deadline:
+            self._stale = self._ready(self.clock.now() + quiet)
+            if self._stale:
+                self._receive()
         self._buffer.clear()
-        while self.clock.now() < deadline and self._ready(self.clock.now() + quiet):
-            self._receive()
-        self._buffer.clear()
-        self._stale = False
 
     def close(self) -> None:
         """Close the port. This may be called at any time."""

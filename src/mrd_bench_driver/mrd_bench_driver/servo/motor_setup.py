@@ -119,7 +119,7 @@ def _answers(line: MotorLine) -> bool:
     # The byte 0x80 addresses all motors: bytes sent at a wrong rate may have addressed another one. The first carriage
     # return ends what the motor may have received of them. An echo that is still on comes before the number and is
     # discarded.
-    line.drain()
+    line.drain(0.2)
     line.write(b"\x80\r\x80ECHO_OFF\r")
     for _ in range(2):
         with suppress(ReplyError):
