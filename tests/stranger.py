@@ -169,7 +169,12 @@ class Stranger:
                 "no_profile": True,
                 "output": folder,
             },
-            "diagnose": {"runs": [f"{folder}/nowhere"], "model": "bingham", "output": folder},
+            "diagnose": {
+                "runs": [f"{folder}/one"],
+                "model": "bingham",
+                "effects": ["seal_friction", "force_sensor_lag"],
+                "output": folder,
+            },
         }
         for row in rows(section(self.page, "actions")):
             name, action_type = row["action"], load(row["type"])
@@ -182,6 +187,7 @@ class Stranger:
             ("run_experiment", {"bag": f"{folder}/cancelled"}),
             ("run_set", {"folder": f"{folder}/cancelled set"}),
             ("identify", {"generations": 100_000}),
+            ("diagnose", {"effects": []}),
         ):
             self.report["actions"][name]["cancelled"] = self.send(name, types[name], True, **goals[name] | changes)
 
