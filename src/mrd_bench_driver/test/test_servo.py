@@ -853,3 +853,30 @@ def test_node_homes_follows_and_lets_go(fake):
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
+
+
+def test_a_servo_whose_callbacks_hang_stops_the_homing_without_its_supervisor(fake, monkeypatch):
+    """Nobody spins the node, as if a callback hung; the thread of the line goes on homing."""
+    rclpy = pytest.importorskip("rclpy")
+    from mrd_bench_driver.nodes.servo import ServoNode
+    from mrd_interfaces import msg
+
+    # A busy machine needs patience, but for the lease.
+    parameters = f"port:={fake.link}", "feedback_timeout_ms:=1000.0", "lease_timeout_ms:=400.0"
+    monkeypatch.setattr("sys.argv", ["servo", "--ros-args", *(word for text in parameters for word in ("-p", text))])
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/hung"])
+    node = ServoNode()
+    try:
+        until(lambda: node._controller.status(0.0).connected)
+        lease = msg.Lease(holder="test", mode=msg.BenchState.HOMING)
+        lease.header.stamp = node.stamp()
+        node._lease._on_lease(lease)
+        assert node._home().success
+        until(lambda: node._controller.status(0.0).enabled)
+        until(lambda: node._controller.status(0.0).stopped)
+        assert "the supervisor test has been silent for " in node._controller.status(0.0).message
+        until(lambda: "S" in fake.motor.log)
+    finally:
+        node.close()
+        node.destroy_node()
+        rclpy.shutdown()
