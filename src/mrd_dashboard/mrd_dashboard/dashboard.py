@@ -245,7 +245,10 @@ class Dashboard:
         return self.recordings.recover(recording)
 
     def _require_recorded(self, recording: Recording) -> None:
-        if self.queue.running is not None and Path(self.queue.running.bag) == recording.path:
+        # The queue alone does not know: other clients record, too, and a page that was started in a run has lost it.
+        running, recorded = self.queue.running, self.bench.recorded
+        written = ([Path(running.bag)] if running else []) + ([recorded] if recorded else [])
+        if any(bag.resolve().is_relative_to(recording.path) for bag in written):
             raise InputError(f"{recording.id}: is being recorded; stop the run first")
 
     def delete(self, recording: str) -> None:

@@ -5,12 +5,15 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
 
 from mrd_base import InputError
+from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.nodes import page
 from mrd_dashboard.nodes.page import RosCommands
 
@@ -37,6 +40,14 @@ sys.stdin.read()
 rclpy.shutdown()
 import os; os._exit(0)
 """
+
+
+def test_the_page_hears_from_the_recorder_which_bag_is_open() -> None:
+    values = [KeyValue(key="state", value="recording"), KeyValue(key="bag", value="/runs/sine-1")]
+    listener = SimpleNamespace(_view=BenchView())
+    page.Page._on_recorder_state(listener, DiagnosticStatus(values=values))
+    assert listener._view.recorded == Path("/runs/sine-1")
+    assert listener._view.monitor.recorder_state == "recording"
 
 
 def test_a_run_whose_supervisor_has_gone_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -249,9 +249,9 @@ class Page(BenchNode[PageConfig]):
         self._view.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""
 
     def _on_recorder_state(self, status: DiagnosticStatus) -> None:
-        state = next((value.value for value in status.values if value.key == "state"), "")
+        values = {value.key: value.value for value in status.values}
         problem = status.message if status.level == DiagnosticStatus.ERROR else ""
-        self._view.monitor.add_recorder_state(state, problem, self._view.bench_time)
+        self._view.hear_recorder(values.get("state", ""), problem, values.get("bag", ""))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         prefix = f"{self.get_namespace().strip('/')}/"
