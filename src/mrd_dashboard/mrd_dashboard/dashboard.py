@@ -228,10 +228,12 @@ class Dashboard:
         return self.looks.get(recording.id)
 
     async def look(self, recording: Recording) -> Look:
-        """Look at a recording: the preflight, and a picture."""
+        """Look at a recording: the preflight, and a picture. What is found in one that is still open is not kept."""
         look = await asyncio.to_thread(self.known_look, recording)
         if look is None:
             look = await self.compute(look_at, str(recording.path))
+            if not recording.closed:
+                return look
             self.looks[recording.id] = look
             await asyncio.to_thread(keep_look, look, recording.path, self._cache(recording))
         return look

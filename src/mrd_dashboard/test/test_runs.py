@@ -213,6 +213,17 @@ def test_a_look_is_kept_until_the_recording_changes(new_bag, tmp_path: Path) -> 
     assert cached_look(bag, cache) is None
 
 
+def test_the_look_at_an_open_recording_is_not_kept(dashboard) -> None:
+    path = dashboard.recordings.folder / "sine-1"
+    path.mkdir()
+    (path / "sine-1_0.mcap").write_text("1")
+    assert asyncio.run(dashboard.look(dashboard.recordings.find("sine-1"))).problem
+    assert dashboard.known_look(dashboard.recordings.find("sine-1")) is None
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    asyncio.run(dashboard.look(dashboard.recordings.find("sine-1")))
+    assert dashboard.known_look(dashboard.recordings.find("sine-1")) is not None
+
+
 # The form
 
 
