@@ -182,10 +182,13 @@ class Dashboard:
         return await self.act(who, name, lambda: self.commands.call(name), watching=name == "end run")
 
     def emergency_stop(self, who: Visitor) -> None:
-        """Ask for the emergency stop; it needs no control, and waits for nobody."""
+        """Ask for the emergency stop; it needs neither control nor session, and waits for nobody."""
         self.commands.emergency_stop()
         self.queue.paused = True
-        self.audit.write(who.name, "emergency stop", "", "requested")
+        if who.session:
+            self.audit.write(who.name, "emergency stop", "", "requested")
+        else:
+            self.audit.write_seldom(who.name, "emergency stop", "", "requested without a session")
 
     def frame(self) -> dict[str, list[float]]:
         """Return the table of the live plots, computed once for all who look."""
