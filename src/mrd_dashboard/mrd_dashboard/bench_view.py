@@ -55,6 +55,8 @@ class BenchView:
         Bench time in s of the latest lease.
     lease_heard : float
         Wall time in s at which it came, by `time.monotonic`.
+    lease_holder : (str, float) or None
+        The supervisor whose lease it is, and the bench time in s at which that one started.
     """
 
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
@@ -66,13 +68,15 @@ class BenchView:
     reason: str = ""
     bench_time: float = float("nan")
     lease_heard: float = -float("inf")
+    lease_holder: tuple[str, float] | None = None
     _bag: str = ""
     _nodes: dict[str, NodeHealth] = field(default_factory=dict)
     _heard: dict[str, float] = field(default_factory=dict)
 
-    def hear_lease(self, bench_time: float) -> None:
-        """Note that the supervisor has renewed its lease."""
+    def hear_lease(self, bench_time: float, holder: str = "", since: float = 0.0) -> None:
+        """Note that the supervisor has renewed its lease, who it is, and since when it is there."""
         self.bench_time, self.lease_heard = bench_time, time.monotonic()
+        self.lease_holder = holder, since
 
     @property
     def supervised(self) -> bool:

@@ -11,6 +11,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.task import Future
 
 from mrd_base import InputError
 from mrd_dashboard.bench_view import BenchView
@@ -50,12 +51,54 @@ def test_the_page_hears_from_the_recorder_which_bag_is_open() -> None:
     assert listener._view.monitor.recorder_state == "recording"
 
 
+class Server:
+    """A client of an action whose server is always there."""
+
+    def server_is_ready(self) -> bool:
+        return True
+
+
+def test_a_run_whose_supervisor_was_replaced_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "_GONE_AFTER", 0.3)
+    monkeypatch.setattr(page, "_LOOK_PERIOD", 0.1)
+    view, commands = BenchView(), RosCommands.__new__(RosCommands)
+    commands._view = view
+
+    async def run() -> None:
+        view.hear_lease(5.0, "supervisor (process 1)", 1.0)
+        waiting = asyncio.create_task(commands._while_there(Server(), Future()))
+        await asyncio.sleep(0.8)
+        assert not waiting.done()
+        view.hear_lease(6.0, "supervisor (process 1)", 5.5)
+        with pytest.raises(InputError, match="supervisor has gone"):
+            await asyncio.wait_for(waiting, 60.0)
+
+    asyncio.run(run())
+
+
+def test_a_run_whose_supervisor_refuses_a_second_one_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "_GONE_AFTER", 0.3)
+    monkeypatch.setattr(page, "_LOOK_PERIOD", 0.1)
+    view, commands, result = BenchView(), RosCommands.__new__(RosCommands), Future()
+    commands._view = view
+
+    async def run() -> str:
+        waiting = asyncio.create_task(commands._while_there(Server(), result))
+        for number in range(20):  # nobody was heard at first; then a second one comes, and ends again
+            view.hear_lease(5.0, "supervisor (process 2)" if number in (9, 10) else "supervisor (process 1)", 1.0)
+            await asyncio.sleep(0.1)
+        result.set_result("recorded")
+        return await asyncio.wait_for(waiting, 60.0)
+
+    assert asyncio.run(run()) == "recorded"
+
+
 def test_a_run_whose_supervisor_has_gone_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "_GONE_AFTER", 3.0)
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("page", context=context)
-    commands, executor = RosCommands(node), SingleThreadedExecutor(context=context)
+    commands, executor = RosCommands(node, BenchView()), SingleThreadedExecutor(context=context)
     executor.add_node(node)
     thread = threading.Thread(target=executor.spin)
     thread.start()

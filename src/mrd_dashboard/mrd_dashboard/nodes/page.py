@@ -60,7 +60,8 @@ from mrd_trajectory.settings import read_settings
 _ANSWER_TIMEOUT, _HOME_TIMEOUT = 30.0, 180.0
 # Wall time in s for the reason of a rejection, which comes on a topic of its own.
 _REASON_TIMEOUT = 2.0
-# Wall time in s without a supervisor in the graph after which a run is given up, and between two looks at the graph.
+# Wall time in s without the supervisor in the graph, or with the lease of another one, after which a run is given up, and
+# between two looks.
 _GONE_AFTER, _LOOK_PERIOD = 10.0, 1.0
 _STATUS_FIELDS = ("position", "velocity", "following_error", "bus_voltage", "temperature", "status", "connected", "enabled")
 _STATUS_FLAGS = ("homed", "moving", "fault", "stopped", "message")
@@ -90,9 +91,12 @@ class RosCommands:
     ----------
     node : BenchNode
         The node whose executor receives the answers, in another thread.
+    view : BenchView
+        What this node hears of the bench.
     """
 
-    def __init__(self, node: BenchNode[Any]) -> None:
+    def __init__(self, node: BenchNode[Any], view: BenchView) -> None:
+        self._view = view
         self._emergency_stop = EMERGENCY_STOP.publisher(node)
         self._services = {
             "end run": (STOP.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
@@ -142,16 +146,19 @@ class RosCommands:
         result = (await self._while_there(client, handle.get_result_async())).result
         return RunOutcome(result.success, result.message, result.bag)
 
-    @staticmethod
-    async def _while_there(client: Any, future: Any) -> Any:
-        """Wait for the result of a run as long as there is a supervisor that could send it."""
+    async def _while_there(self, client: Any, future: Any) -> Any:
+        """Wait for the result of a run as long as there is the supervisor that could send it: another one could not."""
+        supervisor = self._view.lease_holder
         result = asyncio.ensure_future(_answer(future, None, "the run"))
         missing = 0.0
         while missing < _GONE_AFTER:
             done, _ = await asyncio.wait({result}, timeout=_LOOK_PERIOD)
             if done:
                 return result.result()
-            missing = 0.0 if client.server_is_ready() else missing + _LOOK_PERIOD
+            latest = self._view.lease_holder
+            supervisor = supervisor or latest
+            there = client.server_is_ready() and latest == supervisor
+            missing = 0.0 if there else missing + _LOOK_PERIOD
         result.cancel()
         raise InputError("the supervisor has gone in the run; look at its log, start the bench again, and try again")
 
@@ -190,7 +197,7 @@ class Page(BenchNode[PageConfig]):
         self._audit = AuditLog(folder / "audit.jsonl")
         dashboard = Dashboard(
             bench=self._view,
-            commands=RosCommands(self),
+            commands=RosCommands(self, self._view),
             recordings=recordings,
             queue=RunQueue(folder / "queue.json"),
             jobs=Jobs(folder / "results"),
@@ -221,7 +228,7 @@ class Page(BenchNode[PageConfig]):
         DIAGNOSTICS.subscription(self, self._on_diagnostics)
 
     def _on_lease(self, lease: Lease) -> None:
-        self._view.hear_lease(seconds(lease.header.stamp))
+        self._view.hear_lease(seconds(lease.header.stamp), lease.holder, lease.since)
 
     def _on_samples(self, block: BenchSamples) -> None:
         time, period = seconds(block.header.stamp), block.sample_period
