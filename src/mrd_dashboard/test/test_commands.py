@@ -4,16 +4,20 @@ import asyncio
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from mrd_base import InputError
+from mrd_base.nodes.graph import STOP
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.nodes import page
 from mrd_dashboard.nodes.page import RosCommands
@@ -93,17 +97,57 @@ def test_a_run_whose_supervisor_refuses_a_second_one_goes_on(monkeypatch: pytest
     assert asyncio.run(run()) == "recorded"
 
 
-def test_a_run_whose_supervisor_has_gone_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "_GONE_AFTER", 3.0)
+@pytest.fixture
+def spinning() -> Iterator[tuple[Node, RosCommands, threading.Thread]]:
+    """A node in the executor that `run_node` chooses, in another thread than that of the commands, as on the page."""
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("page", context=context)
-    commands, executor = RosCommands(node, BenchView()), SingleThreadedExecutor(context=context)
+    commands, executor = RosCommands(node, BenchView()), EventsExecutor(context=context)
     executor.add_node(node)
-    thread = threading.Thread(target=executor.spin)
+    ending = threading.Event()
+
+    def spin() -> None:
+        while not ending.is_set():
+            executor.spin_once(timeout_sec=0.1)
+
+    thread = threading.Thread(target=spin)
     thread.start()
+    yield node, commands, thread
+    ending.set()
+    thread.join()
+    executor.shutdown()  # in another thread than that which spins, it would wait for ever
+    rclpy.shutdown(context=context)
+
+
+def test_requests_from_another_thread_are_all_answered(spinning: tuple[Node, RosCommands, threading.Thread]) -> None:
+    node, commands, _ = spinning
+
+    def stop(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = True, "stopped"
+        return response
+
+    STOP.serve(node, stop)
+    node.executor.wake()
+
+    async def work() -> set[str]:
+        client, _, _ = commands._services["end run"]
+        async with asyncio.timeout(120):
+            while not client.service_is_ready():
+                await asyncio.sleep(0.1)
+            return {answer for _ in range(20) for answer in await asyncio.gather(*(commands.call("end run"),) * 10)}
+
+    assert asyncio.run(work()) == {"end run: stopped"}
+
+
+def test_a_run_whose_supervisor_has_gone_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spinning: tuple[Node, RosCommands, threading.Thread]
+) -> None:
+    monkeypatch.setattr(page, "_GONE_AFTER", 3.0)
+    _, commands, thread = spinning
     supervisor = subprocess.Popen([sys.executable, "-c", SUPERVISOR], stdin=subprocess.PIPE)
     heard: list[str] = []
+    senders: list[threading.Thread] = []
 
     def progress(phase: str, _elapsed: float) -> None:
         heard.append(phase)
@@ -112,6 +156,10 @@ def test_a_run_whose_supervisor_has_gone_ends(tmp_path: Path, monkeypatch: pytes
 
     async def run() -> None:
         _, client = commands._runs["identification"]
+        send = client.send_goal_async
+        client.send_goal_async = lambda *goal, **options: (
+            senders.append(threading.current_thread()) or send(*goal, **options)
+        )
         async with asyncio.timeout(120):
             while not client.server_is_ready():
                 await asyncio.sleep(0.1)
@@ -123,7 +171,6 @@ def test_a_run_whose_supervisor_has_gone_ends(tmp_path: Path, monkeypatch: pytes
     finally:
         supervisor.kill()
         supervisor.wait()
-        executor.shutdown()
-        thread.join()
-        rclpy.shutdown(context=context)
     assert heard
+    # rclpy notes a goal after it has sent it: in another thread, the answer could be taken before.
+    assert senders == [thread]

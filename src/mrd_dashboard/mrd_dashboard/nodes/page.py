@@ -3,6 +3,7 @@
 import asyncio
 import concurrent.futures
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -96,7 +97,7 @@ class RosCommands:
     """
 
     def __init__(self, node: BenchNode[Any], view: BenchView) -> None:
-        self._view = view
+        self._node, self._view = node, view
         self._emergency_stop = EMERGENCY_STOP.publisher(node)
         self._services = {
             "end run": (STOP.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
@@ -140,11 +141,33 @@ class RosCommands:
             # It comes in the thread of the executor; the queue belongs to this one.
             loop.call_soon_threadsafe(progress, message.feedback.phase, message.feedback.elapsed)
 
-        handle = await _answer(client.send_goal_async(goal, feedback_callback=hear), _ANSWER_TIMEOUT, "the run")
+        sent = await self._in_executor(partial(client.send_goal_async, goal, feedback_callback=hear))
+        handle = await _answer(sent, _ANSWER_TIMEOUT, "the run")
         if not handle.accepted:
             raise InputError(await self._reason(name))
-        result = (await self._while_there(client, handle.get_result_async())).result
+        awaited = await self._in_executor(handle.get_result_async)
+        result = (await self._while_there(client, awaited)).result
         return RunOutcome(result.success, result.message, result.bag)
+
+    async def _in_executor(self, work: Callable[[], Any]) -> Any:
+        """Return the result of a function that the executor of the node calls.
+
+        rclpy notes a goal, without a lock, after it has sent it: in another thread, the answer could be taken before, and be
+        lost. Services have a lock.
+        """
+        if self._node.executor is None:
+            raise InputError("the page is still starting; try again")
+        done: concurrent.futures.Future[Any] = concurrent.futures.Future()
+
+        def call() -> None:
+            if done.set_running_or_notify_cancel():
+                try:
+                    done.set_result(work())
+                except Exception as error:  # raised in the executor, it would end the node
+                    done.set_exception(error)
+
+        self._node.executor.create_task(call)
+        return await asyncio.wrap_future(done)
 
     async def _while_there(self, client: Any, future: Any) -> Any:
         """Wait for the result of a run as long as there is the supervisor that could send it: another one could not."""
@@ -174,7 +197,8 @@ class RosCommands:
 async def _answer(future: Any, timeout: float | None, what: str) -> Any:
     """Wait, in the loop of the web server, for a future that the executor of the node completes."""
     bridge: concurrent.futures.Future[Any] = concurrent.futures.Future()
-    future.add_done_callback(lambda done: bridge.set_result(done) if not bridge.done() else None)
+    # It may be cancelled at any moment; an error here would end the node.
+    future.add_done_callback(lambda done: bridge.set_result(done) if bridge.set_running_or_notify_cancel() else None)
     try:
         return (await asyncio.wait_for(asyncio.wrap_future(bridge), timeout)).result()
     except TimeoutError:
