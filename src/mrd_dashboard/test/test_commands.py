@@ -24,6 +24,7 @@ from mrd_dashboard.nodes.page import RosCommands
 
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(180)]
 
+BENCH = Path(__file__).resolve().parents[3] / "config/bench.yaml"
 # It accepts a run, tells how far it is, and ends without a result when its stdin is closed.
 SUPERVISOR = """
 import sys, threading, time
@@ -95,6 +96,23 @@ def test_a_run_whose_supervisor_refuses_a_second_one_goes_on(monkeypatch: pytest
         return await asyncio.wait_for(waiting, 60.0)
 
     assert asyncio.run(run()) == "recorded"
+
+
+def test_the_limits_are_those_of_the_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, access = tmp_path / "bench.yaml", tmp_path / "page.yaml"
+    bench.write_text("/**/supervisor:\n  ros__parameters: {rate_hz: 25}\n")
+    access.write_text("/**/page:\n  ros__parameters: {port: 8081}\n")
+    given = ["page", "--ros-args", "--params-file", str(bench), "--params-file", str(access)]
+    monkeypatch.setenv("MRD_BENCH", "of the shell.yaml")
+    assert page.bench_file("named.yaml", given) == "named.yaml"
+    assert page.bench_file("", given) == str(bench)
+    assert page.bench_file("", ["page", "--ros-args", "--params-file", str(BENCH)]) == str(BENCH)
+    assert page.bench_file("", given[:2] + given[4:]) == "of the shell.yaml"
+    with pytest.raises(InputError, match="both"):
+        page.bench_file("", [*given, "--params-file", str(BENCH)])
+    monkeypatch.delenv("MRD_BENCH")
+    with pytest.raises(InputError, match="the limits of the bench are unknown"):
+        page.bench_file("", ["page"])
 
 
 @pytest.fixture

@@ -2,8 +2,10 @@
 
 import asyncio
 import concurrent.futures
+import itertools
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +18,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
-from mrd_base import InputError, from_mapping, quantity, read_node_parameters
+from mrd_base import InputError, from_mapping, quantity, read_node_parameters, read_yaml
+from mrd_base.config import node_patterns
 from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
@@ -79,7 +82,7 @@ class PageConfig:
     access: str = quantity("", doc="file with password and tokens, written by the tool access; empty: no login")
     runs: str = quantity("runs", doc="folder of the recordings")
     experiments: str = quantity("", doc="folder of the experiments to choose from; empty: those that are shipped")
-    bench: str = quantity("", doc="bench.yaml with the limits; empty: $MRD_BENCH")
+    bench: str = quantity("", doc="bench.yaml with the limits; empty: --params-file, else $MRD_BENCH")
     plant: str = quantity(
         "", doc="plant.yaml of the simulated bench, into which a diagnosis is put; empty: beside bench.yaml"
     )
@@ -212,9 +215,10 @@ class Page(BenchNode[PageConfig]):
         super().__init__("page", PageConfig)
         config = self.config
         credentials = read_credentials(config.access) if config.access else None
-        bench_file = config.bench or os.environ.get("MRD_BENCH", "")
-        plant = Path(config.plant or Path(bench_file).with_name("plant.yaml")).expanduser()
-        self._view = BenchView(_supervisor_config(bench_file), read_settings(bench_file or None))
+        bench = bench_file(config.bench, sys.argv)
+        plant = Path(config.plant or Path(bench).with_name("plant.yaml")).expanduser()
+        supervisor = from_mapping(SupervisorConfig, read_node_parameters(bench, "supervisor"), bench)
+        self._view = BenchView(supervisor, read_settings(bench))
         recordings = Recordings(Path(config.runs))
         folder = recordings.folder
         self._workers = Workers()
@@ -230,7 +234,7 @@ class Page(BenchNode[PageConfig]):
             experiments=_experiments(config.experiments),
             hybrid_test=Path(get_package_share_directory("mrd_bringup"), "config", "control", "hybrid_test.yaml"),
             workers=self._workers,
-            bench_file=bench_file,
+            bench_file=bench,
             plant=str(plant) if plant.is_file() else "",
         )
         self._listen()
@@ -300,10 +304,33 @@ class Page(BenchNode[PageConfig]):
         self._audit.close()
 
 
-def _supervisor_config(bench_file: str) -> SupervisorConfig:
-    if not bench_file:
-        return SupervisorConfig()
-    return from_mapping(SupervisorConfig, read_node_parameters(bench_file, "supervisor"), bench_file)
+def bench_file(named: str, arguments: Sequence[str]) -> str:
+    """Return the bench.yaml whose limits the bench has.
+
+    Parameters
+    ----------
+    named : str
+        The parameter ``bench``, or "".
+    arguments : sequence of str
+        Command line of the node: without the parameter, the file with the section ``supervisor`` counts.
+
+    Raises
+    ------
+    InputError
+        When it is unknown: the page must not preview runs by other limits.
+    """
+    if named:
+        return named
+    files = [file for option, file in itertools.pairwise(arguments) if option == "--params-file"]
+    own = set(node_patterns("supervisor")) - {"/**"}
+    found = [file for file in files if own & read_yaml(file).keys()]
+    if len(found) > 1:
+        raise InputError(f"{' and '.join(found)} both have a section supervisor; name the bench's by the parameter bench")
+    if bench := found[0] if found else os.environ.get("MRD_BENCH", ""):
+        return bench
+    raise InputError(
+        "the limits of the bench are unknown; give its bench.yaml by --params-file or the parameter bench, or set MRD_BENCH"
+    )
 
 
 def _experiments(folder: str) -> Path:
