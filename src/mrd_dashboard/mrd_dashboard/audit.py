@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 REPEATED_AFTER = 60.0
-"""s in which refused requests of one address are logged once: else anybody could fill the disk."""
+"""s in which what needs no session is logged once for each address: else anybody could fill the disk."""
 
 
 class AuditLog:
@@ -21,7 +21,7 @@ class AuditLog:
     path : Path
         The file; its folder is made.
     clock : callable
-        Time in s, by which refusals are counted as repeated.
+        Time in s, by which actions are counted as repeated.
 
     Attributes
     ----------
@@ -35,7 +35,8 @@ class AuditLog:
         self._lock = threading.Lock()
         self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
         self._clock = clock
-        self._refused: dict[tuple[str, int], float] = {}
+        # When such an action was logged, and how many followed, by who, action, and kind.
+        self._seldom: dict[tuple[str, str, int], tuple[float, int]] = {}
         self.path = path
         self.problem = ""
 
@@ -50,14 +51,28 @@ class AuditLog:
         except OSError as error:
             self.problem = f"{self.path}: {error.strerror}; what is done is not logged"
 
+    def write_seldom(self, who: str, action: str, detail: str, result: str, kind: int = 0) -> None:
+        """Append an action that needs no session; those like it are only counted for `REPEATED_AFTER`."""
+        now = self._clock()
+        for key, (logged, more) in list(self._seldom.items()):
+            if now >= logged + REPEATED_AFTER:
+                self._write_number(key, more)
+                del self._seldom[key]
+        logged, more = self._seldom.get((who, action, kind), (now, -1))
+        self._seldom[who, action, kind] = logged, more + 1
+        if more < 0:
+            self.write(who, action, detail, result)
+
     def write_refusal(self, address: str, status: int, path: str, reason: str) -> None:
         """Append a request that did not reach the page, unless one like it was logged a moment ago."""
-        now = self._clock()
-        self._refused = {key: last for key, last in self._refused.items() if now < last + REPEATED_AFTER}
-        if (address, status) not in self._refused:
-            self._refused[address, status] = now
-            self.write(address, "request", path[:200], f"refused: {reason}")
+        self.write_seldom(address, "request", path[:200], f"refused: {reason}", status)
+
+    def _write_number(self, key: tuple[str, str, int], more: int) -> None:
+        if more:
+            self.write(*key[:2], "", f"{more} more like it within {REPEATED_AFTER:.0f} s")
 
     def close(self) -> None:
         """Close the file."""
+        for key, (_, more) in self._seldom.items():
+            self._write_number(key, more)
         os.close(self._descriptor)

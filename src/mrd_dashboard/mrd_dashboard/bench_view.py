@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from mrd_base import BenchClock
 from mrd_base.lease import Mode
@@ -18,8 +19,8 @@ SILENT_AFTER = 1.0
 NODE_SILENT_AFTER = 5.0
 """Wall time in s without diagnostics, which every node sends once a second, after which the page calls it silent."""
 
-SERVO, DAQ = "servo", "DAQ"
-"""These are heard many times a second."""
+SERVO, DAQ, RECORDER = "servo", "DAQ", "recorder"
+"""These are heard several times a second."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class BenchView:
         Bench time in s of the latest lease.
     lease_heard : float
         Wall time in s at which it came, by `time.monotonic`.
+    lease_holder : (str, float) or None
+        The supervisor whose lease it is, and the bench time in s at which that one started.
     """
 
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
@@ -65,12 +68,15 @@ class BenchView:
     reason: str = ""
     bench_time: float = float("nan")
     lease_heard: float = -float("inf")
+    lease_holder: tuple[str, float] | None = None
+    _bag: str = ""
     _nodes: dict[str, NodeHealth] = field(default_factory=dict)
     _heard: dict[str, float] = field(default_factory=dict)
 
-    def hear_lease(self, bench_time: float) -> None:
-        """Note that the supervisor has renewed its lease."""
+    def hear_lease(self, bench_time: float, holder: str = "", since: float = 0.0) -> None:
+        """Note that the supervisor has renewed its lease, who it is, and since when it is there."""
         self.bench_time, self.lease_heard = bench_time, time.monotonic()
+        self.lease_holder = holder, since
 
     @property
     def supervised(self) -> bool:
@@ -84,6 +90,19 @@ class BenchView:
     def silence(self, name: str) -> float:
         """Return the wall time in s since something was heard; infinite if it never was."""
         return time.monotonic() - self._heard.get(name, -float("inf"))
+
+    def hear_recorder(self, state: str, problem: str, bag: str) -> None:
+        """Note a state of the recorder, the problem of its recording, and the folder of the bag that it has open."""
+        self._bag = bag
+        self.hear(RECORDER)
+        self.monitor.add_recorder_state(state, problem, self.bench_time)
+
+    @property
+    def recorded(self) -> Path | None:
+        """Folder of the bag that is being written, for whichever client; None when none is, or its recorder has died."""
+        # The state is repeated in bench time, which may stand still, the diagnostics in wall time.
+        lives = self.silence(RECORDER) <= NODE_SILENT_AFTER or self.lives("recorder")
+        return Path(self._bag) if self._bag and lives else None
 
     def hear_node(self, name: str, health: NodeHealth) -> None:
         """Note the diagnostics of a node."""

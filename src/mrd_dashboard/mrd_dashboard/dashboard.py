@@ -182,10 +182,13 @@ class Dashboard:
         return await self.act(who, name, lambda: self.commands.call(name), watching=name == "end run")
 
     def emergency_stop(self, who: Visitor) -> None:
-        """Ask for the emergency stop; it needs no control, and waits for nobody."""
+        """Ask for the emergency stop; it needs neither control nor session, and waits for nobody."""
         self.commands.emergency_stop()
         self.queue.paused = True
-        self.audit.write(who.name, "emergency stop", "", "requested")
+        if who.session:
+            self.audit.write(who.name, "emergency stop", "", "requested")
+        else:
+            self.audit.write_seldom(who.name, "emergency stop", "", "requested without a session")
 
     def frame(self) -> dict[str, list[float]]:
         """Return the table of the live plots, computed once for all who look."""
@@ -228,10 +231,12 @@ class Dashboard:
         return self.looks.get(recording.id)
 
     async def look(self, recording: Recording) -> Look:
-        """Look at a recording: the preflight, and a picture."""
+        """Look at a recording: the preflight, and a picture. What is found in one that is still open is not kept."""
         look = await asyncio.to_thread(self.known_look, recording)
         if look is None:
             look = await self.compute(look_at, str(recording.path))
+            if not recording.closed:
+                return look
             self.looks[recording.id] = look
             await asyncio.to_thread(keep_look, look, recording.path, self._cache(recording))
         return look
@@ -245,7 +250,10 @@ class Dashboard:
         return self.recordings.recover(recording)
 
     def _require_recorded(self, recording: Recording) -> None:
-        if self.queue.running is not None and Path(self.queue.running.bag) == recording.path:
+        # The queue alone does not know: other clients record, too, and a page that was started in a run has lost it.
+        running, recorded = self.queue.running, self.bench.recorded
+        written = ([Path(running.bag)] if running else []) + ([recorded] if recorded else [])
+        if any(bag.resolve().is_relative_to(recording.path) for bag in written):
             raise InputError(f"{recording.id}: is being recorded; stop the run first")
 
     def delete(self, recording: str) -> None:

@@ -15,7 +15,9 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 Log = Callable[[str, int, str, str], None]
 
-LOGIN = "/login"
+LOGIN, STOP = "/login", "/stop"
+"""Paths that need no session: of the login, and of the emergency stop, which one must be able to ask for when a session has
+ended or the server was started again. A stop too many costs a run."""
 SESSION = "mrd_session"
 """Key under which the scope of a request tells its session."""
 
@@ -71,7 +73,7 @@ class Guard:
                 elif scope["type"] == "websocket":
                     await self._refuse(PlainTextResponse("", 401), "no session; load the page again", scope, receive, send)
                     return
-            elif scope["path"] != LOGIN:
+            elif scope["type"] == "websocket" or scope["path"] not in (LOGIN, STOP):
                 answer: Response = RedirectResponse(LOGIN, 303) if wants_page else PlainTextResponse("log in first", 401)
                 await self._refuse(answer, "not logged in", scope, receive, send)
                 return

@@ -32,7 +32,10 @@ class Samples:
 
 
 class SampleHistory:
-    """Keeps the latest samples; one thread adds, any thread reads.
+    """Keeps the latest samples, all of one rate; one thread adds, any thread reads.
+
+    It begins anew when the bench was started again and when the sampling rate changes: velocities are computed of samples at
+    equal distances.
 
     Parameters
     ----------
@@ -47,6 +50,7 @@ class SampleHistory:
         self._series = np.zeros((4, 2 * capacity))
         self._numbers = np.zeros(2 * capacity, dtype=np.int64)
         self._end = 0
+        self._period = 0.0
 
     def add(self, number: int, time: float, period: float, position: Array, force: Array, current: Array) -> None:
         """Add a block of samples, at most as many as are kept.
@@ -62,8 +66,8 @@ class SampleHistory:
         """
         count = len(position)
         with self._lock:
-            if self._end and count and time <= self._series[0, self._end - 1]:
-                self._end = 0  # the bench was started again
+            if count and (period != self._period or (self._end and time <= self._series[0, self._end - 1])):
+                self._end, self._period = 0, period
             if self._end + count > 2 * self._capacity:
                 kept = slice(self._end - self._capacity + count, self._end)
                 self._end = self._capacity - count

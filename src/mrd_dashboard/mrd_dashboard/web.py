@@ -1,6 +1,7 @@
 """The web application: login, live frames, downloads and reports; the page itself is mounted beneath."""
 
 import asyncio
+import html
 import shutil
 from typing import Any
 from urllib.parse import parse_qs
@@ -11,26 +12,30 @@ from pydantic import TypeAdapter
 from starlette.background import BackgroundTask
 
 from mrd_base import InputError
+from mrd_dashboard import stop_button
 from mrd_dashboard.access import Sessions
 from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.download import pack
-from mrd_dashboard.guard import LOGIN, SESSION, Guard, address_of
+from mrd_dashboard.guard import LOGIN, SESSION, STOP, Guard, address_of
 from mrd_dashboard.hybrid_view import hybrid_frame
 
-STOP, SESSION_OPEN, LOGOUT = "/stop", "/session", "/logout"
-"""A page asks at these paths for the emergency stop, whether its session is open, and for the end of its session."""
+SESSION_OPEN, LOGOUT = "/session", "/logout"
+"""A page asks at these paths whether its session is open, and for the end of its session."""
 
 _LONGEST_LOGIN = 4096  # bytes
 _TABLE = TypeAdapter(dict[str, list[float]])
 
-_LOGIN_PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Damper bench</title>
+_LOGIN_PAGE = f"""<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Damper bench</title>
 <meta name="viewport" content="width=device-width"><style>
 :root{{color-scheme:light dark}}body{{font:16px sans-serif;display:grid;place-items:center;height:95vh}}
-form{{display:grid;gap:12px;width:300px}}input,button{{font:inherit;padding:10px}}</style></head><body>
+form{{display:grid;gap:12px;width:300px}}input,button{{font:inherit;padding:10px}}
+.mrd-stop{{position:fixed;top:8px;right:16px;padding:10px 40px;font-weight:700;color:white;background:#c10015;border:0}}
+</style>{stop_button.HEAD}</head><body>{stop_button.BODY}<button type="button" class="mrd-stop"
+title="Stops rod and coil at once. It needs no login.">STOP</button>
 <form method="post"><h1>Damper bench</h1><label for="secret">Password or token</label>
 <input id="secret" name="secret" type="password" autofocus required autocomplete="current-password">
-<button>Log in</button><p role="alert">{message}</p></form></body></html>"""
+<button>Log in</button><p role="alert">MESSAGE</p></form></body></html>"""
 
 
 def visitor(scope: Any) -> Visitor:
@@ -48,7 +53,7 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
 
     @app.post(STOP)
     async def stop(request: Request) -> Response:
-        """Ask for the emergency stop. It needs no control, and no websocket."""
+        """Ask for the emergency stop. It needs no control, no websocket, and no session."""
         dashboard.emergency_stop(visitor(request.scope))
         return Response(status_code=204)
 
@@ -67,7 +72,7 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
 
     @app.get(LOGIN)
     def login_page(ended: bool = False) -> HTMLResponse:
-        return HTMLResponse(_LOGIN_PAGE.format(message="Your session has ended. Log in again." if ended else ""))
+        return HTMLResponse(_login_page("Your session has ended. Log in again." if ended else ""))
 
     @app.post(LOGIN)
     async def login(request: Request) -> Response:
@@ -79,8 +84,8 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
             async with guess:
                 session = await asyncio.to_thread(sessions.open, secret, address_of(request.scope))
         except InputError as error:
-            dashboard.audit.write(who.name, "login", "", f"refused: {error}")
-            return HTMLResponse(_LOGIN_PAGE.format(message=error), 401)
+            dashboard.audit.write_seldom(who.name, "login", "", f"refused: {error}")
+            return HTMLResponse(_login_page(str(error)), 401)
         dashboard.audit.write(visitor({**request.scope, SESSION: session}).name, "login", "", "done")
         response = RedirectResponse("/", 303)
         response.headers["set-cookie"] = request.app.state.guard.set_cookie(session, request.url.scheme)
@@ -125,6 +130,10 @@ def guarded(app: FastAPI, sessions: Sessions, host: str, port: int, audit: Audit
     """Return the application behind its guard, which logs what it refuses."""
     app.state.guard = Guard(app, sessions, host, port, audit.write_refusal)
     return app.state.guard  # type: ignore[no-any-return]
+
+
+def _login_page(message: str) -> str:
+    return _LOGIN_PAGE.replace("MESSAGE", html.escape(message))
 
 
 def _json_of(table: dict[str, list[float]]) -> Response:

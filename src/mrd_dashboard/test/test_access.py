@@ -30,6 +30,7 @@ from mrd_dashboard.access import (
     require_safe_host,
     write_credentials,
 )
+from mrd_dashboard.audit import REPEATED_AFTER
 from mrd_dashboard.control_right import ABSENCE, ControlRight
 from mrd_dashboard.web import guarded, make_app
 
@@ -83,7 +84,7 @@ class Browser:
     def post(self, path: str, **options) -> httpx.Response:
         return self.request("POST", path, **options)
 
-    def websocket(self, hears: int = 0, meanwhile=lambda: None, **headers: str) -> str:
+    def websocket(self, hears: int = 0, meanwhile=lambda: None, path: str = "/_nicegui_ws/socket.io", **headers: str) -> str:
         """Return the type of the first answer to a websocket.
 
         If it is let in, the application hears a number of messages, before the last of which something happens.
@@ -97,7 +98,7 @@ class Browser:
         scope = {
             "type": "websocket",
             "client": (self.address, 1),
-            "path": "/_nicegui_ws/socket.io",
+            "path": path,
             "headers": [(name.encode(), value.encode()) for name, value in sent.items()],
             "query_string": b"",
             "subprotocols": [],
@@ -284,14 +285,27 @@ def session_of(client: Browser) -> str:
 
 def test_stop_is_asked_for_by_a_plain_request(dashboard, commands, credentials: Credentials) -> None:
     client = Browser(dashboard, Sessions(credentials))
-    assert client.post("/stop").status_code == 401
-    client.post("/login", data={"secret": PASSWORD})
     assert client.get("/stop").status_code == 405
     for headers in FOREIGN[:-1]:
         assert client.post("/stop", headers=headers).status_code == 403
     assert commands.asked == []
     assert client.post("/stop", headers={"origin": "http://127.0.0.1:8080", "sec-fetch-site": "same-origin"}).is_success
     assert commands.asked == ["emergency stop"]
+
+
+def test_the_login_has_a_stop_that_needs_no_session(dashboard, commands, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    assert "mrd-stop" in client.get("/login").text
+    assert "mrd-stop" in client.post("/login", data={"secret": "wrong password"}).text
+    for _ in range(20):
+        assert client.post("/stop", headers={"origin": "http://127.0.0.1:8080"}).status_code == 204
+    assert commands.asked == ["emergency stop"] * 20
+    log = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert [entry["result"] for entry in log if entry["action"] == "emergency stop"] == ["requested without a session"]
+    assert client.websocket(path="/stop") == "websocket.close"
+    client.post("/login", data={"secret": PASSWORD})
+    client.app._sessions.close(session_of(client))
+    assert client.post("/stop").status_code == 204, "a page whose session has ended stops, too"
 
 
 def test_behind_a_proxy_the_page_has_the_name_of_the_proxy(dashboard, credentials: Credentials) -> None:
@@ -313,6 +327,23 @@ def test_refused_requests_are_logged_but_do_not_fill_the_disk(dashboard, credent
         ("10.0.0.1", "/live.json", "refused: not logged in"),
         ("10.0.0.1", "/live.json", "refused: the request comes fro"),
         ("10.0.0.2", "/live.json", "refused: not logged in"),
+    ]
+
+
+def test_refused_logins_are_counted_but_do_not_fill_the_disk(dashboard, credentials: Credentials) -> None:
+    clock = dashboard.audit._clock = Clock()
+    client = Browser(dashboard, Sessions(credentials))
+    for _ in range(100):
+        assert client.post("/login", data={"secret": "wrong password"}).status_code == 401
+    assert len(dashboard.audit.path.read_text().splitlines()) == 1
+    client.address = "10.0.0.2"
+    clock.now += REPEATED_AFTER
+    client.post("/login", data={"secret": "wrong password"})
+    log = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert [(entry["who"], entry["action"], entry["result"].partition(" p")[0]) for entry in log] == [
+        ("10.0.0.1", "login", "refused: wrong"),
+        ("10.0.0.1", "login", "99 more like it within 60 s"),
+        ("10.0.0.2", "login", "refused: wrong"),
     ]
 
 

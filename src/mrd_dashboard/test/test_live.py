@@ -81,6 +81,16 @@ def test_the_velocity_of_a_frame_is_that_of_the_motion() -> None:
     assert max(frame["velocity_mm_per_s"]) == pytest.approx(8 * 2 * math.pi, rel=0.01)
 
 
+def test_the_velocity_is_right_at_once_after_a_change_of_the_rate() -> None:
+    history = SampleHistory()
+    fill(history, 8.0, 1000)
+    for first in range(0, 500, 20):
+        time = (first + np.arange(20)) / 2000
+        block = 8e-3 * np.sin(2 * np.pi * time)
+        history.add(8000 + first, 108 + time[0], 1 / 2000, block, block, block)
+    assert max(live_frame(history)["velocity_mm_per_s"]) == pytest.approx(8 * 2 * math.pi, rel=0.01)
+
+
 def test_points_do_not_jump_from_frame_to_frame() -> None:
     history = SampleHistory()
     fill(history, 8.0, 1000)

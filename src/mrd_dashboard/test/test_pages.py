@@ -138,6 +138,19 @@ def test_a_note_is_kept_and_a_script_in_it_is_text(visit, dashboard, new_bag) ->
     assert dashboard.recordings.find("sine-1").notes.text == script
 
 
+def test_a_download_leaves_the_page_open(visit, dashboard, new_bag) -> None:
+    new_bag(dashboard.recordings.folder / "a b")
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        await user.should_see(marker="more a b", retries=30)
+        user.find(marker="more a b").click()
+        (button,) = user.find("Download csv").elements
+        assert (button.props["href"], button.props["target"]) == ("/download/csv/a%20b", "_blank")
+
+    visit(work)
+
+
 def test_details_stay_open_when_the_list_changes(visit, dashboard, new_bag) -> None:
     new_bag(dashboard.recordings.folder / "sine-1")
 

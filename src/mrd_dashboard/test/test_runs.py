@@ -14,6 +14,7 @@ import psutil
 import pytest
 
 from mrd_base import InputError
+from mrd_dashboard.bench_view import NODE_SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import Visitor, run_next
 from mrd_dashboard.experiment_form import find_experiments, form_of, form_text, preview, waveform_fields
 from mrd_dashboard.look import Look, cached_look, keep_look, look_at
@@ -159,6 +160,31 @@ def test_what_is_being_recorded_is_not_deleted(dashboard, new_bag) -> None:
     assert path.exists()
 
 
+@pytest.mark.parametrize("state", ["recording", "stopping"])
+def test_what_the_recorder_writes_is_neither_deleted_nor_recovered(dashboard, new_bag, state: str) -> None:
+    path = new_bag(dashboard.recordings.folder / "sine-1")
+    dashboard.bench.hear_recorder(state, "", str(path))
+    for act in (dashboard.delete, dashboard.recover):
+        with pytest.raises(InputError, match="sine-1: is being recorded"):
+            act("sine-1")
+    assert path.exists()
+    dashboard.bench.hear_recorder("idle", "", "")
+    dashboard.delete("sine-1")
+    assert not path.exists()
+
+
+def test_what_a_recorder_that_has_died_was_writing_may_be_deleted(dashboard, new_bag) -> None:
+    path = new_bag(dashboard.recordings.folder / "sine-1")
+    dashboard.bench.hear_recorder("recording", "", str(path))
+    dashboard.bench._heard["recorder"] -= NODE_SILENT_AFTER + 1.0
+    dashboard.bench.hear_node("recorder", NodeHealth(0, "ok"))
+    with pytest.raises(InputError, match="is being recorded"):
+        dashboard.delete("sine-1")  # its bench time stands still, but the node lives
+    dashboard.bench._heard["node recorder"] -= NODE_SILENT_AFTER + 1.0
+    dashboard.delete("sine-1")
+    assert not path.exists()
+
+
 # A look at a recording
 
 
@@ -185,6 +211,17 @@ def test_a_look_is_kept_until_the_recording_changes(new_bag, tmp_path: Path) -> 
     assert cached_look(bag, cache) is None
     cache.write_text("no JSON")
     assert cached_look(bag, cache) is None
+
+
+def test_the_look_at_an_open_recording_is_not_kept(dashboard) -> None:
+    path = dashboard.recordings.folder / "sine-1"
+    path.mkdir()
+    (path / "sine-1_0.mcap").write_text("1")
+    assert asyncio.run(dashboard.look(dashboard.recordings.find("sine-1"))).problem
+    assert dashboard.known_look(dashboard.recordings.find("sine-1")) is None
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    asyncio.run(dashboard.look(dashboard.recordings.find("sine-1")))
+    assert dashboard.known_look(dashboard.recordings.find("sine-1")) is not None
 
 
 # The form

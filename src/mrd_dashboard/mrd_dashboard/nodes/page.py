@@ -2,7 +2,10 @@
 
 import asyncio
 import concurrent.futures
+import itertools
 import os
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +18,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
-from mrd_base import InputError, from_mapping, quantity, read_node_parameters
+from mrd_base import InputError, from_mapping, quantity, read_node_parameters, read_yaml
+from mrd_base.config import node_patterns
 from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
@@ -60,7 +64,8 @@ from mrd_trajectory.settings import read_settings
 _ANSWER_TIMEOUT, _HOME_TIMEOUT = 30.0, 180.0
 # Wall time in s for the reason of a rejection, which comes on a topic of its own.
 _REASON_TIMEOUT = 2.0
-# Wall time in s without a supervisor in the graph after which a run is given up, and between two looks at the graph.
+# Wall time in s without the supervisor in the graph, or with the lease of another one, after which a run is given up, and
+# between two looks.
 _GONE_AFTER, _LOOK_PERIOD = 10.0, 1.0
 _STATUS_FIELDS = ("position", "velocity", "following_error", "bus_voltage", "temperature", "status", "connected", "enabled")
 _STATUS_FLAGS = ("homed", "moving", "fault", "stopped", "message")
@@ -77,7 +82,7 @@ class PageConfig:
     access: str = quantity("", doc="file with password and tokens, written by the tool access; empty: no login")
     runs: str = quantity("runs", doc="folder of the recordings")
     experiments: str = quantity("", doc="folder of the experiments to choose from; empty: those that are shipped")
-    bench: str = quantity("", doc="bench.yaml with the limits; empty: $MRD_BENCH")
+    bench: str = quantity("", doc="bench.yaml with the limits; empty: --params-file, else $MRD_BENCH")
     plant: str = quantity(
         "", doc="plant.yaml of the simulated bench, into which a diagnosis is put; empty: beside bench.yaml"
     )
@@ -90,9 +95,12 @@ class RosCommands:
     ----------
     node : BenchNode
         The node whose executor receives the answers, in another thread.
+    view : BenchView
+        What this node hears of the bench.
     """
 
-    def __init__(self, node: BenchNode[Any]) -> None:
+    def __init__(self, node: BenchNode[Any], view: BenchView) -> None:
+        self._node, self._view = node, view
         self._emergency_stop = EMERGENCY_STOP.publisher(node)
         self._services = {
             "end run": (STOP.client(node), Trigger.Request(), _ANSWER_TIMEOUT),
@@ -136,22 +144,47 @@ class RosCommands:
             # It comes in the thread of the executor; the queue belongs to this one.
             loop.call_soon_threadsafe(progress, message.feedback.phase, message.feedback.elapsed)
 
-        handle = await _answer(client.send_goal_async(goal, feedback_callback=hear), _ANSWER_TIMEOUT, "the run")
+        sent = await self._in_executor(partial(client.send_goal_async, goal, feedback_callback=hear))
+        handle = await _answer(sent, _ANSWER_TIMEOUT, "the run")
         if not handle.accepted:
             raise InputError(await self._reason(name))
-        result = (await self._while_there(client, handle.get_result_async())).result
+        awaited = await self._in_executor(handle.get_result_async)
+        result = (await self._while_there(client, awaited)).result
         return RunOutcome(result.success, result.message, result.bag)
 
-    @staticmethod
-    async def _while_there(client: Any, future: Any) -> Any:
-        """Wait for the result of a run as long as there is a supervisor that could send it."""
+    async def _in_executor(self, work: Callable[[], Any]) -> Any:
+        """Return the result of a function that the executor of the node calls.
+
+        rclpy notes a goal, without a lock, after it has sent it: in another thread, the answer could be taken before, and be
+        lost. Services have a lock.
+        """
+        if self._node.executor is None:
+            raise InputError("the page is still starting; try again")
+        done: concurrent.futures.Future[Any] = concurrent.futures.Future()
+
+        def call() -> None:
+            if done.set_running_or_notify_cancel():
+                try:
+                    done.set_result(work())
+                except Exception as error:  # raised in the executor, it would end the node
+                    done.set_exception(error)
+
+        self._node.executor.create_task(call)
+        return await asyncio.wrap_future(done)
+
+    async def _while_there(self, client: Any, future: Any) -> Any:
+        """Wait for the result of a run as long as there is the supervisor that could send it: another one could not."""
+        supervisor = self._view.lease_holder
         result = asyncio.ensure_future(_answer(future, None, "the run"))
         missing = 0.0
         while missing < _GONE_AFTER:
             done, _ = await asyncio.wait({result}, timeout=_LOOK_PERIOD)
             if done:
                 return result.result()
-            missing = 0.0 if client.server_is_ready() else missing + _LOOK_PERIOD
+            latest = self._view.lease_holder
+            supervisor = supervisor or latest
+            there = client.server_is_ready() and latest == supervisor
+            missing = 0.0 if there else missing + _LOOK_PERIOD
         result.cancel()
         raise InputError("the supervisor has gone in the run; look at its log, start the bench again, and try again")
 
@@ -167,7 +200,8 @@ class RosCommands:
 async def _answer(future: Any, timeout: float | None, what: str) -> Any:
     """Wait, in the loop of the web server, for a future that the executor of the node completes."""
     bridge: concurrent.futures.Future[Any] = concurrent.futures.Future()
-    future.add_done_callback(lambda done: bridge.set_result(done) if not bridge.done() else None)
+    # It may be cancelled at any moment; an error here would end the node.
+    future.add_done_callback(lambda done: bridge.set_result(done) if bridge.set_running_or_notify_cancel() else None)
     try:
         return (await asyncio.wait_for(asyncio.wrap_future(bridge), timeout)).result()
     except TimeoutError:
@@ -181,16 +215,17 @@ class Page(BenchNode[PageConfig]):
         super().__init__("page", PageConfig)
         config = self.config
         credentials = read_credentials(config.access) if config.access else None
-        bench_file = config.bench or os.environ.get("MRD_BENCH", "")
-        plant = Path(config.plant or Path(bench_file).with_name("plant.yaml")).expanduser()
-        self._view = BenchView(_supervisor_config(bench_file), read_settings(bench_file or None))
+        bench = bench_file(config.bench, sys.argv)
+        plant = Path(config.plant or Path(bench).with_name("plant.yaml")).expanduser()
+        supervisor = from_mapping(SupervisorConfig, read_node_parameters(bench, "supervisor"), bench)
+        self._view = BenchView(supervisor, read_settings(bench))
         recordings = Recordings(Path(config.runs))
         folder = recordings.folder
         self._workers = Workers()
         self._audit = AuditLog(folder / "audit.jsonl")
         dashboard = Dashboard(
             bench=self._view,
-            commands=RosCommands(self),
+            commands=RosCommands(self, self._view),
             recordings=recordings,
             queue=RunQueue(folder / "queue.json"),
             jobs=Jobs(folder / "results"),
@@ -199,7 +234,7 @@ class Page(BenchNode[PageConfig]):
             experiments=_experiments(config.experiments),
             hybrid_test=Path(get_package_share_directory("mrd_bringup"), "config", "control", "hybrid_test.yaml"),
             workers=self._workers,
-            bench_file=bench_file,
+            bench_file=bench,
             plant=str(plant) if plant.is_file() else "",
         )
         self._listen()
@@ -221,7 +256,7 @@ class Page(BenchNode[PageConfig]):
         DIAGNOSTICS.subscription(self, self._on_diagnostics)
 
     def _on_lease(self, lease: Lease) -> None:
-        self._view.hear_lease(seconds(lease.header.stamp))
+        self._view.hear_lease(seconds(lease.header.stamp), lease.holder, lease.since)
 
     def _on_samples(self, block: BenchSamples) -> None:
         time, period = seconds(block.header.stamp), block.sample_period
@@ -249,9 +284,9 @@ class Page(BenchNode[PageConfig]):
         self._view.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""
 
     def _on_recorder_state(self, status: DiagnosticStatus) -> None:
-        state = next((value.value for value in status.values if value.key == "state"), "")
+        values = {value.key: value.value for value in status.values}
         problem = status.message if status.level == DiagnosticStatus.ERROR else ""
-        self._view.monitor.add_recorder_state(state, problem, self._view.bench_time)
+        self._view.hear_recorder(values.get("state", ""), problem, values.get("bag", ""))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         prefix = f"{self.get_namespace().strip('/')}/"
@@ -269,10 +304,33 @@ class Page(BenchNode[PageConfig]):
         self._audit.close()
 
 
-def _supervisor_config(bench_file: str) -> SupervisorConfig:
-    if not bench_file:
-        return SupervisorConfig()
-    return from_mapping(SupervisorConfig, read_node_parameters(bench_file, "supervisor"), bench_file)
+def bench_file(named: str, arguments: Sequence[str]) -> str:
+    """Return the bench.yaml whose limits the bench has.
+
+    Parameters
+    ----------
+    named : str
+        The parameter ``bench``, or "".
+    arguments : sequence of str
+        Command line of the node: without the parameter, the file with the section ``supervisor`` counts.
+
+    Raises
+    ------
+    InputError
+        When it is unknown: the page must not preview runs by other limits.
+    """
+    if named:
+        return named
+    files = [file for option, file in itertools.pairwise(arguments) if option == "--params-file"]
+    own = set(node_patterns("supervisor")) - {"/**"}
+    found = [file for file in files if own & read_yaml(file).keys()]
+    if len(found) > 1:
+        raise InputError(f"{' and '.join(found)} both have a section supervisor; name the bench's by the parameter bench")
+    if bench := found[0] if found else os.environ.get("MRD_BENCH", ""):
+        return bench
+    raise InputError(
+        "the limits of the bench are unknown; give its bench.yaml by --params-file or the parameter bench, or set MRD_BENCH"
+    )
 
 
 def _experiments(folder: str) -> Path:

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from functools import partial
 from typing import Any
+from urllib.parse import quote
 
 from nicegui import ui
 
@@ -215,9 +216,10 @@ def _details(dashboard: Dashboard, who: Visitor, recording: Recording, changed: 
         with ui.row().classes("w-full"):
             ui.button("Save notes", on_click=save).props("no-caps")
             for kind in ("bag", "csv"):
-                ui.button(
-                    f"Download {kind}", on_click=lambda kind=kind: ui.navigate.to(f"/download/{kind}/{recording.id}")
-                ).props("no-caps outline")
+                # In a tab of its own, which closes with the download: a refusal must not take the place of the stop button.
+                ui.button(f"Download {kind}").props(
+                    f'no-caps outline href="/download/{kind}/{quote(recording.id)}" target=_blank'
+                )
             ui.space()
             ui.button("Delete", on_click=delete).props("no-caps outline color=negative").mark("delete")
             ui.button("Close", on_click=dialog.close).props("no-caps flat")

@@ -5,6 +5,7 @@ from functools import partial
 from nicegui import events, ui
 
 from mrd_base.lease import Mode
+from mrd_dashboard import stop_button
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.guard import LOGIN
 from mrd_dashboard.pages.analysis import analysis_page
@@ -12,7 +13,7 @@ from mrd_dashboard.pages.control import control_page
 from mrd_dashboard.pages.live import REFRESH, live_page
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.runs import runs_page
-from mrd_dashboard.web import LOGOUT, SESSION_OPEN, STOP, visitor
+from mrd_dashboard.web import LOGOUT, SESSION_OPEN, visitor
 
 # The tabs in their order.
 PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identify and diagnose": analysis_page}
@@ -20,49 +21,15 @@ PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identif
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
 _THEME = "mrd_theme"  # name of the cookie that keeps it
 
-# Dialogs stay beneath the header with the stop button. A stop is a request of its own, sent at the press and not at the
-# release: it needs no websocket, which may be connecting again, and waits for nothing else that the page asks for.
+# Dialogs stay beneath the header with the stop button.
 _STYLE = """
 <style>
   .q-header { z-index: 8000 !important; }
   .q-dialog__inner { top: 64px !important; }
-  #mrd-said {
-    position: fixed; top: 72px; right: 16px; z-index: 9000; padding: 8px 16px; border-radius: 4px;
-    color: white; font-weight: 500; pointer-events: none;
-  }
 </style>
 """
-_SAID = '<div id="mrd-said" role="alert" hidden></div>'
 _SCRIPT = f"""
 <script>
-  function mrdSay(text, colour) {{
-    const say = document.getElementById('mrd-said');
-    say.textContent = text;
-    say.style.background = colour;
-    say.hidden = false;
-    clearTimeout(window.mrdSilence);
-    window.mrdSilence = setTimeout(() => {{ say.hidden = true; }}, 10000);
-  }}
-  async function mrdStop() {{
-    mrdSay('stop requested', '#b45309');
-    let why = 'the server of the page does not answer';
-    try {{
-      const answer = await fetch('{STOP}', {{method: 'POST', keepalive: true, signal: AbortSignal.timeout(5000)}});
-      if (answer.ok) {{
-        mrdSay('stop sent', '#b45309');
-        return;
-      }}
-      why = answer.status === 401 ? 'your session has ended' : await answer.text();
-    }} catch (error) {{ /* said below */ }}
-    mrdSay(`STOP WAS NOT SENT: ${{why}}. Press the hard-wired button.`, '#b91c1c');
-  }}
-  addEventListener('pointerdown', event => {{
-    if (event.button === 0 && event.target.closest('.mrd-stop')) mrdStop();
-  }}, true);
-  // The keyboard presses a button without a pointer.
-  addEventListener('click', event => {{
-    if (event.detail === 0 && event.target.closest('.mrd-stop')) mrdStop();
-  }}, true);
   setInterval(async () => {{
     try {{
       const answer = await fetch('{SESSION_OPEN}');
@@ -80,8 +47,8 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         who = visitor(request.scope if request else {})
     theme = request.cookies.get(_THEME) if request else None
     dark = ui.dark_mode({"dark": True, "light": False}.get(theme or ""))
-    ui.add_head_html(_STYLE + _SCRIPT.replace("LOGIN", f"{LOGIN}?ended=true" if login else "/"))
-    ui.add_body_html(_SAID)
+    ui.add_head_html(_STYLE + stop_button.HEAD + _SCRIPT.replace("LOGIN", f"{LOGIN}?ended=true" if login else "/"))
+    ui.add_body_html(stop_button.BODY)
     ui.page_title("Damper bench")
     with ui.header(elevated=True).classes("items-center gap-4 py-1 px-4 no-wrap bg-slate-800 text-white"):
         ui.label("Damper bench").classes("text-lg font-medium max-lg:hidden")
