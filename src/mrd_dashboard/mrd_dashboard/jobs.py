@@ -25,6 +25,10 @@ REPORTS: Mapping[Kind, str] = {
 """Report of each kind of job, in its folder."""
 
 
+LOOK_PERIOD = 2.0
+"""Wall time in s between two looks for identified dampers."""
+
+
 @dataclass(frozen=True)
 class JobRequest:
     """What a job is to compute.
@@ -118,6 +122,10 @@ class Jobs:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.all: list[Job] = [Job(number, *found) for number, found in enumerate(_earlier(folder), 1)]
+        self._looking, self._next_look = threading.Lock(), -float("inf")
+        self._fits: list[Path] = []
+        self.look_for_fits()
+        self._next_look = -float("inf")
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
 
@@ -127,8 +135,17 @@ class Jobs:
         return next((job for job in self.all if job.state == "running"), None)
 
     def fits(self) -> list[Path]:
-        """Return the files of the identified dampers, the latest first."""
-        return sorted(self.folder.glob("*/fit.json"), key=lambda path: path.stat().st_mtime, reverse=True)
+        """Return the files of the identified dampers, the latest first, as `look_for_fits` found them."""
+        return self._fits
+
+    def look_for_fits(self) -> None:
+        """Look for identified dampers, at most once in `LOOK_PERIOD` for all pages. It reads folders, in a thread."""
+        with self._looking:
+            if time.monotonic() < self._next_look:
+                return
+            found = [(path.stat().st_mtime, path) for path in self.folder.glob("*/fit.json")]
+            self._fits = [path for _, path in sorted(found, reverse=True)]
+            self._next_look = time.monotonic() + LOOK_PERIOD
 
     def start(self, request: JobRequest) -> Job:
         """Start a job.
@@ -221,14 +238,17 @@ def work(request: JobRequest, folder: str, connection: Connection) -> None:
 
 
 def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
+    from mrd_identification.cli.options import look_at_runs
     from mrd_identification.fit_file import write_fit
     from mrd_identification.identify import identify
     from mrd_identification.method import parse_method
     from mrd_identification.report import write_report
     from mrd_runs import read_runs
+    from mrd_sim.models import find_model
 
     method = parse_method(**{**request.method, "seed": request.seed})
     runs = read_runs([*request.runs, *request.held_out])
+    look_at_runs(runs, anyway=False, model=find_model(request.model, method.laws, method.given_effects))
     total = method.total_generations
 
     front: list[tuple[float, float]] = []

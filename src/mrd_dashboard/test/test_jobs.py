@@ -12,9 +12,9 @@ import pytest
 
 from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
-from mrd_dashboard.jobs import Job, JobRequest, Jobs
+from mrd_dashboard.jobs import LOOK_PERIOD, Job, JobRequest, Jobs
 from mrd_identification.fit_file import read_fit
-from mrd_runs import Run
+from mrd_runs import Run, read_run
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 from mrd_sim.simulate import write_csv
@@ -50,6 +50,18 @@ def test_a_fit_shows_its_progress_and_writes_what_the_tool_writes(tmp_path: Path
     assert read_fit(job.folder / "fit.json").model == "bingham"
 
 
+def test_a_faulty_recording_is_not_fitted(tmp_path: Path, recorded: list[str]) -> None:
+    run = read_run(recorded[0])
+    faulty = str(tmp_path / "wrong_sign.csv")
+    write_csv(Run("wrong_sign", run.time, run.position, run.velocity, run.current, -run.force), faulty)
+    jobs = Jobs(tmp_path / "results")
+    jobs.start(JobRequest("identify", (faulty,), "bingham", method=QUICK))
+    job = finish(jobs)
+    assert job.state == "failed", job.message
+    assert "wrong_sign" in job.message
+    assert "\n" not in job.message
+
+
 def test_earlier_reports_are_listed_again(tmp_path: Path) -> None:
     folder = tmp_path / "results" / "diagnose-20261123-120000"
     folder.mkdir(parents=True)
@@ -57,6 +69,18 @@ def test_earlier_reports_are_listed_again(tmp_path: Path) -> None:
     (tmp_path / "results" / "identify-20261123-120000").mkdir()  # was cancelled
     (job,) = Jobs(tmp_path / "results").all
     assert (job.request.kind, job.state, job.folder) == ("diagnose", "done", folder)
+
+
+def test_many_pages_share_one_look_for_fits(tmp_path: Path) -> None:
+    jobs = Jobs(tmp_path)
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "fit.json").touch()
+        jobs.look_for_fits()
+    assert [fit.parent.name for fit in jobs.fits()] == ["first"]
+    jobs._next_look -= LOOK_PERIOD
+    jobs.look_for_fits()
+    assert {fit.parent.name for fit in jobs.fits()} == {"first", "second"}
 
 
 def test_an_unusable_recording_fails_the_job_in_one_line(tmp_path: Path) -> None:

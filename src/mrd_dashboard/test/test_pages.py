@@ -18,7 +18,7 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_dashboard.bench_view import NODE_SILENT_AFTER, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.jobs import Job, JobRequest
-from mrd_dashboard.pages.analysis import MOST_OFFERED, offered, request_of
+from mrd_dashboard.pages.analysis import MOST_JOBS, MOST_OFFERED, offered, request_of
 from mrd_dashboard.pages.shell import page
 from mrd_dashboard.recordings import Notes, Recording
 
@@ -337,6 +337,19 @@ def test_the_advised_command_is_shown_and_the_advised_experiment_recorded(visit,
     (run,) = dashboard.queue.runs
     assert (run.kind, run.state) == ("identification", "waiting")
     assert run.experiment.startswith("name: ")
+
+
+def test_the_latest_jobs_are_listed(visit, dashboard, tmp_path: Path) -> None:
+    for number in range(1, MOST_JOBS + 4):
+        dashboard.jobs.all.append(Job(number, JobRequest("trend", ("a.csv",), "bingham"), tmp_path, "done"))
+
+    async def work(user: User) -> None:
+        user.find("Identify and diagnose").click()
+        await user.should_see(marker=f"report {MOST_JOBS + 3}", retries=30)
+        await user.should_see(marker="report 4")
+        await user.should_not_see(marker="report 3")
+
+    visit(work)
 
 
 def test_two_recordings_are_compared(visit, dashboard, recorded) -> None:

@@ -18,6 +18,8 @@ from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 
 BEST = "auto"
+MOST_JOBS = 20
+"""Jobs that are listed, the latest; the files of all are in ``runs/results``."""
 MOST_OFFERED = 50
 """Recordings that a field offers; typing finds the others."""
 
@@ -212,13 +214,13 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             history, norms = (latest.history, latest.front) if latest else ([], [])
             _draw(errors, history, "share", "nrmse")
             _draw(front, norms, "e2_N", "einf_N")
-        state = [(job.number, job.state) for job in jobs.all]
+        state = [(job.number, job.state) for job in jobs.all[-MOST_JOBS:]]
         if state == listed[0]:
             return
         listed[0] = state
         rows.clear()
         with rows:
-            for job in reversed(jobs.all):
+            for job in reversed(jobs.all[-MOST_JOBS:]):
                 _job_row(job, open_report, apply, record)
 
     ui.timer(0.3, refresh)

@@ -1,5 +1,6 @@
 """The live page: plots, requests to the bench, its state, and a lamp for each interlock."""
 
+import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,8 +60,9 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
     def show(show_limits: bool) -> None:
         plots.options.update(options(show_limits))
 
-    def offer() -> None:
+    async def offer() -> None:
         """Offer the fits that there are, and show which of them all who look see."""
+        await asyncio.to_thread(dashboard.jobs.look_for_fits)
         drawn = dashboard.prediction.name if dashboard.prediction else ""
         offered = {"": "no prediction", **{str(path): path.parent.name for path in dashboard.jobs.fits()}}
         offered.setdefault(drawn, Path(drawn).parent.name)
@@ -77,7 +79,7 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
             return f"all who look see the force predicted by {Path(path).parent.name}" if path else "no force is predicted"
 
         tell(await dashboard.act(who, "predicted by", work, path))
-        offer()
+        await offer()
 
     limits.value = True
     ui.timer(2.0, offer)
