@@ -22,7 +22,7 @@ def test_processes_get_different_domains():
 
 def test_a_domain_with_a_ros_program_that_has_no_lock_is_in_use():
     """A bench that was given its domain, or brought up by hand."""
-    program = "import rclpy; rclpy.init(); rclpy.create_node('stranger'); print(flush=True); input()"
+    program = "import rclpy; rclpy.init(); node = rclpy.create_node('stranger'); print(flush=True); input()"
     domain = next(number for number in range(50, 102) if number not in domains_in_use())
     environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
     other = subprocess.Popen(
