@@ -1,4 +1,4 @@
-"""How a node follows the lease, on a node that only keeps time."""
+"""A node follows the lease; here the node does nothing but keep time."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""What the DAQ puts on its coil output when the converter does not take it."""
+"""The DAQ brings its coil output to 0 V, and says what it cannot do, when the converter refuses a voltage."""
 
 import time
 from collections.abc import Iterator

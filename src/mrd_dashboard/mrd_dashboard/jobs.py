@@ -123,9 +123,7 @@ class Jobs:
         self.folder = folder
         self.all: list[Job] = [Job(number, *found) for number, found in enumerate(_earlier(folder), 1)]
         self._looking, self._next_look = threading.Lock(), -float("inf")
-        self._fits: list[Path] = []
-        self.look_for_fits()
-        self._next_look = -float("inf")
+        self._fits = self._find_fits()
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
 
@@ -139,13 +137,14 @@ class Jobs:
         return self._fits
 
     def look_for_fits(self) -> None:
-        """Look for identified dampers, at most once in `LOOK_PERIOD` for all pages. It reads folders, in a thread."""
+        """Look for identified dampers, at most once in `LOOK_PERIOD` for all pages. Call it in a thread: it reads files."""
         with self._looking:
-            if time.monotonic() < self._next_look:
-                return
-            found = [(path.stat().st_mtime, path) for path in self.folder.glob("*/fit.json")]
-            self._fits = [path for _, path in sorted(found, reverse=True)]
-            self._next_look = time.monotonic() + LOOK_PERIOD
+            if time.monotonic() >= self._next_look:
+                self._fits = self._find_fits()
+                self._next_look = time.monotonic() + LOOK_PERIOD
+
+    def _find_fits(self) -> list[Path]:
+        return sorted(self.folder.glob("*/fit.json"), key=lambda path: path.stat().st_mtime, reverse=True)
 
     def start(self, request: JobRequest) -> Job:
         """Start a job.

@@ -138,13 +138,18 @@ def test_a_note_is_kept_and_a_script_in_it_is_text(visit, dashboard, new_bag) ->
     assert dashboard.recordings.find("sine-1").notes.text == script
 
 
+async def open_details(user: User, name: str) -> None:
+    """Open the dialog of a recording in the list of the runs."""
+    user.find("Runs").click()
+    await user.should_see(marker=f"more {name}", retries=30)
+    user.find(marker=f"more {name}").click()
+
+
 def test_a_download_leaves_the_page_open(visit, dashboard, new_bag) -> None:
     new_bag(dashboard.recordings.folder / "a b")
 
     async def work(user: User) -> None:
-        user.find("Runs").click()
-        await user.should_see(marker="more a b", retries=30)
-        user.find(marker="more a b").click()
+        await open_details(user, "a b")
         (button,) = user.find("Download csv").elements
         assert (button.props["href"], button.props["target"]) == ("/download/csv/a%20b", "_blank")
 
@@ -155,9 +160,7 @@ def test_details_stay_open_when_the_list_changes(visit, dashboard, new_bag) -> N
     new_bag(dashboard.recordings.folder / "sine-1")
 
     async def work(user: User) -> None:
-        user.find("Runs").click()
-        await user.should_see(marker="more sine-1", retries=30)
-        user.find(marker="more sine-1").click()
+        await open_details(user, "sine-1")
         await user.should_see(marker="note")
         new_bag(dashboard.recordings.folder / "sine-2")
         await user.should_see(marker="more sine-2", retries=100)
@@ -171,9 +174,7 @@ def test_a_recording_is_deleted_after_a_question(visit, dashboard, new_bag) -> N
     path = new_bag(dashboard.recordings.folder / "sine-1")
 
     async def work(user: User) -> None:
-        user.find("Runs").click()
-        await user.should_see(marker="more sine-1", retries=30)
-        user.find(marker="more sine-1").click()
+        await open_details(user, "sine-1")
         user.find(marker="delete").click()
         await user.should_see("for ever?")
         assert path.exists()

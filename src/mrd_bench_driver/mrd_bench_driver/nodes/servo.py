@@ -121,10 +121,11 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def _publish(self, status: ServoStatus) -> None:
         """Publish a status. Only the thread of the serial line calls this, so that only it uses these publishers."""
-        self._lease.check()  # also where a callback hangs, with which the executor's own check does
-        status = dataclasses.replace(status, halt_time=self._lease.halt_time)
+        # The timer that checks the lease falls silent when a callback hangs; this thread goes on.
+        self._lease.check()
         state = msg.ServoState(**{name: value for name, value in vars(status).items() if name != "time"})
         state.header.stamp = self.stamp(status.time)
+        state.halt_time = self._lease.halt_time
         self._state.publish(state)
         # Before it is homed, the encoder counts from where it was switched on. One for each block of samples is enough for
         # plots and visualisations: a recorded message costs a simulated bench more than a millisecond.
