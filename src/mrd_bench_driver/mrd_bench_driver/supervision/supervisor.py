@@ -265,7 +265,8 @@ class Supervisor:
             raise CancelledError
         # Servo and DAQ forget a stop of what does not move yet. The procedure must not go on as if nobody had asked.
         if (servo := self.monitor.servo) and servo.halt_time > max(self._begun, self.monitor.own_halt_time):
-            raise RefusedError("servo: somebody stopped the rod during the run (by servo/stop or servo/enable)")
+            stopped = "homing" if self.mode.current is Mode.HOMING else "rod during the run"
+            raise RefusedError(f"servo: somebody stopped the {stopped} (by servo/stop or servo/enable)")
 
     def _run_exclusively(
         self,
