@@ -459,7 +459,7 @@ def test_a_stop_of_a_rod_that_does_not_move_yet_ends_the_procedure(fakes: Fakes,
     """The servo answers that it has stopped; what it then forgets, the supervisor must not."""
     fakes.meanwhile[step] = fakes.note_halt
     result = fakes.result(fakes.send()).result
-    assert result.message.startswith("servo: somebody stopped the rod"), result.message
+    assert result.message.startswith("servo: somebody stopped the homing"), result.message
     assert "start_experiment" not in fakes.calls
     fakes.meanwhile.clear()
     assert fakes.result(fakes.send()).result.success, "the stop is over with the procedure"
