@@ -311,7 +311,7 @@ def test_a_bad_line_never_moves_the_rod(bench: Any, tmp_path: Path) -> None:
     truth.clear()
     assert bench.client.spin(lambda: len(truth) > 10, 5)
     rest = truth[-1].position[0]
-    for fault in ("garbage", "split_reply", "late_reply", "drop_byte", "silence", "reset", "unplug"):
+    for fault in ("damage_command", "garbage", "split_reply", "late_reply", "drop_byte", "silence", "reset", "unplug"):
         bench.set_fault(fault)
         bench.client.spin(lambda: False, 0.8)
         bench.set_fault("")

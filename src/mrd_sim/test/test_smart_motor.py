@@ -347,6 +347,15 @@ def test_drop_byte(host):
     assert host.ask("RRES") == "8000"
 
 
+def test_damaged_commands(host):
+    host.motor.faults = {"damage_command"}
+    assert host.send("RRES") == b""
+    host.send("MP ADT=100 VT=65536 PT=1000 G", 0.2)
+    assert not host.motor.axis.on
+    host.motor.faults = set()
+    assert host.ask("RRES") == "8000"
+
+
 def test_duplicated_and_swapped_replies(host):
     host.motor.faults = {"duplicate_reply"}
     assert host.send("RRES") == b"8000\r8000\r"

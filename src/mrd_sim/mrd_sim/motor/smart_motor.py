@@ -28,6 +28,7 @@ from mrd_sim.motor.servo_axis import (
 
 BAUD_RATES = (2400, 4800, 9600, 19200, 38400, 57600, 115200)
 LINE_FAULTS = {
+    "damage_command": "each command to the motor loses one of its bytes",
     "drop_byte": "each reply loses one of its bytes",
     "split_reply": "each reply pauses for 50 ms half-way",
     "late_reply": "each reply comes 300 ms late",
@@ -278,6 +279,8 @@ class SmartMotor:
                 self._command.append(byte)
             return
         command, self._command = bytes(self._command), bytearray()
+        if command and "damage_command" in self.faults:
+            command = self._without_one_byte(command)
         if not command:
             return
         self._run_to(time)
@@ -304,8 +307,7 @@ class SmartMotor:
         if "garbage" in self.faults:
             data = self._random.bytes(len(data))
         if "drop_byte" in self.faults:
-            lost = int(self._random.integers(len(data)))
-            data = data[:lost] + data[lost + 1 :]
+            data = self._without_one_byte(data)
         if "split_reply" in self.faults:
             half = len(data) // 2
             self._send(data[:half], leaves)
@@ -315,6 +317,10 @@ class SmartMotor:
         if "swap_replies" in self.faults:
             data, self._held_back = (data + self._held_back, b"") if self._held_back else (b"", data)
         self._send(data, leaves)
+
+    def _without_one_byte(self, data: bytes) -> bytes:
+        lost = int(self._random.integers(len(data)))
+        return data[:lost] + data[lost + 1 :]
 
     # Motion.
 
