@@ -339,6 +339,14 @@ def test_a_recorder_that_falls_silent_ends_the_homing_of_a_run(peers: FakePeers)
     assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
 
 
+def test_a_recorder_that_ends_as_it_begins_is_named(peers: FakePeers) -> None:
+    """It has answered, and was terminated before it said that it records."""
+    peers.effects["start_recording"] = lambda: setattr(peers, "recorder", "")
+    outcome = run(peers)
+    assert outcome.message.startswith("recorder: has been silent for 0.8"), outcome.message
+    assert "start_experiment" not in peers.calls
+
+
 def test_an_experiment_that_somebody_else_loaded_is_not_run(peers: FakePeers) -> None:
     peers.effects["start_recording"] = lambda: peers.supervisor.monitor.add_experiment_state("loaded", peers.clock.now())
     outcome = run(peers)

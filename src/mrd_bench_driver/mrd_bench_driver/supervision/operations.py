@@ -315,9 +315,12 @@ class BenchOperations:
         self._call(
             "start_recording", bag=str(request.bag), experiment=request.experiment, seed=request.seed, lease=self._lease
         )
-        self._wait_until(
-            lambda: self._monitor.recorder_state == "recording", _EFFECT_TIMEOUT, "recorder: did not announce `recording`"
-        )
+
+        def records() -> bool:
+            self.require_recorder()
+            return self._monitor.recorder_state == "recording"
+
+        self._wait_until(records, _EFFECT_TIMEOUT, "recorder: did not announce `recording`")
 
     def stop_recording(self) -> BagSummary:
         """Close the bag and count its samples. The recorder waits until rod and coil are at rest, in bench time."""
