@@ -55,6 +55,8 @@ def decide_change(comparison: ModelComparison, probabilities: Probabilities, rng
     if not comparison.effects:
         return "no_gap" if base.chi_square <= THRESHOLDS.noise_chi_square else "unknown_effect"
     closed = closed_fraction_between(base, best, comparison, rng)
+    if np.isnan(closed.value):  # without the effects, the error is no larger than what no change explains
+        return "no_gap"
     if not _explains(comparison, closed.value, rng):
         return "partly_explained"
     return _explained_or_ambiguous(comparison, probabilities)

@@ -1,12 +1,14 @@
 """What has changed between recordings from before and after, although the model has another form than the damper."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
+from mrd_diagnosis.decision import decide_change
 from mrd_diagnosis.diagnose import candidates_for
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
@@ -122,6 +124,20 @@ def test_a_difference_no_larger_than_the_scatter_of_the_runs_is_no_change():
     scattered = [replace(of_run, force=next(gains) * of_run.force) for of_run in runs(range(6))]
     diagnosis = diagnose(scattered[3:], "bouc_wen", reference=scattered[:3], effects=("load_cell_gain", "moving_mass"))
     assert diagnosis.causes == ()
+
+
+def test_an_effect_in_an_error_no_larger_than_the_noise_is_no_change():
+    """An end stop was named in it, without a share: there was nothing of which it could close one."""
+    noise = SimpleNamespace(sigma=np.ones(40))
+    folds = [(0, slice(10 * k, 10 * k + 10)) for k in range(4)]
+    base = SimpleNamespace(chi_square=0.95, held_out_squares=np.full(4, 9.5))
+    best = SimpleNamespace(chi_square=0.6, held_out_squares=np.full(4, 6.0), held_out_chi_squares=np.full(4, 6.0))
+    weighting = SimpleNamespace(noise=[noise], folds=folds)
+    comparison = SimpleNamespace(effects=("end_stop",), base=base, best=best, weighting=weighting)
+    chances = {"end_stop": {"end_stop": 0.95}}
+    assert decide_change(comparison, chances, np.random.default_rng(0)) == "no_gap"
+    comparison.base = SimpleNamespace(chi_square=2.0, held_out_squares=np.full(4, 20.0))
+    assert decide_change(comparison, chances, np.random.default_rng(0)) == "explained"
 
 
 def test_an_end_stop_that_one_run_before_reached_by_far_is_named():
