@@ -23,8 +23,6 @@ SESSION_TIME = 12 * 3600.0
 """s after which one has to log in again; a token that expires earlier ends its sessions, too."""
 MOST_FAILURES, PAUSE = 5, 30.0
 """Wrong secrets in a row after which an address is refused for a time, and that time in s."""
-MOST_SESSIONS = 1000
-"""Sessions that are kept; of more, the oldest end."""
 SHORTEST_PASSWORD = 10
 """Characters of a password."""
 
@@ -164,6 +162,9 @@ def require_safe_host(host: str, credentials: Credentials | None) -> None:
 class Sessions:
     """The browsers that have logged in.
 
+    A session carries its end and a signature. The server keeps no list of them, so that nobody who opens many can push out
+    that of another.
+
     Parameters
     ----------
     credentials : Credentials or None
@@ -174,7 +175,9 @@ class Sessions:
 
     def __init__(self, credentials: Credentials | None, clock: Callable[[], float] = time.time) -> None:
         self._credentials, self._clock = credentials, clock
-        self._expiry: dict[str, float] = {}
+        self._key = secrets.token_bytes(32)
+        # End of each session that was closed before it.
+        self._closed: dict[str, float] = {}
         # Number of wrong secrets in a row, and the time of the last one, by address.
         self._failures: dict[str, tuple[int, float]] = {}
 
@@ -207,16 +210,25 @@ class Sessions:
                 )
             self._failures.pop(address, None)
             end = min(now + SESSION_TIME, valid_until)
-        kept = [(session, until) for session, until in self._expiry.items() if now < until]
-        self._expiry = dict(kept[-(MOST_SESSIONS - 1) :])
-        session = secrets.token_urlsafe(24)
-        self._expiry[session] = end
-        return session
+        content = f"{secrets.token_urlsafe(12)}.{end:.0f}"
+        return f"{content}.{self._sign(content)}"
+
+    def _sign(self, content: str) -> str:
+        return hmac.digest(self._key, content.encode(), "sha256").hex()
 
     def is_open(self, session: str) -> bool:
-        """Return whether a session exists and has not expired."""
-        return self._clock() < self._expiry.get(session, 0.0)
+        """Return whether a session was opened here and has not ended."""
+        content, _, signature = session.rpartition(".")
+        signed = hmac.compare_digest(signature.encode(), self._sign(content).encode())
+        return signed and session not in self._closed and self._clock() < _end_of(session)
 
     def close(self, session: str) -> None:
-        """End a session."""
-        self._expiry.pop(session, None)
+        """End a session, where one can log in again."""
+        if self.needs_login and self.is_open(session):
+            now = self._clock()
+            self._closed = {closed: end for closed, end in self._closed.items() if now < end} | {session: _end_of(session)}
+
+
+def _end_of(session: str) -> float:
+    """Return the Unix time in s at which a session ends, which was opened here."""
+    return float(session.split(".")[1])

@@ -18,7 +18,6 @@ import pytest
 from mrd_base import InputError
 from mrd_dashboard.access import (
     MOST_FAILURES,
-    MOST_SESSIONS,
     PAUSE,
     SESSION_TIME,
     Credentials,
@@ -192,12 +191,29 @@ def test_a_session_ends_with_the_token_that_opened_it() -> None:
         sessions.open("key")
 
 
-def test_sessions_are_bounded() -> None:
-    sessions = Sessions(None)
-    first = sessions.open()
-    opened = [sessions.open() for _ in range(MOST_SESSIONS)]
-    assert not sessions.is_open(first)
+@pytest.mark.parametrize("secret", ["", PASSWORD])
+def test_no_visit_ends_the_session_of_another(credentials: Credentials, secret: str, monkeypatch) -> None:
+    monkeypatch.setattr("mrd_dashboard.access.password_matches", lambda _stored, password: password == PASSWORD)
+    sessions = Sessions(credentials if secret else None)
+    operator = sessions.open(secret)
+    opened = {sessions.open(secret) for _ in range(2000)}
+    assert len(opened) == 2000
+    assert sessions.is_open(operator)
     assert all(map(sessions.is_open, opened))
+
+
+def test_a_session_cannot_be_made_up(credentials: Credentials) -> None:
+    sessions = Sessions(credentials)
+    session = sessions.open(PASSWORD)
+    content, _, signature = session.rpartition(".")
+    longer = content.replace(content.rpartition(".")[2], "inf")
+    for made_up in ("", ".", "..", "x", f"{longer}.{signature}", f"{content}.", session[:-1], f"{session}é", f".{session}"):
+        assert not sessions.is_open(made_up), made_up
+    assert not Sessions(credentials).is_open(session), "a server that was started again knows none"
+    assert sessions.is_open(session)
+    sessions.close("x")
+    sessions.close(session)
+    assert not sessions.is_open(session)
 
 
 def test_a_session_ends(credentials: Credentials) -> None:
