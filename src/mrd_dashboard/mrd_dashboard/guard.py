@@ -29,7 +29,7 @@ _HEADERS = {
 
 
 def address_of(scope: Scope) -> str:
-    """Return the address from which a request comes."""
+    """Return the address from which a request comes: of the connection, which no header can change."""
     return str((scope.get("client") or ("this machine",))[0])
 
 
@@ -88,14 +88,15 @@ class Guard:
                 for name, value in _HEADERS.items():
                     answer_headers.setdefault(name, value)
                 if new:
-                    answer_headers.append("set-cookie", self.set_cookie(session, scope["scheme"]))
+                    answer_headers.append("set-cookie", self.set_cookie(session, scope))
             await send(message)
 
         await self._app(scope, receive, send_with_headers)
 
-    def set_cookie(self, session: str, scheme: str) -> str:
+    def set_cookie(self, session: str, scope: Scope) -> str:
         """Return the header that gives a browser its session; no script can read it, and no other site can send it."""
-        secure = "; Secure" if scheme == "https" else ""
+        by_tls = "https" in (scope["scheme"], Headers(scope=scope).get("x-forwarded-proto"))
+        secure = "; Secure" if by_tls else ""
         return f"{self.cookie}={session}; Path=/; HttpOnly; SameSite=Lax{secure}"
 
     def _while_open(self, session: str, receive: Receive) -> Receive:

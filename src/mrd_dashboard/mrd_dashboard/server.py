@@ -10,12 +10,22 @@ from nicegui import ui
 from mrd_base import InputError
 from mrd_dashboard.access import Credentials, Sessions, require_safe_host
 from mrd_dashboard.dashboard import Dashboard, work_through_queue
+from mrd_dashboard.guard import Guard
 from mrd_dashboard.pages.shell import page
 from mrd_dashboard.web import guarded, make_app
 
 _START_TIMEOUT = 20.0  # s
 _POLL = 0.2  # s
 _RECONNECT_TIMEOUT = 20.0  # s
+
+
+def server_config(app: Guard, host: str, port: int) -> uvicorn.Config:
+    """Return how an application is served at an address."""
+    # Anybody on this machine may send the headers of a proxy: an address in one must not stand for that of the connection,
+    # by which wrong passwords are counted.
+    return uvicorn.Config(
+        app, host, port, log_level="warning", access_log=False, proxy_headers=False, timeout_graceful_shutdown=1
+    )
 
 
 class PageServer:
@@ -57,15 +67,7 @@ class PageServer:
             app, root=root, title="Damper bench", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT_TIMEOUT
         )
         self._dashboard = dashboard
-        config = uvicorn.Config(
-            guarded(app, sessions, host, port, dashboard.audit),
-            host,
-            port,
-            log_level="warning",
-            access_log=False,
-            timeout_graceful_shutdown=1,
-        )
-        self._server = uvicorn.Server(config)
+        self._server = uvicorn.Server(server_config(guarded(app, sessions, host, port, dashboard.audit), host, port))
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         deadline = time.monotonic() + _START_TIMEOUT

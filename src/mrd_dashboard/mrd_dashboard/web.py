@@ -10,6 +10,7 @@ from fastapi import FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, PlainTextResponse, RedirectResponse, Response
 from pydantic import TypeAdapter
 from starlette.background import BackgroundTask
+from starlette.datastructures import Headers
 
 from mrd_base import InputError
 from mrd_dashboard import stop_button
@@ -39,9 +40,15 @@ title="Stops rod and coil at once. It needs no login.">STOP</button>
 
 
 def visitor(scope: Any) -> Visitor:
-    """Return who sends a request: the address, and a few characters that tell browsers apart but are no key."""
+    """Return who sends a request: the address, and a few characters that tell browsers apart but are no key.
+
+    Who has a session may also be named by the address that a proxy tells: it is not proven.
+    """
     session, address = str(scope.get(SESSION, "")), address_of(scope)
-    return Visitor(session, f"{address} ({session[-4:]})" if session else address)
+    if not session:
+        return Visitor("", address)
+    through = Headers(scope=scope).get("x-forwarded-for", "")[:100]
+    return Visitor(session, f"{address} for {through} ({session[-4:]})" if through else f"{address} ({session[-4:]})")
 
 
 def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
@@ -88,7 +95,7 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
             return HTMLResponse(_login_page(str(error)), 401)
         dashboard.audit.write(visitor({**request.scope, SESSION: session}).name, "login", "", "done")
         response = RedirectResponse("/", 303)
-        response.headers["set-cookie"] = request.app.state.guard.set_cookie(session, request.url.scheme)
+        response.headers["set-cookie"] = request.app.state.guard.set_cookie(session, request.scope)
         return response
 
     @app.post(LOGOUT)

@@ -31,6 +31,7 @@ from mrd_dashboard.access import (
 )
 from mrd_dashboard.audit import REPEATED_AFTER
 from mrd_dashboard.control_right import ABSENCE, ControlRight
+from mrd_dashboard.server import server_config
 from mrd_dashboard.web import guarded, make_app
 
 PASSWORD = "slow damper 7"
@@ -361,6 +362,27 @@ def test_refused_logins_are_counted_but_do_not_fill_the_disk(dashboard, credenti
         ("10.0.0.1", "login", "99 more like it within 60 s"),
         ("10.0.0.2", "login", "refused: wrong"),
     ]
+
+
+def test_no_header_avoids_the_pause_after_wrong_passwords(dashboard, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    config = server_config(client.app, "127.0.0.1", 8080)
+    config.load()
+    client.app, client.address = config.loaded_app, "127.0.0.1"
+    for number in range(MOST_FAILURES + 1):
+        headers = {"x-forwarded-for": f"10.0.0.{number}", "forwarded": f"for=10.0.0.{number}"}
+        answer = client.post("/login", data={"secret": "wrong password"}, headers=headers)
+    assert "too many wrong passwords" in answer.text
+    assert len(dashboard.audit.path.read_text().splitlines()) == 1
+
+
+def test_the_audit_log_names_who_comes_through_a_proxy(dashboard, credentials: Credentials) -> None:
+    client = Browser(dashboard, Sessions(credentials))
+    proxy = {"x-forwarded-for": "192.0.2.7", "x-forwarded-proto": "https"}
+    answer = client.post("/login", data={"secret": PASSWORD}, headers=proxy)
+    assert "; Secure" in answer.headers["set-cookie"]
+    (entry,) = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert entry["who"].startswith("10.0.0.1 for 192.0.2.7 (")
 
 
 @pytest.mark.parametrize("headers", FOREIGN)
