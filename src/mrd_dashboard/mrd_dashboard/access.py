@@ -135,14 +135,18 @@ def write_credentials(credentials: Credentials, path: Path) -> None:
     part.replace(path)
 
 
-def is_local(host: str) -> bool:
-    """Return whether only this machine reaches an address at which the page is served."""
-    if host == "localhost":
-        return True
+def is_address(host: str) -> bool:
+    """Return whether a host is given by its IP address, not by a name."""
     try:
-        return ipaddress.ip_address(host).is_loopback
+        ipaddress.ip_address(host)
     except ValueError:
         return False
+    return True
+
+
+def is_local(host: str) -> bool:
+    """Return whether only this machine reaches an address at which the page is served."""
+    return host == "localhost" or (is_address(host) and ipaddress.ip_address(host).is_loopback)
 
 
 def require_safe_host(host: str, credentials: Credentials | None) -> None:

@@ -1,5 +1,7 @@
 """What stands before the page: only this bench's own pages, in logged-in browsers, reach it."""
 
+import re
+import socket
 from collections.abc import Awaitable, Callable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -7,7 +9,7 @@ from typing import Any
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 
-from mrd_dashboard.access import Sessions, is_local
+from mrd_dashboard.access import Sessions, is_address, is_local
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -47,12 +49,17 @@ class Guard:
         It is part of the cookie's name: cookies do not tell ports apart, and two benches may be open.
     log : callable
         Receives address, status, path and reason of each refusal.
+    names : str
+        Names, with spaces between, by which browsers reach the page beside addresses and the names of this machine.
     """
 
-    def __init__(self, app: App, sessions: Sessions, host: str, port: int, log: Log = lambda *_: None) -> None:
+    def __init__(
+        self, app: App, sessions: Sessions, host: str, port: int, log: Log = lambda *_: None, names: str = ""
+    ) -> None:
         self._app, self._sessions, self._log = app, sessions, log
-        # With a login, no name by which the page is reached lets in, and a proxy may serve it under its own.
         self._local = is_local(host) and not sessions.needs_login
+        machine = socket.gethostname()
+        self._names = {name.lower() for name in ("localhost", host, machine, f"{machine}.local", *names.split())}
         self.cookie = f"mrd_session_{port}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -119,8 +126,11 @@ class Guard:
         """Return why a request is taken for one that another site sends, or ""."""
         host = headers.get("host", "")
         # Another site may let its own name lead to this machine; the browser would then take it for the same site.
-        if self._local and not is_local(host.rsplit(":", 1)[0].strip("[]")):
+        name = re.sub(r":\d*$", "", host).lower().removeprefix("[").removesuffix("]")
+        if self._local and not is_local(name):
             return f"the page is served to this machine only, not as {host[:100]}"
+        if not self._local and name not in self._names and not is_address(name):
+            return f"the page is not known as {host[:100]}; if this is a name of the bench, add it to the parameter names"
         origin = headers.get("origin")
         if origin is not None and origin.partition("://")[2] != host:
             return f"the request comes from {origin[:100]}, not from this page"

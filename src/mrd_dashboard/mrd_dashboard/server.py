@@ -38,6 +38,8 @@ class PageServer:
         Where the page is served.
     credentials : Credentials or None
         Who may log in; None lets everybody on this machine in.
+    names : str
+        Names by which browsers reach the page, as of `Guard`.
 
     Attributes
     ----------
@@ -53,7 +55,7 @@ class PageServer:
 
     loop: asyncio.AbstractEventLoop
 
-    def __init__(self, dashboard: Dashboard, host: str, port: int, credentials: Credentials | None) -> None:
+    def __init__(self, dashboard: Dashboard, host: str, port: int, credentials: Credentials | None, names: str = "") -> None:
         require_safe_host(host, credentials)
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
         sessions = Sessions(credentials)
@@ -67,7 +69,8 @@ class PageServer:
             app, root=root, title="Damper bench", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT_TIMEOUT
         )
         self._dashboard = dashboard
-        self._server = uvicorn.Server(server_config(guarded(app, sessions, host, port, dashboard.audit), host, port))
+        guard = guarded(app, sessions, host, port, dashboard.audit, names)
+        self._server = uvicorn.Server(server_config(guard, host, port))
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
         deadline = time.monotonic() + _START_TIMEOUT

@@ -133,9 +133,9 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
     return app
 
 
-def guarded(app: FastAPI, sessions: Sessions, host: str, port: int, audit: AuditLog) -> Guard:
+def guarded(app: FastAPI, sessions: Sessions, host: str, port: int, audit: AuditLog, names: str = "") -> Guard:
     """Return the application behind its guard, which logs what it refuses."""
-    app.state.guard = Guard(app, sessions, host, port, audit.write_refusal)
+    app.state.guard = Guard(app, sessions, host, port, audit.write_refusal, names)
     return app.state.guard  # type: ignore[no-any-return]
 
 

@@ -5,6 +5,7 @@ import hashlib
 import io
 import json
 import math
+import socket
 import subprocess
 import sys
 import zipfile
@@ -61,8 +62,8 @@ def credentials() -> Credentials:
 class Browser:
     """Keeps cookies, and does not follow redirections."""
 
-    def __init__(self, dashboard, sessions: Sessions, host: str = "127.0.0.1") -> None:
-        self.app = guarded(make_app(dashboard, sessions), sessions, host, 8080, dashboard.audit)
+    def __init__(self, dashboard, sessions: Sessions, host: str = "127.0.0.1", names: str = "") -> None:
+        self.app = guarded(make_app(dashboard, sessions), sessions, host, 8080, dashboard.audit, names)
         self.cookies = httpx.Cookies()
         self.address = "10.0.0.1"
 
@@ -326,10 +327,24 @@ def test_the_login_has_a_stop_that_needs_no_session(dashboard, commands, credent
 
 
 def test_behind_a_proxy_the_page_has_the_name_of_the_proxy(dashboard, credentials: Credentials) -> None:
-    client = Browser(dashboard, Sessions(credentials))
+    client = Browser(dashboard, Sessions(credentials), names="bench.example other.example")
     name = {"host": "bench.example", "origin": "https://bench.example"}
     assert client.post("/login", data={"secret": PASSWORD}, headers=name).status_code == 303
     assert client.post("/login", data={"secret": PASSWORD}, headers={**name, "origin": "https://x"}).status_code == 403
+
+
+def test_with_a_login_too_a_name_that_is_not_of_the_bench_reaches_nothing(
+    dashboard, commands, credentials: Credentials
+) -> None:
+    client = Browser(dashboard, Sessions(credentials), host="0.0.0.0")
+    for host in ("evil.example:8080", "evil.example", "1.2.3.4.evil.example:8080", "[::1].evil.example", ""):
+        answer = client.post("/stop", headers={"host": host, "origin": f"http://{host}"})
+        assert answer.status_code == 403
+        assert "the parameter names" in answer.text
+    assert commands.asked == []
+    machine = socket.gethostname()
+    for host in ("192.0.2.7:8080", "[2001:db8::7]:8080", "[::1]", "localhost:8080", machine, f"{machine.upper()}.local:80"):
+        assert client.post("/stop", headers={"host": host, "origin": f"http://{host}"}).status_code == 204, host
 
 
 def test_refused_requests_are_logged_but_do_not_fill_the_disk(dashboard, credentials: Credentials) -> None:

@@ -80,6 +80,9 @@ class PageConfig:
     host: str = quantity("127.0.0.1", doc="address at which the page is served; another than this machine's needs access")
     port: int = quantity(8080, doc="port of the page", lower=1, upper=65535)
     access: str = quantity("", doc="file with password and tokens, written by the tool access; empty: no login")
+    names: str = quantity(
+        "", doc="names, with spaces between, by which browsers reach the page beside addresses and the names of this machine"
+    )
     runs: str = quantity("runs", doc="folder of the recordings")
     experiments: str = quantity("", doc="folder of the experiments to choose from; empty: those that are shipped")
     bench: str = quantity("", doc="bench.yaml with the limits; empty: --params-file, else $MRD_BENCH")
@@ -238,7 +241,7 @@ class Page(BenchNode[PageConfig]):
             plant=str(plant) if plant.is_file() else "",
         )
         self._listen()
-        self._server = PageServer(dashboard, config.host, config.port, credentials)
+        self._server = PageServer(dashboard, config.host, config.port, credentials, config.names)
         self.get_logger().info(f"the page is at {self._server.url}")
 
     def _listen(self) -> None:
