@@ -24,6 +24,8 @@ from mrd_runs.storage import SUFFIXES
 NOTES_FILE = "notes.yaml"
 CACHE_FOLDER = ".page"
 """Folder, among the recordings, of what the page can compute again."""
+NOTES_REMEDY = "mend or remove the file, then its notes can be changed here"
+"""What to do about notes that cannot be read."""
 LONGEST_NOTE = 10_000
 """Characters."""
 SCAN_PERIOD = 2.0
@@ -190,8 +192,16 @@ class Recordings:
         return path
 
     def write_notes(self, recording: str, notes: Notes) -> None:
-        """Keep notes with a recording."""
+        """Keep notes with a recording, in place of those that it has.
+
+        Raises
+        ------
+        InputError
+            For a note that is too long, and where the present notes cannot be read: they would be lost.
+        """
         found = self.find(recording)
+        if found.problem:
+            raise InputError(f"{found.problem}; {NOTES_REMEDY}")
         modified = found.path.stat()
         if len(notes.text) > LONGEST_NOTE:
             raise InputError(f"note: has {len(notes.text)} characters, expected at most {LONGEST_NOTE}")

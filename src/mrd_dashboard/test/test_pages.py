@@ -145,6 +145,20 @@ async def open_details(user: User, name: str) -> None:
     user.find(marker=f"more {name}").click()
 
 
+def test_notes_that_cannot_be_read_are_shown_as_such(visit, dashboard, new_bag) -> None:
+    file = new_bag(dashboard.recordings.folder / "sine-1") / "notes.yaml"
+    file.write_text("damper: [unclosed\n")
+
+    async def work(user: User) -> None:
+        await open_details(user, "sine-1")
+        await user.should_see(f"{file}: line 2 is not YAML")
+        await user.should_see("its notes cannot be read")
+        await user.should_not_see("Save notes")
+
+    visit(work)
+    assert file.read_text() == "damper: [unclosed\n"
+
+
 def test_a_download_leaves_the_page_open(visit, dashboard, new_bag) -> None:
     new_bag(dashboard.recordings.folder / "a b")
 

@@ -13,7 +13,7 @@ from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.look import HEIGHT, WIDTH, Look, curves
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
-from mrd_dashboard.recordings import Recording, make_notes, notes_form
+from mrd_dashboard.recordings import NOTES_REMEDY, Recording, make_notes, notes_form
 
 ROWS = 15
 """Recordings on one sheet of the list."""
@@ -135,6 +135,8 @@ def _row(recording: Recording, look: Look | None, chosen: set[str], show: Callab
             words = [recording.date, recording.notes.damper, *(f"#{tag}" for tag in recording.notes.tags)]
             if not recording.closed:
                 words.append("not closed")
+            if recording.problem:
+                words.append("its notes cannot be read")
             if look and not look.problem:
                 words[1:1] = [f"{look.duration:.1f} s", f"{1e3 * look.stroke:.1f} mm", f"{look.force:.0f} N"]
             ui.label(" · ".join(filter(None, words))).classes("text-sm opacity-80")
@@ -201,20 +203,19 @@ def _details(dashboard: Dashboard, who: Visitor, recording: Recording, changed: 
 
     with ui.dialog(value=True) as dialog, ui.card().classes("w-full max-w-3xl gap-2"):
         ui.label(recording.id).classes("text-base font-medium break-all")
-        if recording.problem:
-            ui.label(recording.problem).classes("text-negative text-sm")
         if recording.closed:
             _facts(look)
         else:
             with ui.row().classes("w-full items-center no-wrap"):
                 ui.label(_OPEN).classes("text-sm grow")
                 ui.button("Recover", on_click=recover).props("no-caps outline").mark("recover")
-        ui.input("serial number of the damper").bind_value(form, "damper").props("dense").classes("w-full").mark("damper")
-        ui.number("temperature of the damper in °C").bind_value(form, "temperature_degC").props("dense").classes("w-full")
-        ui.input("tags, with commas between").bind_value(form, "tags").props("dense").classes("w-full").mark("tags")
-        ui.textarea("note").bind_value(form, "text").props("dense autogrow").classes("w-full").mark("note")
+        if recording.problem:
+            ui.label(f"{recording.problem}; {NOTES_REMEDY}").classes("text-sm text-negative")
+        else:
+            _notes_fields(form)
         with ui.row().classes("w-full"):
-            ui.button("Save notes", on_click=save).props("no-caps")
+            if not recording.problem:
+                ui.button("Save notes", on_click=save).props("no-caps")
             for kind in ("bag", "csv"):
                 # In a tab of its own, which closes with the download: a refusal must not take the place of the stop button.
                 ui.button(f"Download {kind}").props(
@@ -223,6 +224,13 @@ def _details(dashboard: Dashboard, who: Visitor, recording: Recording, changed: 
             ui.space()
             ui.button("Delete", on_click=delete).props("no-caps outline color=negative").mark("delete")
             ui.button("Close", on_click=dialog.close).props("no-caps flat")
+
+
+def _notes_fields(form: dict[str, Any]) -> None:
+    ui.input("serial number of the damper").bind_value(form, "damper").props("dense").classes("w-full").mark("damper")
+    ui.number("temperature of the damper in °C").bind_value(form, "temperature_degC").props("dense").classes("w-full")
+    ui.input("tags, with commas between").bind_value(form, "tags").props("dense").classes("w-full").mark("tags")
+    ui.textarea("note").bind_value(form, "text").props("dense autogrow").classes("w-full").mark("note")
 
 
 def _facts(look: Look | None) -> None:
