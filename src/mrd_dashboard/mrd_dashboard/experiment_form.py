@@ -1,7 +1,8 @@
 """The form of an experiment, made from the catalogue of waveforms, and its preview against the limits."""
 
 import dataclasses
-from collections.abc import Mapping
+import typing
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,22 @@ MOST_POINTS = 1000
 
 @dataclass(frozen=True)
 class FormField:
-    """A field of the form: the key in the experiment's file, its meaning, and its default as text; "" if required."""
+    """A field of the form.
+
+    Attributes
+    ----------
+    key, doc : str
+        The key in the experiment's file, and its meaning.
+    default : str
+        As text; "" if it is required.
+    is_list : bool
+        Whether it takes several values, with commas between.
+    """
 
     key: str
     doc: str
     default: str
+    is_list: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,11 +71,12 @@ def waveform_fields(channel: str, waveform: str) -> list[FormField]:
 
 def fields_of(cls: type[Any], units: Mapping[str, str] | None = None) -> list[FormField]:
     """Return the fields of a dataclass that is declared by `mrd_base.quantity`; ``units`` as in `mrd_base.from_mapping`."""
-    fields = []
+    fields, hints = [], typing.get_type_hints(cls)
     for declared in dataclasses.fields(cls):
         key, factor = yaml_key(declared, units)
-        required = declared.default is dataclasses.MISSING
-        fields.append(FormField(key, declared.metadata["doc"], "" if required else _text(declared.default, factor)))
+        default = "" if declared.default is dataclasses.MISSING else _text(declared.default, factor)
+        is_list = typing.get_origin(hints[declared.name]) is tuple
+        fields.append(FormField(key, declared.metadata["doc"], default, is_list))
     return fields
 
 
@@ -95,27 +108,30 @@ def entries_of(mapping: Mapping[str, Any]) -> dict[str, str]:
 
 def form_text(form: Mapping[str, Any]) -> str:
     """Return the file of the experiment that a form describes."""
-    return yaml.safe_dump(values_of(form), sort_keys=False, allow_unicode=True)
+    fields = [field for channel in CHANNEL_UNITS for field in waveform_fields(channel, form[channel]["waveform"])]
+    return yaml.safe_dump(values_of(form, fields), sort_keys=False, allow_unicode=True)
 
 
-def values_of(form: Mapping[str, Any]) -> dict[str, Any]:
+def values_of(form: Mapping[str, Any], fields: Iterable[FormField]) -> dict[str, Any]:
     """Return the content of the file that a form describes; what is left empty keeps its default.
 
-    A text becomes what it would be in the file: a number where it is one, a list where it has commas.
+    A text becomes what it would be in the file: a number where it is one, a list where it has commas or where one of the
+    fields takes a list.
     """
     mapping: dict[str, Any] = {}
+    lists = {field.key for field in fields if field.is_list}
     for key, value in form.items():
         if isinstance(value, Mapping):
-            mapping[key] = {name: _value(text) for name, text in value.items() if str(text).strip()}
+            mapping[key] = {name: _value(text, name in lists) for name, text in value.items() if str(text).strip()}
         elif str(value).strip():
             mapping[key] = str(value) if key in ("name", "description", "transition") else _value(value)
     return mapping
 
 
-def _value(text: Any) -> Any:
+def _value(text: Any, is_list: bool = False) -> Any:
     words = [word.strip() for word in str(text).split(",")]
     values = [_number(word) for word in words if word]
-    return values if len(words) > 1 else values[0]
+    return values if is_list or len(words) > 1 else values[0]
 
 
 def _number(word: str) -> Any:

@@ -100,7 +100,8 @@ def hybrid_text(form: Mapping[str, Any], shipped: Path, fits: Mapping[str, Path]
     InputError
         With one line: field, what was found and what was expected.
     """
-    mapping = values_of({key: value for key, value in form.items() if key != "damper"})
+    known = [field for kind in CATALOGUES for field in fields(kind, form[kind][kind])]
+    mapping = values_of({key: value for key, value in form.items() if key != "damper"}, known)
     chosen = form["damper"]
     mapping["damper"] = {"fit": str(fits[chosen])} if chosen in fits else read_yaml(shipped)["damper"]
     experiment = parse_control_experiment(yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True), "hybrid test")

@@ -61,6 +61,14 @@ def test_the_shipped_test_passes_through_the_form() -> None:
     assert np.array_equal(made.damper.theta, shipped.damper.theta)
 
 
+def test_a_building_of_one_floor_needs_no_commas() -> None:
+    one = {"floor_mass_kg": "98.3", "storey_stiffness_N_per_m": "516000", "storey_damping_N_s_per_m": "125"}
+    assert one.keys() <= {field.key for field in fields("system", "shear_building")}
+    form = shipped_form(SHIPPED) | {"system": {"system": "shear_building", **one}}
+    made = parse_control_experiment(hybrid_text(form, SHIPPED, {}), "form")
+    assert made.system.floor_mass == (98.3,)
+
+
 @pytest.mark.parametrize("law", choices("law"))
 def test_every_law_can_be_chosen(law: str) -> None:
     form = shipped_form(SHIPPED) | {"law": law, "gains": {}}

@@ -68,10 +68,19 @@ def test_the_form_of_notes_reads_what_it_shows() -> None:
         make_notes({"temperature_degC": 900.0})
 
 
-def test_notes_that_cannot_be_read_hide_no_recording(dashboard, new_bag) -> None:
-    (new_bag(dashboard.recordings.folder / "sine-1") / "notes.yaml").write_text("damper: [unclosed\n")
+@pytest.mark.parametrize("content", ["damper: [unclosed\n", "serial: RD-17\n", "- a\n", "\xff"])
+def test_notes_that_cannot_be_read_hide_no_recording_and_are_not_written_over(dashboard, new_bag, content: str) -> None:
+    file = new_bag(dashboard.recordings.folder / "sine-1") / "notes.yaml"
+    file.write_bytes(content.encode("latin-1"))
     (found,) = dashboard.recordings.search()
-    assert "notes.yaml" in found.problem
+    assert str(file) in found.problem
+    with pytest.raises(InputError, match=r"notes\.yaml.*mend or remove the file") as refused:
+        dashboard.recordings.write_notes("sine-1", Notes(text="x"))
+    assert "\n" not in str(refused.value)
+    assert file.read_bytes() == content.encode("latin-1")
+    file.unlink()
+    dashboard.recordings.write_notes("sine-1", Notes(text="x"))
+    assert dashboard.recordings.find("sine-1").notes.text == "x"
 
 
 def test_a_link_is_no_recording(dashboard, new_bag, tmp_path: Path) -> None:
@@ -257,6 +266,22 @@ def test_a_preview_refuses_in_one_line(change: tuple[str, str], found: str) -> N
     with pytest.raises(InputError, match=found) as caught:
         preview(SINE.replace(*change), GeneratorSettings())
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("waveform", "entries"),
+    [
+        ("ladder", {"amplitude_mm": "5", "slopes_mm_per_s": "5", "hold_s": "1"}),
+        ("staircase", {"levels_mm": "5", "hold_s": "1"}),
+    ],
+)
+def test_a_list_of_one_value_needs_no_comma(dashboard, waveform: str, entries: dict[str, str]) -> None:
+    form = form_of(parse_experiment(SINE, "form"))
+    known = {field.key: field.default for field in waveform_fields("rod", waveform)}
+    assert entries.keys() <= known.keys(), known
+    form["rod"] = {"waveform": waveform, **entries}
+    experiment = parse_experiment(form_text(form), "form")
+    assert parse_experiment(form_text(form_of(experiment)), "form") == experiment
 
 
 # The queue
