@@ -145,6 +145,21 @@ def test_stop_needs_no_websocket_and_says_when_it_fails(bench: PageBench, page: 
     reset_fault(page)
 
 
+def test_plots_that_stand_still_say_why_and_go_on(bench: PageBench, page: Any) -> None:
+    drawn = page.locator("[role=alert]", has_text="The plots stand still")
+    for refuse, reason in (
+        (lambda route: route.fulfill(status=500, body="ZeroDivisionError: no speed"), "ZeroDivisionError: no speed"),
+        (lambda route: route.fulfill(status=200, body="no JSON"), "the latest frame cannot be drawn"),
+        (lambda route: route.abort(), "the server of the page does not answer"),
+    ):
+        page.route("**/live.json", refuse)
+        page.get_by_text(f"The plots stand still: {reason}").wait_for(timeout=ANSWER_TIMEOUT)
+        page.unroute("**/live.json")
+        drawn.wait_for(state="detached", timeout=ANSWER_TIMEOUT)
+        before = page.evaluate("window.mrdFrames")
+        page.wait_for_function(f"window.mrdFrames > {before + 5}", timeout=ANSWER_TIMEOUT)
+
+
 def test_the_theme_follows_the_system_until_it_is_changed(bench: PageBench) -> None:
     for page in open_page(bench, color_scheme="dark"):
         page.wait_for_function("document.body.classList.contains('body--dark')", timeout=ANSWER_TIMEOUT)

@@ -3,6 +3,7 @@
 import asyncio
 import html
 import shutil
+from collections.abc import Callable
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -25,7 +26,7 @@ SESSION_OPEN, LOGOUT = "/session", "/logout"
 """A page asks at these paths whether its session is open, and for the end of its session."""
 
 _LONGEST_LOGIN = 4096  # bytes
-_TABLE = TypeAdapter(dict[str, list[float]])
+_TABLE_TYPE = TypeAdapter(dict[str, list[float]])
 
 _LOGIN_PAGE = f"""<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Damper bench</title>
 <meta name="viewport" content="width=device-width"><style>
@@ -71,11 +72,11 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
 
     @app.get("/live.json")
     def live() -> Response:
-        return _json_of(dashboard.frame())
+        return _table(dashboard.frame)
 
     @app.get("/hybrid.json")
     def hybrid() -> Response:
-        return _json_of(hybrid_frame(dashboard.bench.cycles.latest()))
+        return _table(lambda: hybrid_frame(dashboard.bench.cycles.latest()))
 
     @app.get(LOGIN)
     def login_page(ended: bool = False) -> HTMLResponse:
@@ -143,9 +144,14 @@ def _login_page(message: str) -> str:
     return _LOGIN_PAGE.replace("MESSAGE", html.escape(message))
 
 
-def _json_of(table: dict[str, list[float]]) -> Response:
-    """Return a table as JSON, with null for nan. FastAPI would check each of its numbers first, 30 times a second."""
-    return Response(_TABLE.dump_json(table), media_type="application/json")
+def _table(compute: Callable[[], dict[str, list[float]]]) -> Response:
+    """Return a table as JSON, with null for nan; where it cannot be computed, the reason, which the page shows."""
+    try:
+        table = compute()
+    except Exception as error:
+        return PlainTextResponse(f"{type(error).__name__}: {error}; please report this", 500)
+    # FastAPI would check each of its numbers first, 30 times a second.
+    return Response(_TABLE_TYPE.dump_json(table), media_type="application/json")
 
 
 async def _body(request: Request) -> bytes:

@@ -276,6 +276,20 @@ def test_a_sample_that_is_no_number_is_null_in_the_live_frame(dashboard) -> None
     assert answer.json()["force_N"][-2:] == [6.0, None]
 
 
+@pytest.mark.parametrize(("path", "part"), [("/live.json", "live_frame"), ("/hybrid.json", "hybrid_frame")])
+def test_a_frame_that_cannot_be_computed_says_why(dashboard, monkeypatch, path: str, part: str) -> None:
+    def fail(*_) -> None:
+        raise ZeroDivisionError("no speed")
+
+    module = "dashboard" if part == "live_frame" else "web"
+    client = Browser(dashboard, Sessions(None))
+    with monkeypatch.context() as broken:
+        broken.setattr(f"mrd_dashboard.{module}.{part}", fail)
+        answer = client.get(path)
+    assert (answer.status_code, answer.text) == (500, "ZeroDivisionError: no speed; please report this")
+    assert client.get(path).status_code == 200
+
+
 def test_on_this_machine_every_browser_gets_a_session(dashboard) -> None:
     client = Browser(dashboard, Sessions(None))
     assert client.get("/live.json").status_code == 200

@@ -21,7 +21,7 @@ from mrd_dashboard.hybrid_form import (
 )
 from mrd_dashboard.jobs import JobRequest
 from mrd_dashboard.pages.notes import tell
-from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, hybrid_panels, pull_script
+from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, fresh_chart, hybrid_panels
 
 REFRESH = 1.0
 """Wall time in s between two looks at the metrics."""
@@ -162,9 +162,8 @@ def _live(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         state = ui.label().classes("text-sm").mark("test state")
         bar = ui.linear_progress(0.0, show_value=False).props("rounded")
         panels = hybrid_panels(dashboard.bench.supervisor.limits)
-        plots = (
-            ui.echart(chart(panels, show_limits=False)).classes("w-full").style("height: max(480px, calc(100vh - 330px))")
-        )
+        plots = fresh_chart(chart(panels, show_limits=False), "/hybrid.json", FRAME_PERIOD)
+        plots.style("height: max(480px, calc(100vh - 330px))")
     with ui.card().classes("w-full p-3 gap-2"):
         with ui.row().classes("w-full items-center"):
             ui.label("Tracking and ride, of the last seconds").classes("text-base font-medium grow")
@@ -207,6 +206,4 @@ def _live(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
                 if not found.rows:
                     ui.label("They are shown from the second second of a test on.").classes("text-sm opacity-80")
 
-    script = pull_script(plots.id, "/hybrid.json", FRAME_PERIOD)
-    ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
     ui.timer(REFRESH, refresh)

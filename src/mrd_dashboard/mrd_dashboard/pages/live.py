@@ -10,7 +10,7 @@ from mrd_dashboard.bench_view import DAQ, SERVO, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
 from mrd_dashboard.lamps import Lamp
 from mrd_dashboard.pages.notes import tell
-from mrd_dashboard.pages.plots import chart, live_panels, pull_script
+from mrd_dashboard.pages.plots import chart, fresh_chart, live_panels
 
 REFRESH = 0.2
 """Wall time in s between two looks at the state of the bench."""
@@ -55,7 +55,8 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
             .classes("w-64")
             .mark("prediction")
         )
-    plots = ui.echart(options(False)).classes("w-full").style("height: max(560px, calc(100vh - 210px))").mark("plots")
+    plots = fresh_chart(options(False), "/live.json", FRAME_PERIOD)
+    plots.style("height: max(560px, calc(100vh - 210px))").mark("plots")
 
     def show(show_limits: bool) -> None:
         plots.options.update(options(show_limits))
@@ -83,8 +84,6 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
 
     limits.value = True
     ui.timer(2.0, offer)
-    script = pull_script(plots.id, "/live.json", FRAME_PERIOD)
-    ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
 
 
 def _lamps(dashboard: Dashboard, shown: Callable[[], bool]) -> None:

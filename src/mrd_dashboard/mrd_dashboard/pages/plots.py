@@ -1,8 +1,10 @@
-"""Options of the plots (ECharts): colours that can be told apart in both themes, one table behind all curves."""
+"""The plots (ECharts): colours that can be told apart in both themes, one table behind all curves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from nicegui import ui
 
 from mrd_trajectory.limits import Limits
 
@@ -145,7 +147,8 @@ def hybrid_panels(limits: Limits) -> list[Panel]:
     ]
 
 
-# The browser asks for a frame once it has drawn the one before, so that a slow one never has frames waiting for it.
+# The browser asks for a frame once it has drawn the one before, so that a slow one never has frames waiting for it. Plots
+# that stand still would look like a bench that stands still: why they do is said above them.
 _PULL = """
 (() => {
   let busy = false;
@@ -155,20 +158,31 @@ _PULL = """
     const chart = getElement(ID)?.chart;
     if (!chart || busy || document.hidden || !document.getElementById('cID')?.offsetParent) return;
     busy = true;
+    let why = 'the server of the page does not answer';
     try {
-      const answer = await fetch('ADDRESS');
+      const answer = await fetch('ADDRESS', {signal: AbortSignal.timeout(5000)});
       if (answer.ok) {
+        why = 'the latest frame cannot be drawn; please report this';
         chart.setOption({dataset: {source: await answer.json()}}, {lazyUpdate: false});
         window.mrdFrames += 1;
+        why = '';
+      } else {
+        why = await answer.text();
       }
-    } catch (error) { /* the server is away; the page says so */ }
+    } catch (error) { /* said below */ }
+    const said = document.getElementById('cSAID');
+    if (said) said.textContent = why && `The plots stand still: ${why}. They go on by themselves once this is over.`;
     busy = false;
   }, PERIOD);
 })();
 """
 
 
-def pull_script(chart: int, address: str, period: float) -> str:
-    """Return the script that keeps the table of a chart fresh from an address of the server, every ``period`` s."""
-    script = _PULL.replace("ID", str(chart)).replace("ADDRESS", address)
-    return script.replace("PERIOD", str(int(1e3 * period)))
+def fresh_chart(options: dict[str, Any], address: str, period: float) -> ui.echart:
+    """Build a chart that draws the table at an address of the server every ``period`` s, and says above why it cannot."""
+    said = ui.label().classes("text-sm text-negative").props("role=alert")
+    plots = ui.echart(options).classes("w-full")
+    script = _PULL.replace("SAID", str(said.id)).replace("ID", str(plots.id)).replace("ADDRESS", address)
+    script = script.replace("PERIOD", str(int(1e3 * period)))
+    ui.timer(0.1, lambda: ui.run_javascript(script), once=True)
+    return plots
