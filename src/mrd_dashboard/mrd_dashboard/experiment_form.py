@@ -2,7 +2,7 @@
 
 import dataclasses
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+from mrd_base import InputError
 from mrd_base.config import yaml_key
-from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment
+from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment, read_experiment
 from mrd_trajectory.plan import Peak, plan
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.waveforms import CHANNEL_UNITS, waveform_type
@@ -170,3 +171,29 @@ def preview(text: str, settings: GeneratorSettings) -> Preview:
 def find_experiments(folder: Path) -> dict[str, Path]:
     """Return the experiment files in a folder and its folders, by the name under which the page lists them."""
     return {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.rglob("*.yaml"))}
+
+
+def find_sets(experiments: Mapping[str, Path]) -> dict[str, list[Path]]:
+    """Return the sets among the experiments that `find_experiments` found: the files of each folder, in their order."""
+    sets: dict[str, list[Path]] = {}
+    for name, file in experiments.items():
+        if folder := name.rpartition("/")[0]:
+            sets.setdefault(folder, []).append(file)
+    return sets
+
+
+def preview_set(files: Sequence[Path], settings: GeneratorSettings) -> list[Preview]:
+    """Plan all experiments of a set and check them against the limits.
+
+    Raises
+    ------
+    InputError
+        For the first file that `preview` refuses.
+    """
+    found = []
+    for file in files:
+        try:
+            found.append(preview(format_experiment(read_experiment(file)), settings))
+        except InputError as error:
+            raise InputError(f"{file.name}: {error}") from None
+    return found

@@ -8,7 +8,16 @@ from nicegui import ui
 
 from mrd_base import InputError
 from mrd_dashboard.dashboard import Dashboard, Visitor
-from mrd_dashboard.experiment_form import Preview, find_experiments, form_of, form_text, preview, waveform_fields
+from mrd_dashboard.experiment_form import (
+    Preview,
+    find_experiments,
+    find_sets,
+    form_of,
+    form_text,
+    preview,
+    preview_set,
+    waveform_fields,
+)
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.pages.recordings import recordings_list
@@ -54,6 +63,12 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated")
     answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
     shown = ui.column().classes("w-full gap-2")
+    sets = find_sets(experiments)
+    with ui.row().classes("w-full items-end"):
+        chosen_set = (
+            ui.select(list(sets), label="or a whole set", value=next(iter(sets), None)).classes("w-64").props("dense")
+        )
+        ui.button("Add the set to the queue", on_click=lambda: add_set()).props("outline no-caps").mark("add set")
 
     async def start_from(name: str) -> None:
         try:
@@ -97,6 +112,20 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
             return f"run {run.number}, {found.experiment.name}, waits in the queue"
 
         tell(await dashboard.act(who, "queue a run", work, found.experiment.name))
+
+    async def add_set() -> None:
+        name = chosen_set.value
+
+        async def work() -> str:
+            if name not in sets:
+                raise InputError("no set is chosen; choose a folder of experiments")
+            # As `bench` does, all are checked before the first one waits.
+            found = await dashboard.compute(preview_set, sets[name], dashboard.bench.generator)
+            for one in found:
+                dashboard.queue.add(one.experiment.name, one.text, one.duration)
+            return f"the {len(found)} runs of {name} wait in the queue"
+
+        tell(await dashboard.act(who, "queue a set", work, str(name)))
 
     draw()
 
