@@ -36,6 +36,7 @@ def apply_report(report: Path, plant: str) -> str:
         refitted["effects"],
         closed_fraction=math.nan if closed is None else closed,
         where=str(report),
+        remedy="",  # what it advises can be done on the page
     )
     output = write_plant(corrected, plant, report.with_name("plant.yaml"))
     return f"{output}: {corrected.remark} Start the simulated bench with --plant {output}"

@@ -25,6 +25,8 @@ REPORTS: Mapping[Kind, str] = {
 """Report of each kind of job, in its folder."""
 
 
+FIT_ANYWAY = "fit faulty recordings, too"
+"""The choice ``anyway`` as the page names it."""
 LOOK_PERIOD = 2.0
 """Wall time in s between two looks for identified dampers."""
 
@@ -45,6 +47,8 @@ class JobRequest:
         fit.json of the simulator as it is (diagnose only), or "".
     method : mapping
         Options of `mrd_identification.method.Method` (identify only).
+    anyway : bool
+        Fit recordings although the data check finds a fault (identify only).
     seed : int
     bench : str
         bench.yaml whose limits an advised experiment must not exceed, or "".
@@ -61,6 +65,7 @@ class JobRequest:
     reference: tuple[str, ...] = ()
     parameters: str = ""
     method: Mapping[str, Any] = field(default_factory=dict)
+    anyway: bool = False
     seed: int = 0
     bench: str = ""
     follow: str = ""
@@ -247,7 +252,11 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
 
     method = parse_method(**{**request.method, "seed": request.seed})
     runs = read_runs([*request.runs, *request.held_out])
-    look_at_runs(runs, anyway=False, model=find_model(request.model, method.laws, method.given_effects))
+    model, remedy = (
+        find_model(request.model, method.laws, method.given_effects),
+        f"tick {FIT_ANYWAY!r}, to fit them as they are",
+    )
+    look_at_runs(runs, request.anyway, model, remedy=remedy)
     total = method.total_generations
 
     front: list[tuple[float, float]] = []

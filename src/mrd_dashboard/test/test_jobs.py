@@ -12,7 +12,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
-from mrd_dashboard.jobs import LOOK_PERIOD, Job, JobRequest, Jobs
+from mrd_dashboard.jobs import FIT_ANYWAY, LOOK_PERIOD, Job, JobRequest, Jobs
 from mrd_identification.fit_file import read_fit
 from mrd_runs import Run, read_run
 from mrd_sim.models import find_model
@@ -59,7 +59,19 @@ def test_a_faulty_recording_is_not_fitted(tmp_path: Path, recorded: list[str]) -
     job = finish(jobs)
     assert job.state == "failed", job.message
     assert "wrong_sign" in job.message
+    assert job.message.endswith(f"; or tick {FIT_ANYWAY!r}, to fit them as they are")
     assert "\n" not in job.message
+    jobs.start(JobRequest("identify", (faulty,), "bingham", method=QUICK, anyway=True))
+    assert finish(jobs).state == "done", jobs.all[-1].message
+
+
+def test_a_diagnosis_judges_a_fit_that_there_is(tmp_path: Path, recorded: list[str], stored_fit: Path) -> None:
+    jobs = Jobs(tmp_path / "results")
+    jobs.start(JobRequest("diagnose", tuple(recorded), "bingham", parameters=str(stored_fit)))
+    job = finish(jobs)
+    assert job.state == "done", job.message
+    report = json.loads((job.folder / "gap_report.json").read_text())
+    assert report["gap"]["as_given"] is not None
 
 
 def test_earlier_reports_are_listed_again(tmp_path: Path) -> None:
@@ -171,6 +183,14 @@ def test_a_job_whose_process_dies_has_failed(tmp_path: Path, recorded: list[str]
 def test_nothing_is_applied_without_a_simulator(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no simulator"):
         apply_report(tmp_path / "gap_report.json", "")
+
+
+def test_what_is_not_proven_is_refused_with_a_remedy_that_the_page_has(tmp_path: Path, monkeypatch) -> None:
+    report = {"verdict": "ambiguous", "model": "bingham", "laws": {}, "gap": None}
+    report["corrected"] = {"parameters": {}, "effects": ["coil_lag"]}
+    monkeypatch.setattr("mrd_dashboard.apply.read_gap_report", lambda _: report)
+    with pytest.raises(InputError, match=r"coil_lag is not proven; record the experiment that it advises$"):
+        apply_report(tmp_path / "gap_report.json", "plant.yaml")
 
 
 def test_a_report_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -317,6 +317,7 @@ class Arguments:
 def test_only_a_diagnosis_chooses_the_model_itself(visit, dashboard) -> None:
     dashboard.control.take("a", "Ann")
     form = {"runs": [], "held_out": [], "reference": [], "model": "auto", "seed": 0, "follow": None, "limit": None}
+    form |= {"fit": "", "anyway": False}
     assert request_of(dashboard, "diagnose", form).model == "auto"
 
     async def work(user: User) -> None:
@@ -331,6 +332,62 @@ def test_only_a_diagnosis_chooses_the_model_itself(visit, dashboard) -> None:
 
     visit(work)
     assert dashboard.jobs.all == []
+
+
+def test_a_diagnosis_starts_from_a_fit_that_there_is(visit, dashboard, stored_fit, recorded) -> None:
+    dashboard.control.take("a", "Ann")
+    command = [sys.executable, "-m", "mrd_runs.cli.import_", recorded[0], "--output", dashboard.recordings.folder]
+    subprocess.run(command, check=True, capture_output=True)
+    asked: list[JobRequest] = []
+    dashboard.jobs.start = lambda request: asked.append(request) or Job(len(asked), request, dashboard.jobs.folder)
+
+    async def work(user: User) -> None:
+        user.find("Identify and diagnose").click()
+        (fit,), (model,), (runs,) = (user.find(marker=name).elements for name in ("fit", "model", "runs"))
+        for _ in range(100):
+            if str(stored_fit) in fit.options:
+                break
+            await asyncio.sleep(0.1)
+        fit.value, runs.value = str(stored_fit), ["a"]
+        user.find(marker="diagnose").click()
+        await user.should_see("identify-1 is a fit of bingham; choose this model, or auto")
+        model.value = "auto"
+        user.find(marker="anyway").click()
+        user.find(marker="diagnose").click()
+        await user.should_see("job 1 has begun")
+        model.value = "bouc_wen"
+        user.find(marker="identify").click()
+        await user.should_see("job 2 has begun")
+
+    visit(work)
+    assert [(one.kind, one.model, one.parameters, one.anyway) for one in asked] == [
+        ("diagnose", "bingham", str(stored_fit), True),
+        ("identify", "bouc_wen", "", True),
+    ]
+
+
+def test_a_whole_set_goes_into_the_queue_or_none_of_it(visit, dashboard, tmp_path: Path) -> None:
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.paused = True
+    experiments = dashboard.experiments
+    dashboard.experiments = tmp_path / "experiments"
+    shutil.copytree(experiments, dashboard.experiments)
+    last = dashboard.experiments / "characterise/10_repeat.yaml"
+    good = last.read_text()
+    last.write_text(good.replace("rate_hz: 500", "rate_hz: 500000"))
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        user.find(marker="add set").click()
+        await user.should_see("10_repeat.yaml: ", retries=300)
+        assert dashboard.queue.runs == []
+        last.write_text(good)
+        user.find(marker="add set").click()
+        await user.should_see("the 10 runs of characterise wait in the queue", retries=300)
+
+    visit(work)
+    assert [run.name for run in dashboard.queue.runs] == [file.stem for file in sorted(last.parent.glob("*.yaml"))]
+    assert all(run.duration > 10 for run in dashboard.queue.runs)
 
 
 def test_the_advised_command_is_shown_and_the_advised_experiment_recorded(visit, dashboard) -> None:

@@ -60,6 +60,7 @@ def correction(
     closed_fraction: float = math.nan,
     anyway: bool = False,
     where: str = "the diagnosis",
+    remedy: str = ", or apply the result with --anyway",
 ) -> Correction:
     """Decide what of a diagnosis belongs into the simulator.
 
@@ -73,15 +74,15 @@ def correction(
         Share of the gap that the effects close, for the remark on a partly explained gap; nan where it is not known.
     anyway : bool
         Apply also what is not proven: the first of several possible causes, the nearest effect, or the parameters alone.
-    where : str
-        Start of error messages.
+    where, remedy : str
+        Start of error messages, and end of the one about what is not proven.
 
     Raises
     ------
     InputError
         If the recordings are faulty, or if the verdict does not prove an effect and ``anyway`` is not set.
     """
-    remark = _remark(verdict, model, effects, closed_fraction, anyway, where)
+    remark = _remark(verdict, model, effects, closed_fraction, anyway, where, remedy)
     if verdict == "no_gap":
         effects = ()
     parameters_of_effects = {
@@ -94,7 +95,9 @@ def correction(
     return Correction(model, laws, parameters_of_model, parameters_of_effects, remark)
 
 
-def _remark(verdict: Verdict, model: str, effects: Collection[str], closed_fraction: float, anyway: bool, where: str) -> str:
+def _remark(
+    verdict: Verdict, model: str, effects: Collection[str], closed_fraction: float, anyway: bool, where: str, remedy: str
+) -> str:
     """Return what the corrected damper is, and whether it is proven; refuse what is not proven unless ``anyway``."""
     if verdict == "data_fault":
         raise InputError(
@@ -122,7 +125,7 @@ def _remark(verdict: Verdict, model: str, effects: Collection[str], closed_fract
         unproven = "no effect is known that explains the gap"
         remark = f"{refitted}: an effect is missing that is NOT known."
     if not anyway:
-        raise InputError(f"{where}: the verdict is {verdict}, so {unproven}; {advice}, or apply the result with --anyway")
+        raise InputError(f"{where}: the verdict is {verdict}, so {unproven}; {advice}{remedy}")
     return remark
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
@@ -10,10 +11,11 @@ from mrd_base import InputError
 from mrd_dashboard.apply import apply_report
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import preview
-from mrd_dashboard.jobs import Job, JobRequest, Kind
+from mrd_dashboard.jobs import FIT_ANYWAY, Job, JobRequest, Kind
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.recordings import Recording
+from mrd_identification.fit_file import read_fit
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 
@@ -89,12 +91,20 @@ def request_of(dashboard: Dashboard, kind: Kind, form: Mapping[str, Any]) -> Job
         raise InputError(f"{kind}: the model is {BEST}, which only a diagnosis can choose; choose a damper model")
     if kind == "trend" and not form["follow"]:
         raise InputError("trend: no parameter is chosen; choose the one to follow")
+    model, fit = form["model"], form["fit"] if kind == "diagnose" else ""
+    if fit:
+        fitted = read_fit(fit).model
+        if model not in (BEST, fitted):
+            raise InputError(f"diagnose: {Path(fit).parent.name} is a fit of {fitted}; choose this model, or {BEST}")
+        model = fitted
     return JobRequest(
         kind,
         _paths(dashboard, form["runs"]),
-        model=form["model"],
+        model=model,
         held_out=_paths(dashboard, form["held_out"]) if kind != "trend" else (),
         reference=_paths(dashboard, form["reference"]) if kind == "diagnose" else (),
+        parameters=fit,
+        anyway=form["anyway"],
         seed=int(form["seed"] or 0),
         bench=dashboard.bench_file,
         follow=form["follow"] if kind == "trend" else "",
@@ -104,7 +114,7 @@ def request_of(dashboard: Dashboard, kind: Kind, form: Mapping[str, Any]) -> Job
 
 def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     form: dict[str, Any] = {"runs": [], "held_out": [], "reference": [], "model": "bouc_wen", "seed": 0}
-    form |= {"follow": None, "limit": None}
+    form |= {"fit": "", "anyway": False, "follow": None, "limit": None}
     labels = {
         "runs": "recordings",
         "held_out": "held out (else one after the other)",
@@ -117,13 +127,21 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     ]
     model = ui.select([BEST, *MODELS], label="damper model").props("dense").classes("w-full").bind_value(form, "model")
     model.mark("model")
+    fit = ui.select({"": "fitted anew"}, label="simulator as it is (diagnose)").props("dense").classes("w-full")
+    fit.bind_value(form, "fit").mark("fit")
     ui.number("seed", min=0, precision=0).props("dense").classes("w-full").bind_value(form, "seed")
+    ui.checkbox(FIT_ANYWAY).props("dense").classes("text-sm").bind_value(form, "anyway").mark("anyway")
 
     async def offer() -> None:
-        if shown():
-            recordings = await asyncio.to_thread(dashboard.recordings.search)
-            for field in fields:
-                field.offer(recordings)
+        if not shown():
+            return
+        recordings = await asyncio.to_thread(dashboard.recordings.search)
+        for field in fields:
+            field.offer(recordings)
+        await asyncio.to_thread(dashboard.jobs.look_for_fits)
+        fits = {"": "fitted anew", **{str(path): path.parent.name for path in dashboard.jobs.fits()}}
+        if fits != fit.options:
+            fit.set_options(fits, value=fit.value if fit.value in fits else "")
 
     def offer_parameters(chosen: str) -> None:
         names = followed(chosen)

@@ -163,8 +163,19 @@ def add_anyway(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--anyway", action="store_true", help="fit the runs even if they look faulty")
 
 
-def look_at_runs(runs: Sequence[Run], anyway: bool, model: DamperModel | None = None) -> None:
+def look_at_runs(
+    runs: Sequence[Run],
+    anyway: bool,
+    model: DamperModel | None = None,
+    *,
+    remedy: str = "fit them as they are with --anyway",
+) -> None:
     """Look at runs before they are fitted, as the diagnosis does; print what narrows the conclusions on stderr.
+
+    Parameters
+    ----------
+    remedy : str
+        What one can do who wants to fit faulty runs ``anyway``.
 
     Raises
     ------
@@ -177,7 +188,7 @@ def look_at_runs(runs: Sequence[Run], anyway: bool, model: DamperModel | None = 
     if faults and not anyway:
         listed = "; ".join(fault.rstrip(".") for fault in faults[:MOST_FINDINGS])
         more = f"; and {len(faults) - MOST_FINDINGS} more faults" if len(faults) > MOST_FINDINGS else ""
-        raise FaultError(f"{listed}{more}; or fit them as they are with --anyway")
+        raise FaultError(f"{listed}{more}; or {remedy}")
     lines = [f"warning: {fault}" for fault in faults]
     lines += [f"limitation: {finding.sentence}" for finding in findings if finding.severity == "limitation"]
     print(*lines[:MOST_FINDINGS], sep="\n", end="\n" if lines else "", file=sys.stderr)
