@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 from mrd_base import InputError
 from mrd_base.nodes.graph import STOP
 from mrd_dashboard.bench_view import BenchView
+from mrd_dashboard.dashboard import Dashboard
 from mrd_dashboard.nodes import page
 from mrd_dashboard.nodes.page import RosCommands
 
@@ -54,6 +55,10 @@ def test_the_page_hears_from_the_recorder_which_bag_is_open() -> None:
     page.Page._on_recorder_state(listener, DiagnosticStatus(values=values))
     assert listener._view.recorded == Path("/runs/sine-1")
     assert listener._view.monitor.recorder_state == "recording"
+    assert listener._view.monitor.recording_problem == ""
+    failed = DiagnosticStatus(level=DiagnosticStatus.ERROR, message="the disk is full", values=values)
+    page.Page._on_recorder_state(listener, failed)
+    assert listener._view.monitor.recording_problem == "the disk is full"
 
 
 class Server:
@@ -113,6 +118,29 @@ def test_the_limits_are_those_of_the_bench(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.delenv("MRD_BENCH")
     with pytest.raises(InputError, match="the limits of the bench are unknown"):
         page.bench_file("", ["page"])
+
+
+def test_lamps_and_previews_have_the_limits_of_the_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, other = tmp_path / "bench.yaml", tmp_path / "other.yaml"
+    bench.write_text(BENCH.read_text().replace("force_N: 800.0", "force_N: 790.0"))
+    other.write_text(BENCH.read_text().replace("force_N: 800.0", "force_N: 780.0"))
+    served: list[Dashboard] = []
+    monkeypatch.setattr(
+        page, "PageServer", lambda dashboard, *_: served.append(dashboard) or SimpleNamespace(url="", close=lambda: None)
+    )
+    monkeypatch.setattr(sys, "argv", ["page", "--ros-args", "--params-file", str(bench)])
+    monkeypatch.setenv("MRD_BENCH", str(other))
+    monkeypatch.chdir(tmp_path)
+    rclpy.init(args=sys.argv)
+    try:
+        node = page.Page()
+        node.close()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    (dashboard,) = served
+    assert dashboard.bench.supervisor.limits.force == dashboard.bench.generator.limits.force == 790.0
+    assert dashboard.bench_file == str(bench)
 
 
 @pytest.fixture

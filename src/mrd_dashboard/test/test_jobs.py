@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -144,6 +145,19 @@ def test_a_job_is_cancelled_without_waiting_for_a_process_that_cannot_be_termina
     process.kill()
     assert not waits, "the page would stand still meanwhile"
     assert dead
+
+
+def test_a_job_is_cancelled_without_waiting_for_the_end_of_its_process(tmp_path: Path) -> None:
+    jobs, ended = Jobs(tmp_path / "results"), threading.Event()
+    jobs.all.append(Job(1, JobRequest("diagnose", ("a.csv",), "bingham"), tmp_path))
+    jobs._process = SimpleNamespace(kill=lambda: None, join=ended.wait)  # as one that waits for its disk
+    canceller = threading.Thread(target=jobs.cancel, daemon=True)
+    canceller.start()
+    canceller.join(20.0)
+    waits = canceller.is_alive()
+    ended.set()
+    assert not waits, "the page would stand still meanwhile"
+    assert jobs.all[-1].state == "cancelled"
 
 
 def test_a_trend_over_dates_predicts_when_the_limit_is_reached(tmp_path: Path) -> None:
