@@ -1,5 +1,6 @@
 """The operator's page on the whole simulated bench, in a browser."""
 
+import json
 import os
 import signal
 import subprocess
@@ -72,6 +73,31 @@ def import_examples(bench: PageBench) -> None:
     command = [sys.executable, "-m", "mrd_runs.cli.import_", *files, "--output", bench.runs]
     if missing:
         subprocess.run(command, check=True, capture_output=True)
+
+
+DRAWN = """() => {
+  const plot = [...document.querySelectorAll('[_echarts_instance_]')].find(element => element.offsetParent);
+  return getElement(Number(plot.closest('[id^=c]').id.slice(1))).chart.getOption().dataset[0].source;
+}"""
+"""Script that returns the table that the first plot draws which one sees."""
+
+
+def test_what_is_drawn_is_what_the_rod_does_now(bench: PageBench, page: Any) -> None:
+    start_run(page)
+    tables, pictures = [], []
+    for _ in range(2):
+        tables.append(page.evaluate(DRAWN))
+        pictures.append(page.locator("canvas").first.screenshot())
+        page.wait_for_timeout(300)
+    for table in tables:
+        assert len(table["position_mm"]) > 100
+        assert max(table["position_mm"]) - min(table["position_mm"]) > 10.0
+    # The latest tenths of a second were not drawn before, and all others have moved to the left.
+    assert tables[0]["position_mm"] != tables[1]["position_mm"]
+    assert tables[0]["position_mm"][-20:] != tables[1]["position_mm"][-20:]
+    assert pictures[0] != pictures[1]
+    press_stop(page)
+    reset_fault(page)
 
 
 def test_a_run_is_started_seen_and_stopped_by_the_button(bench: PageBench, page: Any) -> None:
@@ -187,23 +213,33 @@ def wait_for_job(page: Any, title: str) -> None:
     assert f"{title}: done" in page.inner_text("body"), page.evaluate(f"() => {words}[0]")
 
 
-@pytest.mark.timeout(600)
-def test_recordings_are_identified_diagnosed_and_applied(bench: PageBench, page: Any) -> None:
+@pytest.mark.timeout(900)
+def test_recordings_are_identified_diagnosed_from_the_fit_and_applied(bench: PageBench, page: Any) -> None:
     import_examples(bench)
     open_tab(page, "Identify and diagnose")
     choose(page, "recordings", *EXAMPLES)
-    page.get_by_role("button", name="Diagnose").click()
-    wait_for_job(page, "1 diagnose bouc_wen")
-    page.get_by_role("button", name="Apply to the simulator").click()
-    page.get_by_text("Start the simulated bench with --plant").first.wait_for()
-    (plant,) = (bench.runs / "results").glob("diagnose-*/plant.yaml")
-    assert "joint_play" in plant.read_text()
-    page.get_by_role("button", name="Report").click()
-    page.frame_locator("iframe[title=report]").get_by_text("mm (").first.wait_for()
     page.get_by_role("button", name="Identify", exact=True).click()
     page.wait_for_function("() => document.body.innerText.includes('generation ')", timeout=60_000)
+    wait_for_job(page, "1 identify bouc_wen")
+    errors = page.evaluate(DRAWN)
+    assert len(errors["nrmse"]) > 10
+    assert errors["nrmse"][-1] < errors["nrmse"][0]
+    (fit,) = (bench.runs / "results").glob("identify-*/fit.json")
+    page.get_by_label("simulator as it is (diagnose)").click()
+    page.get_by_role("option", name=fit.parent.name).click()
+    page.get_by_role("button", name="Diagnose").click()
+    wait_for_job(page, "2 diagnose bouc_wen")
+    (report,) = (bench.runs / "results").glob("diagnose-*/gap_report.json")
+    assert json.loads(report.read_text())["gap"]["as_given"] is not None
+    page.get_by_role("button", name="Apply to the simulator").click()
+    page.get_by_text("Start the simulated bench with --plant").first.wait_for()
+    assert "joint_play" in report.with_name("plant.yaml").read_text()
+    page.get_by_role("button", name="Report").first.click()
+    page.frame_locator("iframe[title=report]").get_by_text("mm (").first.wait_for()
+    page.get_by_role("button", name="Diagnose").click()
+    page.get_by_text("job 3, diagnose: ").wait_for(timeout=ANSWER_TIMEOUT)
     page.get_by_role("button", name="Cancel").click()
-    page.get_by_text("2 identify bouc_wen: cancelled").wait_for()
+    page.get_by_text("3 diagnose bouc_wen: cancelled").wait_for()
 
 
 @pytest.mark.timeout(600)
