@@ -55,7 +55,7 @@ class ControlRight:
         self._expire()
         if self.holder not in ("", session):
             raise InputError(
-                f"{self.name} holds control; ask them to release it, or wait until their page is closed for 80 s"
+                f"{self.name} holds control; ask them to release it, or wait until their page has been closed for 80 s"
             )
         self.holder, self.name, self._seen = session, name, self._clock()
 

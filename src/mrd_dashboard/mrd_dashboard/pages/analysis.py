@@ -117,7 +117,7 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     form |= {"fit": "", "anyway": False, "follow": None, "limit": None}
     labels = {
         "runs": "recordings",
-        "held_out": "held out (else one after the other)",
+        "held_out": "held out (else each in turn)",
         "reference": "of before something changed (diagnose)",
     }
     ui.label("Identify or diagnose").classes("text-base font-medium")
