@@ -229,9 +229,9 @@ def test_recordings_are_identified_diagnosed_from_the_fit_and_applied(bench: Pag
     page.get_by_role("button", name="Identify", exact=True).click()
     page.wait_for_function("() => document.body.innerText.includes('generation ')", timeout=60_000)
     wait_for_job(page, "1 identify bouc_wen")
-    errors = drawn(page, "nrmse")["table"]
-    assert len(errors["nrmse"]) > 10
-    assert errors["nrmse"][-1] < errors["nrmse"][0]
+    errors = drawn(page, "NRMSE")["table"]
+    assert len(errors["NRMSE"]) > 10
+    assert errors["NRMSE"][-1] < errors["NRMSE"][0]
     (fit,) = (bench.runs / "results").glob("identify-*/fit.json")
     page.get_by_label("simulator as it is (diagnose)").click()
     page.get_by_role("option", name=fit.parent.name).click()

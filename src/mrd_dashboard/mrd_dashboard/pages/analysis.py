@@ -180,7 +180,7 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             cancel_button = ui.button("Cancel", on_click=lambda: cancel()).props("outline dense no-caps padding='2px 10px'")
         bar = ui.linear_progress(0.0, show_value=False).props("rounded")
         with ui.row().classes("w-full gap-0"):
-            panel = Panel("share", (14, 8, 82, 62), [("nrmse", MEASURED, "NRMSE")])
+            panel = Panel("finished share", (14, 8, 82, 62), [("NRMSE", MEASURED, "of the best candidate")])
             errors = ui.echart(chart([panel])).classes("w-1/2 h-44")
             panel = Panel("e2_N", (14, 8, 82, 62), [("einf_N", PREDICTED, "Pareto front")])
             front = ui.echart(chart([panel])).classes("w-1/2 h-44").mark("front")
@@ -230,7 +230,7 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         if drawn != listed[1] or listed[0] is None:
             listed[1] = drawn
             history, norms = (latest.history, latest.front) if latest else ([], [])
-            _draw(errors, history, "share", "nrmse")
+            _draw(errors, history, "finished share", "NRMSE")
             _draw(front, norms, "e2_N", "einf_N")
         state = [(job.number, job.state) for job in jobs.all[-MOST_JOBS:]]
         if state == listed[0]:

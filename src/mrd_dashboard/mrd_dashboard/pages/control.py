@@ -33,7 +33,7 @@ CONTROLLER = "controller"
 def control_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     """Build the page; ``shown`` tells whether it is the tab that one sees."""
     with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
-        with ui.card().classes("w-[30rem] max-lg:w-full shrink-0 p-3 gap-2"):
+        with ui.card().classes("w-[33rem] max-lg:w-full shrink-0 p-3 gap-2"):
             _form(dashboard, who)
         with ui.column().classes("grow min-w-0 gap-4 max-lg:w-full"):
             _live(dashboard, who, shown)
@@ -57,7 +57,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         with entries:
             with ui.row().classes("w-full gap-3"):
                 for key, doc in NUMBERS.items():
-                    ui.input(key).bind_value(form, key).props("dense").classes("w-32").tooltip(doc).mark(f"test {key}")
+                    ui.input(key).bind_value(form, key).props("dense").classes("w-[9.5rem]").tooltip(doc).mark(f"test {key}")
             for kind in ("system", "excitation"):
                 _entry(kind, form[kind], kind, draw)
             _law(form, draw)
@@ -135,7 +135,7 @@ def _law(form: dict[str, Any], draw: Callable[[], None]) -> None:
 def _inputs(kind: str, name: str, values: dict[str, str]) -> None:
     for field in fields(kind, name):
         ui.input(field.key, placeholder=field.default).bind_value(values, field.key).props("dense stack-label").classes(
-            "w-32"
+            "w-[9.5rem]"
         ).tooltip(field.doc).mark(f"{kind} {field.key}")
 
 

@@ -61,14 +61,14 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     with ui.row():
         ui.button("Preview", on_click=lambda: look()).props("outline no-caps")
         ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated")
-    answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
-    shown = ui.column().classes("w-full gap-2")
     sets = find_sets(experiments)
     with ui.row().classes("w-full items-end"):
         chosen_set = (
             ui.select(list(sets), label="or a whole set", value=next(iter(sets), None)).classes("w-64").props("dense")
         )
         ui.button("Add the set to the queue", on_click=lambda: add_set()).props("outline no-caps").mark("add set")
+    answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
+    shown = ui.column().classes("w-full gap-2")
 
     async def start_from(name: str) -> None:
         try:

@@ -21,11 +21,14 @@ PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identif
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
 _THEME = "mrd_theme"  # name of the cookie that keeps it
 
-# Dialogs stay beneath the header with the stop button.
+_PRIMARY = "#3b7ebf"
+"""Colour of buttons: white can be read on it, and it can be read on white and on black."""
+# Dialogs stay beneath the header with the stop button. The red of warnings is too dark for a dark page.
 _STYLE = """
 <style>
   .q-header { z-index: 8000 !important; }
   .q-dialog__inner { top: 64px !important; }
+  .body--dark .text-negative { color: #ff6b6b !important; }
 </style>
 """
 _SCRIPT = f"""
@@ -50,13 +53,14 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
     ui.add_head_html(_STYLE + stop_button.HEAD + _SCRIPT.replace("LOGIN", f"{LOGIN}?ended=true" if login else "/"))
     ui.add_body_html(stop_button.BODY)
     ui.page_title("Damper bench")
+    ui.colors(primary=_PRIMARY)
     with ui.header(elevated=True).classes("items-center gap-4 py-1 px-4 no-wrap bg-slate-800 text-white"):
         ui.label("Damper bench").classes("text-lg font-medium max-lg:hidden")
         mode = ui.chip("").props("square text-color=white").classes("text-base shrink-0")
         reason = ui.label().classes("grow text-sm min-w-0 line-clamp-2")
         holder = ui.label().classes("text-sm max-lg:hidden")
         control = ui.button("Take control", on_click=lambda: change_control()).props(
-            "outline dense no-caps padding='4px 10px'"
+            "outline dense no-caps color=white padding='4px 10px'"
         )
         theme_button = ui.button(icon="contrast").props("flat dense color=white").tooltip("light or dark").mark("theme")
         # The system may be dark without the page having been told to be.
