@@ -66,6 +66,7 @@ def work(page: Any) -> None:
     page.get_by_text("within the limits").wait_for(timeout=ANSWER_TIMEOUT)
     start_run(page, "40")
     open_tab(page, "Runs")
+    settle(page, 6)
     take(page, "page_runs.png")
     open_tab(page, "Live")
     settle(page, 8)

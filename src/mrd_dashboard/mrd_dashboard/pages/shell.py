@@ -28,7 +28,7 @@ _STYLE = """
 <style>
   .q-header { z-index: 8000 !important; }
   .q-dialog__inner { top: 64px !important; }
-  .body--dark .text-negative { color: #ff6b6b !important; }
+  .body--dark .text-negative { --q-negative: #ff6b6b; }
 </style>
 """
 _SCRIPT = f"""
