@@ -101,3 +101,24 @@ def test_lvdt_and_encoder_are_compared_at_the_same_instants_once_the_rod_is_home
     # A new homing shifts the origin: what was read before does not count any more.
     monitor.add_servo_status(ServoStatus(time=5.04, position=0.0, connected=True, homed=False))
     assert np.isnan(difference(0.003))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.002, 0.005])
+def test_lvdt_and_encoder_are_compared_in_short_blocks_too(late: float) -> None:
+    """Blocks of 4 ms of a hybrid test end before the encoder's next report, which comes every 10 ms and some time late."""
+    monitor, speed = BenchMonitor(BenchClock()), 0.05
+    events = [(5.004 + 4e-3 * k, "samples", 5.0 + 4e-3 * k) for k in range(50)]
+    events += [(5.0 + 1e-2 * k + late, "servo", 5.0 + 1e-2 * k) for k in range(20)]
+    differences = []
+    for now, kind, time in sorted(events):
+        if kind == "servo":
+            monitor.add_servo_status(ServoStatus(time=time, position=speed * time, connected=True, homed=True))
+            continue
+        times = time + 1e-3 * np.arange(4)
+        beyond = np.where(times < 5.1, 0.0, 0.003)
+        monitor.add_samples(time, 1e-3, speed * times + beyond, np.zeros(4), np.zeros(4))
+        differences.append((now, monitor.snapshot(now, follows_experiment=False).position_difference))
+    known = [difference for now, difference in differences if now > 5.03]
+    assert np.isfinite(known).all()
+    told = next(now for now, difference in differences if abs(difference) > 0.002)
+    assert told < 5.13

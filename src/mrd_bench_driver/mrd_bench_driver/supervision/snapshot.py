@@ -16,6 +16,8 @@ from mrd_bench_driver.servo.status import ServoStatus
 _MAX_BLOCK_DISTANCE = 0.5
 # Number of positions by the encoder that are kept to compare them with the LVDT, whose samples come later.
 _TRACK_LENGTH = 64
+# Samples of the LVDT that wait for the encoder, at most: those of a servo that has fallen silent.
+_MOST_UNCOMPARED = 1000
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,8 @@ class Snapshot:
     position, force : float
         Value with the largest magnitude in the latest block of samples, in m and N.
     position_difference : float
-        LVDT minus encoder in m, mean over the latest block; nan while the rod is not homed.
+        LVDT minus encoder in m, mean over the latest samples up to the encoder's latest report; nan while the rod is not
+        homed.
     speed, current : float
         Speed of the rod in m/s between the means of the last two blocks, and mean coil current in A of the latest block.
     servo_age : float
@@ -114,6 +117,8 @@ class BenchMonitor:
         self.own_halt_time = -math.inf
         self.servo: ServoStatus | None = None
         self._track: deque[tuple[float, float]] = deque(maxlen=_TRACK_LENGTH)  # times and positions by the encoder
+        self._uncompared = np.empty((2, 0))  # times and positions by the LVDT, later than those by the encoder
+        self._difference = math.nan
         self.sources = {"generator": SourceState(), "controller": SourceState()}
         self._work = self._power = 0.0  # of a hybrid test, in J and W
         self.daq_problem = ""
@@ -147,17 +152,25 @@ class BenchMonitor:
         )
 
     def _position_difference(self, times: NDArray[Any], position: NDArray[Any]) -> float:
-        """Return by how much the LVDT is beyond the encoder in m, where its position is known; nan if nowhere."""
-        if not self._track:
-            return math.nan
-        track_times, track = np.array(self._track).T
-        known = (times >= track_times[0]) & (times <= track_times[-1])
-        return float(np.mean((position - np.interp(times, track_times, track))[known])) if known.any() else math.nan
+        """Return by how much the LVDT is beyond the encoder in m, as far as it reports; nan if it has not.
+
+        Samples later than its latest report, like all of a short block, are compared once the next one has come.
+        """
+        times, position = np.concatenate([self._uncompared, (times, position)], axis=1)
+        if self._track:
+            track_times, track = np.array(self._track).T
+            known = (times >= track_times[0]) & (times <= track_times[-1])
+            if known.any():
+                self._difference = float(np.mean((position - np.interp(times, track_times, track))[known]))
+            later = times > track_times[-1]
+            self._uncompared = np.stack([times, position])[:, later][:, -_MOST_UNCOMPARED:]
+        return self._difference
 
     def add_servo_status(self, servo: ServoStatus) -> None:
         """Add a status of the servo."""
         if not servo.homed:
             self._track.clear()
+            self._uncompared, self._difference = np.empty((2, 0)), math.nan
         elif not self._track or servo.time > self._track[-1][0]:
             self._track.append((servo.time, servo.position))
         self.servo = servo
