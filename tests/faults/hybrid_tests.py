@@ -6,7 +6,7 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from faults import people, processes
+from faults import motor, people, processes
 from faults.campaign import LIVELY, Ending, Fault
 from faults.plant_faults import in_plant
 
@@ -24,6 +24,8 @@ FAULTS = (
         "converter hangs", in_plant("freeze_daq"), "stale force: no sample for", Ending.ENDED, told="stale", recorded=False
     ),
     _fault("blocks of samples are lost", in_plant("drop_blocks"), "samples were lost; check the daq", Ending.ENDED),
+    # The whole sample blocks of 4 ms lie between two reports of the encoder.
+    _fault("pinion slips", in_plant("slip"), motor.SENSORS),
     # The balance of energy sums up half a second, and the damper has to give 2 J in it.
     _fault(
         "wires of the load cell exchanged", in_plant("reverse_force"), "the damper seems to have given", rest=1.0, coil=1.0
