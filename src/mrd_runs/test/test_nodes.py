@@ -339,6 +339,7 @@ def test_recorder_refuses_impossible_folders(bench: FakeDaq, tmp_path: Path) -> 
     bench.run("recorder")
     (tmp_path / "file").write_text("")
     assert "exists already" in bench.start_recording(tmp_path / "file").message
+    assert "File name too long" in bench.start_recording(tmp_path / (300 * "a")).message
     assert "cannot be made" in bench.start_recording(tmp_path / "file/run").message
     assert "names no bag" in bench.call("start_recording", StartRecording).message
 
