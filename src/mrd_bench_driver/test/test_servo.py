@@ -444,6 +444,14 @@ def test_a_stop_at_any_instant_of_the_homing_is_no_fault():
         assert bench.status.message == "", duration
 
 
+def test_a_button_that_is_held_switches_the_drive_off_too(homed):
+    homed.run(1.2, sine(homed))
+    for _ in range(30):
+        homed.servo.emergency_stop(homed.now)
+        homed.run(0.02)
+    assert homed.motor.off
+
+
 def test_motor_faults_are_named_and_reset(homed):
     homed.motor.faults, homed.motor.off = 1 << 6, True
     homed.run(0.2)
