@@ -344,3 +344,49 @@ def test_an_experiment_that_somebody_else_loaded_is_not_run(peers: FakePeers) ->
     outcome = run(peers)
     assert outcome.message.startswith("generator: somebody has loaded another experiment")
     assert "start_experiment" not in peers.calls
+
+
+def test_an_experiment_that_somebody_else_loads_while_the_bench_arms_moves_nothing(peers: FakePeers) -> None:
+    """Afterwards, anybody could start it: it would be what the lease of the run lets the rod follow."""
+    set_rate = peers.set_sample_rate
+
+    def load(*arguments: Any) -> None:
+        set_rate(*arguments)
+        peers.supervisor.monitor.add_experiment_state("loaded", peers.clock.now())
+
+    peers.set_sample_rate = load  # type: ignore[method-assign]
+    outcome = run(peers)
+    assert outcome.message.startswith("generator: somebody has loaded another experiment")
+    assert [mode for mode, _ in peers.modes] == [Mode.IDLE, Mode.HOMING, Mode.IDLE]
+    assert "servo/home" not in peers.calls
+
+
+def test_an_experiment_that_somebody_else_starts_during_the_tare_ends_at_once(peers: FakePeers) -> None:
+    peers.refusals["daq/tare"] = "position is not at rest"
+    call = peers.call
+
+    def start(service: str, *arguments: Any, **fields: Any) -> Any:
+        if service == "daq/tare":
+            peers.state = "running"
+        peers.supervisor.monitor.add_setpoint(peers.clock.now())
+        return call(service, *arguments, **fields)
+
+    peers.call = start  # type: ignore[method-assign]
+    begin = peers.clock.now()
+    outcome = run(peers)
+    assert outcome.message.startswith("generator: somebody has started the experiment before its recording")
+    assert peers.clock.now() - begin < 3.0
+    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
+
+
+def test_an_abort_of_the_experiment_ends_the_homing(peers: FakePeers) -> None:
+    def home() -> None:
+        peers.servo = dataclasses.replace(peers.servo, homed=False, enabled=True)  # it takes its time
+        peers.supervisor.monitor.add_experiment_state("aborted: on request", peers.clock.now())
+        peers.state = "aborted"
+
+    peers.effects["servo/home"] = home
+    begin = peers.clock.now()
+    outcome = run(peers)
+    assert outcome.message == "the generator aborted the experiment before its start; on request"
+    assert peers.clock.now() - begin < 3.0
