@@ -390,3 +390,82 @@ def test_an_abort_of_the_experiment_ends_the_homing(peers: FakePeers) -> None:
     outcome = run(peers)
     assert outcome.message == "the generator aborted the experiment before its start; on request"
     assert peers.clock.now() - begin < 3.0
+
+
+def test_a_refused_reset_of_an_idle_bench_stops_nothing(peers: FakePeers) -> None:
+    peers.force = 900.0
+    peers.publish()
+    with pytest.raises(RefusedError, match="not reset, force: 900 N"):
+        peers.supervisor.reset_fault()
+    assert peers.emergency_stops == []
+    assert peers.supervisor.mode.current is Mode.IDLE
+
+
+def press_servo(peers: FakePeers) -> None:
+    """Its emergency stop came before the reset, which has erased it."""
+    peers.servo = dataclasses.replace(peers.servo, halt_time=peers.clock.now())
+
+
+def press_daq(peers: FakePeers) -> None:
+    for _ in range(2):  # it tells again what it has told
+        peers.supervisor.monitor.add_daq_problem("emergency stop; call reset_fault")
+    peers.supervisor.monitor.add_daq_problem("")
+
+
+@pytest.mark.parametrize("fault", [True, False])
+@pytest.mark.parametrize("press", [press_servo, press_daq])
+def test_a_button_of_servo_or_daq_is_not_erased_by_a_reset(
+    peers: FakePeers, press: Callable[[FakePeers], None], fault: bool
+) -> None:
+    if fault:
+        peers.supervisor.emergency_stop("interlock")
+    peers.effects["servo/reset_fault"] = lambda: press(peers)
+    with pytest.raises(RefusedError, match="a stop came during the reset"):
+        peers.supervisor.reset_fault()
+    assert peers.emergency_stops[-1]
+    assert peers.supervisor.mode.current is Mode.FAULT
+    del peers.effects["servo/reset_fault"]
+    assert peers.supervisor.reset_fault().startswith("reset; ")
+
+
+def test_an_emergency_stop_at_the_very_end_of_a_reset_is_not_erased_by_it(peers: FakePeers) -> None:
+    peers.supervisor.emergency_stop("interlock")
+    send, supervisor = peers._on_emergency_stop, peers.supervisor
+
+    def press(stop: bool) -> None:
+        send(stop)
+        if not stop:
+            supervisor.emergency_stop("emergency stop by the service")
+
+    supervisor._send_emergency_stop = press
+    with pytest.raises(RefusedError, match="a stop came during the reset"):
+        supervisor.reset_fault()
+    assert peers.modes[-1] == (Mode.FAULT, "a stop came during the reset")
+    assert peers.servo.stopped
+
+
+def test_a_stop_ends_a_control_by_hand_also_beside_a_request_that_is_refused(
+    peers: FakePeers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peers.supervisor.control()
+    stopped, refused = threading.Event(), threading.Event()
+    require_idle = peers.supervisor.mode.require_idle
+
+    def take_long() -> None:
+        try:
+            require_idle()
+        finally:
+            stopped.wait(2)
+
+    monkeypatch.setattr(peers.supervisor.mode, "require_idle", take_long)
+
+    def ask() -> None:
+        with pytest.raises(RefusedError, match="the bench is in mode"):
+            peers.supervisor.home()
+        refused.set()
+
+    peers.effects["servo/enable"] = lambda: (threading.Thread(target=ask).start(), time.sleep(0.1))
+    assert peers.supervisor.stop() == "stopped"
+    assert peers.supervisor.mode.current is Mode.IDLE
+    stopped.set()
+    assert refused.wait(5)

@@ -852,6 +852,10 @@ def test_node_homes_follows_and_lets_go(fake):
         assert states[-1].message.startswith("the supervisor test has been silent for 6")
         enter(msg.BenchState.HOMING)
         assert "latched (the supervisor test has been silent" in call(Trigger, "servo/home").message
+        # A button tells when it was pressed also where the stop is latched already: a reset may be under way.
+        called = clock.now()
+        assert call(Trigger, "servo/emergency_stop").success
+        spin(lambda: states[-1].halt_time > called)
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=5) == 0
         assert fake.motor.log[-2:] == ["X", "OFF"]

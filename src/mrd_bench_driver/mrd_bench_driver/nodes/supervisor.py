@@ -212,7 +212,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.monitor.add_recorder_state(state, problem, self.bench.now())
 
     def _on_daq_state(self, status: DiagnosticStatus) -> None:
-        self._supervisor.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""
+        self._supervisor.monitor.add_daq_problem(status.message if status.level == DiagnosticStatus.ERROR else "")
         self._supervisor.check_interlocks()
 
     def _on_lease(self, lease: Lease) -> None:

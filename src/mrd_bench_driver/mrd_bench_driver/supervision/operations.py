@@ -431,8 +431,12 @@ class BenchOperations:
         )
         self._call("servo/reset_fault", _RESET_TIMEOUT)
         self._call("daq/reset_fault", _RESET_TIMEOUT)
+        begin = self._clock.now()
         self._wait_until(
-            lambda: not (self._servo().stopped or self._servo().fault or self._monitor.daq_problem),
+            lambda: (
+                self._servo().time > begin
+                and not (self._servo().stopped or self._servo().fault or self._monitor.daq_problem)
+            ),
             _EFFECT_TIMEOUT,
             "servo or daq: still in fault after the reset; look at their messages",
         )
