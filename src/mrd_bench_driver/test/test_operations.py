@@ -469,3 +469,10 @@ def test_a_stop_ends_a_control_by_hand_also_beside_a_request_that_is_refused(
     assert peers.supervisor.mode.current is Mode.IDLE
     stopped.set()
     assert refused.wait(5)
+
+
+def test_a_generator_that_runs_for_nobody_ends_no_control_by_hand(peers: FakePeers) -> None:
+    peers.state = "running"
+    assert peers.supervisor.control().startswith("the rod follows setpoints")
+    time.sleep(0.3)
+    assert peers.supervisor.mode.current is Mode.CONTROL, peers.supervisor.mode.reason

@@ -93,7 +93,7 @@ class Supervisor:
         if mode.may_move:
             interlocks = {Mode.HOMING: HOMING_INTERLOCKS, Mode.CONTROL: CONTROL_INTERLOCKS}.get(mode, INTERLOCKS)
             snapshot = self.monitor.snapshot(
-                self._clock.now(), follows_experiment=mode.takes_setpoints, setpoint_source=self._source.node
+                self._clock.now(), follows_experiment=bool(self.mode.source), setpoint_source=self._source.node
             )
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
