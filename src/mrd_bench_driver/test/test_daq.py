@@ -357,6 +357,10 @@ def test_a_button_at_the_daq_works_without_anybody_else(terminals: Terminals) ->
     assert graph.call("daq/emergency_stop", Trigger).success
     graph.until(lambda: terminals.volts() == 0.0)
     graph.until(lambda: states and states[-1].message == "emergency stop by its service; call reset_fault")
+    # It says so again when it is pressed again: a reset may be under way.
+    states.clear()
+    assert graph.call("daq/emergency_stop", Trigger).success
+    graph.until(lambda: [state.message for state in states] == ["emergency stop by its service; call reset_fault"])
     assert terminals.reset_fault().success
     graph.until(lambda: states[-1].level == DiagnosticStatus.OK)
 

@@ -352,3 +352,135 @@ def test_an_experiment_that_somebody_else_loaded_is_not_run(peers: FakePeers) ->
     outcome = run(peers)
     assert outcome.message.startswith("generator: somebody has loaded another experiment")
     assert "start_experiment" not in peers.calls
+
+
+def test_an_experiment_that_somebody_else_loads_while_the_bench_arms_moves_nothing(peers: FakePeers) -> None:
+    """Afterwards, anybody could start it: it would be what the lease of the run lets the rod follow."""
+    set_rate = peers.set_sample_rate
+
+    def load(*arguments: Any) -> None:
+        set_rate(*arguments)
+        peers.supervisor.monitor.add_experiment_state("loaded", peers.clock.now())
+
+    peers.set_sample_rate = load  # type: ignore[method-assign]
+    outcome = run(peers)
+    assert outcome.message.startswith("generator: somebody has loaded another experiment")
+    assert [mode for mode, _ in peers.modes] == [Mode.IDLE, Mode.HOMING, Mode.IDLE]
+    assert "servo/home" not in peers.calls
+
+
+def test_an_experiment_that_somebody_else_starts_during_the_tare_ends_at_once(peers: FakePeers) -> None:
+    peers.refusals["daq/tare"] = "position is not at rest"
+    call = peers.call
+
+    def start(service: str, *arguments: Any, **fields: Any) -> Any:
+        if service == "daq/tare":
+            peers.state = "running"
+        peers.supervisor.monitor.add_setpoint(peers.clock.now())
+        return call(service, *arguments, **fields)
+
+    peers.call = start  # type: ignore[method-assign]
+    begin = peers.clock.now()
+    outcome = run(peers)
+    assert outcome.message.startswith("generator: somebody has started the experiment before its recording")
+    assert peers.clock.now() - begin < 3.0
+    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
+
+
+def test_an_abort_of_the_experiment_ends_the_homing(peers: FakePeers) -> None:
+    def home() -> None:
+        peers.servo = dataclasses.replace(peers.servo, homed=False, enabled=True)  # it takes its time
+        peers.supervisor.monitor.add_experiment_state("aborted: on request", peers.clock.now())
+        peers.state = "aborted"
+
+    peers.effects["servo/home"] = home
+    begin = peers.clock.now()
+    outcome = run(peers)
+    assert outcome.message == "the generator aborted the experiment before its start; on request"
+    assert peers.clock.now() - begin < 3.0
+
+
+def test_a_refused_reset_of_an_idle_bench_stops_nothing(peers: FakePeers) -> None:
+    peers.force = 900.0
+    peers.publish()
+    with pytest.raises(RefusedError, match="not reset, force: 900 N"):
+        peers.supervisor.reset_fault()
+    assert peers.emergency_stops == []
+    assert peers.supervisor.mode.current is Mode.IDLE
+
+
+def press_servo(peers: FakePeers) -> None:
+    """Its emergency stop came before the reset, which has erased it."""
+    peers.servo = dataclasses.replace(peers.servo, halt_time=peers.clock.now())
+
+
+def press_daq(peers: FakePeers) -> None:
+    for _ in range(2):  # it tells again what it has told
+        peers.supervisor.monitor.add_daq_problem("emergency stop; call reset_fault")
+    peers.supervisor.monitor.add_daq_problem("")
+
+
+@pytest.mark.parametrize("fault", [True, False])
+@pytest.mark.parametrize("press", [press_servo, press_daq])
+def test_a_button_of_servo_or_daq_is_not_erased_by_a_reset(
+    peers: FakePeers, press: Callable[[FakePeers], None], fault: bool
+) -> None:
+    if fault:
+        peers.supervisor.emergency_stop("interlock")
+    peers.effects["servo/reset_fault"] = lambda: press(peers)
+    with pytest.raises(RefusedError, match="a stop came during the reset"):
+        peers.supervisor.reset_fault()
+    assert peers.emergency_stops[-1]
+    assert peers.supervisor.mode.current is Mode.FAULT
+    del peers.effects["servo/reset_fault"]
+    assert peers.supervisor.reset_fault().startswith("reset; ")
+
+
+def test_an_emergency_stop_at_the_very_end_of_a_reset_is_not_erased_by_it(peers: FakePeers) -> None:
+    peers.supervisor.emergency_stop("interlock")
+    send, supervisor = peers._on_emergency_stop, peers.supervisor
+
+    def press(stop: bool) -> None:
+        send(stop)
+        if not stop:
+            supervisor.emergency_stop("emergency stop by the service")
+
+    supervisor._send_emergency_stop = press
+    with pytest.raises(RefusedError, match="a stop came during the reset"):
+        supervisor.reset_fault()
+    assert peers.modes[-1] == (Mode.FAULT, "a stop came during the reset")
+    assert peers.servo.stopped
+
+
+def test_a_stop_ends_a_control_by_hand_also_beside_a_request_that_is_refused(
+    peers: FakePeers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    peers.supervisor.control()
+    stopped, refused = threading.Event(), threading.Event()
+    require_idle = peers.supervisor.mode.require_idle
+
+    def take_long() -> None:
+        try:
+            require_idle()
+        finally:
+            stopped.wait(2)
+
+    monkeypatch.setattr(peers.supervisor.mode, "require_idle", take_long)
+
+    def ask() -> None:
+        with pytest.raises(RefusedError, match="the bench is in mode"):
+            peers.supervisor.home()
+        refused.set()
+
+    peers.effects["servo/enable"] = lambda: (threading.Thread(target=ask).start(), time.sleep(0.1))
+    assert peers.supervisor.stop() == "stopped"
+    assert peers.supervisor.mode.current is Mode.IDLE
+    stopped.set()
+    assert refused.wait(5)
+
+
+def test_a_generator_that_runs_for_nobody_ends_no_control_by_hand(peers: FakePeers) -> None:
+    peers.state = "running"
+    assert peers.supervisor.control().startswith("the rod follows setpoints")
+    time.sleep(0.3)
+    assert peers.supervisor.mode.current is Mode.CONTROL, peers.supervisor.mode.reason

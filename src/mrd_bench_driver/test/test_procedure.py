@@ -63,11 +63,11 @@ class FakeBench:
         assert (reason, source) == (self.source.action, self.source.node if mode.takes_setpoints else "")
         self._do(f"enter {mode}")
 
-    def require_recorder(self) -> None:
+    def require_prepared(self) -> None:
         pass
 
     def centre(self, require: Callable[[], None]) -> None:
-        assert require == self.require_recorder
+        assert require == self.require_prepared
         self._do("centre")
 
     def tare(self) -> None:

@@ -444,6 +444,14 @@ def test_a_stop_at_any_instant_of_the_homing_is_no_fault():
         assert bench.status.message == "", duration
 
 
+def test_a_button_that_is_held_switches_the_drive_off_too(homed):
+    homed.run(1.2, sine(homed))
+    for _ in range(30):
+        homed.servo.emergency_stop(homed.now)
+        homed.run(0.02)
+    assert homed.motor.off
+
+
 def test_motor_faults_are_named_and_reset(homed):
     homed.motor.faults, homed.motor.off = 1 << 6, True
     homed.run(0.2)
@@ -844,6 +852,10 @@ def test_node_homes_follows_and_lets_go(fake):
         assert states[-1].message.startswith("the supervisor test has been silent for 6")
         enter(msg.BenchState.HOMING)
         assert "latched (the supervisor test has been silent" in call(Trigger, "servo/home").message
+        # A button tells when it was pressed also where the stop is latched already: a reset may be under way.
+        called = clock.now()
+        assert call(Trigger, "servo/emergency_stop").success
+        spin(lambda: states[-1].halt_time > called)
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=5) == 0
         assert fake.motor.log[-2:] == ["X", "OFF"]

@@ -1,11 +1,13 @@
 """The supervisor as a process, with fakes of servo, DAQ, generator and recorder."""
 
 import array
+import signal
 import time
 from collections.abc import Callable
 from typing import Any
 
 import pytest
+import rclpy
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
@@ -15,6 +17,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.nodes.graph import COMMAND, LATCHED, RECORDED, REFUSALS
+from mrd_bench_driver.nodes.supervisor import SupervisorNode
 from mrd_interfaces.action import RunExperiment, RunSet
 from mrd_interfaces.msg import BenchSamples, BenchState, Lease, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
@@ -454,6 +457,37 @@ def test_stop_ends_an_experiment_and_control(fakes: Fakes) -> None:
     assert fakes.stops[-1][1]
 
 
+LONG_NAME = "/tmp/" + 300 * "a"
+
+
+def test_a_goal_with_an_impossible_name_is_refused_and_deafens_nobody(fakes: Fakes) -> None:
+    goal = RunExperiment.Goal(experiment=EXPERIMENT, bag=LONG_NAME)
+    assert fakes.refusal(fakes._send(fakes.action, goal)).endswith("aaa: cannot be used (File name too long)")
+    refusal = fakes.refusal(fakes.send_set(LONG_NAME))
+    assert refusal.endswith("01_a: cannot be used (File name too long)"), refusal
+    for _ in range(3):
+        assert fakes.graph.call("stop", Trigger).success
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_supervisor_whose_requests_nobody_serves_any_more_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would go on renewing the lease of a bench that hears no stop."""
+    signals: list[int] = []
+    monkeypatch.setattr("sys.argv", ["supervisor"])
+    monkeypatch.setattr("os.kill", lambda _process, number: signals.append(number))
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/deaf"])
+    node = SupervisorNode()
+    for _ in range(2):  # the executor looks at the errors of a request when the next one comes
+        node._request_executor.create_task(lambda: 1 / 0)
+    end = time.monotonic() + 5
+    while not signals and time.monotonic() < end:
+        time.sleep(0.01)
+    node.close()
+    node.destroy_node()
+    rclpy.shutdown()
+    assert signals == [signal.SIGTERM]
+
+
 @pytest.mark.parametrize("step", STEPS[:3])
 def test_a_stop_of_a_rod_that_does_not_move_yet_ends_the_procedure(fakes: Fakes, step: str) -> None:
     """The servo answers that it has stopped; what it then forgets, the supervisor must not."""
@@ -488,7 +522,7 @@ def test_an_emergency_stop_during_the_reset_is_not_erased_by_it(fakes: Fakes) ->
     fakes.meanwhile["servo/reset_fault"] = lambda: fakes.emergency_stop.publish(Bool(data=True))
     answer = fakes.graph.call("reset_fault", Trigger)
     assert not answer.success
-    assert answer.message.startswith("an emergency stop came during the reset"), answer.message
+    assert answer.message.startswith("a stop came during the reset"), answer.message
     assert fakes.mode() == BenchState.FAULT
 
 

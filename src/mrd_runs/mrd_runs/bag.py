@@ -100,7 +100,11 @@ class BagWriter:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        if self.path.exists():
+        try:
+            exists = self.path.exists()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be made ({error.strerror})") from None
+        if exists:
             raise InputError(f"{path}: exists already and is not overwritten; give another folder or remove it")
         self.types = typestore()
         self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)

@@ -220,8 +220,10 @@ def test_nobody_records_in_the_way_of_a_run(bench: FakeDaq, tmp_path: Path) -> N
     leases = bench.node.create_publisher(Lease, "lease", COMMAND)
     bench.until(leases.get_subscription_count)
 
+    mode = BenchState.HOMING
+
     def renew() -> None:
-        lease = Lease(holder="supervisor", mode=BenchState.HOMING)
+        lease = Lease(holder="supervisor", mode=mode)
         lease.header.stamp.sec, lease.header.stamp.nanosec = divmod(int(1e9 * BenchClock().now()), 10**9)
         leases.publish(lease)
 
@@ -233,6 +235,11 @@ def test_nobody_records_in_the_way_of_a_run(bench: FakeDaq, tmp_path: Path) -> N
     run = bench.call("start_recording", StartRecording, bag=str(tmp_path / "run"), lease=7)
     assert run.success, run.message
     assert not (tmp_path / "by_hand").exists()
+    assert bench.stop_recording().message == "records a run of supervisor; call its stop"
+    # The request that should have ended the recording was lost: the run is over, and nobody else would end it.
+    mode = BenchState.IDLE
+    bench.during(0.3)
+    assert bench.stop_recording().bag == str(tmp_path / "run")
 
 
 def test_missing_samples_are_reported(bench: FakeDaq, tmp_path: Path) -> None:
@@ -339,6 +346,7 @@ def test_recorder_refuses_impossible_folders(bench: FakeDaq, tmp_path: Path) -> 
     bench.run("recorder")
     (tmp_path / "file").write_text("")
     assert "exists already" in bench.start_recording(tmp_path / "file").message
+    assert "File name too long" in bench.start_recording(tmp_path / (300 * "a")).message
     assert "cannot be made" in bench.start_recording(tmp_path / "file/run").message
     assert "names no bag" in bench.call("start_recording", StartRecording).message
 

@@ -235,7 +235,7 @@ DAQ_STATE = Topic(
     "daq_state",
     DiagnosticStatus,
     LATCHED,
-    "whether the DAQ works or why it has stopped, on every change",
+    "whether the DAQ works or why it has stopped, on every change, and again at each press of its button",
     publishers=("daq",),
     subscribers=("supervisor", "page"),
 )

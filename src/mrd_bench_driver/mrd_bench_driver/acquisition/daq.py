@@ -232,10 +232,12 @@ class Daq:
             if self._live:
                 self._write(0.0)
 
-    def emergency_stop(self, reason: str = "emergency stop") -> None:
-        """Set the coil output to 0 V until `reset_fault`; the first reason stays."""
+    def emergency_stop(self, reason: str = "emergency stop", *, tell_again: bool = False) -> None:
+        """Set the coil output to 0 V until `reset_fault`; the first reason stays, and is told again on request."""
         with self._lock:
             self._emergency_stop = self._emergency_stop or reason
+            if tell_again:
+                self._told = ""
             self._write(0.0)
 
     def _write(self, volts: float, current: float = 0.0) -> None:

@@ -154,7 +154,8 @@ class DaqNode(BenchNode[DaqConfig]):
             self._daq.emergency_stop()
 
     def _on_emergency_stop_service(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._daq.emergency_stop("emergency stop by its service")
+        # The supervisor, which may be about to reset a stop before this one, must hear of it, too.
+        self._daq.emergency_stop("emergency stop by its service", tell_again=True)
         response.success, response.message = True, "latched; call reset_fault"
         return response
 

@@ -61,7 +61,7 @@ class ServoNode(BenchNode[ServoConfig]):
             SERVO_ENABLE: lambda request: self._enable() if request.data else self._disable(),
             SERVO_HOME: lambda _request: self._home(),
             SERVO_STOP: lambda _request: self._halt(),
-            SERVO_EMERGENCY_STOP: lambda _request: self._emergency_stop("emergency stop by its service"),
+            SERVO_EMERGENCY_STOP: lambda _request: self._on_button(),
             SERVO_RESET_FAULT: lambda _request: self._reset_fault(),
         }
         for service, work in services.items():
@@ -114,6 +114,11 @@ class ServoNode(BenchNode[ServoConfig]):
     def _on_emergency_stop(self, message: Any) -> None:
         if message.data:
             self._emergency_stop("emergency stop")
+
+    def _on_button(self) -> Response:
+        # The supervisor, which may be about to reset a stop before this one, must hear of it, too.
+        self._lease.revoke(self.bench.now())
+        return self._emergency_stop("emergency stop by its service")
 
     def _emergency_stop(self, reason: str) -> Response:
         self._controller.emergency_stop(self.bench.now(), reason)

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import math
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -107,7 +108,16 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._create_request_servers()
         self._request_executor = MultiThreadedExecutor(num_threads=_REQUEST_THREADS)
         self._request_executor.add_node(self._request_node)
-        threading.Thread(target=self._request_executor.spin, name="requests", daemon=True).start()
+        self._closing = False
+        threading.Thread(target=self._serve_requests, name="requests", daemon=True).start()
+
+    def _serve_requests(self) -> None:
+        try:
+            self._request_executor.spin()
+        finally:
+            # After an error, a supervisor that hears no stop must not go on renewing the lease.
+            if not self._closing:
+                os.kill(os.getpid(), signal.SIGTERM)
 
     def _create_request_servers(self) -> None:
         supervisor, group = self._supervisor, ReentrantCallbackGroup()
@@ -202,7 +212,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.monitor.add_recorder_state(state, problem, self.bench.now())
 
     def _on_daq_state(self, status: DiagnosticStatus) -> None:
-        self._supervisor.monitor.daq_problem = status.message if status.level == DiagnosticStatus.ERROR else ""
+        self._supervisor.monitor.add_daq_problem(status.message if status.level == DiagnosticStatus.ERROR else "")
         self._supervisor.check_interlocks()
 
     def _on_lease(self, lease: Lease) -> None:
@@ -328,6 +338,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         deadline = time.monotonic() + _CLOSE_TIMEOUT
         while self._active_goals and time.monotonic() < deadline:
             time.sleep(0.01)
+        self._closing = True
         self._request_executor.shutdown(timeout_sec=2.0)
         self._request_node.destroy_node()
 

@@ -165,7 +165,7 @@ class ServoController:
         with self._lock:
             if not on:
                 self._stop(b"X\r")
-                self._release_requested = now
+                self._request_release(now)
                 return Response(True, "disabled")
             if reason := self._reason_not_ready():
                 return Response(False, reason)
@@ -197,7 +197,7 @@ class ServoController:
         with self._lock:
             self._emergency_stop = self._emergency_stop or reason
             self._stop(b"S\r")
-            self._release_requested = now
+            self._request_release(now)
 
     def reset_fault(self, now: float) -> Response:
         """Clear faults and the emergency stop. The drive stays off until `enable`."""
@@ -385,6 +385,10 @@ class ServoController:
         self._armed, self._activity = False, Activity.NOTHING
         self._rod.set_command(None)
         self._abandon_homing()
+
+    def _request_release(self, now: float) -> None:
+        """Have the drive switched off once the rod stands; requests that are repeated must not put this off."""
+        self._release_requested = now if self._release_requested is None else self._release_requested
 
     def _abandon_homing(self) -> None:
         if self._homing is not None:

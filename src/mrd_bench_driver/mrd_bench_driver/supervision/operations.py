@@ -210,12 +210,24 @@ class BenchOperations:
         self._loads = loads + 1
         return LoadedExperiment(response.duration, response.rate)
 
+    def require_prepared(self) -> None:
+        """Refuse where the recorder has fallen silent, or the experiment does not wait for its start any more."""
+        self._require_recorder()
+        self._require_loaded()
+
+    def _require_loaded(self) -> None:
+        """Refuse where what was loaded here does not wait for its start any more."""
+        node, told = self.source.node, self._told
+        if told.loads != self._loads:
+            raise RefusedError(f"{node}: somebody has loaded another experiment meanwhile; run this one again")
+        if told.state == "aborted":
+            raise RefusedError(f"the {node} aborted the experiment before its start; {told.reason}")
+        if told.state in ("running", "done"):
+            raise RefusedError(f"{node}: somebody has started the experiment before its recording; run it again")
+
     def start_experiment(self) -> None:
         """Start the setpoints of the loaded experiment."""
-        if self._told.loads != self._loads:
-            raise RefusedError(f"{self.source.node}: somebody has loaded another experiment meanwhile; run this one again")
-        if self._told.state == "aborted":
-            raise RefusedError(f"the {self.source.node} aborted the experiment before its start; {self._told.reason}")
+        self._require_loaded()
         self._call(self.source.start)
 
     def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
@@ -248,11 +260,11 @@ class BenchOperations:
         monitor = self._monitor
         if monitor.recording_problem:
             raise RefusedError(monitor.recording_problem)
-        self.require_recorder()
+        self._require_recorder()
         if monitor.recorder_state != "recording":
             raise RefusedError("recorder: the recording ended during the run; look at its log")
 
-    def require_recorder(self) -> None:
+    def _require_recorder(self) -> None:
         """Refuse where the recorder has fallen silent."""
         silence = self._clock.now() - self._monitor.recorder_time
         if silence > _RECORDER_SILENCE:
@@ -294,13 +306,17 @@ class BenchOperations:
         self._require_healthy()
 
     def tare(self) -> None:
-        """Tare the sensors, if configured, as soon as the bench has been at rest for long enough."""
+        """Tare the sensors, if configured, as soon as the bench has been at rest for long enough.
+
+        Refuse where somebody starts or aborts the experiment meanwhile.
+        """
         if not self._config.tare:
             return
         reason = ""
 
         def tared() -> bool:
             nonlocal reason
+            self._require_loaded()
             response = self._peers.call("daq/tare", self._config.answer_timeout, self._interruption, may_fail=True)
             reason = response.message
             if not response.success:
@@ -418,8 +434,12 @@ class BenchOperations:
         )
         self._call("servo/reset_fault", _RESET_TIMEOUT)
         self._call("daq/reset_fault", _RESET_TIMEOUT)
+        begin = self._clock.now()
         self._wait_until(
-            lambda: not (self._servo().stopped or self._servo().fault or self._monitor.daq_problem),
+            lambda: (
+                self._servo().time > begin
+                and not (self._servo().stopped or self._servo().fault or self._monitor.daq_problem)
+            ),
             _EFFECT_TIMEOUT,
             "servo or daq: still in fault after the reset; look at their messages",
         )
@@ -457,5 +477,5 @@ class BenchOperations:
         return first_trip(self._snapshot(), self._config.limits, self._config.interlocks, interlocks)
 
     def _snapshot(self) -> Snapshot:
-        follows = self._mode.current.takes_setpoints
+        follows = bool(self._mode.source)
         return self._monitor.snapshot(self._clock.now(), follows_experiment=follows, setpoint_source=self.source.node)

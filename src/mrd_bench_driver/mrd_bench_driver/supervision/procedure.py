@@ -52,7 +52,8 @@ class _Experiment:
         bench.require_punctual_machine()
         bench.enter(Mode.HOMING, bench.source.action)
         self._undo.append(bench.halt)
-        bench.centre(require=bench.require_recorder)
+        bench.require_prepared()  # nobody can load another experiment any more
+        bench.centre(require=bench.require_prepared)
         # From here on, nobody else homes, records or tares. Nothing moves without the setpoints, which come last.
         bench.enter(bench.source.mode, bench.source.action, bench.source.node)
         bench.tare()

@@ -87,8 +87,12 @@ def set_of_runs(experiments: Sequence[str], folder: str, seed: int, runs: Path) 
 
 
 def require_new(request: RunRequest) -> None:
-    """Refuse a run whose bag exists."""
-    if request.bag.exists():
+    """Refuse a run whose bag exists, or cannot be looked for."""
+    try:
+        exists = request.bag.exists()
+    except OSError as error:
+        raise RefusedError(f"{request.bag}: cannot be used ({error.strerror})") from None
+    if exists:
         raise RefusedError(f"{request.bag}: exists already and is not overwritten; give another folder")
 
 

@@ -122,6 +122,7 @@ class BenchMonitor:
         self.sources = {"generator": SourceState(), "controller": SourceState()}
         self._work = self._power = 0.0  # of a hybrid test, in J and W
         self.daq_problem = ""
+        self.daq_repetitions = 0
         self.recorder_state = self.recording_problem = ""
         self.recorder_time = -math.inf
         self.recorder_changed = clock.waiter()
@@ -178,6 +179,11 @@ class BenchMonitor:
     def add_setpoint(self, now: float) -> None:
         """Note that a setpoint was published that is to be followed."""
         self._setpoint_time = now
+
+    def add_daq_problem(self, problem: str) -> None:
+        """Note why the DAQ has stopped, or "". It repeats a problem when somebody stops it once more."""
+        self.daq_repetitions += bool(problem and self.daq_problem)
+        self.daq_problem = problem
 
     def add_experiment_state(self, state: str, now: float, source: str = "generator") -> None:
         """Note a state of the experiment of a source of setpoints."""

@@ -93,12 +93,12 @@ class Supervisor:
         if mode.may_move:
             interlocks = {Mode.HOMING: HOMING_INTERLOCKS, Mode.CONTROL: CONTROL_INTERLOCKS}.get(mode, INTERLOCKS)
             snapshot = self.monitor.snapshot(
-                self._clock.now(), follows_experiment=mode.takes_setpoints, setpoint_source=self._source.node
+                self._clock.now(), follows_experiment=bool(self.mode.source), setpoint_source=self._source.node
             )
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
                 self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
-        elif mode is Mode.IDLE and not self.procedure:
+        elif mode is Mode.IDLE and self.procedure in ("", "reset_fault"):
             # The stop is older than this process, or somebody has pressed the button of one node.
             if servo is not None and servo.stopped:
                 self.emergency_stop(f"servo: {servo.message or 'its emergency stop is latched; call reset_fault'}")
@@ -173,23 +173,28 @@ class Supervisor:
     def reset_fault(self) -> str:
         """Release the emergency stop if the inputs are healthy; return the message of success."""
         with self._exclusive("reset_fault"):
-            if self.mode.current.may_move:
-                raise RefusedError(f"the bench is in mode {self.mode.current}; call stop first")
             bench = self._operations(never_interrupted)
             bench.require_servo_and_daq()
-            emergency_stops = self._emergency_stops
+            before = self._emergency_stops, self.monitor.daq_repetitions
+
+            def stopped() -> bool:
+                return (self._emergency_stops, self.monitor.daq_repetitions) != before or self._is_halted()
+
             try:
                 bench.reset_faults()
-                # The reset of servo and DAQ has erased what they heard meanwhile.
-                if self._emergency_stops != emergency_stops:
-                    raise RefusedError("an emergency stop came during the reset; reset again once nobody is in danger")
             except RefusedError:
-                # A node that was reset already is stopped again.
-                self._send_emergency_stop(True)
+                # A node that was reset already is stopped again. Of a bench without a fault, nothing was latched.
+                if self.mode.current is Mode.FAULT:
+                    self._send_emergency_stop(True)
                 raise
-            self._send_emergency_stop(False)
-            if self.mode.current is Mode.FAULT:
-                self.mode.enter(Mode.IDLE, "fault reset")
+            # The reset of servo and DAQ has erased what they heard meanwhile.
+            if not stopped():
+                self._send_emergency_stop(False)
+                if self.mode.current is Mode.FAULT:
+                    self.mode.enter(Mode.IDLE, "fault reset")
+            if stopped():  # the latest stop has found the mode still in fault
+                self.emergency_stop("a stop came during the reset")
+                raise RefusedError("a stop came during the reset; reset again once nobody is in danger")
         return "reset; home or run an experiment to go on"
 
     def check_experiment(self, experiment: str, bag: str, seed: int) -> None:
@@ -263,10 +268,17 @@ class Supervisor:
         self.mode.require_no_fault()
         if self.stops != self._stops_before:
             raise CancelledError
-        # Servo and DAQ forget a stop of what does not move yet. The procedure must not go on as if nobody had asked.
-        if (servo := self.monitor.servo) and servo.halt_time > max(self._begun, self.monitor.own_halt_time):
+        # Servo and DAQ forget a stop of what does not move yet. The procedure must not go on as if nobody had asked. An
+        # emergency stop is remembered, and an interlock names it.
+        servo = self.monitor.servo
+        if servo and not servo.stopped and self._is_halted():
             stopped = "homing" if self.mode.current is Mode.HOMING else "rod during the run"
             raise RefusedError(f"servo: somebody stopped the {stopped} (by servo/stop or servo/enable)")
+
+    def _is_halted(self) -> bool:
+        """Whether somebody has stopped the servo by its services since the present procedure began."""
+        servo = self.monitor.servo
+        return servo is not None and servo.halt_time > max(self._begun, self.monitor.own_halt_time)
 
     def _run_exclusively(
         self,
@@ -313,6 +325,10 @@ class Supervisor:
         """Let one procedure run at a time; refuse others."""
         with self._lock:
             self._require_no_procedure()
+            # A mode in which the rod may move belongs to a control by hand. A stop of it that comes now must not leave it to
+            # this procedure to end that mode.
+            if self.mode.current.may_move:
+                self.mode.require_idle()
             self.procedure = procedure
             self._stops_before, self._begun = self.stops, self._clock.now()
         try:

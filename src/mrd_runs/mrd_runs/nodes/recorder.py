@@ -17,6 +17,7 @@ from rclpy.serialization import deserialize_message
 
 from mrd_base import InputError, quantity
 from mrd_base.config import named_path
+from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     CALIBRATION,
@@ -252,9 +253,10 @@ class Recorder(BenchNode[RecorderSettings]):
             return self._close_and_count(response)
 
     def _is_orphaned(self) -> bool:
-        """Whether the run that is recorded has lost its supervisor. Its successor could neither end it nor record."""
-        watched = self._lease.is_valid(self.bench.now()) and self._lease.lease.holder == self._run_holder
-        return self._run_lease != 0 and not watched
+        """Whether the run that is recorded is over, or has lost its supervisor. A new one could not end it."""
+        lease = self._lease.lease
+        watched = self._lease.is_valid(self.bench.now()) and lease.holder == self._run_holder
+        return self._run_lease != 0 and not (watched and lease.mode is not Mode.IDLE)
 
     def _close_and_count(self, response: StopRecording.Response) -> StopRecording.Response:
         writer = self._writer
