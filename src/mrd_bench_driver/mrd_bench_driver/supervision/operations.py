@@ -333,7 +333,7 @@ class BenchOperations:
         )
 
         def records() -> bool:
-            self.require_recorder()
+            self._require_recorder()
             return self._monitor.recorder_state == "recording"
 
         self._wait_until(records, _EFFECT_TIMEOUT, "recorder: did not announce `recording`")
