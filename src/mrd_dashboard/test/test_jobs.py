@@ -20,10 +20,13 @@ from mrd_sim.models import find_model
 from mrd_sim.path import make_path
 from mrd_sim.simulate import write_csv
 
+# A job gives way to all other work of the machine.
+pytestmark = pytest.mark.timeout(300)
+
 QUICK = {"population": 8, "generations": 4, "seeds": 1, "profile": False}
 
 
-def finish(jobs: Jobs, seconds: float = 100.0) -> Job:
+def finish(jobs: Jobs, seconds: float = 250.0) -> Job:
     """Poll until the job has ended."""
     deadline = time.monotonic() + seconds
     while jobs.running is not None:
