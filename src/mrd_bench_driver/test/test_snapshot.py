@@ -12,7 +12,7 @@ from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot, Source
 
 
 def test_nothing_is_known_before_the_first_message() -> None:
-    snapshot = BenchMonitor(BenchClock()).snapshot(10.0, follows_experiment=True)
+    snapshot = BenchMonitor(BenchClock()).snapshot(10.0, "generator")
     assert (snapshot.sample_age, snapshot.servo_age, snapshot.setpoint_age) == (math.inf, math.inf, 0.0)
     assert math.isnan(snapshot.position)
     assert not snapshot.servo.connected
@@ -24,7 +24,7 @@ def test_samples_give_age_extremes_speed_and_mean_current() -> None:
         position = 1e-3 * block + np.linspace(-5e-3, -4e-3, 20)
         force = np.array([100.0, -300.0, 200.0] + [0.0] * 17)
         monitor.add_samples(10.0 + 0.02 * block, 1e-3, position, force, np.full(20, 0.5))
-    snapshot = monitor.snapshot(10.1, follows_experiment=False)
+    snapshot = monitor.snapshot(10.1)
     assert monitor.sample_period == 1e-3
     assert snapshot.sample_age == pytest.approx(10.1 - 10.039)
     assert snapshot.position == pytest.approx(-4e-3)
@@ -38,32 +38,30 @@ def test_a_gap_in_the_samples_gives_no_speed_and_an_empty_block_nothing() -> Non
     one = np.array([1e-3])
     monitor.add_samples(10.0, 0.04, one, one, one)
     monitor.add_samples(11.0, 0.04, 5 * one, one, one)
-    before = monitor.snapshot(11.0, follows_experiment=False)
+    before = monitor.snapshot(11.0)
     assert math.isnan(before.speed)
     monitor.add_samples(12.0, 0.04, one[:0], one[:0], one[:0])
-    assert dataclasses.replace(monitor.snapshot(11.0, follows_experiment=False), speed=0.0) == dataclasses.replace(
-        before, speed=0.0
-    )
+    assert dataclasses.replace(monitor.snapshot(11.0), speed=0.0) == dataclasses.replace(before, speed=0.0)
 
 
 def test_the_servo_is_as_old_as_its_status() -> None:
     monitor = BenchMonitor(BenchClock())
     monitor.add_servo_status(ServoStatus(time=10.0, position=0.002, connected=True))
-    snapshot = monitor.snapshot(10.05, follows_experiment=False)
+    snapshot = monitor.snapshot(10.05)
     assert snapshot.servo_age == pytest.approx(0.05)
     assert snapshot.servo is monitor.servo
 
 
 def test_the_age_of_setpoints_counts_only_while_an_experiment_runs_that_is_followed() -> None:
-    def age(now: float, follows_experiment: bool = True) -> float:
-        snapshot: Snapshot = monitor.snapshot(now, follows_experiment=follows_experiment)
+    def age(now: float, followed: str = "generator") -> float:
+        snapshot: Snapshot = monitor.snapshot(now, followed)
         return snapshot.setpoint_age
 
     monitor = BenchMonitor(BenchClock())
     monitor.add_setpoint(9.0)
     monitor.add_experiment_state("running", 10.0)
     assert age(10.1) == pytest.approx(0.1)
-    assert age(10.1, follows_experiment=False) == 0.0
+    assert age(10.1, "") == 0.0
     monitor.add_setpoint(10.2)
     assert age(10.3) == pytest.approx(0.1)
     monitor.add_experiment_state("done", 10.4)
@@ -82,8 +80,8 @@ def test_each_source_of_setpoints_speaks_for_itself() -> None:
     }
     assert monitor.experiment_state == "aborted"
     # What the controller tells is no sign of life of the generator.
-    assert monitor.snapshot(10.4, follows_experiment=True).setpoint_age == pytest.approx(0.4)
-    assert monitor.snapshot(10.4, follows_experiment=True, setpoint_source="controller").setpoint_age == 0.0
+    assert monitor.snapshot(10.4, "generator").setpoint_age == pytest.approx(0.4)
+    assert monitor.snapshot(10.4, "controller").setpoint_age == 0.0
 
 
 def test_lvdt_and_encoder_are_compared_at_the_same_instants_once_the_rod_is_homed() -> None:
@@ -92,7 +90,7 @@ def test_lvdt_and_encoder_are_compared_at_the_same_instants_once_the_rod_is_home
 
     def difference(beyond: float) -> float:
         monitor.add_samples(5.0, 1e-3, speed * times + beyond, np.zeros(20), np.zeros(20))
-        return monitor.snapshot(5.03, follows_experiment=False).position_difference
+        return monitor.snapshot(5.03).position_difference
 
     for homed in (False, True):
         for time in np.arange(4.9, 5.03, 0.01):
@@ -117,7 +115,7 @@ def test_lvdt_and_encoder_are_compared_in_short_blocks_too(late: float) -> None:
         times = time + 1e-3 * np.arange(4)
         beyond = np.where(times < 5.1, 0.0, 0.003)
         monitor.add_samples(time, 1e-3, speed * times + beyond, np.zeros(4), np.zeros(4))
-        differences.append((now, monitor.snapshot(now, follows_experiment=False).position_difference))
+        differences.append((now, monitor.snapshot(now).position_difference))
     known = [difference for now, difference in differences if now > 5.03]
     assert np.isfinite(known).all()
     told = next(now for now, difference in differences if abs(difference) > 0.002)

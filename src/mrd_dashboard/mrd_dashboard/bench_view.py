@@ -138,6 +138,6 @@ class BenchView:
                 "look at its log, or start the bench",
             )
         source = "controller" if self.mode is Mode.CONTROL else "generator"
-        now = self.monitor.snapshot(self.bench_time, follows_experiment=self.mode.takes_setpoints, setpoint_source=source)
+        now = self.monitor.snapshot(self.bench_time, source if self.mode.takes_setpoints else "")
         config = self.supervisor
         return [first, *lamps(now, config.limits, config.interlocks, self.mode, self.reason)]

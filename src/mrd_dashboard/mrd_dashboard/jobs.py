@@ -252,11 +252,8 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
 
     method = parse_method(**{**request.method, "seed": request.seed})
     runs = read_runs([*request.runs, *request.held_out])
-    model, remedy = (
-        find_model(request.model, method.laws, method.given_effects),
-        f"tick {FIT_ANYWAY!r}, to fit them as they are",
-    )
-    look_at_runs(runs, request.anyway, model, remedy=remedy)
+    model = find_model(request.model, method.laws, method.given_effects)
+    look_at_runs(runs, request.anyway, model, remedy=f"tick {FIT_ANYWAY!r}, to fit them as they are")
     total = method.total_generations
 
     front: list[tuple[float, float]] = []

@@ -25,7 +25,7 @@ NOTES_FILE = "notes.yaml"
 CACHE_FOLDER = ".page"
 """Folder, among the recordings, of what the page can compute again."""
 NOTES_REMEDY = "mend or remove the file, then its notes can be changed here"
-"""What to do about notes that cannot be read."""
+"""It tells what to do about notes that cannot be read."""
 LONGEST_NOTE = 10_000
 """Characters."""
 SCAN_PERIOD = 2.0

@@ -477,5 +477,4 @@ class BenchOperations:
         return first_trip(self._snapshot(), self._config.limits, self._config.interlocks, interlocks)
 
     def _snapshot(self) -> Snapshot:
-        follows = bool(self._mode.source)
-        return self._monitor.snapshot(self._clock.now(), follows_experiment=follows, setpoint_source=self.source.node)
+        return self._monitor.snapshot(self._clock.now(), self._mode.source)

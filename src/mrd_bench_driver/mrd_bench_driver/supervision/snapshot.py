@@ -208,10 +208,11 @@ class BenchMonitor:
         if changed:
             self.recorder_changed.wake()
 
-    def snapshot(self, now: float, *, follows_experiment: bool, setpoint_source: str = "generator") -> Snapshot:
-        """Return the state of the bench at ``now``; setpoints are expected if an experiment is followed and runs."""
+    def snapshot(self, now: float, followed: str = "") -> Snapshot:
+        """Return the state at ``now``; setpoints are expected while an experiment of the node ``followed`` runs."""
+        setpoint_source = followed or "generator"
         servo, source = self.servo, self.sources[setpoint_source]
-        running = follows_experiment and source.state == "running"
+        running = bool(followed) and source.state == "running"
         # The first setpoint may come after the state, so that the age of setpoints counts from the state at the earliest.
         latest = max(self._setpoint_time, source.time)
         return dataclasses.replace(

@@ -92,9 +92,7 @@ class Supervisor:
         mode, servo = self.mode.current, self.monitor.servo
         if mode.may_move:
             interlocks = {Mode.HOMING: HOMING_INTERLOCKS, Mode.CONTROL: CONTROL_INTERLOCKS}.get(mode, INTERLOCKS)
-            snapshot = self.monitor.snapshot(
-                self._clock.now(), follows_experiment=bool(self.mode.source), setpoint_source=self._source.node
-            )
+            snapshot = self.monitor.snapshot(self._clock.now(), self.mode.source)
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
                 self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
