@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 import yaml
 
 from mrd_base.errors import InputError
+from mrd_base.text_file import read_text_file
 
 T = TypeVar("T")
 
@@ -140,11 +141,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     InputError
         When the file does not exist, is not YAML, or does not hold a mapping.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
-        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    return parse_yaml(text, str(path))
+    return parse_yaml(read_text_file(Path(path), "a YAML file", 4 * _LONGEST_TEXT), str(path))
 
 
 def parse_yaml(text: str, where: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 # Bench time in s for which a stop of an idle bench is remembered, because the lease of a procedure that has just begun may
-# still be under way. Supervisors leave more than this between two procedures.
+# still be under way.
 _STOP_MEMORY = 0.04
 
 
@@ -107,8 +107,13 @@ class LeaseWatch:
         return number == self._granted != 0
 
     def revoke(self, now: float) -> None:
-        """Permit no motion until the present procedure has ended: somebody has asked for a stop."""
-        self.halt_time, self._revoked = now, self.lease.mode.may_move
+        """Permit no motion until the present procedure has ended, and remember it: somebody has asked for a stop."""
+        self.halt_time = now
+        self.end()
+
+    def end(self) -> None:
+        """Permit no motion until the present procedure has ended."""
+        self._revoked = self.lease.mode.may_move
 
     def is_valid(self, now: float) -> bool:
         """Whether the holder has renewed the lease lately."""

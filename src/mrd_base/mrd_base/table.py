@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.errors import InputError
+from mrd_base.text_file import read_text_file
 
 Array = NDArray[np.float64]
 
@@ -51,13 +52,7 @@ def read_csv(path: str | Path, required: Sequence[str], optional: Sequence[str] 
     InputError
         When the file cannot be read, is not text, lacks a required column, or a cell holds no number.
     """
-    path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        text = "\0"
+    text = read_text_file(Path(path), f"a CSV file with the header {','.join(required)}")
     return parse_csv(text, path, required, optional)
 
 

@@ -170,7 +170,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(InputError, match=r"nowhere.yaml: cannot be read \(No such file"):
         read_yaml(tmp_path / "nowhere.yaml")
     (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"bytes.yaml: cannot be read"):
+    with pytest.raises(InputError, match=r"bytes.yaml: is not text"):
         read_yaml(tmp_path / "bytes.yaml")
 
 

@@ -22,7 +22,7 @@ from mrd_bench_driver.supervision.interlocks import (
     first_trip,
 )
 from mrd_bench_driver.supervision.modes import TRANSITIONS, BenchMode, Mode
-from mrd_bench_driver.supervision.run_requests import control_run
+from mrd_bench_driver.supervision.run_requests import control_run, single_run
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
@@ -238,9 +238,14 @@ def test_a_hybrid_test_has_interlocks_of_its_own(change: dict[str, Any], interlo
     assert said in trip.message
 
 
-@pytest.mark.parametrize("text", ["name: a/b", "duration_s: 3", "[1, 2]", "/no/such/file.yaml", "name: ["])
+@pytest.mark.parametrize("text", ["name: a/b", "duration_s: 3", "[1, 2]", "/no/such/file.yaml", "/dev/zero", "name: ["])
 def test_a_hybrid_test_without_a_usable_name_is_refused(text: str, tmp_path: Path) -> None:
     assert control_run("name: car", "", 0, tmp_path).name.startswith("car-")
     with pytest.raises(RefusedError) as error:
         control_run(text, "", 0, tmp_path)
     assert "\n" not in str(error.value)
+
+
+def test_a_goal_that_names_a_device_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RefusedError, match=r"^/dev/zero: is no file, expected a YAML file$"):
+        single_run("/dev/zero", "", 0, tmp_path)

@@ -73,6 +73,7 @@ class FakePeers:
         changes: dict[str, dict[str, object]] = {
             "servo/home": {"homed": True},
             "servo/enable": {"enabled": fields.get("data")},
+            "servo/rest": {"enabled": False},
             "servo/reset_fault": {"stopped": False, "fault": False},
         }
         self.servo = dataclasses.replace(self.servo, **changes.get(service, {}))
@@ -119,7 +120,7 @@ def test_an_experiment_goes_through_the_modes_and_ends_in_idle(peers: FakePeers)
     assert outcome.success, outcome.message
     assert (outcome.recorded.bag, outcome.recorded.samples) == ("/tmp/bag", 500)
     assert [mode for mode, _ in peers.modes] == [Mode.IDLE, Mode.HOMING, Mode.IDENTIFICATION, Mode.IDLE]
-    assert peers.calls[-3:] == ["servo/stop", "servo/enable False", "stop_recording"]
+    assert peers.calls[-2:] == ["servo/rest", "stop_recording"]
     assert not peers.emergency_stops
 
 
@@ -210,7 +211,7 @@ def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
     peers.calls.clear()
     with pytest.raises(RefusedError, match="the motor is not connected"):
         peers.supervisor.home()
-    assert peers.calls == ["servo/home", "servo/stop", "servo/enable False"]
+    assert peers.calls == ["servo/home", "servo/rest"]
     assert peers.modes[-1] == (Mode.IDLE, "ended early")
 
 
@@ -219,7 +220,7 @@ def test_an_emergency_stop_ends_a_request_with_its_reason(peers: FakePeers) -> N
     peers.servo = dataclasses.replace(peers.servo, position=0.01)
     with pytest.raises(TrippedError, match="emergency stop on the topic"):
         peers.supervisor.home()
-    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
+    assert peers.calls[-1:] == ["servo/rest"]
 
 
 def test_a_stop_before_the_end_of_homing_cancels_it(peers: FakePeers) -> None:
@@ -336,7 +337,7 @@ def test_a_recorder_that_falls_silent_ends_the_homing_of_a_run(peers: FakePeers)
     assert outcome.message.startswith("recorder: has been silent for 0.8"), outcome.message
     assert peers.clock.now() - begin < 5.0
     assert "start_recording" not in peers.calls
-    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
+    assert peers.calls[-1:] == ["servo/rest"]
 
 
 def test_a_recorder_that_ends_as_it_begins_is_named(peers: FakePeers) -> None:
@@ -384,7 +385,7 @@ def test_an_experiment_that_somebody_else_starts_during_the_tare_ends_at_once(pe
     outcome = run(peers)
     assert outcome.message.startswith("generator: somebody has started the experiment before its recording")
     assert peers.clock.now() - begin < 3.0
-    assert peers.calls[-2:] == ["servo/stop", "servo/enable False"]
+    assert peers.calls[-1:] == ["servo/rest"]
 
 
 def test_an_abort_of_the_experiment_ends_the_homing(peers: FakePeers) -> None:
@@ -472,7 +473,7 @@ def test_a_stop_ends_a_control_by_hand_also_beside_a_request_that_is_refused(
             peers.supervisor.home()
         refused.set()
 
-    peers.effects["servo/enable"] = lambda: (threading.Thread(target=ask).start(), time.sleep(0.1))
+    peers.effects["servo/rest"] = lambda: (threading.Thread(target=ask).start(), time.sleep(0.1))
     assert peers.supervisor.stop() == "stopped"
     assert peers.supervisor.mode.current is Mode.IDLE
     stopped.set()

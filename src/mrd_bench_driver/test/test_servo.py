@@ -837,7 +837,15 @@ def test_node_homes_follows_and_lets_go(fake):
         # The supervisor's request to let go may be lost, but not the end of its leave to move.
         enter(msg.BenchState.IDLE)
         spin(lambda: not states[-1].enabled)
+        # The supervisor's own request is no stop by somebody, but nobody goes on with the lease after it either.
+        enter(msg.BenchState.IDENTIFICATION)
+        assert call(SetBool, "servo/enable", data=True).success
+        spin(lambda: states[-1].enabled)
+        assert call(Trigger, "servo/rest").success
+        spin(lambda: not states[-1].enabled)
         assert states[-1].halt_time == -math.inf
+        assert not call(SetBool, "servo/enable", data=True).success
+        enter(msg.BenchState.IDLE)
         enter(msg.BenchState.IDENTIFICATION)
         assert call(SetBool, "servo/enable", data=True).success
         spin(lambda: states[-1].enabled)

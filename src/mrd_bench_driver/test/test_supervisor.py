@@ -60,7 +60,7 @@ class Fakes:
             "servo": {
                 "servo/enable": (SetBool, self._enable),
                 "servo/home": (Trigger, self._home),
-                "servo/stop": (Trigger, self._halt),
+                "servo/rest": (Trigger, self._rest),
                 "servo/reset_fault": (Trigger, self._reset_servo),
             },
             "daq": {
@@ -142,8 +142,6 @@ class Fakes:
 
     def _enable(self, request: Any, _response: Any) -> None:
         self.servo.enabled = request.data
-        if not request.data:
-            self.note_halt()
 
     def note_halt(self) -> None:
         self.servo.halt_time = self.graph.clock.now()
@@ -152,9 +150,8 @@ class Fakes:
         self.position = self.servo.position = 0.0
         self.servo.homed = self.servo.enabled = True
 
-    def _halt(self, _request: Any, _response: Any) -> None:
-        self.servo.velocity = 0.0
-        self.note_halt()
+    def _rest(self, _request: Any, _response: Any) -> None:
+        self.servo.velocity, self.servo.enabled = 0.0, False
 
     def _reset_servo(self, _request: Any, _response: Any) -> None:
         self.servo.stopped = self.servo.fault = False
@@ -295,7 +292,7 @@ STEPS = [
     "start_recording",
     "start_experiment",
 ]
-END_STEPS = ["servo/stop", "servo/enable False", "stop_recording"]
+END_STEPS = ["servo/rest", "stop_recording"]
 
 
 def test_an_experiment_runs_from_arming_to_the_closed_bag(fakes: Fakes) -> None:
@@ -367,7 +364,7 @@ def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(fakes: Fakes)
         assert ended.result.message.startswith(f"interlock {name}: ")
         assert line in ended.result.message
         assert ended.result.bag == "/tmp/bag"
-        assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]], name
+        assert fakes.calls == [END_STEPS[0], "abort_experiment", END_STEPS[1]], name
         assert fakes.mode() == BenchState.FAULT
         assert fakes.states[-1].message == ended.result.message
         repair()
@@ -420,7 +417,7 @@ def test_anyone_may_stop_the_bench_at_any_time(fakes: Fakes, way: str) -> None:
     result = fakes.result(handle).result
     assert result.message == f"emergency stop {'by the service' if way == 'service' else 'on the topic'}"
     assert fakes.mode() == BenchState.FAULT
-    assert fakes.calls[-4:] == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]
+    assert fakes.calls[-3:] == [END_STEPS[0], "abort_experiment", END_STEPS[1]]
 
 
 def test_a_cancelled_experiment_is_stopped_and_its_bag_closed(fakes: Fakes) -> None:
@@ -430,7 +427,7 @@ def test_a_cancelled_experiment_is_stopped_and_its_bag_closed(fakes: Fakes) -> N
     ended = fakes.result(handle)
     assert ended.status == GoalStatus.STATUS_CANCELED
     assert (ended.result.message, ended.result.samples) == ("cancelled", 500)
-    assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]
+    assert fakes.calls == [END_STEPS[0], "abort_experiment", END_STEPS[1]]
     fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
     assert not fakes.stops
 
@@ -499,8 +496,10 @@ def test_a_stop_of_a_rod_that_does_not_move_yet_ends_the_procedure(fakes: Fakes,
     assert fakes.result(fakes.send()).result.success, "the stop is over with the procedure"
 
 
-def test_a_stop_between_two_runs_ends_their_set(fakes: Fakes, tmp_path: Any) -> None:
-    fakes.meanwhile["stop_recording"] = fakes.note_halt
+@pytest.mark.parametrize("step", END_STEPS)
+def test_a_stop_between_two_runs_ends_their_set(fakes: Fakes, step: str, tmp_path: Any) -> None:
+    """It may come at the very moment at which the supervisor itself lets the rod rest."""
+    fakes.meanwhile[step] = fakes.note_halt
     result = fakes.result(fakes.send_set(str(tmp_path))).result
     assert result.message.startswith("02_b: servo: somebody stopped the rod"), result.message
     assert [recording.experiment for recording in result.recordings] == ["01_a"]
@@ -535,6 +534,15 @@ def test_the_lease_names_whose_setpoints_are_followed(fakes: Fakes) -> None:
     assert (fakes.leases[-1].source, fakes.leases[-1].number > 0) == ("", True)
 
 
+def test_a_stop_of_the_servo_ends_a_control_by_hand(fakes: Fakes) -> None:
+    assert fakes.graph.call("control", SetBool, data=True).success
+    fakes.graph.until(lambda: fakes.mode() == BenchState.CONTROL)
+    fakes.note_halt()
+    fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
+    assert fakes.states[-1].message.startswith("somebody stopped the rod")
+    fakes.graph.until(lambda: fakes.leases[-1].number == 0)
+
+
 def test_what_is_missing_refuses_the_experiment_before_anything_moves(graph: Any, start: Callable[..., Fakes]) -> None:
     fakes = start(("servo", "daq", "recorder"), discovery_timeout_s=0.3)
     result = fakes.result(fakes.send()).result
@@ -542,7 +550,7 @@ def test_what_is_missing_refuses_the_experiment_before_anything_moves(graph: Any
     assert fakes.calls == []
     # Homing needs no generator.
     assert graph.call("home", Trigger).success
-    assert fakes.calls == ["servo/home", "servo/stop", "servo/enable False"]
+    assert fakes.calls == ["servo/home", "servo/rest"]
     graph.until(lambda: fakes.mode() == BenchState.IDLE)
 
 
@@ -579,7 +587,7 @@ def test_a_recording_that_fails_ends_the_experiment_at_once(fakes: Fakes) -> Non
     assert fakes.graph.clock.now() - told < 1.5
     ended = fakes.result(handle)
     assert (ended.status, ended.result.message) == (GoalStatus.STATUS_ABORTED, failure)
-    assert fakes.calls == [*END_STEPS[:2], "abort_experiment", END_STEPS[2]]
+    assert fakes.calls == [END_STEPS[0], "abort_experiment", END_STEPS[1]]
     fakes.tell_recorder_state("idle")
     fakes.reset()
     assert fakes.result(fakes.send()).result.success

@@ -57,6 +57,8 @@ class BenchView:
         Wall time in s at which it came, by `time.monotonic`.
     lease_holder : (str, float) or None
         The supervisor whose lease it is, and the bench time in s at which that one started.
+    source : str
+        The node whose setpoints are followed, by that lease.
     """
 
     supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
@@ -69,14 +71,15 @@ class BenchView:
     bench_time: float = float("nan")
     lease_heard: float = -float("inf")
     lease_holder: tuple[str, float] | None = None
+    source: str = ""
     _bag: str = ""
     _nodes: dict[str, NodeHealth] = field(default_factory=dict)
     _heard: dict[str, float] = field(default_factory=dict)
 
-    def hear_lease(self, bench_time: float, holder: str = "", since: float = 0.0) -> None:
-        """Note that the supervisor has renewed its lease, who it is, and since when it is there."""
+    def hear_lease(self, bench_time: float, holder: str = "", since: float = 0.0, source: str = "") -> None:
+        """Note that the supervisor has renewed its lease, who it is, since when it is there, and whose setpoints count."""
         self.bench_time, self.lease_heard = bench_time, time.monotonic()
-        self.lease_holder = holder, since
+        self.lease_holder, self.source = (holder, since), source
 
     @property
     def supervised(self) -> bool:
@@ -137,7 +140,6 @@ class BenchView:
                 f"the supervisor has been silent for {silence:.1f} s" if self.reason else "no supervisor was heard yet",
                 "look at its log, or start the bench",
             )
-        source = "controller" if self.mode is Mode.CONTROL else "generator"
-        now = self.monitor.snapshot(self.bench_time, source if self.mode.takes_setpoints else "")
+        now = self.monitor.snapshot(self.bench_time, self.source)
         config = self.supervisor
         return [first, *lamps(now, config.limits, config.interlocks, self.mode, self.reason)]

@@ -152,3 +152,13 @@ def test_a_silent_supervisor_has_a_lamp_of_its_own() -> None:
     assert view.lamps()[0].status == "tripped"
     view.hear_lease(5.0)
     assert view.lamps()[0].status == "ok"
+
+
+@pytest.mark.parametrize(("source", "status"), [("", "ok"), ("controller", "warning")])
+def test_the_lamp_of_the_setpoints_asks_for_those_that_the_lease_names(source: str, status: str) -> None:
+    """In a control by hand, whoever has the number may send setpoints, and nobody must."""
+    view = BenchView(mode=Mode.CONTROL)
+    view.monitor.add_experiment_state("running", 1.0, "controller")
+    view.hear_lease(5.0, source=source)
+    found = {lamp.name: lamp for lamp in view.lamps()}
+    assert found["stale setpoint"].status == status

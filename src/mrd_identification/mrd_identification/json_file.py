@@ -10,6 +10,7 @@ from typing import Any
 import jsonschema
 
 from mrd_base import InputError
+from mrd_base.text_file import read_text_file
 from mrd_base.version import VERSION
 from mrd_runs import Run
 
@@ -60,15 +61,13 @@ def read_json(path: str | Path, package: str, name: str, version: str) -> Any:
         When the file cannot be read, or is not such a file.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = json.loads(read_text_file(Path(path), f"a {name}.json"))
         schema = content.get("schema") if isinstance(content, dict) else None
         if schema != version:
             raise InputError(f"{path}: its schema is {str(schema)[:40]}, expected a {name}.json of {version}")
         jsonschema.validate(content, read_schema(package, name))
     except InputError:
         raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:
         raise InputError(f"{path}: is not JSON ({error})") from None
     except jsonschema.ValidationError as error:

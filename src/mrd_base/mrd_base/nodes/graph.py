@@ -322,7 +322,10 @@ CONTROL = Service(
 )
 SERVO_ENABLE = Service("servo/enable", SetBool, "servo", "switch the drive on, under the lease only, or off")
 SERVO_HOME = Service("servo/home", Trigger, "servo", "home the rod, under the lease only")
-SERVO_STOP = Service("servo/stop", Trigger, "servo", "stop the rod with braking")
+SERVO_STOP = Service("servo/stop", Trigger, "servo", "stop the rod with braking; whatever procedure runs ends")
+SERVO_REST = Service(
+    "servo/rest", Trigger, "servo", "stop the rod with braking, then switch the drive off; how the supervisor ends a motion"
+)
 SERVO_EMERGENCY_STOP = Service(
     "servo/emergency_stop", Trigger, "servo", "stop the rod at once and switch the drive off; latched"
 )

@@ -18,6 +18,7 @@ from mrd_base.nodes.graph import (
     SERVO_ENABLE,
     SERVO_HOME,
     SERVO_RESET_FAULT,
+    SERVO_REST,
     SERVO_STATE,
     SERVO_STOP,
     SETPOINT,
@@ -61,6 +62,7 @@ class ServoNode(BenchNode[ServoConfig]):
             SERVO_ENABLE: lambda request: self._enable() if request.data else self._disable(),
             SERVO_HOME: lambda _request: self._home(),
             SERVO_STOP: lambda _request: self._halt(),
+            SERVO_REST: lambda _request: self._end(),
             SERVO_EMERGENCY_STOP: lambda _request: self._on_button(),
             SERVO_RESET_FAULT: lambda _request: self._reset_fault(),
         }
@@ -100,6 +102,10 @@ class ServoNode(BenchNode[ServoConfig]):
     def _halt(self) -> Response:
         self._lease.revoke(self.bench.now())
         return self._controller.stop()
+
+    def _end(self) -> Response:
+        self._lease.end()
+        return self._controller.enable(False, self.bench.now())
 
     def _rest(self) -> None:
         now = self.bench.now()

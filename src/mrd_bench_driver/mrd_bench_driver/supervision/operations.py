@@ -398,13 +398,7 @@ class BenchOperations:
 
     def halt(self) -> None:
         """Stop the rod, then switch the drive off."""
-        timeout = self._config.answer_timeout
-        # The drive is switched off even if the stop was refused.
-        try:
-            self._peers.call("servo/stop", timeout)
-        finally:
-            self._peers.call("servo/enable", timeout, data=False)
-            self._monitor.own_halt_time = self._clock.now()
+        self._peers.call("servo/rest", self._config.answer_timeout)
 
     def halt_all(self) -> list[str]:
         """Stop the rod and an experiment, whatever runs; return what failed."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mrd_base import InputError
 from mrd_base.config import named_path, parse_yaml
+from mrd_base.text_file import read_text_file
 from mrd_bench_driver.supervision.errors import RefusedError
 from mrd_trajectory.experiment import experiment_text, parse_experiment
 
@@ -52,12 +53,12 @@ def control_run(experiment: str, bag: str, seed: int, runs: Path) -> RunRequest:
     """Return the request for one hybrid test, whose content the controller checks; otherwise as `single_run`."""
     try:
         line = experiment.strip()
-        text = experiment if "\n" in line or ":" in line else named_path(line).read_text(encoding="utf-8")
+        text = experiment
+        if "\n" not in line and ":" not in line:
+            text = read_text_file(named_path(line), "a control experiment")
         name = parse_yaml(text, "control experiment").get("name")
     except InputError as error:
         raise RefusedError(str(error)) from None
-    except (OSError, ValueError) as error:
-        raise RefusedError(f"{experiment}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", name):
         raise RefusedError(f"control experiment: name: found {name!r}, expected 1 to 64 letters, digits, - and _")
     return RunRequest(text, _folder(bag) if bag else runs.resolve() / f"{name}-{_now()}", seed)

@@ -107,14 +107,11 @@ class BenchMonitor:
         When it was last heard of.
     recorder_changed : Waiter
         Woken when the state of the recorder changes.
-    own_halt_time : float
-        Bench time in s at which the supervisor has halted the rod last.
     """
 
     def __init__(self, clock: BenchClock) -> None:
         self.sample_time = -math.inf
         self.sample_period = math.nan
-        self.own_halt_time = -math.inf
         self.servo: ServoStatus | None = None
         self._track: deque[tuple[float, float]] = deque(maxlen=_TRACK_LENGTH)  # times and positions by the encoder
         self._uncompared = np.empty((2, 0))  # times and positions by the LVDT, later than those by the encoder

@@ -96,6 +96,8 @@ class Supervisor:
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
                 self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
+            elif mode is Mode.CONTROL and not self.procedure and self._is_halted():
+                self.mode.leave("somebody stopped the rod (by servo/stop or servo/enable)")
         elif mode is Mode.IDLE and self.procedure in ("", "reset_fault"):
             # The stop is older than this process, or somebody has pressed the button of one node.
             if servo is not None and servo.stopped:
@@ -276,7 +278,7 @@ class Supervisor:
     def _is_halted(self) -> bool:
         """Whether somebody has stopped the servo by its services since the present procedure began."""
         servo = self.monitor.servo
-        return servo is not None and servo.halt_time > max(self._begun, self.monitor.own_halt_time)
+        return servo is not None and servo.halt_time > self._begun
 
     def _run_exclusively(
         self,

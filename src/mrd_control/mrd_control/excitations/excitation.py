@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from mrd_base import InputError, quantity
 from mrd_base.config import named_path
 from mrd_base.table import check_columns, parse_csv
+from mrd_base.text_file import read_text_file
 
 Array = NDArray[np.float64]
 
@@ -98,15 +99,7 @@ def read_columns(file: str, csv: str, *headers: tuple[str, str]) -> tuple[tuple[
     InputError
         When the file cannot be read or its columns cannot be used.
     """
-    text = csv
-    if not csv:
-        try:
-            path = named_path(file)
-            if path.exists() and not path.is_file():  # a device may have no end
-                raise InputError(f"{file}: is no file, expected a CSV file")
-            text = path.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"{file}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    text = csv or read_text_file(named_path(file), "a CSV file")
     header = text.partition("\n")[0]
     names = next((names for names in headers if names[0] in header), headers[0])
     table = parse_csv(text, file, names)

@@ -259,7 +259,7 @@ class Page(BenchNode[PageConfig]):
         DIAGNOSTICS.subscription(self, self._on_diagnostics)
 
     def _on_lease(self, lease: Lease) -> None:
-        self._view.hear_lease(seconds(lease.header.stamp), lease.holder, lease.since)
+        self._view.hear_lease(seconds(lease.header.stamp), lease.holder, lease.since, lease.source)
 
     def _on_samples(self, block: BenchSamples) -> None:
         time, period = seconds(block.header.stamp), block.sample_period

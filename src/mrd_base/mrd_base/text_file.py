@@ -1,0 +1,40 @@
+"""Text files that somebody names, who may be a stranger: of bounded size, in UTF-8 with or without a mark of its byte order."""
+
+from pathlib import Path
+
+from mrd_base.errors import InputError
+
+LARGEST = 2**30
+"""Bytes of a text file, at most."""
+
+
+def read_text_file(path: Path, expected: str, largest: int = LARGEST) -> str:
+    """Return the text of a file.
+
+    Parameters
+    ----------
+    path : Path
+    expected : str
+        What should have been named, for the error message.
+    largest : int
+        Bytes that it may have.
+
+    Raises
+    ------
+    InputError
+        When it is no file, is larger, cannot be read, or is not text.
+    """
+    try:
+        # A device may have no end, and a pipe may never have a beginning.
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is no file, expected {expected}")
+        size = path.stat().st_size
+        if size > largest:
+            raise InputError(f"{path}: has {size} bytes, expected {expected} of at most {largest}")
+        return path.read_text(encoding="utf-8-sig")
+    except InputError:
+        raise
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text ({error.reason} at byte {error.start}), expected {expected}") from None
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
+        raise InputError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
