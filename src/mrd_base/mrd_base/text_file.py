@@ -1,4 +1,4 @@
-"""Text files that somebody names, who may be a stranger: of bounded size, in UTF-8 with or without a mark of its byte order."""
+"""Text files that somebody names, who may be a stranger: of bounded size, in UTF-8 with or without a byte order mark."""
 
 from pathlib import Path
 
