@@ -178,13 +178,13 @@ class Dashboard:
     async def call(self, who: Visitor, name: str) -> Answer:
         """Make one of the requests `CALLS`. Whoever sees the page may end a run."""
         if name == "end run":
-            self.queue.paused = True  # else the next run would begin
+            self.queue.stop()  # else the next run would begin
         return await self.act(who, name, lambda: self.commands.call(name), watching=name == "end run")
 
     def emergency_stop(self, who: Visitor) -> None:
         """Ask for the emergency stop; it needs neither control nor session, and waits for nobody."""
         self.commands.emergency_stop()
-        self.queue.paused = True
+        self.queue.stop()
         if who.session:
             self.audit.write(who.name, "emergency stop", "", "requested")
         else:
@@ -249,11 +249,15 @@ class Dashboard:
         self._require_recorded(self.recordings.find(recording))
         return self.recordings.recover(recording)
 
-    def _require_recorded(self, recording: Recording) -> None:
+    def is_recorded(self, recording: Recording) -> bool:
+        """Return whether a recording is being made."""
         # The queue alone does not know: other clients record, too, and a page that was started in a run has lost it.
         running, recorded = self.queue.running, self.bench.recorded
         written = ([Path(running.bag)] if running else []) + ([recorded] if recorded else [])
-        if any(bag.resolve().is_relative_to(recording.path) for bag in written):
+        return any(bag.resolve().is_relative_to(recording.path) for bag in written)
+
+    def _require_recorded(self, recording: Recording) -> None:
+        if self.is_recorded(recording):
             raise InputError(f"{recording.id}: is being recorded; stop the run first")
 
     def delete(self, recording: str) -> None:

@@ -72,12 +72,15 @@ class RunQueue:
         Whether the next run waits for the operator: at first, and after a run that failed.
     problem : str
         Why the file could not be written, or "".
+    stops : int
+        How often somebody has stopped the bench from the page.
     """
 
     file: Path | None = None
     runs: list[QueuedRun] = field(default_factory=list)
     paused: bool = False
     problem: str = ""
+    stops: int = 0
 
     def __post_init__(self) -> None:
         if self.file is not None and self.file.exists():
@@ -118,6 +121,16 @@ class RunQueue:
         self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed, kind=kind))
         self._keep()
         return self.runs[-1]
+
+    def stop(self) -> None:
+        """Let the runs that wait, wait for the operator: somebody stops the bench."""
+        self.paused = True
+        self.stops += 1
+
+    def require_no_stop_since(self, stops: int) -> None:
+        """Refuse what was asked for when there were so many stops, if there are more now: nothing moves by it any more."""
+        if self.stops != stops:
+            raise InputError("somebody stopped the bench meanwhile; nothing was added, ask for it again")
 
     def retry(self, number: int) -> QueuedRun:
         """Append a run that has ended once more."""

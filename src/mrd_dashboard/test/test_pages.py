@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,6 +117,69 @@ def test_an_experiment_goes_from_the_form_into_the_queue(visit, dashboard) -> No
     visit(work)
     (run,) = dashboard.queue.runs
     assert "amplitude_mm: 5.0" in run.experiment
+
+
+def test_a_run_whose_check_was_slow_is_not_added_after_a_stop(visit, dashboard, monkeypatch) -> None:
+    """The check of a busy machine took two minutes; the run then moved the rod after the stop that came meanwhile."""
+    dashboard.control.take("a", "Ann")
+    compute = dashboard.compute
+
+    async def slow(*arguments: Any) -> Any:
+        found = await compute(*arguments)
+        dashboard.emergency_stop(ANN)
+        return found
+
+    monkeypatch.setattr(dashboard, "compute", slow)
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        user.find("Add to queue").click()
+        await user.should_see("somebody stopped the bench meanwhile", retries=30)
+
+    visit(work)
+    assert dashboard.queue.runs == []
+
+
+def test_a_button_cannot_be_pressed_again_before_its_work_is_done(visit, dashboard, monkeypatch) -> None:
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.paused = True
+    compute, gate, asked = dashboard.compute, asyncio.Event(), []
+
+    async def slow(*arguments: Any) -> Any:
+        asked.append(arguments)
+        await gate.wait()
+        return await compute(*arguments)
+
+    monkeypatch.setattr(dashboard, "compute", slow)
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        for button in (user.find("Preview"), user.find(marker="add run"), user.find("Preview")):
+            button.click()
+            await asyncio.sleep(0.1)
+        assert len(asked) == 1
+        gate.set()
+        await user.should_see("within the limits", retries=30)
+        user.find(marker="add run").click()
+        await user.should_see("waits in the queue", retries=30)
+
+    visit(work)
+    assert len(dashboard.queue.runs) == 1
+
+
+def test_the_queue_does_not_go_on_in_a_fault(visit, dashboard) -> None:
+    dashboard.control.take("a", "Ann")
+    dashboard.queue.add("sine", "name: sine", 5.0)
+    dashboard.queue.paused, dashboard.bench.mode = True, Mode.FAULT
+
+    async def work(user: User) -> None:
+        user.find("Runs").click()
+        await user.should_see("Resume", retries=30)
+        user.find("Resume").click()
+        await user.should_see("reset the fault first", retries=30)
+
+    visit(work)
+    assert dashboard.queue.paused
 
 
 def test_a_note_is_kept_and_a_script_in_it_is_text(visit, dashboard, new_bag) -> None:

@@ -481,6 +481,15 @@ def test_everybody_may_stop(dashboard, commands) -> None:
     assert dashboard.queue.next() is None
 
 
+def test_what_was_asked_for_before_a_stop_is_not_added_after_it(dashboard) -> None:
+    for stop in (lambda: dashboard.emergency_stop(BOB), lambda: asyncio.run(dashboard.call(BOB, "end run"))):
+        stops = dashboard.queue.stops
+        dashboard.queue.require_no_stop_since(stops)
+        stop()
+        with pytest.raises(InputError, match=r"^somebody stopped the bench meanwhile"):
+            dashboard.queue.require_no_stop_since(stops)
+
+
 def test_a_refusal_of_the_bench_reaches_the_operator(dashboard, commands) -> None:
     dashboard.control.take("a", "Ann")
     commands.refusal = "home is refused: the bench is in mode fault"

@@ -47,7 +47,7 @@ from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
 from mrd_identification.preflight import preflight
-from mrd_identification.preflight.excitation import has_one_peak_speed
+from mrd_identification.preflight.excitation import has_one_peak_speed, repeats_one_stroke
 from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -332,8 +332,8 @@ def _explain_gap(
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
     comparison = compare_models(weighting, base, chosen, fits, rng)
     other_models: dict[str, Refit] = {}
-    one_speed = has_one_peak_speed([recording.run for recording in weighting.recordings])
-    if comparison.effects and one_speed:
+    runs = [recording.run for recording in weighting.recordings]
+    if comparison.effects and has_one_peak_speed(runs):
         # At a single speed, an effect may imitate what another damper model does.
         progress("trying other damper models", 0.48)
         excess = comparison.best.chi_square - 1.0
@@ -350,11 +350,11 @@ def _explain_gap(
             tolerated = tolerated_excess(comparison.base)
             other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
         stage = "looking for causes beside a wrong form"
-        # At a single speed, nothing tells an effect from the form.
+        # Of one stroke, nothing tells an effect from the form.
         explanation = explain_in_part(
             explanation,
             list(other_models.values()),
-            [] if one_speed else effects,
+            [] if repeats_one_stroke(runs) else effects,
             rng,
             lambda fraction: progress(stage, 0.55 + 0.35 * fraction),
         )

@@ -116,7 +116,7 @@ def compare_on(weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], f
     singles = sorted((fit for fit in fits if len(fit.effects) == 1), key=lambda fit: fit.refit.held_out_cost)
     others = [fit.effects[0] for fit in singles if fit.effects[0] not in without][:MOST_ALTERNATIVES]
     alternatives = {
-        effect: {effect: chain[-1], NO_EFFECT: refitted} | _in_its_place(weighting, refitted, others)
+        effect: {effect: chain[-1], NO_EFFECT: refitted} | refit_in_its_place(weighting, refitted, others)
         for effect, refitted in without.items()
     }
     return ModelComparison(weighting, refit_on(weighting, base), tuple(chain), tuple(without), alternatives)
@@ -144,8 +144,8 @@ def _without(weighting: Weighting, refitted: Refit, effect: str) -> Refit:
     return refit(weighting.problem(model, theta), theta, weighting.folds)
 
 
-def _in_its_place(weighting: Weighting, without: Refit, others: Sequence[str]) -> dict[str, Refit]:
-    """Refit the model with each of some other effects."""
+def refit_in_its_place(weighting: Weighting, without: Refit, others: Sequence[str]) -> dict[str, Refit]:
+    """Return the refits of a model ``without`` an effect with each of the ``others`` in its place, by name."""
     fits = refit_with_effects(weighting, BaseFit.linearise(weighting, without), others, len(others))
     return {fit.effects[-1]: fit.refit for fit in fits}
 

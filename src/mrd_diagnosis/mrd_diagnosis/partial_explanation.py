@@ -22,7 +22,7 @@ from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects, s
 from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
 from mrd_diagnosis.limitations import contains
-from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
+from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on, refit_in_its_place
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
 from mrd_diagnosis.refit import CONVERGED, Refit, held_out_errors, refit, refit_on, without_each
 from mrd_diagnosis.statistics import probabilities
@@ -99,7 +99,7 @@ def explain_in_part(
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
     of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen and effect not in causes)]
     freed = _cost_beside(beside.remainder, weighting, explained)
-    of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, others, beside.null_gains, rng)
+    of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, tried, others, beside.null_gains, rng)
     causes, values = causes | of_form_causes, values | explained.values
     if form is not alone:
         # What the best form contains and the user's model does not tells the two apart. The best form may do so in part
@@ -108,7 +108,9 @@ def explain_in_part(
         explained = _with_effects(weighting, alone, list(causes), values)
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
         lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
-        of_form_causes, explained = _form_causes(comparison, explained, best_cost, lacked, [form], beside.null_gains, rng)
+        of_form_causes, explained = _form_causes(
+            comparison, explained, best_cost, lacked, [*tried, *lacked], [form], beside.null_gains, rng
+        )
         causes, values = causes | of_form_causes, values | explained.values
     remainder = beside.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder
     freed = _cost_beside(remainder, weighting, explained)
@@ -284,6 +286,7 @@ def _form_causes(
     explained: Refit,
     reachable: float,
     effects: Sequence[str],
+    candidates: Sequence[str],
     others: Sequence[Refit],
     null_gains: Array,
     rng: np.random.Generator,
@@ -291,20 +294,25 @@ def _form_causes(
     """Return the effects that hold as a part of the form, and the model with them.
 
     They close most of what lies between the cost of ``explained``, the model with all other causes, and the cost that is
-    ``reachable`` by a freer or a better form. None of the ``other`` forms, which lack them, predicts better.
+    ``reachable`` by a freer or a better form. None of the ``other`` forms, which lack them, predicts better, and of the
+    ``candidates`` that look like one of them, none does in its place.
     """
     weighting, causes = comparison.weighting, {}
     for effect, fitted in _form_chain(weighting, explained, reachable, effects):
         lacking = [form for form in others if not contains(form.problem.model, effect)]
         instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
-        probability = float(probabilities([fitted, *instead], rng)[0])
-        if probability < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
+        support = float(probabilities([fitted, *instead], rng)[0])
+        if support < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
             break
-        if not holds(probability, explained, fitted):
+        alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in explained.effects]
+        refits = {effect: fitted, NO_EFFECT: explained} | refit_in_its_place(weighting, explained, alike)
+        shares = map(float, probabilities(list(refits.values()), rng))
+        chances = {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
+        if not holds(chances[effect], explained, fitted):
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
         closed = closed_fraction_between(explained, fitted, comparison, rng)
-        causes[effect] = HeldCause({effect: probability}, p_value(gain, null_gains), closed)
+        causes[effect] = HeldCause(chances, p_value(gain, null_gains), closed)
         explained = fitted
     return causes, explained
 

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrd_diagnosis import diagnose
+from mrd_diagnosis import diagnose, partial_explanation
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
+from mrd_diagnosis.model_comparison import compare_on
 from mrd_diagnosis.partial_explanation import holds, stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -107,6 +108,47 @@ def test_a_spring_that_hardens_is_not_surely_an_end_stop():
     (cause,), (alternative,) = diagnosis.causes, diagnosis.alternatives
     assert {cause.effect, alternative.effect} == set(springs)
     assert cause.probability < 0.9
+
+
+def sines(play, seed=3, rate=250.0, fine=8):
+    """Record the loop along sines of one speed, three strokes and three currents, behind a play in m."""
+    rng, recorded, top_speed = np.random.default_rng(seed), [], 0.048
+    t = np.arange(int(6.0 * rate * fine)) / (rate * fine)
+    for number, (level, w) in enumerate(((0.1, 6.0), (0.25, 12.0), (0.4, 4.0))):
+        x, v = top_speed / w * np.sin(w * t), top_speed * np.cos(w * t)
+        moved = x.copy()
+        for k in range(1, len(t)):
+            moved[k] = np.clip(moved[k - 1], x[k] - play / 2, x[k] + play / 2)
+        force = loop(moved, np.gradient(moved, t), -(w**2) * moved, level)
+        t_s, x_s, v_s, force_s = (series[::fine] for series in (t, x, v, force))
+        noise = rng.normal(0, FORCE_NOISE, len(t_s))
+        recorded.append(Run(f"sine{number}", t_s, x_s, v_s, np.full(len(t_s), level), force_s + noise))
+    return recorded
+
+
+@pytest.mark.parametrize(("play", "named"), [(6e-4, ["joint_play"]), (0.0, [])])
+def test_at_one_speed_a_cause_is_named_beside_a_wrong_form(play, named):
+    diagnosis = diagnose(sines(play), "bouc_wen", effects=(*CANDIDATES, "channel_delay", "joint_play", "backlash"))
+    assert [cause.effect for cause in diagnosis.causes] == named
+    if named:
+        assert diagnosis.verdict == "partly_explained"
+        assert diagnosis.causes[0].parameters["joint_play.play"].value.value == pytest.approx(play, rel=0.1)
+
+
+def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it():
+    """Around the damper's own curve, a play of either kind closes most of the gap, that of the drive somewhat more."""
+    recordings = [prepare_recording(run) for run in sines(6e-4)]
+    weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
+    comparison, reachable, plays = compare_on(weighting, base, [], []), 0.2 * base.held_out_cost, ("backlash", "joint_play")
+
+    def causes_of(effects):
+        rest = [], np.zeros(9), np.random.default_rng(0)
+        return partial_explanation._form_causes(comparison, base, reachable, effects, plays, *rest)[0]
+
+    (cause,) = causes_of(["backlash"]).values()
+    assert 0.8 < cause.probabilities["backlash"] < 0.99
+    assert sum(cause.probabilities.values()) == pytest.approx(1.0)
+    assert causes_of(["joint_play"]) == {}
 
 
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():

@@ -379,14 +379,17 @@ def test_a_force_clipped_on_both_sides(name, share, rate):
     assert all(f"{limit:.4g} N" in finding.text for finding in found)
 
 
-def test_a_long_recording_is_checked_within_five_seconds():
+def test_the_time_to_check_a_long_recording_grows_with_its_samples_and_no_faster():
     run = measured("chirp", duration=30.0)
-    samples = 323_000
-    time = np.arange(samples) / 1000
-    random = np.random.default_rng(0)
-    series = {key: np.resize(getattr(run, key), samples) for key in ("position", "velocity", "current", "force")}
-    series["force"] = series["force"] + random.normal(0, 1.5, samples)
-    series["position"] = series["position"] + random.normal(0, 8e-6, samples)
-    start = process_time()
-    preflight([Run("long", time, **series)])
-    assert process_time() - start < 5.0
+
+    def seconds(samples):
+        random = np.random.default_rng(0)
+        series = {key: np.resize(getattr(run, key), samples) for key in ("position", "velocity", "current", "force")}
+        series["force"] = series["force"] + random.normal(0, 1.5, samples)
+        series["position"] = series["position"] + random.normal(0, 8e-6, samples)
+        start = process_time()
+        preflight([Run("long", np.arange(samples) / 1000, **series)])
+        return process_time() - start
+
+    seconds(32_300)  # compiles
+    assert seconds(323_000) < 1.5 * 10 * seconds(32_300)

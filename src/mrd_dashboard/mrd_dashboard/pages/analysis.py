@@ -26,6 +26,10 @@ MOST_OFFERED = 50
 """Recordings that a field offers; typing finds the others."""
 
 
+# Columns of the Pareto front.
+_E2, _EINF = "e2 = √ΣE²/k_N", "einf = max|E|/k_N"
+
+
 def analysis_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     """Build the page; ``shown`` tells whether it is the tab that one sees."""
     with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
@@ -182,7 +186,7 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         with ui.row().classes("w-full gap-0"):
             panel = Panel("finished share", (14, 8, 82, 62), [("NRMSE", MEASURED, "of the best candidate")])
             errors = ui.echart(chart([panel])).classes("w-1/2 h-44")
-            panel = Panel("e2_N", (14, 8, 82, 62), [("einf_N", PREDICTED, "Pareto front")])
+            panel = Panel(_E2, (14, 8, 82, 62), [(_EINF, PREDICTED, "Pareto front")])
             front = ui.echart(chart([panel])).classes("w-1/2 h-44").mark("front")
             front.options["series"][0] |= {"showSymbol": True, "symbolSize": 6}
         rows = ui.column().classes("w-full gap-2")
@@ -203,9 +207,12 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         tell(await dashboard.act(who, "apply to the simulator", work, str(job.folder)))
 
     async def record(job: Job) -> None:
+        stops = dashboard.queue.stops
+
         async def work() -> str:
             text = await asyncio.to_thread((job.folder / "next_experiment.yaml").read_text, encoding="utf-8")
             found = await dashboard.compute(preview, text, dashboard.bench.generator)
+            dashboard.queue.require_no_stop_since(stops)
             run = dashboard.queue.add(found.experiment.name, found.text, found.duration)
             return f"run {run.number}, {found.experiment.name}, waits in the queue"
 
@@ -231,7 +238,7 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             listed[1] = drawn
             history, norms = (latest.history, latest.front) if latest else ([], [])
             _draw(errors, history, "finished share", "NRMSE")
-            _draw(front, norms, "e2_N", "einf_N")
+            _draw(front, norms, _E2, _EINF)
         state = [(job.number, job.state) for job in jobs.all[-MOST_JOBS:]]
         if state == listed[0]:
             return

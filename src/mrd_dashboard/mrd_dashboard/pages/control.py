@@ -20,7 +20,7 @@ from mrd_dashboard.hybrid_form import (
     shipped_form,
 )
 from mrd_dashboard.jobs import JobRequest
-from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.notes import busy, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, fresh_chart, hybrid_panels
 
 REFRESH = 1.0
@@ -48,7 +48,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     entries = ui.column().classes("w-full gap-1")
     with ui.row():
         check_button = ui.button("Check", on_click=lambda: look()).props("outline no-caps").mark("check test")
-        ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated").mark("queue test")
+        add_button = ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated").mark("queue test")
     answer = ui.label().classes("text-sm whitespace-pre-line").mark("check answer")
     shown = ui.column().classes("w-full gap-2")
 
@@ -67,16 +67,14 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
 
     async def look() -> HybridCheck | None:
         shown.clear()
-        check_button.disable()
         answer.text = "computing stability and offline twin"
         try:
-            text = await asyncio.to_thread(hybrid_text, form, dashboard.hybrid_test, _fits(dashboard))
-            found = await dashboard.compute(check_hybrid_test, text, dashboard.bench.generator.limits)
+            with busy(check_button, add_button):
+                text = await asyncio.to_thread(hybrid_text, form, dashboard.hybrid_test, _fits(dashboard))
+                found = await dashboard.compute(check_hybrid_test, text, dashboard.bench.generator.limits)
         except InputError as error:
             answer.text = str(error)
             return None
-        finally:
-            check_button.enable()
         answer.text = (
             f"{found.name}: {found.duration:g} s, within the limits; its loop bears a delay of "
             f"{1e3 * found.margin:.3g} ms and has {1e3 * found.delay:.3g} ms"
@@ -86,11 +84,13 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         return found
 
     async def add() -> None:
+        stops = dashboard.queue.stops
         found = await look()
         if found is None:
             return
 
         async def work() -> str:
+            dashboard.queue.require_no_stop_since(stops)
             run = dashboard.queue.add(found.name, found.text, found.duration, kind="control")
             return f"run {run.number}, {found.name}, waits in the queue"
 

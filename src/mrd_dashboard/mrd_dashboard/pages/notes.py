@@ -1,5 +1,8 @@
 """Short messages to the visitor."""
 
+import contextlib
+from collections.abc import Iterator
+
 from nicegui import ui
 
 from mrd_dashboard.dashboard import Answer
@@ -10,4 +13,17 @@ def tell(answer: Answer) -> None:
     if answer.success:
         ui.notify(answer.message, type="positive")
     else:
-        ui.notify(answer.message, type="negative", timeout=0, close_button="Close", multi_line=True)
+        close = [{"label": "Close", "color": "white"}]
+        ui.notify(answer.message, type="negative", timeout=0, actions=close, multi_line=True)
+
+
+@contextlib.contextmanager
+def busy(*buttons: ui.button) -> Iterator[None]:
+    """Show that what the buttons ask for is under way; they cannot be pressed again meanwhile."""
+    for button in buttons:
+        button.props("loading").disable()
+    try:
+        yield
+    finally:
+        for button in buttons:
+            button.props(remove="loading").enable()

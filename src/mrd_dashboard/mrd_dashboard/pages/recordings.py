@@ -79,14 +79,15 @@ def recordings_list(dashboard: Dashboard, who: Visitor, visible: Callable[[], bo
         sheets.max = max(1, -(-len(found) // ROWS))
         state["sheet"] = min(state["sheet"], sheets.max)
         sheet = on_sheet()
-        content = list(zip(sheet, await asyncio.to_thread(lambda: [*map(dashboard.known_look, sheet)]), strict=True))
+        looks = await asyncio.to_thread(lambda: [*map(dashboard.known_look, sheet)])
+        content = list(zip(sheet, looks, map(dashboard.is_recorded, sheet), strict=True))
         if content == state["shown"]:
             return
         state["shown"] = content
         rows.clear()
         with rows:
-            for recording, look in content:
-                _row(recording, look, chosen, partial(show, recording))
+            for recording, look, recorded in content:
+                _row(recording, look, recorded, chosen, partial(show, recording))
 
     async def look_at_missing() -> None:
         if not visible():
@@ -121,7 +122,7 @@ def recordings_list(dashboard: Dashboard, who: Visitor, visible: Callable[[], bo
     ui.timer(1.0, look_at_missing)
 
 
-def _row(recording: Recording, look: Look | None, chosen: set[str], show: Callable[[], None]) -> None:
+def _row(recording: Recording, look: Look | None, recorded: bool, chosen: set[str], show: Callable[[], None]) -> None:
     def choose(value: bool) -> None:
         (chosen.add if value else chosen.discard)(recording.id)
 
@@ -134,7 +135,7 @@ def _row(recording: Recording, look: Look | None, chosen: set[str], show: Callab
             ui.label(recording.id).classes("font-medium cursor-pointer break-all").on("click", lambda: show())
             words = [recording.date, recording.notes.damper, *(f"#{tag}" for tag in recording.notes.tags)]
             if not recording.closed:
-                words.append("not closed")
+                words.append("is being recorded" if recorded else "not closed")
             if recording.problem:
                 words.append("its notes cannot be read")
             if look and not look.problem:
@@ -143,6 +144,8 @@ def _row(recording: Recording, look: Look | None, chosen: set[str], show: Callab
         if look is not None:
             icon, colour, doc = _VERDICTS["fault" if look.problem else look.verdict]
             ui.icon(icon, color=colour).classes("text-lg").tooltip(look.problem or doc)
+        elif recorded:
+            ui.icon("fiber_manual_record", color="negative").classes("text-lg").tooltip("is being recorded")
         elif not recording.closed:
             ui.icon("pending", color="warning").classes("text-lg").tooltip(_OPEN)
         ui.button(icon="more_horiz", on_click=show).props("flat dense").tooltip("data check, notes, download, delete").mark(

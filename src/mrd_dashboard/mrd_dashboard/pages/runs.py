@@ -7,6 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from mrd_base import InputError
+from mrd_base.lease import Mode
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import (
     Preview,
@@ -18,7 +19,7 @@ from mrd_dashboard.experiment_form import (
     preview_set,
     waveform_fields,
 )
-from mrd_dashboard.pages.notes import tell
+from mrd_dashboard.pages.notes import busy, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart
 from mrd_dashboard.pages.recordings import recordings_list
 from mrd_trajectory.experiment import read_experiment
@@ -59,14 +60,15 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     ).classes("w-full").props("dense").mark("start from")
     entries = ui.column().classes("w-full gap-1")
     with ui.row():
-        ui.button("Preview", on_click=lambda: look()).props("outline no-caps")
-        ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated")
+        preview_button = ui.button("Preview", on_click=lambda: look()).props("outline no-caps")
+        add_button = ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated").mark("add run")
     sets = find_sets(experiments)
     with ui.row().classes("w-full items-end"):
         chosen_set = (
             ui.select(list(sets), label="or a whole set", value=next(iter(sets), None)).classes("w-64").props("dense")
         )
-        ui.button("Add the set to the queue", on_click=lambda: add_set()).props("outline no-caps").mark("add set")
+        set_button = ui.button("Add the set to the queue", on_click=lambda: add_set()).props("outline no-caps")
+        set_button.mark("add set")
     answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
     shown = ui.column().classes("w-full gap-2")
 
@@ -92,35 +94,40 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
 
     async def look() -> Preview | None:
         shown.clear()
+        answer.text = ""
         try:
-            found = await dashboard.compute(preview, form_text(form), dashboard.bench.generator)
+            with busy(preview_button, add_button):
+                found = await dashboard.compute(preview, form_text(form), dashboard.bench.generator)
         except InputError as error:
             answer.text = str(error)
             return None
-        answer.text = ""
         with shown:
             _show_preview(found)
         return found
 
     async def add() -> None:
+        stops = dashboard.queue.stops
         found = await look()
         if found is None:
             return
 
         async def work() -> str:
+            dashboard.queue.require_no_stop_since(stops)
             run = dashboard.queue.add(found.experiment.name, found.text, found.duration)
             return f"run {run.number}, {found.experiment.name}, waits in the queue"
 
         tell(await dashboard.act(who, "queue a run", work, found.experiment.name))
 
     async def add_set() -> None:
-        name = chosen_set.value
+        name, stops = chosen_set.value, dashboard.queue.stops
 
         async def work() -> str:
             if name not in sets:
                 raise InputError("no set is chosen; choose a folder of experiments")
             # As `bench` does, all are checked before the first one waits.
-            found = await dashboard.compute(preview_set, sets[name], dashboard.bench.generator)
+            with busy(set_button):
+                found = await dashboard.compute(preview_set, sets[name], dashboard.bench.generator)
+            dashboard.queue.require_no_stop_since(stops)
             for one in found:
                 dashboard.queue.add(one.experiment.name, one.text, one.duration)
             return f"the {len(found)} runs of {name} wait in the queue"
@@ -186,6 +193,8 @@ def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
 
     async def change_pause() -> None:
         async def work() -> str:
+            if dashboard.queue.paused and dashboard.bench.mode is Mode.FAULT:
+                raise InputError("the bench is in mode fault, so that the next run would fail; reset the fault first")
             dashboard.queue.paused = not dashboard.queue.paused
             return "the queue waits" if dashboard.queue.paused else "the queue goes on"
 

@@ -17,6 +17,8 @@ FEWEST_REVERSALS = 10
 ONE_SPEED_RATIO = 1.5
 """Ratio of the peak speeds of strokes (95 % to 5 % quantile) below which they count as one speed. Within it, speed and
 frequency do not separate effects."""
+SAME_SPEED_RATIO = 1.1
+"""The same ratio below which strokes of one frequency are the same stroke."""
 
 
 def check_excitation(runs: Sequence[CheckedRun], model: DamperModel | None) -> Iterator[Finding]:
@@ -110,12 +112,18 @@ def has_one_peak_speed(runs: Sequence[Run]) -> bool:
     return _are_alike(_peaks_and_frequencies([CheckedRun(run) for run in runs])[0])
 
 
+def repeats_one_stroke(runs: Sequence[Run]) -> bool:
+    """Whether all full strokes of the runs are the same: a single sine, at whatever currents."""
+    peaks, frequencies = _peaks_and_frequencies([CheckedRun(run) for run in runs])
+    return _are_alike(peaks, SAME_SPEED_RATIO) and _are_alike(frequencies)
+
+
 def _reversals(runs: Sequence[CheckedRun]) -> int:
     return sum(len(checked.stroke_starts) - 1 for checked in runs)
 
 
-def _are_alike(values: Array) -> bool:
-    return bool(len(values) and np.quantile(values, 0.95) < ONE_SPEED_RATIO * np.quantile(values, 0.05))
+def _are_alike(values: Array, ratio: float = ONE_SPEED_RATIO) -> bool:
+    return bool(len(values) and np.quantile(values, 0.95) < ratio * np.quantile(values, 0.05))
 
 
 def _peaks_and_frequencies(runs: Sequence[CheckedRun]) -> tuple[Array, Array]:
