@@ -258,13 +258,18 @@ def _search_beside_remainder(
         support = sum(weight * float(probabilities(pair, rng)[0]) for pair, (_, weight) in zip(of_forms, forms, strict=True))
         if not holds(support, others[NO_EFFECT], others[effect]):
             continue
-        shares = map(float, probabilities(list(others.values()), rng))
-        chances = {name: support * share for name, share in zip(others, shares, strict=True) if name != NO_EFFECT}
+        chances = _chances(others, support, rng)
         if max(chances, key=chances.__getitem__) != effect:  # something is missing there, but which effect is not known
             continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
     return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
+
+
+def _chances(refits: Mapping[str, Refit], support: float, rng: np.random.Generator) -> dict[str, float]:
+    """Return the probability of each effect among refits in one place; with that of no effect, they sum to ``support``."""
+    shares = map(float, probabilities(list(refits.values()), rng))
+    return {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
 
 
 def _search_around(
@@ -306,8 +311,7 @@ def _form_causes(
             break
         alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in explained.effects]
         refits = {effect: fitted, NO_EFFECT: explained} | refit_in_its_place(weighting, explained, alike)
-        shares = map(float, probabilities(list(refits.values()), rng))
-        chances = {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
+        chances = _chances(refits, support, rng)
         if not holds(chances[effect], explained, fitted):
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)

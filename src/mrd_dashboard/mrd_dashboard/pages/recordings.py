@@ -79,8 +79,9 @@ def recordings_list(dashboard: Dashboard, who: Visitor, visible: Callable[[], bo
         sheets.max = max(1, -(-len(found) // ROWS))
         state["sheet"] = min(state["sheet"], sheets.max)
         sheet = on_sheet()
-        looks = await asyncio.to_thread(lambda: [*map(dashboard.known_look, sheet)])
-        content = list(zip(sheet, looks, map(dashboard.is_recorded, sheet), strict=True))
+        content = await asyncio.to_thread(
+            lambda: [(one, dashboard.known_look(one), dashboard.is_recorded(one)) for one in sheet]
+        )
         if content == state["shown"]:
             return
         state["shown"] = content

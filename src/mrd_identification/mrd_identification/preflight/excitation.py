@@ -18,7 +18,7 @@ ONE_SPEED_RATIO = 1.5
 """Ratio of the peak speeds of strokes (95 % to 5 % quantile) below which they count as one speed. Within it, speed and
 frequency do not separate effects."""
 SAME_SPEED_RATIO = 1.1
-"""The same ratio below which strokes of one frequency are the same stroke."""
+"""Ratio of the peak speeds (95 % to 5 % quantile) below which strokes of one frequency count as the same stroke."""
 
 
 def check_excitation(runs: Sequence[CheckedRun], model: DamperModel | None) -> Iterator[Finding]:
