@@ -71,9 +71,9 @@ class PageBench:
             )
 
     def wait_until_up(self) -> None:
-        """Wait until the bench is up; fail with its log where it ends instead."""
+        """Wait until bench and page are up; fail with the log where they end instead."""
         deadline = time.monotonic() + 200
-        while "the bench is up" not in self.log:
+        while f"the operator's page is at {self.url}" not in self.log:
             assert self.process.poll() is None, self.log
             assert time.monotonic() < deadline, self.log
             time.sleep(0.2)

@@ -208,6 +208,7 @@ def test_a_bench_that_others_use_stops_everything_when_its_supervisor_dies(tmp_p
     domain = os.environ["ROS_DOMAIN_ID"]
     tool = bench_tool(tmp_path / "out", "--namespace", "shared", ROS_DOMAIN_ID=domain)
     assert tool.stdout
+    assert tool.stdout.readline().startswith("the bench starts; logs: ")
     assert tool.stdout.readline().startswith("the bench is up in namespace /shared"), tool.communicate()
     with BenchClient("/shared") as client:
         action = RUN_EXPERIMENT.client(client.node)

@@ -16,8 +16,8 @@ COIL_RESISTANCE = 5.0
 STROKE = 0.055
 """m, of the RD-8040-1 (LORD technical data)."""
 METRICS = {
-    "acceleration": ("a, m/s²", 1.0),
-    "weighted": ("a W_k, m/s²", 1.0),
+    "acceleration": ("acceleration, m/s²", 1.0),
+    "weighted": ("weighted acceleration (ISO 2631-1), m/s²", 1.0),
     "travel": ("travel, mm", 1e3),
     "peak_travel": ("peak travel, mm", 1e3),
     "peak_share": ("peak travel, % of half a stroke", 100.0),

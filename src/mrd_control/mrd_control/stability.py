@@ -61,7 +61,7 @@ class Margin:
 
     def describe(self, has: float) -> str:
         """Say how much delay the loop bears, and which error of a declared delay ``has`` in s."""
-        bears = f"it bears a delay of {1e3 * self.delay:.3g} ms and has {1e3 * has:.3g} ms"
+        bears = f"it is stable up to a delay of {1e3 * self.delay:.3g} ms and has {1e3 * has:.3g} ms"
         return f"{bears}; compensated for these it stays stable from {1e3 * self.least:.3g} to {1e3 * self.most:.3g} ms"
 
 

@@ -75,7 +75,7 @@ def live_metrics(experiment: ControlExperiment | None, cycles: list[Any]) -> Liv
         return LiveMetrics((), elapsed, int(last.missed))
     followed = tracking(_series(cycles, "travel"), _series(cycles, "position"), last.sample_period)
     rows = [
-        ("delay of the rod, ms", f"{1e3 * followed.delay:.2f}"),
+        ("delay of the rod (negative: it leads), ms", f"{1e3 * followed.delay:.2f}"),
         ("NRMS of the tracking, %", f"{100 * followed.nrms:.2f}"),
         ("peak error of the tracking, %", f"{100 * followed.peak:.2f}"),
     ]

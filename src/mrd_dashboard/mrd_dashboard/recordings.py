@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +70,8 @@ class Recording:
 
     @property
     def date(self) -> str:
-        """The time of the recording's end as people read it, UTC."""
-        return f"{datetime.fromtimestamp(self.modified, UTC):%Y-%m-%d %H:%M}"
+        """The time of the recording's end as people read it, by the clock of this machine as in the names of folders."""
+        return f"{datetime.fromtimestamp(self.modified):%Y-%m-%d %H:%M}"
 
     def matches(self, search: str) -> bool:
         """Return whether all words of a search stand in its name, its notes, or its date."""

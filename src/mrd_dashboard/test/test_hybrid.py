@@ -88,7 +88,7 @@ def test_a_check_tells_margin_and_ride_of_the_twin(test_and_cycles) -> None:
     found = check_hybrid_test(hybrid_text(shipped_form(SHIPPED), SHIPPED, {}), Limits())
     assert found.margin > found.delay == experiment.actuator.total_delay
     ride = ride_metrics(experiment.system.linear(), twin)
-    assert dict(found.ride)["a, m/s²"] == f"{ride.acceleration:.4g}"
+    assert dict(found.ride)["acceleration, m/s²"] == f"{ride.acceleration:.4g}"
     assert max(found.curves["travel_mm"]) == pytest.approx(1e3 * twin.travel.max(), rel=0.02)
 
 
@@ -103,7 +103,7 @@ def test_the_live_metrics_are_those_of_the_recording(test_and_cycles) -> None:
     experiment, twin, cycles = test_and_cycles
     rows = dict(live_metrics(experiment, cycles).rows)
     ride = ride_metrics(experiment.system.linear(), twin, 0.0)
-    assert rows["a W_k, m/s²"] == f"{ride.weighted:.4g}"
+    assert rows["weighted acceleration (ISO 2631-1), m/s²"] == f"{ride.weighted:.4g}"
     assert rows["tyre load, N"] == f"{ride.contact:.4g}"
     assert float(rows["NRMS of the tracking, %"]) == 0.0
 
@@ -123,7 +123,9 @@ def test_a_late_rod_is_seen(test_and_cycles) -> None:
     for cycle in (moved := [SimpleNamespace(**vars(cycle)) for cycle in cycles]):
         places = np.maximum(cycle.number + np.arange(len(cycle.travel)) - late, 0)
         cycle.position = twin.travel[places]
-    assert float(dict(live_metrics(experiment, moved).rows)["delay of the rod, ms"]) == pytest.approx(late, abs=0.05)
+    assert float(dict(live_metrics(experiment, moved).rows)["delay of the rod (negative: it leads), ms"]) == pytest.approx(
+        late, abs=0.05
+    )
 
 
 def test_without_the_experiment_there_is_tracking_but_no_ride(test_and_cycles) -> None:

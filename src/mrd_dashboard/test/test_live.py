@@ -13,6 +13,7 @@ from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.lamps import READINGS, lamps
 from mrd_dashboard.live_frame import COLUMNS, MOST_POINTS, SHOWN, LivePrediction, live_frame
+from mrd_dashboard.pages.plots import live_panels
 from mrd_dashboard.sample_history import SampleHistory
 from mrd_sim.models import find_model
 from mrd_trajectory.limits import Limits
@@ -109,6 +110,13 @@ def test_the_prediction_of_the_true_model_leaves_no_residual() -> None:
     measured = live_frame(history, LivePrediction("true", model, theta))
     assert len(measured["residual_N"]) == len(measured["time_s"])
     assert np.abs(measured["residual_N"][2:-2]).max() < 0.02 * max(measured["force_N"])
+
+
+def test_without_a_prediction_there_is_no_plot_of_the_residual() -> None:
+    def columns(predicted: bool) -> set[str]:
+        return {column for panel in live_panels(Limits(), predicted=predicted) for column, _, _ in panel.curves}
+
+    assert columns(True) - columns(False) == {"predicted_N", "residual_N"}
 
 
 def test_there_is_a_lamp_for_each_interlock() -> None:

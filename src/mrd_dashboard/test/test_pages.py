@@ -91,6 +91,49 @@ def test_mode_reason_and_remedy_of_a_trip_are_seen(visit, dashboard) -> None:
     visit(work)
 
 
+@pytest.mark.parametrize(
+    "reason",
+    [
+        "emergency stop on the topic",
+        "servo: emergency stop",
+        "daq: emergency stop by its service",
+        "interlock daq fault: emergency stop; reset_fault clears it",
+        "interlock servo fault: emergency stop",
+    ],
+)
+def test_a_press_is_told_alike_whoever_heard_it_first(visit, dashboard, reason: str) -> None:
+    hear(dashboard, Mode.FAULT, reason)
+
+    async def work(user: User) -> None:
+        await user.should_see("an emergency stop was pressed; reset fault releases it")
+
+    visit(work)
+
+
+def test_the_header_tells_the_run_and_its_time_left(visit, dashboard) -> None:
+    hear(dashboard, Mode.IDENTIFICATION, "run_experiment")
+    run = dashboard.queue.add("sweep", "", 20.0)
+    dashboard.queue.start(run.number, Path("bag"))
+    dashboard.queue.progress(run.number, "recording", 8.0)
+
+    async def work(user: User) -> None:
+        await user.should_see("sweep: recording, 12 s left")
+
+    visit(work)
+
+
+def test_a_position_before_homing_is_not_told(visit, dashboard) -> None:
+    """The encoder counts from where it was switched on: beside the lamp, which shows the LVDT, one looked wrong."""
+    hear(dashboard)
+    dashboard.bench.monitor.add_servo_status(ServoStatus(5.0, 0.012, connected=True, homed=False, bus_voltage=37.0))
+
+    async def work(user: User) -> None:
+        await user.should_see("unknown until the rod is homed")
+        await user.should_not_see("12.00 mm")
+
+    visit(work)
+
+
 def test_without_a_supervisor_the_page_says_so(visit) -> None:
     async def work(user: User) -> None:
         await user.should_see("no supervisor")

@@ -175,6 +175,8 @@ def _work(arguments: argparse.Namespace) -> None:
     else:
         require_free_namespace(namespace)
     signals = SignalCounter()
+    if not session.experiments:
+        print(f"the bench starts; logs: {session.logs}", flush=True)
     try:
         with BenchProcesses(specs, session.logs, namespace=namespace) as processes:
 
@@ -188,9 +190,12 @@ def _work(arguments: argparse.Namespace) -> None:
                 if not session.experiments:
                     print(
                         f"the bench is up in namespace {processes.namespace} of ROS domain "
-                        f"{os.environ.get('ROS_DOMAIN_ID', '0')}; logs: {session.logs}; end it by Ctrl-C",
+                        f"{os.environ.get('ROS_DOMAIN_ID', '0')}; end it by Ctrl-C",
                         flush=True,
                     )
+                if arguments.page:
+                    print(f"the operator's page is at {client.page_address()}", flush=True)
+                if not session.experiments:
                     client.stay_up()
                 result = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:

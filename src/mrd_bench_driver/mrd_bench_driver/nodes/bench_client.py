@@ -124,6 +124,7 @@ class BenchClient:
         self._run_set = RUN_SET.client(self.node)
         self._emergency_stop = EMERGENCY_STOP.publisher(self.node)
         self._nodes_up: set[str] = set()
+        self._page_address = ""
         self._supervisor_heard = time.monotonic()  # wall time of its latest diagnostics
         DIAGNOSTICS.subscription(self.node, self._on_diagnostics)
         self._recording = False
@@ -134,6 +135,9 @@ class BenchClient:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         names = {status.name.partition(":")[0] for status in message.status}
         self._nodes_up |= names
+        for status in message.status:
+            if status.name.partition(":")[0] == f"{self.node.get_namespace().strip('/')}/page":
+                self._page_address = next((entry.value for entry in status.values if entry.key == "address"), "")
         if f"{self.node.get_namespace().strip('/')}/supervisor" in names:
             self._supervisor_heard = time.monotonic()
 
@@ -180,6 +184,12 @@ class BenchClient:
             raise InputError(
                 f"the bench did not come up within {timeout:g} s: {', '.join(missing())} missing; look at the logs"
             )
+
+    def page_address(self, timeout: float = START_TIMEOUT) -> str:
+        """Return the address of the operator's page, once it is served."""
+        if not self.spin(lambda: bool(self._page_address), timeout):
+            raise InputError(f"the operator's page did not come up within {timeout:g} s; look at its log")
+        return self._page_address
 
     def _join_simulated_bench(self, timeout: float) -> Callable[[], bool]:
         """Take part in the time of a simulated bench; return whether all others do, too."""

@@ -300,6 +300,10 @@ class Page(BenchNode[PageConfig]):
                 level = int.from_bytes(status.level, "little")
                 self._view.hear_node(name.removeprefix(prefix), NodeHealth(level, status.message, values))
 
+    def health(self) -> tuple[str, dict[str, Any]]:
+        """Return no problem, and the address of the page."""
+        return "", {"address": self._server.url}
+
     def close(self) -> None:
         """End the web server. The bench goes on."""
         self._server.close()

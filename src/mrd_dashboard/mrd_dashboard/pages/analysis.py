@@ -20,6 +20,7 @@ from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 
 BEST = "auto"
+FIT_FIRST = "none: the model is fitted first"
 MOST_JOBS = 20
 """Jobs that are listed, the latest; the files of all are in ``runs/results``."""
 MOST_OFFERED = 50
@@ -121,8 +122,8 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     form |= {"fit": "", "anyway": False, "follow": None, "limit": None}
     labels = {
         "runs": "recordings",
-        "held_out": "held out (else each in turn)",
-        "reference": "of before something changed (diagnose)",
+        "held_out": "held-out recordings (none: each in turn)",
+        "reference": "recordings from before a change (diagnosis)",
     }
     ui.label("Identify or diagnose").classes("text-base font-medium")
     fields = [
@@ -131,7 +132,7 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
     ]
     model = ui.select([BEST, *MODELS], label="damper model").props("dense").classes("w-full").bind_value(form, "model")
     model.mark("model")
-    fit = ui.select({"": "fitted anew"}, label="simulator as it is (diagnose)").props("dense").classes("w-full")
+    fit = ui.select({"": FIT_FIRST}, label="fit to start from (diagnosis)").props("dense").classes("w-full")
     fit.bind_value(form, "fit").mark("fit")
     ui.number("seed", min=0, precision=0).props("dense").classes("w-full").bind_value(form, "seed")
     ui.checkbox(FIT_ANYWAY).props("dense").classes("text-sm").bind_value(form, "anyway").mark("anyway")
@@ -143,7 +144,7 @@ def _form(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         for field in fields:
             field.offer(recordings)
         await asyncio.to_thread(dashboard.jobs.look_for_fits)
-        fits = {"": "fitted anew", **{str(path): path.parent.name for path in dashboard.jobs.fits()}}
+        fits = {"": FIT_FIRST, **{str(path): path.parent.name for path in dashboard.jobs.fits()}}
         if fits != fit.options:
             fit.set_options(fits, value=fit.value if fit.value in fits else "")
 
@@ -189,6 +190,9 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             panel = Panel(_E2, (14, 8, 82, 62), [(_EINF, PREDICTED, "Pareto front")])
             front = ui.echart(chart([panel])).classes("w-1/2 h-44").mark("front")
             front.options["series"][0] |= {"showSymbol": True, "symbolSize": 6}
+        anew = ui.label(
+            "A model is fitted once to all recordings, and once without each of them. The error begins anew each time."
+        ).classes("text-xs opacity-80")
         rows = ui.column().classes("w-full gap-2")
     report = ui.column().classes("w-full")
     listed: list[object] = [None, None]
@@ -231,12 +235,14 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         running = jobs.running
         stage.text = f"job {running.number}, {running.request.kind}: {running.stage}" if running else "nothing is computed"
         cancel_button.set_visibility(running is not None)
+        bar.set_visibility(running is not None)
         bar.value = running.share if running else 0.0
         latest = running or (jobs.all[-1] if jobs.all else None)
         drawn = (latest.number, len(latest.history)) if latest else None
         if drawn != listed[1] or listed[0] is None:
             listed[1] = drawn
             history, norms = (latest.history, latest.front) if latest else ([], [])
+            anew.set_visibility(bool(history))
             _draw(errors, history, "finished share", "NRMSE")
             _draw(front, norms, _E2, _EINF)
         state = [(job.number, job.state) for job in jobs.all[-MOST_JOBS:]]

@@ -19,9 +19,10 @@ from mrd_dashboard.hybrid_form import (
     hybrid_text,
     shipped_form,
 )
+from mrd_dashboard.hybrid_view import WINDOW
 from mrd_dashboard.jobs import JobRequest
 from mrd_dashboard.pages.notes import busy, tell
-from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, fresh_chart, hybrid_panels
+from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, fresh_chart, hybrid_panels, legend
 
 REFRESH = 1.0
 """Wall time in s between two looks at the metrics."""
@@ -76,8 +77,8 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
             answer.text = str(error)
             return None
         answer.text = (
-            f"{found.name}: {found.duration:g} s, within the limits; its loop bears a delay of "
-            f"{1e3 * found.margin:.3g} ms and has {1e3 * found.delay:.3g} ms"
+            f"{found.name}: {found.duration:g} s, within the limits. The loop is stable up to a delay of "
+            f"{1e3 * found.margin:.3g} ms; this bench has {1e3 * found.delay:.3g} ms."
         )
         with shown:
             _show_check(found)
@@ -162,11 +163,12 @@ def _live(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
         state = ui.label().classes("text-sm").mark("test state")
         bar = ui.linear_progress(0.0, show_value=False).props("rounded")
         panels = hybrid_panels(dashboard.bench.supervisor.limits)
+        legend(panels)
         plots = fresh_chart(chart(panels, show_limits=False), "/hybrid.json", FRAME_PERIOD)
-        plots.style("height: max(480px, calc(100vh - 330px))")
+        plots.style("height: max(480px, calc(100vh - 350px))")
     with ui.card().classes("w-full p-3 gap-2"):
         with ui.row().classes("w-full items-center"):
-            ui.label("Tracking and ride, of the last seconds").classes("text-base font-medium grow")
+            ui.label(f"Tracking and ride in the last {WINDOW:g} s").classes("text-base font-medium grow")
             ui.button("Compare with the offline twin", on_click=lambda: review()).props("outline dense no-caps").mark(
                 "review"
             )
@@ -204,6 +206,6 @@ def _live(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             with metrics:
                 _table(found.rows)
                 if not found.rows:
-                    ui.label("They are shown from the second second of a test on.").classes("text-sm opacity-80")
+                    ui.label("They are shown once a test has run for two seconds.").classes("text-sm opacity-80")
 
     ui.timer(REFRESH, refresh)

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from nicegui import ui
 
+from mrd_bench_driver.servo.status import ServoStatus
 from mrd_dashboard.bench_view import DAQ, SERVO, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
 from mrd_dashboard.lamps import Lamp
 from mrd_dashboard.pages.notes import tell
-from mrd_dashboard.pages.plots import chart, fresh_chart, live_panels
+from mrd_dashboard.pages.plots import chart, fresh_chart, legend, live_panels
 
 REFRESH = 0.2
 """Wall time in s between two looks at the state of the bench."""
@@ -42,24 +43,28 @@ def _requests(dashboard: Dashboard, who: Visitor) -> None:
 
 
 def _plots(dashboard: Dashboard, who: Visitor) -> None:
-    panels = live_panels(dashboard.bench.supervisor.limits)
+    drawn_limits = dashboard.bench.supervisor.limits
+    without = live_panels(drawn_limits, predicted=False)
+    with_prediction = live_panels(drawn_limits, predicted=True)
 
-    def options(show_limits: bool) -> dict[str, object]:
-        return chart(panels, show_limits=show_limits)
+    def options() -> dict[str, object]:
+        return chart(with_prediction if dashboard.prediction else without, show_limits=limits.value)
 
     with ui.row().classes("w-full items-center gap-4"):
-        limits = ui.switch("axes reach to the limits", on_change=lambda event: show(event.value)).props("dense")
+        limits = ui.switch("axes reach to the limits", value=True, on_change=lambda: draw()).props("dense")
         prediction = (
             ui.select({"": "no prediction"}, value="", label="predicted by", on_change=lambda event: predict(event.value))
             .props("dense")
             .classes("w-64")
             .mark("prediction")
         )
-    plots = fresh_chart(options(False), "/live.json", FRAME_PERIOD)
-    plots.style("height: max(560px, calc(100vh - 210px))").mark("plots")
+    with ui.row().classes("w-full"):
+        legend(with_prediction)
+    plots = fresh_chart(options(), "/live.json", FRAME_PERIOD)
+    plots.style("height: max(560px, calc(100vh - 240px))").mark("plots")
 
-    def show(show_limits: bool) -> None:
-        plots.options.update(options(show_limits))
+    def draw() -> None:
+        plots.options.update(options())
 
     async def offer() -> None:
         """Offer the fits that there are, and show which of them all who look see."""
@@ -69,6 +74,7 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
         offered.setdefault(drawn, Path(drawn).parent.name)
         if (prediction.options, prediction.value) != (offered, drawn):
             prediction.set_options(offered, value=drawn)
+            draw()
 
     async def predict(path: str) -> None:
         if path == (dashboard.prediction.name if dashboard.prediction else ""):
@@ -82,13 +88,15 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, "predicted by", work, path))
         await offer()
 
-    limits.value = True
     ui.timer(2.0, offer)
 
 
 def _lamps(dashboard: Dashboard, shown: Callable[[], bool]) -> None:
     with ui.card().classes("w-full gap-0 p-3"):
         ui.label("Interlocks").classes("text-base font-medium")
+        ui.label(
+            "Beyond a limit, the bench stops. Setpoints are kept within narrower limits, which the plots show."
+        ).classes("text-xs opacity-80")
         rows = {lamp.name: _LampRow(lamp) for lamp in dashboard.bench.lamps()}
 
     def refresh() -> None:
@@ -182,9 +190,15 @@ def _servo_text(dashboard: Dashboard) -> str:
     return (
         f"servo{_age(dashboard, SERVO)}: "
         f"{', '.join(words) or 'drive off, not homed'}{'; ' + servo.message if servo.message else ''}\n"
-        f"position {1e3 * servo.position:.2f} mm, {1e3 * servo.velocity:.0f} mm/s\n"
+        f"{_position_text(servo)}\n"
         f"supply {servo.bus_voltage:.1f} V, motor {servo.temperature:.0f} °C"
     )
+
+
+def _position_text(servo: ServoStatus) -> str:
+    if not servo.homed:
+        return "position of the motor: unknown until the rod is homed"
+    return f"position {1e3 * servo.position:.2f} mm, {1e3 * servo.velocity:.0f} mm/s"
 
 
 def _others_text(dashboard: Dashboard) -> str:

@@ -10,6 +10,8 @@ from mrd_trajectory.limits import Limits
 
 # Measured, predicted, residual: distinguishable with red-green blindness, on white and on black (Okabe and Ito, 2008).
 MEASURED, PREDICTED, RESIDUAL, LIMIT = "#2b8cd6", "#e69f00", "#009e73", "#d55e00"
+LIMITS = "limits of the setpoints"
+"""What the lines in plots of the bench are: interlocks stop it somewhat beyond."""
 _AXIS, _GRID = "#808080", "#80808040"
 _LOW = 15.0  # percent; a plot lower than that has few lines
 
@@ -117,16 +119,38 @@ def _axis(index: int, name: str, limits: tuple[float, ...], show_limits: bool, g
     return axis
 
 
-def live_panels(limits: Limits) -> list[Panel]:
-    """Return the plots of the live page: over time force, residual, position and current; then the two loops."""
+def legend(panels: Sequence[Panel]) -> None:
+    """Show the names of the curves of plots that have several, and of their limits, in their colours."""
+    names = {(colour, name): None for panel in panels if len(panel.curves) > 1 for _, colour, name in panel.curves}
+    if any(panel.x_limits or panel.y_limits for panel in panels):
+        names[LIMIT, LIMITS] = None
+    with ui.row().classes("gap-x-4 gap-y-0"):
+        for colour, name in names:
+            with ui.row().classes("items-center gap-1 no-wrap"):
+                ui.icon("horizontal_rule").style(f"color: {colour}")
+                ui.label(name).classes("text-sm")
+
+
+def live_panels(limits: Limits, *, predicted: bool) -> list[Panel]:
+    """Return the plots of the live page: over time force, position and current, then the two loops.
+
+    Where a model ``predicted`` the force, its curve is over the measured one, and the residual is beneath.
+    """
     force = (-limits.force, limits.force)
     reach = (-1e3 * limits.reach, 1e3 * limits.reach)
     speed = (-1e3 * limits.speed, 1e3 * limits.speed)
     current = (1e3 * limits.current_min, 1e3 * limits.current_max)
-    both = [("force_N", MEASURED, "measured"), ("predicted_N", PREDICTED, "predicted")]
+    both = [("force_N", MEASURED, "measured")]
+    if predicted:
+        both.append(("predicted_N", PREDICTED, "predicted"))
+        over_time = [
+            Panel("time_s", (8, 2, 40, 24), both, (), force),
+            Panel("time_s", (8, 33, 40, 10), [("residual_N", RESIDUAL, "residual")]),
+        ]
+    else:
+        over_time = [Panel("time_s", (8, 2, 40, 40), both, (), force)]
     return [
-        Panel("time_s", (8, 2, 40, 24), both, (), force),
-        Panel("time_s", (8, 33, 40, 10), [("residual_N", RESIDUAL, "residual")]),
+        *over_time,
         Panel("time_s", (8, 51, 40, 17), [("position_mm", MEASURED, "position")], (), reach),
         Panel("time_s", (8, 76, 40, 17), [("current_mA", MEASURED, "current")], (), current),
         Panel("velocity_mm_per_s", (58, 2, 40, 40), both, speed, force),

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from datetime import datetime
 from functools import partial
 from typing import Any
 from urllib.parse import quote
@@ -134,13 +135,13 @@ def _row(recording: Recording, look: Look | None, recorded: bool, chosen: set[st
         picture(look)
         with ui.column().classes("grow min-w-0 gap-0"):
             ui.label(recording.id).classes("font-medium cursor-pointer break-all").on("click", lambda: show())
-            words = [recording.date, recording.notes.damper, *(f"#{tag}" for tag in recording.notes.tags)]
+            words = [f"ended {recording.date}", recording.notes.damper, *(f"#{tag}" for tag in recording.notes.tags)]
             if not recording.closed:
                 words.append("is being recorded" if recorded else "not closed")
             if recording.problem:
                 words.append("its notes cannot be read")
             if look and not look.problem:
-                words[1:1] = [f"{look.duration:.1f} s", f"{1e3 * look.stroke:.1f} mm", f"{look.force:.0f} N"]
+                words[1:1] = [f"{look.duration:.1f} s", f"{1e3 * look.stroke:.1f} mm peak to peak", f"{look.force:.0f} N"]
             ui.label(" · ".join(filter(None, words))).classes("text-sm opacity-80")
         if look is not None:
             icon, colour, doc = _VERDICTS["fault" if look.problem else look.verdict]
@@ -244,12 +245,20 @@ def _facts(look: Look | None) -> None:
         ui.label(look.problem).classes("text-sm text-negative")
     else:
         ui.label(
-            f"{look.experiment or 'unknown experiment'}, {look.started or 'unknown date'}: {look.duration:.2f} s at "
-            f"{look.rate:.0f} Hz, {1e3 * look.stroke:.2f} mm, {1e3 * look.speed:.0f} mm/s, {look.force:.0f} N, "
-            f"{1e3 * look.current:.0f} mA"
+            f"{look.experiment or 'unknown experiment'}, {_begun(look.started)}: {look.duration:.2f} s at "
+            f"{look.rate:.0f} Hz, {1e3 * look.stroke:.2f} mm peak to peak, up to {1e3 * look.speed:.0f} mm/s, "
+            f"{look.force:.0f} N, {1e3 * look.current:.0f} mA"
         ).classes("text-sm")
         for severity, sentence in look.findings or (("", "The data check finds nothing."),):
             ui.label(f"{severity}: {sentence}" if severity else sentence).classes("text-sm")
+
+
+def _begun(started: str) -> str:
+    """Return when a recording was begun, by the clock of this machine as in the names of folders."""
+    try:
+        return f"begun {datetime.fromisoformat(started).astimezone():%Y-%m-%d %H:%M}"
+    except ValueError:
+        return f"begun {started}" if started else "unknown date"
 
 
 def _comparison(names: list[str], series: list[dict[str, Any]]) -> None:

@@ -229,7 +229,9 @@ def _queue(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
                 icon, colour = _STATES[run.state]
                 with ui.row().classes("w-full items-start no-wrap gap-2"):
                     ui.icon(icon, color=colour).classes("text-lg").tooltip(run.state)
-                    ui.label(f"{run.number} {run.name}").classes("text-sm")
+                    ui.label(f"{run.number} {run.name}").classes(
+                        "text-sm whitespace-nowrap truncate max-w-[60%] shrink-0"
+                    ).tooltip(run.name)
                     ui.label(run.phase or run.message).classes("grow text-sm opacity-80 break-words min-w-0")
                     if run.state in ("failed", "stopped", "done"):
                         button = ui.button(icon="replay", on_click=lambda n=run.number: act("retry", n))

@@ -1,5 +1,6 @@
 """The frame around the pages: what is always visible, above all the stop button."""
 
+import re
 from functools import partial
 
 from nicegui import events, ui
@@ -19,6 +20,8 @@ from mrd_dashboard.web import LOGOUT, SESSION_OPEN, visitor
 PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identify and diagnose": analysis_page}
 
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
+# A press is told by the node that hears it first.
+_PRESSED = re.compile(r"(interlock (daq|servo) fault: |daq: |servo: )?emergency stop\b")
 _THEME = "mrd_theme"  # name of the cookie that keeps it
 
 _PRIMARY = "#3b7ebf"
@@ -43,8 +46,21 @@ _SCRIPT = f"""
 """
 
 
+def what_happens(dashboard: Dashboard) -> str:
+    """Return in a line what the bench does, or why it does not."""
+    reason = dashboard.bench.reason
+    if _PRESSED.match(reason):  # whichever node has heard it first
+        return "an emergency stop was pressed; reset fault releases it"
+    run = dashboard.queue.running
+    if run is None or dashboard.bench.mode is Mode.FAULT:
+        return reason
+    left = max(0.0, run.duration - run.elapsed)
+    return f"{run.name}: {run.phase}, {left:.0f} s left"
+
+
 def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = False) -> None:
     """Build the page for a visitor, by default the one whose browser asks for it; ``login``: whether one can log out."""
+    ui.tooltip.default_props("delay=700")  # at once, they would cover what one is about to press
     request = ui.context.client.request
     if who is None:
         who = visitor(request.scope if request else {})
@@ -115,7 +131,7 @@ def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = Fals
         known = bench.supervised
         mode.text = str(bench.mode) if known else "no supervisor"
         mode.props(f"color={_COLOURS.get(bench.mode, 'primary') if known else 'negative'}")
-        reason.text = "; ".join(filter(None, (bench.reason, dashboard.problem)))
+        reason.text = "; ".join(filter(None, (what_happens(dashboard), dashboard.problem)))
         holds = right.holds(who.session)
         control.text = "Release control" if holds else "Take control"
         holder.text = "you hold control" if holds else f"{right.name} holds control" if right.holder else "nobody in control"

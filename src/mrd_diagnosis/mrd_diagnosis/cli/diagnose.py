@@ -128,6 +128,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:
         print_table(candidate_table(diagnosis))
+        print("The table holds out segments of runs, the sentence at the top whole runs; their figures differ a little.")
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
     for note in diagnosis.notes:
@@ -144,7 +145,7 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
     table = Table(box=None)
     table.add_column("effects")
     first = 0 if with_probabilities(diagnosis) else 1
-    for title in ("probability", "gap removed, by segments", "held-out error (NRMSE)", "p-value")[first:]:
+    for title in ("probability", "gap removed, by segments", "held-out error (NRMSE), by segments", "p-value")[first:]:
         table.add_column(title, justify="right")
     table.add_column("remark")
     for candidate in ordered_candidates(diagnosis)[:MOST_ROWS]:
