@@ -233,7 +233,7 @@ def test_recordings_are_identified_diagnosed_from_the_fit_and_applied(bench: Pag
     assert len(errors["NRMSE"]) > 10
     assert errors["NRMSE"][-1] < errors["NRMSE"][0]
     (fit,) = (bench.runs / "results").glob("identify-*/fit.json")
-    page.get_by_label("simulator as it is (diagnose)").click()
+    page.get_by_label("fit to start from (diagnosis)").click()
     page.get_by_role("option", name=fit.parent.name).click()
     page.get_by_role("button", name="Diagnose").click()
     wait_for_job(page, "2 diagnose bouc_wen")

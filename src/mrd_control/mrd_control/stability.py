@@ -160,8 +160,8 @@ def check_stability(
             low, high = (low, middle) if heavy_enough(middle) else (middle, high)
         remedy += f", or {high:.3g} times the masses"
     raise InputError(
-        f"the hybrid loop is unstable: it bears {1e3 * margin.delay:.3g} ms at {margin.current:.3g} A and has "
-        f"{1e3 * actuator.total_delay:.3g} ms (grows at {margin.frequency:.3g} Hz); stable would be {remedy}"
+        f"the hybrid loop is unstable: at {margin.current:.3g} A it is stable up to a delay of {1e3 * margin.delay:.3g} ms "
+        f"and has {1e3 * actuator.total_delay:.3g} ms (grows at {margin.frequency:.3g} Hz); stable would be {remedy}"
     )
 
 

@@ -115,7 +115,7 @@ def test_an_unstable_loop_is_refused_with_the_number_and_what_would_help(shipped
     stiff = replace(shipped.system, passive_damping=0.0, lever_ratio=1.0)
     late = replace(shipped, system=stiff, delay=0.08, lag=0.0, predictor="none")
     with pytest.raises(
-        InputError, match=r"it bears [\d.]+ ms at .* and has 81.5 ms .*; stable would be a total delay below"
+        InputError, match=r"it is stable up to a delay of [\d.]+ ms and has 81.5 ms .*; stable would be a total delay below"
     ):
         check_experiment(late, Limits())
 
@@ -129,7 +129,7 @@ def test_long_blocks_of_samples_cost_margin(shipped):
     near = replace(test, delay=margin.delay - 0.005)
     assert check_experiment(near, Limits())[0].delay == pytest.approx(margin.delay)
     has = 1e3 * (margin.delay - 0.005 + 0.0095)
-    with pytest.raises(InputError, match=f"the hybrid loop is unstable: it bears .* and has {has:.3g} ms"):
+    with pytest.raises(InputError, match=f"the hybrid loop is unstable: at .* and has {has:.3g} ms"):
         check_experiment(replace(near, cycle=0.02), Limits())
 
 

@@ -193,10 +193,7 @@ def _work(arguments: argparse.Namespace) -> None:
                         f"{os.environ.get('ROS_DOMAIN_ID', '0')}; end it by Ctrl-C",
                         flush=True,
                     )
-                if arguments.page:
-                    print(f"the operator's page is at {client.page_address()}", flush=True)
-                if not session.experiments:
-                    client.stay_up()
+                    client.stay_up(page=arguments.page)
                 result = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:
         for bag in filter(Path.exists, session.bags):

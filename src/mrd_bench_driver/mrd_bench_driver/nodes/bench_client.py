@@ -185,12 +185,6 @@ class BenchClient:
                 f"the bench did not come up within {timeout:g} s: {', '.join(missing())} missing; look at the logs"
             )
 
-    def page_address(self, timeout: float = START_TIMEOUT) -> str:
-        """Return the address of the operator's page, once it is served."""
-        if not self.spin(lambda: bool(self._page_address), timeout):
-            raise InputError(f"the operator's page did not come up within {timeout:g} s; look at its log")
-        return self._page_address
-
     def _join_simulated_bench(self, timeout: float) -> Callable[[], bool]:
         """Take part in the time of a simulated bench; return whether all others do, too."""
         assert self._clock is not None
@@ -208,10 +202,16 @@ class BenchClient:
             self._held = False
             self.time.release()
 
-    def stay_up(self) -> None:
-        """Let others use the bench until ``watch`` raises an exception; when a node has died, stop everything at once."""
+    def stay_up(self, *, page: bool = False) -> None:
+        """Let others use the bench until ``watch`` raises an exception; when a node has died, stop everything at once.
+
+        With ``page``, print the address of the operator's page once it is served.
+        """
         self.let_time_pass()
         try:
+            if page:
+                self.spin(lambda: bool(self._page_address), float("inf"))
+                print(f"the operator's page is at {self._page_address}", flush=True)
             self.spin(lambda: False, float("inf"))
         except ProcessDiedError as died:
             self._stop_everything(died, lambda: not self._recording)

@@ -191,7 +191,7 @@ def _jobs(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             front = ui.echart(chart([panel])).classes("w-1/2 h-44").mark("front")
             front.options["series"][0] |= {"showSymbol": True, "symbolSize": 6}
         anew = ui.label(
-            "A model is fitted once to all recordings, and once without each of them. The error begins anew each time."
+            "The parameters are searched several times, from other random numbers; the error begins anew each time."
         ).classes("text-xs opacity-80")
         rows = ui.column().classes("w-full gap-2")
     report = ui.column().classes("w-full")

@@ -78,7 +78,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
             return None
         answer.text = (
             f"{found.name}: {found.duration:g} s, within the limits. The loop is stable up to a delay of "
-            f"{1e3 * found.margin:.3g} ms; this bench has {1e3 * found.delay:.3g} ms."
+            f"{1e3 * found.margin:.3g} ms; this test has {1e3 * found.delay:.3g} ms."
         )
         with shown:
             _show_check(found)

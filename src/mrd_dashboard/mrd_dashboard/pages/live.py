@@ -25,7 +25,7 @@ def live_page(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> 
     with ui.row().classes("w-full no-wrap items-start gap-4 max-lg:flex-wrap"):
         with ui.column().classes("grow min-w-0 gap-2"):
             _requests(dashboard, who)
-            _plots(dashboard, who)
+            _plots(dashboard, who, shown)
         with ui.column().classes("w-96 max-lg:w-full shrink-0 gap-4"):
             _lamps(dashboard, shown)
             _state(dashboard, shown)
@@ -42,39 +42,42 @@ def _requests(dashboard: Dashboard, who: Visitor) -> None:
             )
 
 
-def _plots(dashboard: Dashboard, who: Visitor) -> None:
-    drawn_limits = dashboard.bench.supervisor.limits
-    without = live_panels(drawn_limits, predicted=False)
-    with_prediction = live_panels(drawn_limits, predicted=True)
-
-    def options() -> dict[str, object]:
-        return chart(with_prediction if dashboard.prediction else without, show_limits=limits.value)
-
+def _plots(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None:
     with ui.row().classes("w-full items-center gap-4"):
-        limits = ui.switch("axes reach to the limits", value=True, on_change=lambda: draw()).props("dense")
+        limits = ui.switch("axes reach to the limits", value=True).props("dense")
         prediction = (
             ui.select({"": "no prediction"}, value="", label="predicted by", on_change=lambda event: predict(event.value))
             .props("dense")
             .classes("w-64")
             .mark("prediction")
         )
-    with ui.row().classes("w-full"):
-        legend(with_prediction)
-    plots = fresh_chart(options(), "/live.json", FRAME_PERIOD)
+    names = ui.row().classes("w-full")
+    plots = fresh_chart({}, "/live.json", FRAME_PERIOD)
     plots.style("height: max(560px, calc(100vh - 240px))").mark("plots")
 
+    drawn: tuple[bool, bool] | None = None
+
     def draw() -> None:
-        plots.options.update(options())
+        """Draw the plots anew where limits or prediction were switched on or off, by whomever."""
+        nonlocal drawn
+        wanted = bool(dashboard.prediction), bool(limits.value)
+        if wanted == drawn or (drawn is not None and not shown()):
+            return
+        drawn = wanted
+        panels = live_panels(dashboard.bench.supervisor.limits, predicted=wanted[0])
+        plots.options.update(chart(panels, show_limits=wanted[1]))
+        names.clear()
+        with names:
+            legend(panels)
 
     async def offer() -> None:
         """Offer the fits that there are, and show which of them all who look see."""
         await asyncio.to_thread(dashboard.jobs.look_for_fits)
-        drawn = dashboard.prediction.name if dashboard.prediction else ""
+        predicted_by = dashboard.prediction.name if dashboard.prediction else ""
         offered = {"": "no prediction", **{str(path): path.parent.name for path in dashboard.jobs.fits()}}
-        offered.setdefault(drawn, Path(drawn).parent.name)
-        if (prediction.options, prediction.value) != (offered, drawn):
-            prediction.set_options(offered, value=drawn)
-            draw()
+        offered.setdefault(predicted_by, Path(predicted_by).parent.name)
+        if (prediction.options, prediction.value) != (offered, predicted_by):
+            prediction.set_options(offered, value=predicted_by)
 
     async def predict(path: str) -> None:
         if path == (dashboard.prediction.name if dashboard.prediction else ""):
@@ -88,14 +91,17 @@ def _plots(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, "predicted by", work, path))
         await offer()
 
+    draw()
     ui.timer(2.0, offer)
+    ui.timer(REFRESH, draw)
 
 
 def _lamps(dashboard: Dashboard, shown: Callable[[], bool]) -> None:
     with ui.card().classes("w-full gap-0 p-3"):
         ui.label("Interlocks").classes("text-base font-medium")
         ui.label(
-            "Beyond a limit, the bench stops. Setpoints are kept within narrower limits, which the plots show."
+            "While the rod may move, the bench stops beyond these limits. Those of position, speed and current lie "
+            "somewhat beyond the dashed lines."
         ).classes("text-xs opacity-80")
         rows = {lamp.name: _LampRow(lamp) for lamp in dashboard.bench.lamps()}
 
@@ -196,9 +202,8 @@ def _servo_text(dashboard: Dashboard) -> str:
 
 
 def _position_text(servo: ServoStatus) -> str:
-    if not servo.homed:
-        return "position of the motor: unknown until the rod is homed"
-    return f"position {1e3 * servo.position:.2f} mm, {1e3 * servo.velocity:.0f} mm/s"
+    position = f"position {1e3 * servo.position:.2f} mm" if servo.homed else "position unknown until the rod is homed"
+    return f"{position}, {1e3 * servo.velocity:.0f} mm/s"
 
 
 def _others_text(dashboard: Dashboard) -> str:

@@ -10,8 +10,6 @@ from mrd_trajectory.limits import Limits
 
 # Measured, predicted, residual: distinguishable with red-green blindness, on white and on black (Okabe and Ito, 2008).
 MEASURED, PREDICTED, RESIDUAL, LIMIT = "#2b8cd6", "#e69f00", "#009e73", "#d55e00"
-LIMITS = "limits of the setpoints"
-"""What the lines in plots of the bench are: interlocks stop it somewhat beyond."""
 _AXIS, _GRID = "#808080", "#80808040"
 _LOW = 15.0  # percent; a plot lower than that has few lines
 
@@ -113,9 +111,10 @@ def _axis(index: int, name: str, limits: tuple[float, ...], show_limits: bool, g
         "splitLine": {"lineStyle": {"color": _GRID}},
         "scale": True,
     }
-    if limits and show_limits:
+    if limits:
         margin = 0.06 * (max(limits) - min(limits))
-        axis |= {"min": min(limits) - margin, "max": max(limits) + margin}
+        ends = (min(limits) - margin, max(limits) + margin) if show_limits else (None, None)
+        axis |= dict(zip(("min", "max"), ends, strict=True))  # without None, a chart would keep the ends that it had
     return axis
 
 
@@ -123,7 +122,7 @@ def legend(panels: Sequence[Panel]) -> None:
     """Show the names of the curves of plots that have several, and of their limits, in their colours."""
     names = {(colour, name): None for panel in panels if len(panel.curves) > 1 for _, colour, name in panel.curves}
     if any(panel.x_limits or panel.y_limits for panel in panels):
-        names[LIMIT, LIMITS] = None
+        names[LIMIT, "limits"] = None
     with ui.row().classes("gap-x-4 gap-y-0"):
         for colour, name in names:
             with ui.row().classes("items-center gap-1 no-wrap"):

@@ -1,6 +1,8 @@
 """The list of recordings, with what one can do with them."""
 
 import asyncio
+import contextlib
+import re
 from collections.abc import Callable
 from datetime import datetime
 from functools import partial
@@ -135,7 +137,11 @@ def _row(recording: Recording, look: Look | None, recorded: bool, chosen: set[st
         picture(look)
         with ui.column().classes("grow min-w-0 gap-0"):
             ui.label(recording.id).classes("font-medium cursor-pointer break-all").on("click", lambda: show())
-            words = [f"ended {recording.date}", recording.notes.damper, *(f"#{tag}" for tag in recording.notes.tags)]
+            words = [
+                f"ended {recording.date}" if recording.closed else recording.date,
+                recording.notes.damper,
+                *(f"#{tag}" for tag in recording.notes.tags),
+            ]
             if not recording.closed:
                 words.append("is being recorded" if recorded else "not closed")
             if recording.problem:
@@ -255,10 +261,10 @@ def _facts(look: Look | None) -> None:
 
 def _begun(started: str) -> str:
     """Return when a recording was begun, by the clock of this machine as in the names of folders."""
-    try:
-        return f"begun {datetime.fromisoformat(started).astimezone():%Y-%m-%d %H:%M}"
-    except ValueError:
-        return f"begun {started}" if started else "unknown date"
+    if re.search(r"T.*[+Z-]", started):  # with a time and its zone
+        with contextlib.suppress(ValueError):
+            started = f"{datetime.fromisoformat(started).astimezone():%Y-%m-%d %H:%M}"
+    return f"begun {started}" if started else "unknown date"
 
 
 def _comparison(names: list[str], series: list[dict[str, Any]]) -> None:

@@ -20,8 +20,8 @@ from mrd_dashboard.web import LOGOUT, SESSION_OPEN, visitor
 PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identify and diagnose": analysis_page}
 
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
-# A press is told by the node that hears it first.
-_PRESSED = re.compile(r"(interlock (daq|servo) fault: |daq: |servo: )?emergency stop\b")
+# An emergency stop is told by the node that hears it first.
+_STOPPED = re.compile(r"(interlock (daq|servo) fault: |daq: |servo: )?emergency stop\b")
 _THEME = "mrd_theme"  # name of the cookie that keeps it
 
 _PRIMARY = "#3b7ebf"
@@ -34,6 +34,7 @@ _STYLE = """
   .body--dark .text-negative { --q-negative: #ff6b6b; }
 </style>
 """
+ui.tooltip.default_props("delay=700")  # at once, they would cover what one is about to press
 _SCRIPT = f"""
 <script>
   setInterval(async () => {{
@@ -49,8 +50,10 @@ _SCRIPT = f"""
 def what_happens(dashboard: Dashboard) -> str:
     """Return in a line what the bench does, or why it does not."""
     reason = dashboard.bench.reason
-    if _PRESSED.match(reason):  # whichever node has heard it first
-        return "an emergency stop was pressed; reset fault releases it"
+    if not dashboard.bench.supervised:
+        return reason
+    if _STOPPED.match(reason):
+        return "an emergency stop was sent; reset fault releases it"
     run = dashboard.queue.running
     if run is None or dashboard.bench.mode is Mode.FAULT:
         return reason
@@ -60,7 +63,6 @@ def what_happens(dashboard: Dashboard) -> str:
 
 def page(dashboard: Dashboard, who: Visitor | None = None, *, login: bool = False) -> None:
     """Build the page for a visitor, by default the one whose browser asks for it; ``login``: whether one can log out."""
-    ui.tooltip.default_props("delay=700")  # at once, they would cover what one is about to press
     request = ui.context.client.request
     if who is None:
         who = visitor(request.scope if request else {})

@@ -128,7 +128,8 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
     elif diagnosis.candidates:
         print_table(candidate_table(diagnosis))
-        print("The table holds out segments of runs, the sentence at the top whole runs; their figures differ a little.")
+        if diagnosis.held_out_by != "blocks":
+            print("The table holds out segments of runs, the sentence at the top whole runs; their figures differ a little.")
         if len(diagnosis.candidates) > MOST_ROWS:
             print(f"The table shows the best {MOST_ROWS} of {len(diagnosis.candidates)} candidates; the report lists all.")
     for note in diagnosis.notes:
