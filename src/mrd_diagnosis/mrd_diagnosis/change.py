@@ -20,6 +20,7 @@ from mrd_diagnosis.form_remainder import SCALES, columns_by_run, form_columns, o
 from mrd_diagnosis.model_comparison import compare_on
 from mrd_diagnosis.null_distribution import draw_null_gains, p_value
 from mrd_diagnosis.refit import Refit, refit, refit_on
+from mrd_diagnosis.statistics import error_dispersion
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import RunScatter, Weighting, error_of_run
 from mrd_identification.recording import consecutive_forces
@@ -89,8 +90,10 @@ def explain_change(
 def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
     """Whether an effect differs more between the runs before and after than among them.
 
-    Its size is estimated in each run, to first order, also in those from before. A single run before or after does not show
-    how runs scatter, and the damper model errs differently in each, so that nothing is known.
+    Its size is estimated in each run, to first order, also in those from before: 1 is the size that was fitted, 0 is none.
+    Where nothing has changed, all runs scatter alike, so that one variance serves both sides (Student's t-test). A single
+    run before or after does not show how runs scatter, and the damper model errs differently in each, so that nothing is
+    known.
     """
     problem, theta = refitted.problem, refitted.theta
     model = problem.model
@@ -108,14 +111,21 @@ def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
     # Where one run alone goes far, as to an end stop, the side that tells less says how far the others need to go.
     least = THRESHOLDS.least_information * min(max(information[run] for run in side) for side in sides)
 
-    def size(run: int) -> float:
-        error = error_of_run(problem, neutral, run, refitted.coefficients)[0]
-        return -float(error @ changes[run]) / information[run]
+    def error(run: int, values: Array) -> Array:
+        return error_of_run(problem, values, run, refitted.coefficients)[0]
 
-    sizes = [[size(run) for run in side if information[run] > max(least, 0.0)] for side in sides]
+    def tells(run: int) -> bool:
+        """Whether a run tells the size, or at least whether the effect is there."""
+        doubt = THRESHOLDS.size_deviation**2 * information[run]
+        return information[run] > max(least, 0.0) or error_dispersion(error(run, theta)) < doubt
+
+    def size(run: int) -> float:
+        return -float(error(run, neutral) @ changes[run]) / information[run]
+
+    sizes = [[size(run) for run in side if tells(run)] for side in sides]
     if min(map(len, sizes)) < 2:
         return False
-    return bool(ttest_ind(*sizes, equal_var=False).pvalue < THRESHOLDS.change_p_value)
+    return bool(ttest_ind(*sizes).pvalue < THRESHOLDS.change_p_value)
 
 
 def _functions(weighting: Weighting, base: Refit, rng: np.random.Generator) -> tuple[Array, Array]:

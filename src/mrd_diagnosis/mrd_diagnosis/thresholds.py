@@ -90,6 +90,13 @@ class Thresholds:
         "share of the information on an effect below which a run says nothing about a change of it",
         "before/after pairs, seeds 901 and 51",
     )
+    size_deviation: float = threshold(
+        0.33,
+        "of the effect's size",
+        "standard deviation of an effect's size in a run below which the run tells whether the effect is there, however "
+        "little it tells beside others",
+        "convention",
+    )
     change_p_value: float = threshold(
         0.01,
         "",

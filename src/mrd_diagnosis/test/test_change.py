@@ -150,6 +150,21 @@ def test_an_end_stop_that_one_run_before_reached_by_far_is_named():
     assert [cause.effect for cause in diagnosis.causes] == ["end_stop"]
 
 
+@pytest.mark.parametrize("stiffnesses", [(0.0, 0.0), (2.1e5, 1.9e5)], ids=["unchanged", "with an end stop"])
+def test_two_runs_before_and_two_after_that_reach_an_end_stop_tell_of_it(stiffnesses):
+    """Its sizes differed by a few per cent, and with a variance for each side a test knows next to nothing of two runs."""
+    reaches = (1.2, 1.0, 0.5, 0.5)
+    before = [run(seed, reach=reach)[0] for seed, reach in enumerate(reaches)]
+    after = [run(seed, reach=reach)[0] for seed, reach in enumerate(reaches, 4)]
+    beyond = [np.sign(of_run.position) * np.maximum(np.abs(of_run.position) - 8e-3, 0.0) for of_run in after]
+    stopped = [
+        replace(of_run, force=of_run.force + stiffness * depth)
+        for of_run, depth, stiffness in zip(after, beyond, (*stiffnesses, 0.0, 0.0), strict=True)
+    ]
+    diagnosis = diagnose(stopped, "bouc_wen", reference=before, effects=("end_stop", "moving_mass", "joint_play"))
+    assert [cause.effect for cause in diagnosis.causes] == (["end_stop"] if any(stiffnesses) else [])
+
+
 def test_a_change_excludes_held_out_runs():
     recorded = runs(BEFORE)
     with pytest.raises(InputError, match="both reference and held-out runs"):
