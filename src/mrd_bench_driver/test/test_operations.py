@@ -28,6 +28,7 @@ class FakePeers:
         self.calls: list[str] = []
         self.refusals: dict[str, str] = {}
         self.effects: dict[str, Callable[[], None]] = {}
+        self.takes: dict[str, float] = {}  # wall time in s that a service takes
         self.absent: tuple[str, ...] = ()
         self.clock = BenchClock()
         self.servo = ServoStatus(position=0.0, connected=True)
@@ -64,7 +65,11 @@ class FakePeers:
     def check(self, service: str) -> None:
         pass
 
-    def call(self, service: str, *_arguments: Any, may_fail: bool = False, **fields: Any) -> Any:
+    def call(
+        self, service: str, timeout: float, *_interruption: Callable[[], None], may_fail: bool = False, **fields: Any
+    ) -> Any:
+        if self.takes.get(service, 0.0) > timeout:
+            raise RefusedError(f"{service} was not answered within {timeout:g} s")
         self.calls.append(service + (f" {fields['data']}" if service == "servo/enable" else ""))
         if service in self.refusals:
             if may_fail:
@@ -122,6 +127,14 @@ def test_an_experiment_goes_through_the_modes_and_ends_in_idle(peers: FakePeers)
     assert [mode for mode, _ in peers.modes] == [Mode.IDLE, Mode.HOMING, Mode.IDENTIFICATION, Mode.IDLE]
     assert peers.calls[-2:] == ["servo/rest", "stop_recording"]
     assert not peers.emergency_stops
+
+
+def test_a_busy_machine_may_take_a_minute_to_plan(peers: FakePeers) -> None:
+    """Beside a load of eight, a controller needed more than the 30 s that it was given."""
+    peers.takes = {"load_experiment": 60.0}
+    peers.effects["start_experiment"] = lambda: setattr(peers, "state", "done")
+    outcome = run(peers)
+    assert outcome.success, outcome.message
 
 
 def test_an_interlock_ends_an_experiment_and_reset_fault_needs_health(peers: FakePeers) -> None:

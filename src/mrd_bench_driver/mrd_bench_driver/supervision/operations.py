@@ -39,8 +39,9 @@ _EFFECT_TIMEOUT = 2.0
 _SAMPLE_TIMEOUT = 1.0
 # Bench time in s for the bench to come to rest before a tare.
 _TARE_TIMEOUT = 5.0
-# Wall time in s that the generator may take to plan an experiment.
-_PLANNING_TIMEOUT = 30.0
+# Wall time in s that generator or controller may take to check and plan an experiment: nothing moves meanwhile, and a busy
+# machine took more than 30 s for a hybrid test.
+_PLANNING_TIMEOUT = 120.0
 # Wall time in s for a reset, which may restart a converter.
 _RESET_TIMEOUT = 10.0
 # Wall time in s between two reports of the progress of an experiment.
