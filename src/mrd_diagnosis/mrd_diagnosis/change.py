@@ -116,8 +116,8 @@ def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:
 
     def tells(run: int) -> bool:
         """Whether a run tells the size, or at least whether the effect is there."""
-        doubt = THRESHOLDS.size_deviation**2 * information[run]
-        return information[run] > max(least, 0.0) or error_dispersion(error(run, theta)) < doubt
+        most_dispersion = THRESHOLDS.size_deviation**2 * information[run]
+        return information[run] > max(least, 0.0) or error_dispersion(error(run, theta)) < most_dispersion
 
     def size(run: int) -> float:
         return -float(error(run, neutral) @ changes[run]) / information[run]

@@ -50,6 +50,12 @@ def changed(share=0.0, mass=0.0):
     return [replace(of_run, force=(1.0 + share) * (of_run.force + mass * a)) for of_run, a in map(run, AFTER)]
 
 
+def stopped(of_run, stiffness):
+    """Return a run with an end stop at 8 mm, of a stiffness in N/m."""
+    beyond = np.sign(of_run.position) * np.maximum(np.abs(of_run.position) - 8e-3, 0.0)
+    return replace(of_run, force=of_run.force + stiffness * beyond)
+
+
 @pytest.mark.parametrize(
     ("change", "effect"),
     [({"share": 0.08}, "load_cell_gain"), ({"mass": 12.0}, "moving_mass")],
@@ -144,9 +150,12 @@ def test_an_end_stop_that_one_run_before_reached_by_far_is_named():
     """That run tells so much of it that the other runs from before tell little beside it, but enough."""
     before = [run(0, reach=1.6)[0], *(run(seed, reach=0.8)[0] for seed in (1, 2, 3))]
     after = [run(seed)[0] for seed in (4, 5, 6, 7)]
-    beyond = [np.sign(of_run.position) * np.maximum(np.abs(of_run.position) - 8e-3, 0.0) for of_run in after]
-    stopped = [replace(of_run, force=of_run.force + 2e5 * depth) for of_run, depth in zip(after, beyond, strict=True)]
-    diagnosis = diagnose(stopped, "bouc_wen", reference=before, effects=("end_stop", "moving_mass", "joint_play"))
+    diagnosis = diagnose(
+        [stopped(of_run, 2e5) for of_run in after],
+        "bouc_wen",
+        reference=before,
+        effects=("end_stop", "moving_mass", "joint_play"),
+    )
     assert [cause.effect for cause in diagnosis.causes] == ["end_stop"]
 
 
@@ -156,12 +165,8 @@ def test_two_runs_before_and_two_after_that_reach_an_end_stop_tell_of_it(stiffne
     reaches = (1.2, 1.0, 0.5, 0.5)
     before = [run(seed, reach=reach)[0] for seed, reach in enumerate(reaches)]
     after = [run(seed, reach=reach)[0] for seed, reach in enumerate(reaches, 4)]
-    beyond = [np.sign(of_run.position) * np.maximum(np.abs(of_run.position) - 8e-3, 0.0) for of_run in after]
-    stopped = [
-        replace(of_run, force=of_run.force + stiffness * depth)
-        for of_run, depth, stiffness in zip(after, beyond, (*stiffnesses, 0.0, 0.0), strict=True)
-    ]
-    diagnosis = diagnose(stopped, "bouc_wen", reference=before, effects=("end_stop", "moving_mass", "joint_play"))
+    after = [*map(stopped, after, stiffnesses), *after[2:]]
+    diagnosis = diagnose(after, "bouc_wen", reference=before, effects=("end_stop", "moving_mass", "joint_play"))
     assert [cause.effect for cause in diagnosis.causes] == (["end_stop"] if any(stiffnesses) else [])
 
 

@@ -133,12 +133,13 @@ class BenchClient:
         REFUSALS.subscription(self.node, lambda refusal: self._refusals.append(refusal.data))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        names = {status.name.partition(":")[0] for status in message.status}
-        self._nodes_up |= names
-        for status in message.status:
-            if status.name.partition(":")[0] == f"{self.node.get_namespace().strip('/')}/page":
-                self._page_address = next((entry.value for entry in status.values if entry.key == "address"), "")
-        if f"{self.node.get_namespace().strip('/')}/supervisor" in names:
+        namespace = self.node.get_namespace().strip("/")
+        values = {status.name.partition(":")[0]: status.values for status in message.status}
+        self._nodes_up |= values.keys()
+        for entry in values.get(f"{namespace}/page", ()):
+            if entry.key == "address":
+                self._page_address = entry.value
+        if f"{namespace}/supervisor" in values:
             self._supervisor_heard = time.monotonic()
 
     def _on_recorder_state(self, status: DiagnosticStatus) -> None:

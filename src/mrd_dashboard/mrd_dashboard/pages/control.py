@@ -19,7 +19,7 @@ from mrd_dashboard.hybrid_form import (
     hybrid_text,
     shipped_form,
 )
-from mrd_dashboard.hybrid_view import WINDOW
+from mrd_dashboard.hybrid_view import LEAST, WINDOW
 from mrd_dashboard.jobs import JobRequest
 from mrd_dashboard.pages.notes import busy, tell
 from mrd_dashboard.pages.plots import MEASURED, PREDICTED, Panel, chart, fresh_chart, hybrid_panels, legend
@@ -206,6 +206,6 @@ def _live(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> None
             with metrics:
                 _table(found.rows)
                 if not found.rows:
-                    ui.label("They are shown once a test has run for two seconds.").classes("text-sm opacity-80")
+                    ui.label(f"They are shown once a test has run for {LEAST:g} s.").classes("text-sm opacity-80")
 
     ui.timer(REFRESH, refresh)

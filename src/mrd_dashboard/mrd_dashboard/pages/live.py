@@ -51,7 +51,7 @@ def _plots(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
             .classes("w-64")
             .mark("prediction")
         )
-    names = ui.row().classes("w-full")
+    names = ui.element()
     plots = fresh_chart({}, "/live.json", FRAME_PERIOD)
     plots.style("height: max(560px, calc(100vh - 240px))").mark("plots")
 

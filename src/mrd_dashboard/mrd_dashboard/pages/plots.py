@@ -113,8 +113,9 @@ def _axis(index: int, name: str, limits: tuple[float, ...], show_limits: bool, g
     }
     if limits:
         margin = 0.06 * (max(limits) - min(limits))
-        ends = (min(limits) - margin, max(limits) + margin) if show_limits else (None, None)
-        axis |= dict(zip(("min", "max"), ends, strict=True))  # without None, a chart would keep the ends that it had
+        # Without None, a chart would keep the ends that it had.
+        axis["min"] = min(limits) - margin if show_limits else None
+        axis["max"] = max(limits) + margin if show_limits else None
     return axis
 
 

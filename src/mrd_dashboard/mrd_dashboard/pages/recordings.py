@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import re
 from collections.abc import Callable
 from datetime import datetime
 from functools import partial
@@ -261,10 +260,13 @@ def _facts(look: Look | None) -> None:
 
 def _begun(started: str) -> str:
     """Return when a recording was begun, by the clock of this machine as in the names of folders."""
-    if re.search(r"T.*[+Z-]", started):  # with a time and its zone
-        with contextlib.suppress(ValueError):
-            started = f"{datetime.fromisoformat(started).astimezone():%Y-%m-%d %H:%M}"
-    return f"begun {started}" if started else "unknown date"
+    if not started:
+        return "unknown date"
+    with contextlib.suppress(ValueError):
+        begun = datetime.fromisoformat(started)
+        if begun.tzinfo is not None:  # else nobody knows by which clock it is
+            started = f"{begun.astimezone():%Y-%m-%d %H:%M}"
+    return f"begun {started}"
 
 
 def _comparison(names: list[str], series: list[dict[str, Any]]) -> None:
