@@ -82,7 +82,7 @@ def test_a_hybrid_test_is_recorded_and_agrees_with_its_offline_twin(bench: Any, 
     unstable = replace(SHIPPED, system=stiff, delay=0.08, lag=0.0, predictor="none", name="unstable")
     result = bench.client.run_control(format_control_experiment(unstable), tmp_path / "unstable", 1)
     assert not result.success
-    assert "the hybrid loop is unstable: it bears" in result.message
+    assert "the hybrid loop is unstable: at 0.4 A it is stable up to" in result.message
     assert not (tmp_path / "unstable").exists()
 
 
