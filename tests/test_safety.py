@@ -85,6 +85,35 @@ def publish(bench: Any, qos: QoSProfile) -> None:
     bench.client.node.destroy_publisher(publisher)
 
 
+# Sensors
+
+
+def test_a_dead_lvdt_homes_no_rod(bench: Any, tmp_path: Path) -> None:
+    """Unplugged, it reads mid-stroke; the rod stands elsewhere. Neither a retry nor a run sets the encoder by it."""
+    bench.mode = bench.subscribe("bench_state", BenchState, LATCHED)
+    bench.set_fault("disconnect_position")
+    assert bench.client.spin(lambda: bool(bench.truth and bench.servo), 10)
+    begin = bench.truth[-1].position[0]
+    assert abs(begin) > 5e-3
+    for bag in ("first", "second"):
+        result = bench.client.run_experiment(SHORT, tmp_path / bag, 0)
+        assert not result.success
+        assert "homing: LVDT and encoder disagree" in result.message
+        assert "by 0.00 mm by the LVDT; look for an unplugged or stuck LVDT" in result.message
+        assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.FAULT, 10)
+        reset(bench)
+    response = service(bench, "home", timeout=60.0)
+    assert not response.success
+    assert "homing: LVDT and encoder disagree" in response.message
+    bench.time_to_rest(bench.clock.now(), 0.2)
+    assert not any(state.homed for state in bench.servo)
+    assert 1.9e-3 < max(abs(state.position[0] - begin) for state in bench.truth) < 2.2e-3
+    bench.set_fault("")
+    reset(bench)
+    result = bench.client.run_experiment(SHORT, tmp_path / "mended", 0)
+    assert result.success, result.message
+
+
 # Watchdogs
 
 

@@ -26,6 +26,7 @@ from mrd_bench_driver.servo.homing import Phase
 from mrd_bench_driver.servo.motor_setup import MotorIdentity
 from mrd_bench_driver.servo.smartmotor import STATUS_0, Drivetrain, MotorUnits, ReplyError
 from mrd_bench_driver.servo.streaming import RodSetpoint
+from mrd_trajectory.limits import Limits
 
 pytestmark = pytest.mark.realtime
 
@@ -255,6 +256,69 @@ def test_homing_compares_at_the_end():
     assert not bench.status.homed
 
 
+def unplug_lvdt(bench: SimulatedServo, reading: float = 0.0) -> None:
+    original = bench.servo.add_samples
+    bench.servo.add_samples = lambda t, dt, x: original(t, dt, np.full(np.size(x), reading))
+
+
+@pytest.mark.parametrize("tolerance", [0.5 * MM, 10 * MM])
+@pytest.mark.parametrize("reading", [0.0, 0.01 * MM, -1.9 * MM])
+def test_homing_does_not_believe_an_unplugged_lvdt(reading, tolerance):
+    """It reads mid-stroke wherever the rod stands. Further attempts do not bring the rod nearer to its end."""
+    bench = SimulatedServo(position=20 * MM, homing_tolerance=tolerance)
+    unplug_lvdt(bench, reading)
+    for _ in range(4):
+        assert bench.servo.home(bench.now).success
+        bench.run(4.0)
+        assert re.search(r"LVDT and encoder .* moved by -?2\.0\d mm by the encoder, by -?0\.00 mm", bench.status.message)
+        assert "unplugged or stuck LVDT" in bench.status.message
+        assert bench.status.fault
+        assert not bench.status.homed
+        assert bench.motor.velocity == 0
+        assert bench.servo.reset_fault(bench.now).success
+        bench.run(0.1)
+    assert max(abs(rod - 20 * MM) for _, rod in bench.trace) < 2.2 * MM
+
+
+def test_an_lvdt_that_dies_in_a_run_does_not_set_the_origin(homed):
+    wanted = sine(homed)
+    homed.run(1.2, wanted)
+    homed.servo.stop()
+    homed.run(0.3)
+    assert abs(homed.rod) > 2.5 * MM
+    begin = homed.rod
+    unplug_lvdt(homed)
+    homed.trace.clear()
+    assert homed.servo.home(homed.now).success
+    homed.run(4.0)
+    assert "LVDT and encoder disagree" in homed.status.message
+    assert not homed.status.homed
+    # What the encoder still knows of mid-stroke shows where there is room.
+    assert abs(homed.rod) < abs(begin)
+    assert max(abs(rod - begin) for _, rod in homed.trace) < 2.2 * MM
+
+
+@pytest.mark.parametrize("position", [0.0, 0.3 * MM, 1.9 * MM, -1.9 * MM])
+def test_homing_near_mid_stroke_sees_the_lvdt_follow_before_it_goes_there(position):
+    bench = SimulatedServo(position=position)
+    assert bench.servo.home(bench.now).success
+    bench.run(4.0)
+    assert bench.status.homed, bench.status
+    assert abs(bench.rod) < 0.05 * MM
+    assert 1.9 * MM < max(abs(rod - position) for _, rod in bench.trace) < 2.2 * MM
+    times, rods = np.array(bench.trace).T
+    assert np.abs(np.diff(rods) / np.diff(times)).max() < 1.2 * bench.config.homing_speed
+
+
+@pytest.mark.parametrize("position", [0.0, 0.4 * MM, -0.4 * MM])
+def test_homing_near_mid_stroke_keeps_within_a_short_stroke(position):
+    bench = SimulatedServo(position=position, limits=Limits(stroke=5 * MM))
+    assert bench.servo.home(bench.now).success
+    bench.run(4.0)
+    assert bench.status.homed, bench.status
+    assert max(abs(rod) for _, rod in bench.trace) < bench.config.limits.reach
+
+
 def test_a_rod_beyond_the_limits_can_be_homed():
     bench = SimulatedServo(position=27.2 * MM)
     bench.servo.home(bench.now)
@@ -430,10 +494,11 @@ def test_a_stop_before_the_drive_is_switched_on_is_no_fault(begin):
     assert bench.status.homed, bench.status
 
 
-def test_a_stop_at_any_instant_of_the_homing_is_no_fault():
-    """Among them is the instant at which the origin waits to be sent."""
-    for duration in np.arange(0.0, 0.6, 0.005):
-        bench = SimulatedServo(position=4 * MM)
+@pytest.mark.parametrize(("position", "instants"), [(4 * MM, np.arange(0.0, 0.6, 0.005)), (0.0, np.arange(0.2, 1.3, 0.01))])
+def test_a_stop_at_any_instant_of_the_homing_is_no_fault(position, instants):
+    """Among them is the instant at which the origin waits to be sent. From mid-stroke, the rod goes away and comes back."""
+    for duration in instants:
+        bench = SimulatedServo(position=position)
         assert bench.servo.home(bench.now).success
         bench.run(duration)
         bench.servo.tick(bench.now)
@@ -442,6 +507,8 @@ def test_a_stop_at_any_instant_of_the_homing_is_no_fault():
         bench.run(0.3)
         assert abs(bench.rod - travel) < 1 * MM
         assert bench.status.message == "", duration
+        assert not bench.status.homed, duration
+        assert bench.motor.velocity == 0
 
 
 def test_a_button_that_is_held_switches_the_drive_off_too(homed):

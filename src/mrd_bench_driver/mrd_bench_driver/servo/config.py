@@ -30,5 +30,5 @@ class ServoConfig:
     )
     homing_speed: float = quantity(0.01, "mm/s", "greatest speed of homing", lower=1e-3, upper=0.05)
     homing_tolerance: float = quantity(
-        0.0005, "mm", "largest difference of encoder and LVDT after homing", lower=1e-5, upper=0.01
+        0.0005, "mm", "largest difference of encoder and LVDT in homing, at most half of its travel", lower=1e-5, upper=0.01
     )

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mrd_bench_driver.servo.config import ServoConfig
-from mrd_bench_driver.servo.homing import REST_TOLERANCE, Homing, HomingError, Phase
+from mrd_bench_driver.servo.homing import LEAST_TRAVEL, REST_TOLERANCE, Homing, HomingError, Phase
 from mrd_bench_driver.servo.motor_setup import MotorIdentity
 from mrd_bench_driver.servo.rod_estimator import PositionJumpError, RodEstimator
 from mrd_bench_driver.servo.smartmotor import (
@@ -182,7 +182,9 @@ class ServoController:
                 return Response(False, f"the servo is {self._activity.value}; stop it first")
             self._switch_on(now)
             self._homed, self._armed, self._note = False, True, ""
-            self._homing = Homing(now, self._rod.position, self.config.homing_speed, self.config.homing_tolerance)
+            config = self.config
+            travel = min(LEAST_TRAVEL, config.limits.reach / 2)  # so that the rod stays within a short stroke
+            self._homing = Homing(now, self._rod.position, config.homing_speed, config.homing_tolerance, travel)
             self._activity = Activity.HOMING
             return Response(True, "homing started")
 
