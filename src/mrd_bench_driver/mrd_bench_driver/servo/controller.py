@@ -240,7 +240,7 @@ class ServoController:
                 temperature=math.nan if temperature is None else float(temperature),
                 status=self._values.get(STATUS_0, 0),
                 connected=self._connected,
-                enabled=self._drive_on and self._armed,
+                enabled=self._drive_on,
                 homed=self._homed,
                 moving=self._connected and (motor.moving or abs(self._rod.velocity) > STANDSTILL_SPEED),
                 fault=bool(self._fault),
