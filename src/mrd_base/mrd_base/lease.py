@@ -135,7 +135,7 @@ class LeaseWatch:
             return reason
         if not self.lease.mode.takes_setpoints:
             return f"the bench is in mode {self.lease.mode}"
-        return "" if number == self.lease.number else f"it carries lease {number}, not {self.lease.number}"
+        return "" if number == self.lease.number != 0 else f"it carries lease {number}, not {self.lease.number}"
 
     def reason_not_to_change(self, now: float) -> str:
         """Return why nothing may be changed that would spoil a run, or ""."""

@@ -16,6 +16,7 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
 from mrd_bench_driver.supervision.modes import Mode
+from mrd_bench_driver.supervision.operations import BenchOperations
 from mrd_bench_driver.supervision.supervisor import Supervisor
 
 EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
@@ -226,6 +227,31 @@ def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
         peers.supervisor.home()
     assert peers.calls == ["servo/home", "servo/rest"]
     assert peers.modes[-1] == (Mode.IDLE, "ended early")
+
+
+def test_a_servo_that_does_not_rest_after_the_homing_ends_it_all_the_same(peers: FakePeers) -> None:
+    """In mode homing without a procedure, the servo would home for anybody."""
+    peers.refusals["servo/rest"] = "no answer"
+    with pytest.raises(RefusedError, match="no answer"):
+        peers.supervisor.home()
+    assert peers.supervisor.procedure == ""
+    assert peers.modes[-1] == (Mode.IDLE, "ended early")
+
+
+def test_a_stop_at_the_very_end_of_the_request_ends_a_control_by_hand(
+    peers: FakePeers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It finds the request still under way, which looks no more at whether it is to end."""
+    enable = BenchOperations.enable
+
+    def stop_then(bench: BenchOperations) -> None:
+        enable(bench)
+        assert peers.supervisor.stop() == "stopped"
+
+    monkeypatch.setattr(BenchOperations, "enable", stop_then)
+    with pytest.raises(CancelledError):
+        peers.supervisor.control()
+    assert (peers.supervisor.mode.current, peers.supervisor.mode.lease) == (Mode.IDLE, 0)
 
 
 def test_an_emergency_stop_ends_a_request_with_its_reason(peers: FakePeers) -> None:

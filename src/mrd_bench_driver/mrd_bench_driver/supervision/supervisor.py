@@ -140,7 +140,7 @@ class Supervisor:
             with self._halt_on_failure(bench):
                 bench.enter(Mode.HOMING, "home")
                 bench.centre(always=True)
-            bench.halt()
+                bench.halt()
             self.mode.leave("homed")
         return "the rod stands at mid-stroke"
 
@@ -154,7 +154,11 @@ class Supervisor:
                 bench.centre()
                 bench.enter(Mode.CONTROL, "control")
                 bench.enable()
-        return f"the rod follows setpoints that carry lease {self.mode.lease}"
+                number = self.mode.lease
+        # From here on, a stop ends the mode itself. One that came before has left that to this request.
+        with self._clock.busy(), self._halt_on_failure(bench):
+            self._raise_if_interrupted()
+        return f"the rod follows setpoints that carry lease {number}"
 
     def stop(self) -> str:
         """Stop whatever runs; return the message of success."""
