@@ -2,8 +2,10 @@
 
 import array
 import signal
+import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.nodes.graph import COMMAND, LATCHED, RECORDED, REFUSALS
 from mrd_bench_driver.nodes.supervisor import SupervisorNode
+from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_interfaces.action import RunExperiment, RunSet
 from mrd_interfaces.msg import BenchSamples, BenchState, Lease, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
@@ -483,6 +486,40 @@ def test_a_supervisor_whose_requests_nobody_serves_any_more_ends(monkeypatch: py
     node.destroy_node()
     rclpy.shutdown()
     assert signals == [signal.SIGTERM]
+
+
+class SlowMode(BenchMode):
+    """It lets another thread work for a while between any two changes of what it is."""
+
+    def __init__(self, meanwhile: Callable[[], None]) -> None:
+        object.__setattr__(self, "_meanwhile", lambda: None)
+        super().__init__(lambda _mode: None)
+        object.__setattr__(self, "_meanwhile", meanwhile)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+        thread = threading.Thread(target=self._meanwhile)
+        thread.start()
+        thread.join(0.05)
+
+
+def test_a_renewal_during_a_change_has_mode_and_number_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lease that lets the rod follow the number 0 would let it follow whoever gives none."""
+    monkeypatch.setattr("sys.argv", ["supervisor"])
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/changing"])
+    node = SupervisorNode()
+    leases: list[Lease] = []
+    monkeypatch.setattr(node, "_lease", SimpleNamespace(publish=leases.append))
+    mode = SlowMode(lambda: node._renew_lease(mode))
+    for new in (Mode.HOMING, Mode.IDENTIFICATION):
+        mode.enter(new, "run_experiment")
+        node._renew_lease(mode)
+    mode.leave("stopped")
+    node.close()
+    node.destroy_node()
+    rclpy.shutdown()
+    assert Mode.IDENTIFICATION in {lease.mode for lease in leases}
+    assert [lease for lease in leases if Mode(lease.mode).takes_setpoints is not (lease.number > 0)] == []
 
 
 @pytest.mark.parametrize("step", STEPS[:3])

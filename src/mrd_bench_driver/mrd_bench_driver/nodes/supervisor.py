@@ -86,7 +86,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._lease = LEASE.publisher(self)
         self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
         self._late, self._stop_sent = 0, -math.inf
-        self._renewed, self._lease_lock = -math.inf, threading.Lock()
+        self._renewed = -math.inf
         self._supervisor = Supervisor(self.config, self.bench, self._peers, self._announce, self._send_emergency_stop)
         hear_emergency_stop(self, self._on_emergency_stop)
         LEASE.subscription(self, self._on_lease)
@@ -230,8 +230,8 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             self._renew_lease(self._supervisor.mode)
 
     def _renew_lease(self, mode: BenchMode) -> None:
-        # Mode and number are read under the lock, so that no renewal with an earlier mode comes after a change.
-        with self._lease_lock:
+        # Mode and number are of one instant, and no renewal with an earlier mode comes after a change.
+        with mode.lock:
             self._renewed = self.bench.now()
             lease = Lease(
                 holder=self._holder, since=self._since, mode=int(mode.current), number=mode.lease, source=mode.source
