@@ -344,6 +344,12 @@ def test_impossible_setpoints_are_refused(homed, bad, line):
     assert not homed.servo.enable(True, homed.now).success
 
 
+@pytest.mark.parametrize(("age", "followed"), [(0.12, True), (0.14, False), (-0.12, True), (-0.14, False)])
+def test_neither_old_setpoints_nor_those_from_the_future_are_followed(homed, age, followed):
+    homed.servo.follow(RodSetpoint(homed.now - age, homed.rod, 0, 0), homed.now)
+    assert homed.servo.ignored_setpoints == (0 if followed else 1)
+
+
 def test_setpoints_before_homing_are_ignored():
     bench = SimulatedServo()
     bench.servo.enable(True, bench.now)

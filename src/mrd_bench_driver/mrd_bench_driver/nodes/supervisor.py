@@ -22,6 +22,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError
+from mrd_base.lease import is_timely
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     BENCH_STATE,
@@ -198,7 +199,9 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
     def _on_setpoint(self, setpoint: Setpoint) -> None:
         # A setpoint that nobody follows must not hide that the others have ended.
         if setpoint.lease == self._supervisor.mode.lease:
-            self._supervisor.monitor.add_setpoint(self.bench.now())
+            now, stamp = self.bench.now(), seconds(setpoint.header.stamp)
+            timely = is_timely(stamp, now, self.config.setpoint_timeout)
+            self._supervisor.monitor.add_setpoint(now, 0.0 if timely else now - stamp)
 
     def _on_control_cycle(self, cycle: ControlCycle) -> None:
         self._supervisor.monitor.add_control_cycle(cycle.work, cycle.power)

@@ -40,15 +40,15 @@ class Trip:
     message: str
 
 
+_CLOCK = "the machine's clock was set after one node and before another was started: restart the bench"
+
+
 def _stale(name: str, age: float, limit: float, remedy: str) -> str:
     # An age of nan is stale, too, and so is one in the future: it would hide for how long its source is silent.
     if abs(age) <= limit:
         return ""
     if age < 0:
-        return (
-            f"the latest {name} lies {-age:.3g} s in the future, limit {1e3 * limit:.0f} ms; the machine's clock was set "
-            "after one node and before another was started: restart the bench"
-        )
+        return f"the latest {name} lies {-age:.3g} s in the future, limit {1e3 * limit:.0f} ms; {_CLOCK}"
     finding = f"the latest {name} is {1e3 * age:.0f} ms old" if age < math.inf else f"no {name} came"
     return f"{finding}, limit {1e3 * limit:.0f} ms; {remedy}"
 
@@ -80,7 +80,14 @@ def check_servo_fault(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -
 
 def check_setpoint(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
     """Trip if the generator, or the controller, has fallen silent during an experiment."""
-    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, f"check the {now.setpoint_source}")
+    remedy, lag = f"check the {now.setpoint_source}", now.setpoint_lag
+    if lag:
+        when = "before" if lag > 0 else "after"
+        remedy = (
+            f"those of the {now.setpoint_source} are stamped {abs(lag):.3g} s {when} they come, so that servo or daq "
+            f"do not follow them; {_CLOCK}"
+        )
+    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, remedy)
 
 
 def check_position_sensors(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
