@@ -26,6 +26,9 @@ class SupervisorConfig:
         lower=0.01,
         upper=1,
     )
+    control_timeout: float = quantity(
+        10.0, "s", "bench time without a setpoint after which a control by hand ends", lower=1, upper=600
+    )
     runs: str = quantity("runs", doc="folder of the bags whose goal names none")
     discovery_timeout: float = quantity(10.0, "s", "wall time to wait for the other nodes", lower=0.1, upper=120)
     answer_timeout: float = quantity(5.0, "s", "wall time to wait for a response", lower=0.1, upper=120)

@@ -102,6 +102,8 @@ class BenchMonitor:
     sources : dict of str to SourceState
         States of the experiments of ``generator`` and ``controller``. Each counts only in a run of its own: whatever the
         other one is asked meanwhile must not end it.
+    setpoint_time : float
+        When the latest setpoint came that is followed.
     daq_problem : str
         Why the DAQ has stopped, or "".
     recorder_state, recording_problem : str
@@ -126,7 +128,7 @@ class BenchMonitor:
         self.recorder_state = self.recording_problem = ""
         self.recorder_time = -math.inf
         self.recorder_changed = clock.waiter()
-        self._setpoint_time, self._setpoint_lag = -math.inf, 0.0
+        self.setpoint_time, self._setpoint_lag = -math.inf, 0.0
         self._block_mean = (-math.inf, math.nan)  # time and mean position in m of the latest block
         self._samples = Snapshot()  # only the values of the samples are filled in
 
@@ -180,7 +182,7 @@ class BenchMonitor:
         """Note a setpoint that is to be followed, unless its stamp is too far behind ``now``, by ``lag`` s."""
         self._setpoint_lag = lag
         if not lag:
-            self._setpoint_time = now
+            self.setpoint_time = now
 
     def add_daq_problem(self, problem: str) -> None:
         """Note why the DAQ has stopped, or "". It repeats a problem when somebody stops it once more."""
@@ -216,7 +218,7 @@ class BenchMonitor:
         servo, source = self.servo, self.sources[setpoint_source]
         running = bool(followed) and source.state == "running"
         # The first setpoint may come after the state, so that the age of setpoints counts from the state at the earliest.
-        latest = max(self._setpoint_time, source.time)
+        latest = max(self.setpoint_time, source.time)
         return dataclasses.replace(
             self._samples,
             sample_age=now - self.sample_time,
