@@ -20,11 +20,7 @@ class SupervisorConfig:
         0.1, "ms", "pause of the supervisor after which it trips, and names itself as the cause", lower=0.04, upper=1
     )
     setpoint_timeout: float = quantity(
-        0.1,
-        "ms",
-        "age of a setpoint from which it is no sign of life, as servo or daq do not follow it",
-        lower=0.01,
-        upper=1,
+        0.1, "ms", "age of a setpoint that servo or daq do not follow, so that it is no sign of life", lower=0.01, upper=1
     )
     control_timeout: float = quantity(
         10.0, "s", "bench time without a setpoint after which a control by hand ends", lower=1, upper=600

@@ -11,6 +11,9 @@ from mrd_base import quantity
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
+# Why the time of one node may differ from that of another, and what helps.
+_CLOCK = "the machine's clock was set after one node and before another was started: restart the bench"
+
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -38,9 +41,6 @@ class Trip:
 
     interlock: str
     message: str
-
-
-_CLOCK = "the machine's clock was set after one node and before another was started: restart the bench"
 
 
 def _stale(name: str, age: float, limit: float, remedy: str) -> str:
