@@ -37,6 +37,7 @@ coil: {waveform: constant, level_mA: 100.0}
 """
 SHORT = LONG.replace("duration_s: 30.0", "duration_s: 3.0")
 
+DRIVE_OFF = 1 << 1  # in status word 0 of the motor
 ORDINARY = QoSProfile(depth=10)
 SENSOR = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
 
@@ -432,6 +433,52 @@ def test_a_stop_in_any_phase_of_a_run_leaves_a_bench_that_runs_again(shared_benc
     stop.destroy()
     result = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
     assert result.success, result.message
+
+
+CONTROL_ENDS = {
+    "silence": (lambda _bench: None, "no setpoint to follow came for 10 s; call control again"),
+    "servo/stop": (lambda bench: service(bench, "servo/stop"), "somebody stopped the rod (by servo/stop or servo/enable)"),
+}
+
+
+@pytest.mark.parametrize("way", CONTROL_ENDS)
+def test_a_control_by_hand_that_ends_leaves_drive_and_coil_off(way: str, shared_bench: Any) -> None:
+    bench = shared_bench
+    end, reason = CONTROL_ENDS[way]
+    setpoints = bench.client.node.create_publisher(Setpoint, "setpoint", ORDINARY)
+    assert bench.client.spin(lambda: setpoints.get_subscription_count() >= 3, 10)
+    number = int(service(bench, "control", SetBool, data=True).message.rsplit(" ", 1)[1])
+
+    def drive() -> None:
+        message = Setpoint(position=bench.servo[-1].position, coil_current=0.5, lease=number)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * bench.clock.now()), 10**9)
+        with bench.clock.busy():  # so that it is not old when it comes
+            setpoints.publish(message)
+            bench.client.spin(lambda: False, 0.05)
+
+    def driven() -> bool:
+        drive()
+        return any(output.coil_command > 0 for output in bench.output[outputs:])
+
+    assert bench.client.spin(lambda: not bench.servo[-1].status & DRIVE_OFF, 10)
+    outputs = len(bench.output)
+    assert bench.client.spin(driven, 10), "the control does not begin"
+    assert bench.mode[-1].mode == BenchState.CONTROL
+    last = bench.clock.now()
+    end(bench)
+    assert bench.client.spin(lambda: bench.mode[-1].mode == BenchState.IDLE, 60)
+    assert bench.mode[-1].message == reason
+    if way == "silence":
+        assert seconds(bench.mode[-1].header.stamp) - last == pytest.approx(10.0, abs=0.3)
+    assert bench.client.spin(lambda: bench.servo[-1].status & DRIVE_OFF, 10), "the drive stays on"
+    assert not bench.servo[-1].enabled
+    outputs = len(bench.output)
+    for _ in range(5):
+        drive()
+    assert bench.output[-1].coil_command == 0
+    assert len(bench.output) == outputs, "the coil follows"
+    assert bench.servo[-1].status & DRIVE_OFF
+    bench.client.node.destroy_publisher(setpoints)
 
 
 # Two of them

@@ -11,6 +11,8 @@ from enum import IntEnum
 # Bench time in s for which a stop of an idle bench is remembered, because the lease of a procedure that has just begun may
 # still be under way.
 _STOP_MEMORY = 0.04
+# Time in s by which setpoints may be stamped ahead: those of a hybrid test are by the servo's delay, up to 0.1 s.
+_LARGEST_LEAD = 0.13
 
 
 class Mode(IntEnum):
@@ -62,6 +64,11 @@ class Lease:
     mode: Mode = Mode.IDLE
     number: int = 0
     source: str = ""
+
+
+def is_timely(stamp: float, now: float, timeout: float) -> bool:
+    """Whether a setpoint that comes ``now`` is to be followed: not one older than the timeout, or from the future."""
+    return -_LARGEST_LEAD <= now - stamp <= timeout
 
 
 class LeaseWatch:
@@ -135,7 +142,7 @@ class LeaseWatch:
             return reason
         if not self.lease.mode.takes_setpoints:
             return f"the bench is in mode {self.lease.mode}"
-        return "" if number == self.lease.number else f"it carries lease {number}, not {self.lease.number}"
+        return "" if number == self.lease.number != 0 else f"it carries lease {number}, not {self.lease.number}"
 
     def reason_not_to_change(self, now: float) -> str:
         """Return why nothing may be changed that would spoil a run, or ""."""

@@ -35,6 +35,8 @@ def test_setpoints_need_the_number_of_the_lease() -> None:
     assert lease.reason_not_to_follow(7, 100.0) == ""
     assert lease.reason_not_to_follow(0, 100.0) == "it carries lease 0, not 7"
     assert [lease.was_granted(number) for number in (7, 0, 6)] == [True, False, False]
+    none = watch(dataclasses.replace(OWN, number=0))
+    assert none.reason_not_to_follow(0, 100.0), "no number is none"
     # Those that were under way when the lease ended are no stranger's.
     lease.renew(dataclasses.replace(OWN, time=100.04, mode=Mode.IDLE, number=0), 100.04)
     assert lease.reason_not_to_follow(7, 100.04) == "the bench is in mode idle; call home, control or run_experiment of one"

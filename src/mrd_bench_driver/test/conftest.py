@@ -17,7 +17,10 @@ from mrd_bench_driver.processes import BenchProcesses, ProcessSpec
 # also runs other tests may stand still for longer. The reactions are measured in bench time, by tests of the whole bench.
 PATIENCE = 1.0
 PATIENT = {
-    "supervisor": ("late_ms", "stall_ms", *(f"interlocks.{what}_stale_ms" for what in ("samples", "servo", "setpoint"))),
+    "supervisor": (
+        *("late_ms", "stall_ms", "setpoint_timeout_ms"),
+        *(f"interlocks.{what}_stale_ms" for what in ("samples", "servo", "setpoint")),
+    ),
     "daq": ("lease_timeout_ms",),
     "servo": ("setpoint_timeout_ms", "feedback_timeout_ms", "lease_timeout_ms"),
 }

@@ -92,6 +92,13 @@ def test_a_stop_that_the_converter_refuses_is_tried_again_and_told(bench: Bench)
     assert bench.daq.health()[0] == "no answer"
 
 
+@pytest.mark.parametrize(("age", "followed"), [(0.09, True), (0.11, False), (-0.12, True), (-0.14, False)])
+def test_neither_old_setpoints_nor_those_from_the_future_are_followed(bench: Bench, age: float, followed: bool) -> None:
+    bench.daq.set_coil_current(0.5, bench.clock.now() - age)
+    assert bench.output == (2.5 if followed else 0.0)
+    assert bench.daq.health()[1]["refused"] == ("" if followed else f"a setpoint is stamped {age:g} s before it came")
+
+
 def test_old_setpoints_whose_end_the_converter_refuses_are_a_fault(bench: Bench) -> None:
     bench.drive()
     bench.fail = "no answer"

@@ -199,7 +199,7 @@ def test_the_coil_follows_fresh_setpoints_within_its_limits(terminals: Terminals
     graph.during(0.1)
     assert terminals.volts() == 0.0
     # A stamp from the future does not keep the coil on.
-    terminals.setpoint(0.5, age=-100.0)
+    terminals.setpoint(0.5, age=-0.09)
     graph.until(lambda: terminals.volts() != 0.0)
     graph.until(lambda: terminals.volts() == 0.0)
 

@@ -122,6 +122,11 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
         ({"servo_fault": True, "servo_message": "motor: over-temperature"}, "motor: over-temperature"),
         ({"servo_fault": True}, "the motor or its driver stopped"),
         ({"servo_stopped": True, "servo_message": "emergency stop"}, "emergency stop"),
+        (
+            {"setpoint_age": 0.16, "setpoint_lag": 0.2},
+            "the latest setpoint is 160 ms old, limit 150 ms; those of the generator are stamped 0.2 s before they come, so "
+            "that servo or daq do not follow them; the machine's clock was set",
+        ),
         ({"current": -0.2}, "-0.200 A through the coil, allowed -0.100 to 1.100 A"),
     ],
 )
@@ -165,6 +170,11 @@ def test_a_bench_that_has_published_nothing_is_not_healthy() -> None:
 def test_the_shipped_tolerances_are_the_defaults() -> None:
     parameters = read_node_parameters(BENCH, "supervisor")
     assert from_mapping(Tolerances, parameters["interlocks"], "interlocks") == TOLERANCES
+
+
+def test_no_setpoint_that_servo_or_daq_ignores_is_a_sign_of_life() -> None:
+    timeouts = {node: read_node_parameters(BENCH, node)["setpoint_timeout_ms"] for node in ("servo", "daq", "supervisor")}
+    assert timeouts["supervisor"] == min(timeouts.values())
 
 
 # Modes

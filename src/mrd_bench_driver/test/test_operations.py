@@ -16,6 +16,7 @@ from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.config import SupervisorConfig
 from mrd_bench_driver.supervision.errors import CancelledError, RefusedError, TrippedError
 from mrd_bench_driver.supervision.modes import Mode
+from mrd_bench_driver.supervision.operations import BenchOperations
 from mrd_bench_driver.supervision.supervisor import Supervisor
 
 EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: constant}}"
@@ -24,7 +25,7 @@ EXPERIMENT = "{name: short, duration_s: 0.5, rate_hz: 1000, rod: {waveform: cons
 class FakePeers:
     """Peers that do at once what they are asked, and whose data are published by `publish`."""
 
-    def __init__(self, late: float = 1.0) -> None:
+    def __init__(self, **changes: float) -> None:
         self.calls: list[str] = []
         self.refusals: dict[str, str] = {}
         self.effects: dict[str, Callable[[], None]] = {}
@@ -35,7 +36,8 @@ class FakePeers:
         self.force, self.rate, self.state, self.recorder = 0.0, 100.0, "", "idle"
         self.modes: list[tuple[Mode, str]] = []
         self.emergency_stops: list[bool] = []
-        config = SupervisorConfig(answer_timeout=0.2, discovery_timeout=0.1, late=late, stall=1.0)
+        timeouts = {"answer_timeout": 0.2, "discovery_timeout": 0.1, "late": 1.0, "stall": 1.0}
+        config = SupervisorConfig(**{**timeouts, **changes})  # type: ignore[arg-type]
         self.supervisor = Supervisor(
             config, self.clock, self, lambda mode: self.modes.append((mode.current, mode.reason)), self._on_emergency_stop
         )
@@ -97,7 +99,7 @@ class FakePeers:
 @pytest.fixture
 def peers(request: pytest.FixtureRequest) -> Any:
     """Peers whose data a thread publishes, as the executor of the node does."""
-    peers = FakePeers(*getattr(request, "param", ()))
+    peers = FakePeers(**getattr(request, "param", {}))
     ended = threading.Event()
 
     def publish() -> None:
@@ -152,7 +154,7 @@ def test_an_interlock_ends_an_experiment_and_reset_fault_needs_health(peers: Fak
     assert peers.supervisor.mode.current is Mode.IDLE
 
 
-@pytest.mark.parametrize("peers", [(0.5,)], indirect=True)
+@pytest.mark.parametrize("peers", [{"late": 0.5}], indirect=True)
 def test_a_machine_that_is_too_slow_is_named_before_and_after_a_run(
     peers: FakePeers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -226,6 +228,31 @@ def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
         peers.supervisor.home()
     assert peers.calls == ["servo/home", "servo/rest"]
     assert peers.modes[-1] == (Mode.IDLE, "ended early")
+
+
+def test_a_servo_that_does_not_rest_after_the_homing_ends_it_all_the_same(peers: FakePeers) -> None:
+    """In mode homing without a procedure, the servo would home for anybody."""
+    peers.refusals["servo/rest"] = "no answer"
+    with pytest.raises(RefusedError, match="no answer"):
+        peers.supervisor.home()
+    assert peers.supervisor.procedure == ""
+    assert peers.modes[-1] == (Mode.IDLE, "ended early")
+
+
+def test_a_stop_at_the_very_end_of_the_request_ends_a_control_by_hand(
+    peers: FakePeers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It finds the request still under way, which looks no more at whether it is to end."""
+    enable = BenchOperations.enable
+
+    def stop_then(bench: BenchOperations) -> None:
+        enable(bench)
+        assert peers.supervisor.stop() == "stopped"
+
+    monkeypatch.setattr(BenchOperations, "enable", stop_then)
+    with pytest.raises(CancelledError):
+        peers.supervisor.control()
+    assert (peers.supervisor.mode.current, peers.supervisor.mode.lease) == (Mode.IDLE, 0)
 
 
 def test_an_emergency_stop_ends_a_request_with_its_reason(peers: FakePeers) -> None:
@@ -491,6 +518,30 @@ def test_a_stop_ends_a_control_by_hand_also_beside_a_request_that_is_refused(
     assert peers.supervisor.mode.current is Mode.IDLE
     stopped.set()
     assert refused.wait(5)
+
+
+@pytest.mark.parametrize("peers", [{"control_timeout": 0.5}], indirect=True)
+def test_a_control_by_hand_without_setpoints_ends(peers: FakePeers) -> None:
+    """Somebody who has forgotten it must not find a bench that moves hours later."""
+    monitor, mode = peers.supervisor.monitor, peers.supervisor.mode
+    monitor.add_setpoint(peers.clock.now())
+    time.sleep(0.6)  # what came before the control does not count, nor does the time since then
+    peers.supervisor.control()
+    for _ in range(16):
+        time.sleep(0.05)
+        assert mode.current is Mode.CONTROL, mode.reason
+        monitor.add_setpoint(peers.clock.now())
+    for _ in range(20):  # nobody follows these, whose stamps are old
+        time.sleep(0.05)
+        monitor.add_setpoint(peers.clock.now(), lag=1.0)
+    assert peers.modes[-1] == (Mode.IDLE, "no setpoint to follow came for 0.5 s; call control again")
+    assert not peers.emergency_stops
+    # Who sends none at all has as long.
+    peers.supervisor.control()
+    begin = peers.clock.now()
+    while mode.current is Mode.CONTROL and peers.clock.now() < begin + 5:
+        time.sleep(0.01)
+    assert 0.4 < peers.clock.now() - begin < 2.0
 
 
 def test_a_generator_that_runs_for_nobody_ends_no_control_by_hand(peers: FakePeers) -> None:

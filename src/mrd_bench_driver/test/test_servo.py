@@ -373,7 +373,7 @@ def test_setpoints_that_stop_stop_the_rod(homed):
     assert "X" in homed.motor.log
     assert homed.motor.velocity == 0
     assert "setpoints stopped" in homed.status.message
-    assert not homed.status.enabled
+    assert homed.status.enabled, "it holds the rod"
     stands = homed.rod
     homed.run(0.3, lambda now: RodSetpoint(now, stands + 0.5 * MM, 0, 0))
     assert homed.rod == stands
@@ -406,6 +406,12 @@ def test_impossible_setpoints_are_refused(homed, bad, line):
     assert homed.status.fault
     assert abs(homed.rod) < 0.05 * MM
     assert not homed.servo.enable(True, homed.now).success
+
+
+@pytest.mark.parametrize(("age", "followed"), [(0.12, True), (0.14, False), (-0.12, True), (-0.14, False)])
+def test_neither_old_setpoints_nor_those_from_the_future_are_followed(homed, age, followed):
+    homed.servo.follow(RodSetpoint(homed.now - age, homed.rod, 0, 0), homed.now)
+    assert homed.servo.ignored_setpoints == (0 if followed else 1)
 
 
 def test_setpoints_before_homing_are_ignored():
@@ -492,6 +498,19 @@ def test_a_stop_before_the_drive_is_switched_on_is_no_fault(begin):
     assert bench.servo.home(bench.now).success
     bench.run(4.0)
     assert bench.status.homed, bench.status
+
+
+def test_a_stop_holds_the_rod_with_the_drive_on_until_it_is_let_go(homed):
+    homed.run(1.2, sine(homed))
+    assert homed.servo.stop().success
+    homed.run(0.5, sine(homed))
+    assert homed.motor.velocity == 0
+    assert homed.status.enabled is not homed.motor.off
+    assert homed.status.enabled
+    assert homed.servo.enable(False, homed.now).success
+    homed.run(0.5)
+    assert homed.motor.off
+    assert not homed.status.enabled
 
 
 @pytest.mark.parametrize(("position", "instants"), [(4 * MM, np.arange(0.0, 0.6, 0.005)), (0.0, np.arange(0.2, 1.3, 0.01))])
@@ -942,8 +961,9 @@ def test_node_homes_follows_and_lets_go(fake):
         rclpy.shutdown(context=context)
 
 
-def test_a_servo_whose_callbacks_hang_stops_the_homing_without_its_supervisor(fake, monkeypatch):
-    """Nobody spins the node, as if a callback hung; the thread of the line goes on homing."""
+@contextlib.contextmanager
+def unspun_node(fake, monkeypatch):
+    """Yield a node that nobody spins, as if a callback hung, and what makes it hear a mode. The thread of its line works."""
     rclpy = pytest.importorskip("rclpy")
     from mrd_bench_driver.nodes.servo import ServoNode
     from mrd_interfaces import msg
@@ -953,17 +973,38 @@ def test_a_servo_whose_callbacks_hang_stops_the_homing_without_its_supervisor(fa
     monkeypatch.setattr("sys.argv", ["servo", "--ros-args", *(word for text in parameters for word in ("-p", text))])
     rclpy.init(args=["--ros-args", "-r", "__ns:=/hung"])
     node = ServoNode()
-    try:
-        until(lambda: node._controller.status(0.0).connected)
-        lease = msg.Lease(holder="test", mode=msg.BenchState.HOMING)
+
+    def hear(mode: str) -> None:
+        lease = msg.Lease(holder="test", mode=getattr(msg.BenchState, mode))
         lease.header.stamp = node.stamp()
         node._lease._on_lease(lease)
+
+    try:
+        until(lambda: node._controller.status(0.0).connected)
+        yield node, hear
+    finally:
+        node.close()
+        node.destroy_node()
+        rclpy.shutdown()
+
+
+def test_a_servo_whose_callbacks_hang_stops_the_homing_without_its_supervisor(fake, monkeypatch):
+    with unspun_node(fake, monkeypatch) as (node, hear):
+        hear("HOMING")
         assert node._home().success
         until(lambda: node._controller.status(0.0).enabled)
         until(lambda: node._controller.status(0.0).stopped)
         assert "the supervisor test has been silent for " in node._controller.status(0.0).message
         until(lambda: "S" in fake.motor.log)
-    finally:
-        node.close()
-        node.destroy_node()
-        rclpy.shutdown()
+
+
+def test_the_drive_goes_off_with_the_end_of_a_control_that_a_stop_has_ended(fake, monkeypatch):
+    with unspun_node(fake, monkeypatch) as (node, hear):
+        hear("CONTROL")
+        assert node._enable().success
+        until(lambda: not fake.motor.off)
+        assert node._halt().success
+        until(lambda: "X" in fake.motor.log)
+        hear("IDLE")
+        until(lambda: fake.motor.off)
+        assert not node._controller.status(0.0).enabled

@@ -68,6 +68,21 @@ def test_the_age_of_setpoints_counts_only_while_an_experiment_runs_that_is_follo
     assert age(20.0) == 0.0
 
 
+def test_a_setpoint_that_nobody_follows_for_its_stamp_is_no_sign_of_life() -> None:
+    monitor = BenchMonitor(BenchClock())
+    monitor.add_experiment_state("running", 10.0)
+    monitor.add_setpoint(10.1)
+    monitor.add_setpoint(10.2, lag=0.3)
+    snapshot = monitor.snapshot(10.3, "generator")
+    assert (snapshot.setpoint_age, snapshot.setpoint_lag) == (pytest.approx(0.2), 0.3)
+    monitor.add_setpoint(10.4)
+    assert monitor.snapshot(10.4, "generator").setpoint_lag == 0.0
+    # It must not be blamed in the next run.
+    monitor.add_setpoint(10.5, lag=0.3)
+    monitor.add_experiment_state("running", 11.0)
+    assert monitor.snapshot(11.2, "generator").setpoint_lag == 0.0
+
+
 def test_each_source_of_setpoints_speaks_for_itself() -> None:
     monitor = BenchMonitor(BenchClock())
     monitor.add_experiment_state("loaded", 9.0)

@@ -1,9 +1,12 @@
 """The supervisor as a process, with fakes of servo, DAQ, generator and recorder."""
 
 import array
+import re
 import signal
+import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from mrd_base.nodes.graph import COMMAND, LATCHED, RECORDED, REFUSALS
 from mrd_bench_driver.nodes.supervisor import SupervisorNode
+from mrd_bench_driver.supervision.modes import BenchMode, Mode
 from mrd_interfaces.action import RunExperiment, RunSet
 from mrd_interfaces.msg import BenchSamples, BenchState, Lease, ServoState, Setpoint
 from mrd_interfaces.srv import LoadExperiment, StartRecording, StopRecording
@@ -90,13 +94,14 @@ class Fakes:
         self.force, self.position, self.rate, self.sequence = 100.0, -1e-3, 100.0, 0
         self.current = 0.0
         self.sampling = self.reporting = self.generating = True
+        self.hears = True  # whether the generator hears the lease
         self.servo = ServoState(connected=True, position=float("nan"))
         self.bag = {"success": True, "samples": 500, "lost": 0, "duration": 0.5, "bag": "/tmp/bag"}
         self.refusing: dict[str, str] = {}  # message of each service that refuses
         self.planning = 0.0  # wall time in s that the generator takes to plan
         self.meanwhile: dict[str, Callable[[], None]] = {}  # what happens when a service is called
         self.deaf = False  # whether the servo has forgotten the emergency stop that it heard
-        self.remaining = 0
+        self.remaining, self.lag = 0, 0.0  # setpoints to come, and the time in s by which their stamps are behind
         self.recorder_said = "idle", ""
 
     def reset(self) -> None:
@@ -212,7 +217,7 @@ class Fakes:
         if self.reporting:
             self._servo.publish(self._stamped(self.servo, now))
         if self.remaining and self.generating:
-            self._setpoint.publish(self._stamped(Setpoint(lease=self.leases[-1].number), now))
+            self._setpoint.publish(self._stamped(Setpoint(lease=self.leases[-1].number * self.hears), now - self.lag))
             self.remaining -= 1
             if not self.remaining:
                 self._experiment.publish(String(data="done"))
@@ -344,6 +349,8 @@ BREAKS = [
     ("lost servo", breaking("servo", "connected", False), "the motor does not answer; check its power"),
     ("servo fault", breaking("servo", "fault", True), "the motor or its driver stopped"),
     ("stale setpoint", breaking("fakes", "generating", False), f"limit {1e3 * PATIENCE:.0f} ms; check the generator"),
+    # A generator whose time is ahead by more than its stall_s takes every lease for an old one.
+    ("stale setpoint", breaking("fakes", "hears", False), f"limit {1e3 * PATIENCE:.0f} ms; check the generator"),
 ]
 
 
@@ -373,6 +380,18 @@ def test_each_interlock_stops_the_bench_at_once_and_closes_the_bag(fakes: Fakes)
         answer = fakes.graph.call("reset_fault", Trigger)
         assert answer.success, answer.message
         fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
+
+
+@pytest.mark.parametrize(("lag", "when"), [(3.0, "before"), (-3.0, "after")])
+def test_setpoints_that_nobody_follows_for_their_stamps_end_the_run(fakes: Fakes, lag: float, when: str) -> None:
+    """The rod would stand, and the run end as a success."""
+    handle = fakes.running()
+    fakes.lag, fakes.remaining = lag, 120
+    message = fakes.result(handle).result.message
+    stamped = rf"those of the generator are stamped (3|2\.9\d|3\.0\d) s {when} they come"
+    assert re.match(rf"interlock stale setpoint: the latest setpoint is \d+ ms old, limit 1000 ms; {stamped}", message), (
+        message
+    )
 
 
 def test_a_stop_latches_until_reset_fault_finds_the_inputs_healthy(fakes: Fakes) -> None:
@@ -483,6 +502,40 @@ def test_a_supervisor_whose_requests_nobody_serves_any_more_ends(monkeypatch: py
     node.destroy_node()
     rclpy.shutdown()
     assert signals == [signal.SIGTERM]
+
+
+class SlowMode(BenchMode):
+    """It lets another thread work for a while between any two changes of what it is."""
+
+    def __init__(self, meanwhile: Callable[[], None]) -> None:
+        object.__setattr__(self, "_meanwhile", lambda: None)
+        super().__init__(lambda _mode: None)
+        object.__setattr__(self, "_meanwhile", meanwhile)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+        thread = threading.Thread(target=self._meanwhile)
+        thread.start()
+        thread.join(0.05)
+
+
+def test_a_renewal_during_a_change_has_mode_and_number_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lease that lets the rod follow the number 0 would let it follow whoever gives none."""
+    monkeypatch.setattr("sys.argv", ["supervisor"])
+    rclpy.init(args=["--ros-args", "-r", "__ns:=/changing"])
+    node = SupervisorNode()
+    leases: list[Lease] = []
+    monkeypatch.setattr(node, "_lease", SimpleNamespace(publish=leases.append))
+    mode = SlowMode(lambda: node._renew_lease(mode))
+    for new in (Mode.HOMING, Mode.IDENTIFICATION):
+        mode.enter(new, "run_experiment")
+        node._renew_lease(mode)
+    mode.leave("stopped")
+    node.close()
+    node.destroy_node()
+    rclpy.shutdown()
+    assert Mode.IDENTIFICATION in {lease.mode for lease in leases}
+    assert [lease for lease in leases if Mode(lease.mode).takes_setpoints is not (lease.number > 0)] == []
 
 
 @pytest.mark.parametrize("step", STEPS[:3])

@@ -164,7 +164,7 @@ def test_a_silent_supervisor_has_a_lamp_of_its_own() -> None:
 
 @pytest.mark.parametrize(("source", "status"), [("", "ok"), ("controller", "warning")])
 def test_the_lamp_of_the_setpoints_asks_for_those_that_the_lease_names(source: str, status: str) -> None:
-    """While somebody controls by hand, the bench expects no setpoints."""
+    """While somebody controls by hand, setpoints may pause."""
     view = BenchView(mode=Mode.CONTROL)
     view.monitor.add_experiment_state("running", 1.0, "controller")
     view.hear_lease(5.0, source=source)

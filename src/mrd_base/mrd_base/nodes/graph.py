@@ -318,7 +318,10 @@ RESET_FAULT = Service(
 HOME = Service("home", Trigger, "supervisor", "home the rod, and leave it at mid-stroke with the drive off")
 STOP = Service("stop", Trigger, "supervisor", "end whatever runs, with braking")
 CONTROL = Service(
-    "control", SetBool, "supervisor", "true: let the rod follow `setpoint`, the response tells the number; false: stop"
+    "control",
+    SetBool,
+    "supervisor",
+    "true: let the rod follow `setpoint` until none comes for control_timeout_s; the response tells the number; false: stop",
 )
 SERVO_ENABLE = Service("servo/enable", SetBool, "servo", "switch the drive on, under the lease only, or off")
 SERVO_HOME = Service("servo/home", Trigger, "servo", "home the rod, under the lease only")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mrd_base import BenchClock, InputError
+from mrd_base.lease import is_timely
 from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
 from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock
 from mrd_bench_driver.acquisition.channels import UNITS, ChannelMap, coil_voltage, count_clipped, tare, to_si
@@ -205,10 +206,10 @@ class Daq:
     # The coil
 
     def set_coil_current(self, current: float, time: float) -> None:
-        """Set the coil current in A that a setpoint of bench time ``time`` asks for, unless it is old or the DAQ stopped."""
+        """Set the coil current in A that a timely setpoint of bench time ``time`` asks for, unless the DAQ stopped."""
         now = self._clock.now()
-        if now - time > self._config.setpoint_timeout:
-            self._refused = f"a setpoint was {now - time:.3g} s old"
+        if not is_timely(time, now, self._config.setpoint_timeout):
+            self._refused = f"a setpoint is stamped {now - time:.3g} s before it came"
             return
         # A stamp in the future must not keep the coil on after its sender has stopped.
         self._setpoint_time = min(time, now)

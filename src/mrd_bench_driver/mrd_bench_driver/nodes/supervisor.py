@@ -22,6 +22,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError
+from mrd_base.lease import is_timely
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     BENCH_STATE,
@@ -86,7 +87,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._lease = LEASE.publisher(self)
         self._holder, self._since = f"{self.get_fully_qualified_name()} (process {os.getpid()})", self.bench.now()
         self._late, self._stop_sent = 0, -math.inf
-        self._renewed, self._lease_lock = -math.inf, threading.Lock()
+        self._renewed = -math.inf
         self._supervisor = Supervisor(self.config, self.bench, self._peers, self._announce, self._send_emergency_stop)
         hear_emergency_stop(self, self._on_emergency_stop)
         LEASE.subscription(self, self._on_lease)
@@ -198,7 +199,9 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
     def _on_setpoint(self, setpoint: Setpoint) -> None:
         # A setpoint that nobody follows must not hide that the others have ended.
         if setpoint.lease == self._supervisor.mode.lease:
-            self._supervisor.monitor.add_setpoint(self.bench.now())
+            now, stamp = self.bench.now(), seconds(setpoint.header.stamp)
+            timely = is_timely(stamp, now, self.config.setpoint_timeout)
+            self._supervisor.monitor.add_setpoint(now, 0.0 if timely else now - stamp)
 
     def _on_control_cycle(self, cycle: ControlCycle) -> None:
         self._supervisor.monitor.add_control_cycle(cycle.work, cycle.power)
@@ -230,8 +233,8 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             self._renew_lease(self._supervisor.mode)
 
     def _renew_lease(self, mode: BenchMode) -> None:
-        # Mode and number are read under the lock, so that no renewal with an earlier mode comes after a change.
-        with self._lease_lock:
+        # Mode and number are of one instant, and no renewal with an earlier mode comes after a change.
+        with mode.lock:
             self._renewed = self.bench.now()
             lease = Lease(
                 holder=self._holder, since=self._since, mode=int(mode.current), number=mode.lease, source=mode.source

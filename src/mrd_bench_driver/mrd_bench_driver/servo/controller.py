@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from mrd_base.lease import is_timely
 from mrd_bench_driver.servo.config import ServoConfig
 from mrd_bench_driver.servo.homing import LEAST_TRAVEL, REST_TOLERANCE, Homing, HomingError, Phase
 from mrd_bench_driver.servo.motor_setup import MotorIdentity
@@ -139,7 +140,7 @@ class ServoController:
     def follow(self, setpoint: RodSetpoint, now: float) -> None:
         """Follow a setpoint. It is ignored while the servo is not ready; a setpoint that cannot be followed is a fault."""
         with self._lock:
-            late = abs(now - setpoint.time) > self.config.setpoint_timeout
+            late = not is_timely(setpoint.time, now, self.config.setpoint_timeout)
             ready = self._armed and self._drive_on and self._homed and self._activity is not Activity.HOMING
             if error := setpoint_error(setpoint, self.config.limits):
                 if ready:
@@ -242,7 +243,7 @@ class ServoController:
                 temperature=math.nan if temperature is None else float(temperature),
                 status=self._values.get(STATUS_0, 0),
                 connected=self._connected,
-                enabled=self._drive_on and self._armed,
+                enabled=self._drive_on,
                 homed=self._homed,
                 moving=self._connected and (motor.moving or abs(self._rod.velocity) > STANDSTILL_SPEED),
                 fault=bool(self._fault),

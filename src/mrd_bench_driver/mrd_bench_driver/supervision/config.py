@@ -19,6 +19,12 @@ class SupervisorConfig:
     stall: float = quantity(
         0.1, "ms", "pause of the supervisor after which it trips, and names itself as the cause", lower=0.04, upper=1
     )
+    setpoint_timeout: float = quantity(
+        0.1, "ms", "age of a setpoint that servo or daq do not follow, so that it is no sign of life", lower=0.01, upper=1
+    )
+    control_timeout: float = quantity(
+        10.0, "s", "bench time without a setpoint after which a control by hand ends", lower=1, upper=600
+    )
     runs: str = quantity("runs", doc="folder of the bags whose goal names none")
     discovery_timeout: float = quantity(10.0, "s", "wall time to wait for the other nodes", lower=0.1, upper=120)
     answer_timeout: float = quantity(5.0, "s", "wall time to wait for a response", lower=0.1, upper=120)

@@ -11,6 +11,9 @@ from mrd_base import quantity
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
+# Why the time of one node may differ from that of another, and what helps.
+_CLOCK = "the machine's clock was set after one node and before another was started: restart the bench"
+
 
 @dataclass(frozen=True)
 class Tolerances:
@@ -45,10 +48,7 @@ def _stale(name: str, age: float, limit: float, remedy: str) -> str:
     if abs(age) <= limit:
         return ""
     if age < 0:
-        return (
-            f"the latest {name} lies {-age:.3g} s in the future, limit {1e3 * limit:.0f} ms; the machine's clock was set "
-            "after one node and before another was started: restart the bench"
-        )
+        return f"the latest {name} lies {-age:.3g} s in the future, limit {1e3 * limit:.0f} ms; {_CLOCK}"
     finding = f"the latest {name} is {1e3 * age:.0f} ms old" if age < math.inf else f"no {name} came"
     return f"{finding}, limit {1e3 * limit:.0f} ms; {remedy}"
 
@@ -80,7 +80,14 @@ def check_servo_fault(now: Snapshot, _limits: Limits, _tolerances: Tolerances) -
 
 def check_setpoint(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
     """Trip if the generator, or the controller, has fallen silent during an experiment."""
-    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, f"check the {now.setpoint_source}")
+    remedy, lag = f"check the {now.setpoint_source}", now.setpoint_lag
+    if lag:
+        when = "before" if lag > 0 else "after"
+        remedy = (
+            f"those of the {now.setpoint_source} are stamped {abs(lag):.3g} s {when} they come, so that servo or daq "
+            f"do not follow them; {_CLOCK}"
+        )
+    return _stale("setpoint", now.setpoint_age, tolerances.setpoint_stale, remedy)
 
 
 def check_position_sensors(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:

@@ -34,10 +34,12 @@ class BenchMode:
         Number of the lease that the mode grants for setpoints; 0 where nobody may send any.
     source : str
         Node whose setpoints these are; "" where they come from anybody who has the number.
+    lock : threading.RLock
+        Nothing changes while a thread holds it: for who reads more than one of these.
     """
 
     def __init__(self, on_change: Callable[["BenchMode"], None], new_number: Callable[[], int] | None = None) -> None:
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self._on_change = on_change
         self._new_number = new_number or itertools.count(1).__next__
         self._set(Mode.IDLE, "started")
@@ -57,7 +59,7 @@ class BenchMode:
         RefusedError
             If there is no transition from the present mode.
         """
-        with self._lock:
+        with self.lock:
             if self.current is Mode.FAULT and mode is not Mode.IDLE:
                 raise TrippedError(self.reason)
             if mode not in TRANSITIONS[self.current]:
@@ -66,13 +68,13 @@ class BenchMode:
 
     def leave(self, reason: str) -> None:
         """Return to idle from a mode in which the rod may move. A fault stays."""
-        with self._lock:
+        with self.lock:
             if self.current.may_move:
                 self._set(Mode.IDLE, reason)
 
     def trip(self, reason: str) -> bool:
         """Change to fault; return whether this is new. The reason of the first fault stays."""
-        with self._lock:
+        with self.lock:
             if self.current is Mode.FAULT:
                 return False
             self._set(Mode.FAULT, reason)

@@ -39,7 +39,9 @@ class Snapshot:
         Age in s of the latest servo status.
     servo : ServoStatus
     setpoint_age : float
-        Age in s of the latest setpoint while an experiment runs, else 0.
+        Age in s of the latest setpoint that is followed while an experiment runs, else 0.
+    setpoint_lag : float
+        Time in s by which the stamp of the latest setpoint is behind its arrival, where it is not followed for that, else 0.
     setpoint_source : str
         Node that sends the setpoints of a run.
     daq_problem : str
@@ -59,6 +61,7 @@ class Snapshot:
     servo_age: float = math.inf
     servo: ServoStatus = ServoStatus()
     setpoint_age: float = 0.0
+    setpoint_lag: float = 0.0
     setpoint_source: str = "generator"
     daq_problem: str = ""
     work: float = 0.0
@@ -99,6 +102,8 @@ class BenchMonitor:
     sources : dict of str to SourceState
         States of the experiments of ``generator`` and ``controller``. Each counts only in a run of its own: whatever the
         other one is asked meanwhile must not end it.
+    setpoint_time : float
+        When the latest setpoint came that is followed.
     daq_problem : str
         Why the DAQ has stopped, or "".
     recorder_state, recording_problem : str
@@ -123,7 +128,7 @@ class BenchMonitor:
         self.recorder_state = self.recording_problem = ""
         self.recorder_time = -math.inf
         self.recorder_changed = clock.waiter()
-        self._setpoint_time = -math.inf
+        self.setpoint_time, self._setpoint_lag = -math.inf, 0.0
         self._block_mean = (-math.inf, math.nan)  # time and mean position in m of the latest block
         self._samples = Snapshot()  # only the values of the samples are filled in
 
@@ -173,9 +178,11 @@ class BenchMonitor:
             self._track.append((servo.time, servo.position))
         self.servo = servo
 
-    def add_setpoint(self, now: float) -> None:
-        """Note that a setpoint was published that is to be followed."""
-        self._setpoint_time = now
+    def add_setpoint(self, now: float, lag: float = 0.0) -> None:
+        """Note a setpoint that is to be followed, unless its stamp is too far behind ``now``, by ``lag`` s."""
+        self._setpoint_lag = lag
+        if not lag:
+            self.setpoint_time = now
 
     def add_daq_problem(self, problem: str) -> None:
         """Note why the DAQ has stopped, or "". It repeats a problem when somebody stops it once more."""
@@ -185,7 +192,7 @@ class BenchMonitor:
     def add_experiment_state(self, state: str, now: float, source: str = "generator") -> None:
         """Note a state of the experiment of a source of setpoints."""
         state, _, reason = state.partition(": ")
-        self._work = self._power = 0.0
+        self._work = self._power = self._setpoint_lag = 0.0
         loads = self.sources[source].loads + (state == "loaded")
         self.sources[source] = SourceState(state, reason, loads, now)
 
@@ -211,13 +218,14 @@ class BenchMonitor:
         servo, source = self.servo, self.sources[setpoint_source]
         running = bool(followed) and source.state == "running"
         # The first setpoint may come after the state, so that the age of setpoints counts from the state at the earliest.
-        latest = max(self._setpoint_time, source.time)
+        latest = max(self.setpoint_time, source.time)
         return dataclasses.replace(
             self._samples,
             sample_age=now - self.sample_time,
             servo_age=math.inf if servo is None else now - servo.time,
             servo=servo or ServoStatus(),
             setpoint_age=now - latest if running else 0.0,
+            setpoint_lag=self._setpoint_lag,
             setpoint_source=setpoint_source,
             work=self._work if running else 0.0,
             power=self._power if running else 0.0,

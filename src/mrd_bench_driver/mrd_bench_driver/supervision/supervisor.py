@@ -75,6 +75,7 @@ class Supervisor:
         self._emergency_stops = 0  # so many have come
         self._stops_before = 0  # stops that came before the present procedure
         self._begun = -math.inf  # bench time of its beginning
+        self._controlled = -math.inf  # bench time since which somebody controls by hand
         self._punctuality = Punctuality(config.late)
         self._checked = clock.now()
         self.monitor = BenchMonitor(clock)
@@ -96,8 +97,13 @@ class Supervisor:
             trip = first_trip(snapshot, self._config.limits, self._config.interlocks, interlocks)
             if trip is not None:
                 self.emergency_stop(f"interlock {trip.interlock}: {trip.message}")
-            elif mode is Mode.CONTROL and not self.procedure and self._is_halted():
-                self.mode.leave("somebody stopped the rod (by servo/stop or servo/enable)")
+            elif mode is Mode.CONTROL and not self.procedure:  # somebody controls by hand
+                silence = self._clock.now() - max(self._controlled, self.monitor.setpoint_time)
+                if self._is_halted():
+                    self.mode.leave("somebody stopped the rod (by servo/stop or servo/enable)")
+                elif silence > self._config.control_timeout:
+                    # Whoever has forgotten it must not find a bench that moves hours later.
+                    self.mode.leave(f"no setpoint to follow came for {self._config.control_timeout:g} s; call control again")
         elif mode is Mode.IDLE and self.procedure in ("", "reset_fault"):
             # The stop is older than this process, or somebody has pressed the button of one node.
             if servo is not None and servo.stopped:
@@ -140,7 +146,7 @@ class Supervisor:
             with self._halt_on_failure(bench):
                 bench.enter(Mode.HOMING, "home")
                 bench.centre(always=True)
-            bench.halt()
+                bench.halt()
             self.mode.leave("homed")
         return "the rod stands at mid-stroke"
 
@@ -154,7 +160,11 @@ class Supervisor:
                 bench.centre()
                 bench.enter(Mode.CONTROL, "control")
                 bench.enable()
-        return f"the rod follows setpoints that carry lease {self.mode.lease}"
+                number, self._controlled = self.mode.lease, self._clock.now()
+        # From here on, a stop ends the mode itself. One that came before has left that to this request.
+        with self._clock.busy(), self._halt_on_failure(bench):
+            self._raise_if_interrupted()
+        return f"the rod follows setpoints that carry lease {number}"
 
     def stop(self) -> str:
         """Stop whatever runs; return the message of success."""
