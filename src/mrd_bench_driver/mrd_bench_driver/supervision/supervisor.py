@@ -282,7 +282,8 @@ class Supervisor:
         # emergency stop is remembered, and an interlock names it.
         servo = self.monitor.servo
         if servo and not servo.stopped and self._is_halted():
-            stopped = "homing" if self.mode.current is Mode.HOMING else "rod during the run"
+            before = {Mode.IDLE: "rod before the run", Mode.HOMING: "homing"}
+            stopped = before.get(self.mode.current, "rod during the run")
             raise RefusedError(f"servo: somebody stopped the {stopped} (by servo/stop or servo/enable)")
 
     def _is_halted(self) -> bool:
