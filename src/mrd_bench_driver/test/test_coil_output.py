@@ -221,3 +221,15 @@ def test_a_converter_that_hangs_keeps_no_daq_from_ending(bench: Bench, monkeypat
     bench.daq.emergency_stop()
     monkeypatch.setattr(bench, "close", bench.answers.wait)  # it writes 0 V, too
     assert ends_within(3.0, bench.daq.close)
+
+
+@pytest.mark.parametrize(("channel", "volts", "line"), [(0, 10.0, "ai0 (position) reads the end"), (1, 9.0, "1765 N on")])
+def test_readings_are_counted_also_where_a_block_holds_one(bench: Bench, channel: int, volts: float, line: str) -> None:
+    readings = np.array([[0.0], [0.1], [2.5], [1.66]])
+    bad = readings.copy()
+    bad[channel] = volts
+    for sequence, reading in enumerate((readings, bad, readings, bad)):
+        bench.daq._process(VoltBlock(sequence, 0.0, reading))
+    assert bench.daq.problem == ""  # a single one is none
+    bench.daq._process(VoltBlock(4, 0.0, bad))
+    assert bench.daq.problem.startswith(line)

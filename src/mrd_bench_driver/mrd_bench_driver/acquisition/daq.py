@@ -155,13 +155,15 @@ class Daq:
 
         A position, force or current at the end of its range cannot be right.
         """
-        for (name, channel), count in zip(self.channels.items(), count_clipped(block.volts, self.channels), strict=True):
+        # With the reading before it, because a short block may hold a single one.
+        volts = np.hstack([*(earlier.volts[:, -1:] for earlier in list(self._recent)[-1:]), block.volts])
+        for (name, channel), count in zip(self.channels.items(), count_clipped(volts, self.channels), strict=True):
             if count > 1 and name != "acceleration":  # an accelerometer may be overdriven without danger
                 self.emergency_stop(
                     f"{channel.input} ({name}) reads the end of its range, ±{channel.range:g} V; check the sensor, its "
                     "supply and wiring"
                 )
-        force, limit = to_si(block.volts, self.channels)[list(UNITS).index("force")], self._config.limits.force
+        force, limit = to_si(volts, self.channels)[list(UNITS).index("force")], self._config.limits.force
         beyond = force[np.abs(force) > limit]
         if len(beyond) > 1:
             self.emergency_stop(
