@@ -1,5 +1,7 @@
 """The DAQ brings its coil output to 0 V, and says what it cannot do, when the converter refuses a voltage or hangs."""
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -221,6 +223,22 @@ def test_a_converter_that_hangs_keeps_no_daq_from_ending(bench: Bench, monkeypat
     bench.daq.emergency_stop()
     monkeypatch.setattr(bench, "close", bench.answers.wait)  # it writes 0 V, too
     assert ends_within(3.0, bench.daq.close)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_error_of_the_program_that_reads_ends_the_process_after_0_volts(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "kill", lambda process, sign: bench.events.append(f"killed: {process} {sign}"))
+    bench.drive()
+    bench.block = VoltBlock(0, 0.0, np.zeros((3, 1)))  # a channel is missing
+    bench.daq.start()
+    until(lambda: len(bench.events) == 3)
+    written, told, killed = bench.events
+    assert written == "write: 0"
+    assert told.startswith("told: internal error: ValueError(")
+    assert killed == f"killed: {os.getpid()} {signal.SIGTERM}"
+    assert bench.output == 0.0
 
 
 @pytest.mark.parametrize(("channel", "volts", "line"), [(0, 10.0, "ai0 (position) reads the end"), (1, 9.0, "1765 N on")])

@@ -470,6 +470,17 @@ def test_a_converter_that_hangs_while_it_takes_a_voltage_is_told_and_the_node_go
         assert process.wait(4.0) == 0
 
 
+def test_a_flaw_in_reading_ends_the_node_after_0_volts_and_with_its_traceback(graph: Any, tmp_path: Path) -> None:
+    log = tmp_path / "daq.log"
+    states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
+    with log.open("wb") as stderr, broken_daq(graph, stderr) as (terminals, process):
+        terminals.drive(0.5, 2.5)
+        terminals.send(position=6.0)
+        graph.until(lambda: process.poll() is not None)
+        graph.until(lambda: terminals.volts() == 0.0 and states[-1].message == "internal error: RuntimeError('torn')")
+    assert "RuntimeError: torn" in log.read_text().splitlines()
+
+
 def test_a_log_that_blocks_keeps_nobody_from_0_volts(graph: Any) -> None:
     """Nobody reads the pipe, as if a terminal stood still."""
     states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)

@@ -3,6 +3,8 @@
 import collections
 import contextlib
 import math
+import os
+import signal
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -122,6 +124,17 @@ class Daq:
         return Averager(ratio, max(1, round(self._config.block * rate)), self._config.hardware_rate)
 
     def _read(self) -> None:
+        try:
+            self._read_until_closed()
+        except Exception as error:
+            # Without this thread, a process that lives on would look sound.
+            try:
+                self._fail(f"internal error: {error!r}")
+            finally:
+                os.kill(os.getpid(), signal.SIGTERM)
+            raise
+
+    def _read_until_closed(self) -> None:
         while not self._closing.is_set():
             if self._fault:
                 self._paused.set()
