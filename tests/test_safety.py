@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -183,6 +184,49 @@ def test_a_node_that_goes_on_after_a_pause_moves_nothing(victim: str, bench: Any
     assert np.ptp([state.position[0] for state in afterwards]) < 2e-4
     assert [state.effort[1] for state in afterwards[-10:] if state.effort[1] >= 0.02] == []
     assert not service(bench, "home").success
+
+
+HANGING_OUTPUT = """
+import sys, time
+from pathlib import Path
+if Path(sys.orig_argv[1]).name == "daq":
+    from mrd_bench_driver.acquisition import Simulated
+    write = Simulated.write
+    def write_or_hang(backend, volts):
+        while Path(__file__).with_name("hang").exists():
+            time.sleep(0.01)
+        write(backend, volts)
+    Simulated.write = write_or_hang
+"""
+"""What Python runs at its start: a DAQ whose converter takes no voltage as long as there is a file."""
+
+
+def test_a_converter_that_hangs_while_it_takes_a_voltage_ends_the_run_by_this_cause(
+    whole_bench: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(HANGING_OUTPUT)
+    path = f"{tmp_path}:{os.environ['PYTHONPATH']}"
+    with whole_bench(tmp_path / "bench", PYTHONPATH=path) as bench:
+        output = bench.subscribe("analog_output", AnalogOutput, LATCHED)
+        states = bench.subscribe("daq_state", DiagnosticStatus, LATCHED)
+        ended = bench.run_at_speed(LONG, tmp_path / "bag")
+        with bench.clock.busy():
+            begun = bench.clock.now()
+            (tmp_path / "hang").touch()
+        result = result_of(bench, ended)
+        cause = "the coil may still have current, switch its supply off; the converter's output did not answer within 80 ms"
+        assert result.message.startswith(f"interlock daq fault: {cause}"), result.message
+        assert result.lost == 0
+        assert bench.time_to_rest(begun) < 0.2
+        assert output[-1].coil_command > 0
+        assert "does not answer" in service(bench, "reset_fault").message
+        (tmp_path / "hang").unlink()
+        assert bench.client.spin(lambda: output[-1].coil_command == 0, 10)
+        assert bench.client.spin(lambda: not states[-1].message.startswith("the coil may still have current"), 10)
+        response = service(bench, "reset_fault")
+        assert response.success, response.message
+        again = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
+        assert again.success, again.message
 
 
 def find_node(tool: "subprocess.Popen[str]", name: str) -> psutil.Process:

@@ -1,16 +1,21 @@
 """The DAQ as a process, with a fake of the simulated plant's terminals."""
 
 import array
+import contextlib
 import itertools
 import math
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_msgs.msg import Bool
@@ -399,6 +404,101 @@ def test_a_daq_that_cannot_work_says_one_line(graph: Any, parameters: dict[str, 
     assert said.startswith("error: ")
     assert line in said
     assert said.count("\n") == 1
+
+
+BROKEN = """
+import threading
+from mrd_bench_driver.acquisition import Simulated
+from mrd_bench_driver.nodes.daq import main
+
+read, write = Simulated.read, Simulated.write
+
+def read_or_fail(backend):
+    block = read(backend)
+    if block is not None and block.volts[0, 0] > 5:
+        raise RuntimeError("torn")
+    return block
+
+def write_or_hang(backend, volts):
+    if volts > 3:
+        threading.Event().wait()
+    write(backend, volts)
+
+Simulated.read, Simulated.write = read_or_fail, write_or_hang
+main()
+"""
+"""A DAQ that hangs in writing more than 3 V, and has a flaw in reading more than 5 V on the LVDT."""
+
+
+@contextlib.contextmanager
+def broken_daq(graph: Any, stderr: Any) -> Iterator[tuple[Terminals, "subprocess.Popen[bytes]"]]:
+    terminals = Terminals(graph)
+    options = ["--ros-args", "-r", f"__ns:={graph.node.get_namespace()}", "-p", "lease_timeout_ms:=1000.0"]
+    with subprocess.Popen([sys.executable, "-c", BROKEN, *options], stderr=stderr) as process:
+        try:
+            graph.until(terminals.ready)
+            yield terminals, process
+        finally:
+            process.kill()
+
+
+def test_a_converter_that_hangs_while_it_takes_a_voltage_is_told_and_the_node_goes_on_and_ends(
+    graph: Any, tmp_path: Path
+) -> None:
+    log = tmp_path / "daq.log"
+    states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
+    arrays = graph.subscribe("/diagnostics", DiagnosticArray, 10)
+    with log.open("wb") as stderr, broken_daq(graph, stderr) as (terminals, process):
+        terminals.drive(0.5, 2.5)
+        asked = graph.clock.now()
+        terminals.setpoint(0.8)
+        graph.until(lambda: states[-1].message != "ok")
+        print(f"told after {1e3 * (graph.clock.now() - asked):.0f} ms")
+        said = states[-1].message
+        assert said.startswith("the coil may still have current, switch its supply off; the converter's output did not answ")
+        assert graph.clock.now() - asked < 0.5  # a busy machine takes longer than 0.1 s
+        name = f"{graph.node.get_namespace().lstrip('/')}/daq: state"
+        graph.until(lambda: (name, said) in [(status.name, status.message) for array in arrays for status in array.status])
+        graph.until(lambda: said in log.read_text())
+        for _ in range(10):
+            terminals.send()
+        graph.until(lambda: len(terminals.samples) >= 5)
+        # Nobody waits for the converter.
+        assert graph.call("daq/emergency_stop", Trigger).success
+        assert not terminals.reset_fault().success
+        process.terminate()
+        assert process.wait(4.0) == 0
+
+
+def test_a_flaw_in_reading_ends_the_node_after_0_volts_and_with_its_traceback(graph: Any, tmp_path: Path) -> None:
+    log = tmp_path / "daq.log"
+    states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
+    with log.open("wb") as stderr, broken_daq(graph, stderr) as (terminals, process):
+        terminals.drive(0.5, 2.5)
+        terminals.send(position=6.0)
+        graph.until(lambda: process.poll() is not None)
+        graph.until(lambda: terminals.volts() == 0.0 and states[-1].message == "internal error: RuntimeError('torn')")
+    assert "RuntimeError: torn" in log.read_text().splitlines()
+
+
+def test_a_log_that_blocks_keeps_nobody_from_0_volts(graph: Any) -> None:
+    """Nobody reads the pipe, as if a terminal stood still."""
+    states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
+    unread, stderr = os.pipe()
+    try:
+        with broken_daq(graph, stderr) as (terminals, _):
+            terminals.drive(0.5, 2.5)
+            filler = os.open(f"/proc/self/fd/{stderr}", os.O_WRONLY | os.O_NONBLOCK)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    os.write(filler, b"x")
+            os.close(filler)
+            terminals.analog_input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
+            graph.until(lambda: terminals.volts() == 0.0)
+            graph.until(lambda: states[-1].message.startswith("the plant has no ai1, ai2, ai4"))
+    finally:
+        os.close(unread)
+        os.close(stderr)
 
 
 class HungDaq:

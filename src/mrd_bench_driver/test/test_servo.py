@@ -9,6 +9,7 @@ import re
 import select
 import signal
 import subprocess
+import sys
 import termios
 import threading
 import time
@@ -740,6 +741,65 @@ def test_a_stop_interrupts_the_wait_for_replies_and_the_drive_is_left_off(fake):
     until(lambda: fake.motor.off)
 
 
+def test_a_stop_is_written_before_anybody_is_told_of_it(fake):
+    """Whoever is told blocks, like a log whose terminal stands still."""
+    statuses, told, go_on = [], threading.Event(), threading.Event()
+
+    def on_status(status) -> None:
+        statuses.append(status)
+        if status.stopped:
+            told.set()
+            go_on.wait()
+
+    communication = ServoCommunication(ServoConfig(port=str(fake.link)), BenchClock(), on_status)
+    communication.start()
+    try:
+        until(lambda: statuses and statuses[-1].connected)
+        fake.answer = lambda text, reply: None
+        queries = fake.motor.log.count("RPA")
+        until(lambda: fake.motor.log.count("RPA") > queries)  # its reply will not come
+        communication.controller.emergency_stop(BenchClock().now())
+        assert told.wait(4.0)
+        until(lambda: "S" in fake.motor.log)
+    finally:
+        go_on.set()
+        communication.close()
+
+
+def test_a_stop_by_the_check_of_the_lease_is_written_before_anybody_is_told(fake):
+    statuses, events = [], []
+
+    def check() -> None:
+        if statuses and statuses[-1].connected and not events:
+            events.append("checked")
+            communication.controller.emergency_stop(BenchClock().now())
+
+    def on_status(status) -> None:
+        statuses.append(status)
+        if status.stopped and len(events) == 1:
+            until(lambda: "S" in fake.motor.log)
+            events.append("told")
+
+    communication = ServoCommunication(ServoConfig(port=str(fake.link)), BenchClock(), on_status, check)
+    communication.start()
+    try:
+        until(lambda: events == ["checked", "told"])
+    finally:
+        communication.close()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_an_error_of_the_thread_of_the_line_stops_the_motor_and_ends_the_process(fake, monkeypatch):
+    events = []
+    with communicating(fake) as (controller, statuses):
+        until(lambda: statuses and statuses[-1].connected)
+        monkeypatch.setattr(os, "kill", lambda *arguments: events.append((arguments, list(fake.motor.log[-2:]))))
+        monkeypatch.setattr(controller, "take_replies", lambda *arguments: 1 / 0)
+        until(lambda: events)
+        assert statuses[-1].message.startswith("internal error: ZeroDivisionError(")
+    assert events == [((os.getpid(), signal.SIGTERM), ["X", "OFF"])]
+
+
 def test_a_motor_that_is_plugged_in_again_does_not_move(fake):
     with communicating(fake) as (controller, statuses):
         until(lambda: statuses and statuses[-1].connected)
@@ -959,6 +1019,52 @@ def test_node_homes_follows_and_lets_go(fake):
         executor.shutdown()
         node.destroy_node()
         rclpy.shutdown(context=context)
+
+
+def test_a_log_that_blocks_keeps_nobody_from_stopping_the_rod(fake, graph):
+    """Nobody reads the pipe, as if a terminal stood still."""
+    from std_msgs.msg import Bool
+    from std_srvs.srv import SetBool
+
+    from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED
+    from mrd_interfaces import msg
+
+    states = graph.subscribe("servo_state", msg.ServoState, RECORDED)
+    leases = graph.node.create_publisher(msg.Lease, "lease", COMMAND)
+    stop = graph.node.create_publisher(Bool, "emergency_stop", LATCHED)
+
+    def renew() -> None:
+        lease, now = msg.Lease(holder="test", mode=msg.BenchState.HOMING), graph.clock.now()
+        lease.header.stamp.sec, lease.header.stamp.nanosec = int(now), int(now % 1 * 1e9)
+        leases.publish(lease)
+
+    graph.node.create_timer(0.02, renew)
+    unread, stderr = os.pipe()
+    options = ["-r", f"__ns:={graph.node.get_namespace()}", "-p", f"port:={fake.link}", "-p", "lease_timeout_ms:=1000.0"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from mrd_bench_driver.nodes.servo import main; main()", "--ros-args", *options],
+        stderr=stderr,
+    )
+    try:
+        graph.until(lambda: states and states[-1].connected and leases.get_subscription_count())
+        graph.during(0.1)
+        assert graph.call("servo/enable", SetBool, data=True).success
+        graph.until(lambda: states[-1].enabled and stop.get_subscription_count() == 2)
+        filler = os.open(f"/proc/self/fd/{stderr}", os.O_WRONLY | os.O_NONBLOCK)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(filler, b"x")
+        os.close(filler)
+        fake.answer = lambda text, reply: None
+        queries = fake.motor.log.count("RPA")
+        until(lambda: fake.motor.log.count("RPA") > queries)  # its reply will not come
+        stop.publish(Bool(data=True))
+        until(lambda: "S" in fake.motor.log)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(unread)
+        os.close(stderr)
 
 
 @contextlib.contextmanager

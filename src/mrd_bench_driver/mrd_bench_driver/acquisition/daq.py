@@ -3,6 +3,8 @@
 import collections
 import contextlib
 import math
+import os
+import signal
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -15,15 +17,20 @@ from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
 from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock
 from mrd_bench_driver.acquisition.channels import UNITS, ChannelMap, coil_voltage, count_clipped, tare, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
+from mrd_bench_driver.acquisition.output import OutputSilentError, OutputWriter
 
 # Wall time in s for the reading thread to notice a fault or the end; a read returns within this time.
 _READ_TIMEOUT = 3.0
+# Wall time in s for the converter to close; one that hangs must not keep the process from ending.
+_CLOSE_TIMEOUT = 1.0
 # It comes before the fault, so that nobody cuts it off.
 _LIVE_COIL = "the coil may still have current, switch its supply off; "
 
 
 class Daq:
     """The DAQ. It reads in a thread of its own; all other methods return at once, except `reset_fault` and `close`.
+
+    Where the converter hangs, one of them returns `WRITE_TIMEOUT` later, and the reading thread waits for it.
 
     Parameters
     ----------
@@ -57,6 +64,7 @@ class Daq:
         on_problem: Callable[[str], None],
     ) -> None:
         self._config, self._clock, self._backend = config, clock, backend
+        self._output = OutputWriter(backend)
         self._on_readings, self._on_block = on_readings, on_block
         self._on_calibration, self._on_problem = on_calibration, on_problem
         # Two threads write the output: without order, the older command could be the last one that the converter gets.
@@ -97,10 +105,15 @@ class Daq:
             self._emergency_stop = "the node ends"
             self._told = self.problem  # nobody needs to hear of that
             with contextlib.suppress(Exception):
-                self._backend.write(0.0)
+                self._output.write(0.0)
         self._closing.set()
         self._resume.set()
         self._thread.join(timeout=_READ_TIMEOUT)
+        closer = threading.Thread(target=self._close_backend, name="close", daemon=True)
+        closer.start()
+        closer.join(timeout=_CLOSE_TIMEOUT)
+
+    def _close_backend(self) -> None:
         with contextlib.suppress(Exception):
             self._backend.close()
 
@@ -111,6 +124,17 @@ class Daq:
         return Averager(ratio, max(1, round(self._config.block * rate)), self._config.hardware_rate)
 
     def _read(self) -> None:
+        try:
+            self._read_until_closed()
+        except Exception as error:
+            # Without this thread, a process that lives on would look sound.
+            try:
+                self._fail(f"internal error: {error!r}")
+            finally:
+                os.kill(os.getpid(), signal.SIGTERM)
+            raise
+
+    def _read_until_closed(self) -> None:
         while not self._closing.is_set():
             if self._fault:
                 self._paused.set()
@@ -144,13 +168,15 @@ class Daq:
 
         A position, force or current at the end of its range cannot be right.
         """
-        for (name, channel), count in zip(self.channels.items(), count_clipped(block.volts, self.channels), strict=True):
+        # With the reading before it, because a short block may hold a single one.
+        volts = np.hstack([*(earlier.volts[:, -1:] for earlier in list(self._recent)[-1:]), block.volts])
+        for (name, channel), count in zip(self.channels.items(), count_clipped(volts, self.channels), strict=True):
             if count > 1 and name != "acceleration":  # an accelerometer may be overdriven without danger
                 self.emergency_stop(
                     f"{channel.input} ({name}) reads the end of its range, ±{channel.range:g} V; check the sensor, its "
                     "supply and wiring"
                 )
-        force, limit = to_si(block.volts, self.channels)[list(UNITS).index("force")], self._config.limits.force
+        force, limit = to_si(volts, self.channels)[list(UNITS).index("force")], self._config.limits.force
         beyond = force[np.abs(force) > limit]
         if len(beyond) > 1:
             self.emergency_stop(
@@ -245,7 +271,12 @@ class Daq:
         with self._lock:
             self._live = self._live or volts != 0
             try:
-                self._backend.write(volts)
+                self._output.write(volts)
+            except OutputSilentError as error:
+                # No fault, because the inputs are still read.
+                self._stuck = self._live
+                if str(error) not in self._emergency_stop:
+                    self._emergency_stop = "; ".join(filter(None, (self._emergency_stop, str(error))))
             except AcquisitionError as error:
                 self._stuck = self._live and volts == 0
                 self._fail(str(error))
@@ -266,8 +297,7 @@ class Daq:
             if self._fault:
                 return
             self._fault = message
-            self._tell()  # first, because a broken converter may take long to refuse the voltage
-            self._write(0.0)
+            self._write(0.0)  # tells then: whoever is told may block
 
     def _tell(self) -> None:
         """Tell the problem if it has changed; under the lock, so that the latest is told last."""
@@ -277,6 +307,10 @@ class Daq:
 
     def reset_fault(self) -> None:
         """Release the emergency stop and restart a converter that failed; raise InputError if it does not restart."""
+        if not self._fault:
+            self.rest()  # after a stop whose 0 V was not taken in time
+        if self._output.silent:
+            raise InputError("the converter's output does not answer; check it and restart the node")
         if self._fault:
             if not self._paused.wait(timeout=_READ_TIMEOUT):
                 raise InputError("the converter does not answer; check it and restart the node")
@@ -299,9 +333,8 @@ class Daq:
     @property
     def problem(self) -> str:
         """The fault, or the reason of a latched stop, or ""."""
-        if self._fault:
-            return f"{_LIVE_COIL if self._stuck else ''}{self._fault}"
-        return f"{self._emergency_stop}; call reset_fault" if self._emergency_stop else ""
+        problem = self._fault or (f"{self._emergency_stop}; call reset_fault" if self._emergency_stop else "")
+        return f"{_LIVE_COIL}{problem}" if problem and self._stuck else problem
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return the fault or the latched stop, and counts of lost and clipped readings and the latest refused setpoint."""

@@ -128,12 +128,13 @@ class DaqNode(BenchNode[DaqConfig]):
         self._output.publish(message)
 
     def _publish_state(self, problem: str) -> None:
-        """Tell everyone whether the DAQ works, or why it has stopped."""
-        if problem:
-            self.get_logger().error(problem)
+        """Tell everyone whether the DAQ works, or why it has stopped; the log comes last, because it may block."""
         level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK
         name = f"{self.get_fully_qualified_name().lstrip('/')}: outputs"
         self._state.publish(DiagnosticStatus(level=level, name=name, message=problem or "ok"))
+        if problem:
+            self._publish_diagnostics()
+            self.get_logger().error(problem)
 
     def _set_rate(self, rate: Any) -> None:
         self._require_no_run()

@@ -50,7 +50,8 @@ class ServoNode(BenchNode[ServoConfig]):
         # No shell has expanded the parameter's ~.
         config = dataclasses.replace(self.config, port=str(Path(self.config.port).expanduser()))
         self.hardware_id = config.port
-        self._communication = ServoCommunication(config, self.bench, self._publish)
+        # The timer that checks the lease falls silent when a callback hangs; the thread of the line goes on.
+        self._communication = ServoCommunication(config, self.bench, self._publish, lambda: self._lease.check())
         self._controller = self._communication.controller
         self._state = SERVO_STATE.publisher(self)
         self._joint = JOINT_STATES.publisher(self)
@@ -132,8 +133,6 @@ class ServoNode(BenchNode[ServoConfig]):
 
     def _publish(self, status: ServoStatus) -> None:
         """Publish a status. Only the thread of the serial line calls this, so that only it uses these publishers."""
-        # The timer that checks the lease falls silent when a callback hangs; this thread goes on.
-        self._lease.check()
         state = msg.ServoState(**{name: value for name, value in vars(status).items() if name != "time"})
         state.header.stamp = self.stamp(status.time)
         state.halt_time = self._lease.halt_time

@@ -1,6 +1,8 @@
 """The thread that owns the serial line: it connects, exchanges data, and leaves the rod at rest with the drive off."""
 
+import os
 import random
+import signal
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -33,10 +35,18 @@ class ServoCommunication:
     ----------
     on_status : callable
         Receives the status of the servo after each exchange, in the thread of the line, until `close` is called.
+    check : callable
+        Called before it. Stops that it asks for are written before anybody is told of them.
     """
 
-    def __init__(self, config: ServoConfig, clock: BenchClock, on_status: Callable[[ServoStatus], None]) -> None:
-        self._config, self._clock, self._on_status = config, clock, on_status
+    def __init__(
+        self,
+        config: ServoConfig,
+        clock: BenchClock,
+        on_status: Callable[[ServoStatus], None],
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._config, self._clock, self._on_status, self._check = config, clock, on_status, check
         self._waiter = clock.waiter()
         self.controller = ServoController(config, self._waiter.wake)
         self._closing = threading.Event()
@@ -62,7 +72,15 @@ class ServoCommunication:
             self._waiter.wait(
                 self._clock.now() + 1e-3
             )  # until the time of a simulated bench has begun, and its port is there
-            self._connect_until_closed()
+            try:
+                self._connect_until_closed()
+            except Exception:
+                # The motor has been stopped. Without this thread, a process that lives on would look sound.
+                try:
+                    self._publish(self._clock.now())
+                finally:
+                    os.kill(os.getpid(), signal.SIGTERM)
+                raise
 
     def _connect_until_closed(self) -> None:
         delay = _RETRY_DELAY[0]
@@ -80,7 +98,6 @@ class ServoCommunication:
             except Exception as error:
                 # The state of the rod must not depend on an error of this program.
                 self.controller.disconnect(f"internal error: {error!r}")
-                self._publish(self._clock.now())
                 raise
             finally:
                 if line is not None:
@@ -111,8 +128,7 @@ class ServoCommunication:
             # A stop that comes after this wakes the thread. Either it interrupts the exchange below before a motion command
             # is written, or it is written after that command.
             self._waiter.clear()
-            if data := controller.take_commands():
-                line.write(data)
+            self._write_commands(line)
             # A line on which nothing useful comes must not delay the stop of a motion that it leaves without positions.
             # Neither this wait nor that for replies therefore goes on beyond it.
             if self._waiter.wait(min(due, controller.position_due)):
@@ -134,11 +150,19 @@ class ServoCommunication:
             else:
                 missed, answered = 0, replies[0][1]
                 controller.take_replies(batch, values, answered)
-            self._publish(clock.now())
+            self._publish(clock.now(), line)
 
-    def _publish(self, now: float) -> None:
-        if not self._closing.is_set():
-            self._on_status(self.controller.status(now))
+    def _write_commands(self, line: MotorLine) -> None:
+        if data := self.controller.take_commands():
+            line.write(data)
+
+    def _publish(self, now: float, line: MotorLine | None = None) -> None:
+        if self._closing.is_set():
+            return
+        self._check()
+        if line is not None:
+            self._write_commands(line)  # first, because whoever is told may block
+        self._on_status(self.controller.status(now))
 
     def _disconnect(self, line: MotorLine) -> None:
         """Bring the rod to rest and switch the drive off, whatever ended the exchange."""

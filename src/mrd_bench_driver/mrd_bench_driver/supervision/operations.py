@@ -25,7 +25,7 @@ from mrd_bench_driver.supervision.interlocks import (
     first_trip,
 )
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
-from mrd_bench_driver.supervision.punctuality import measure_punctuality
+from mrd_bench_driver.supervision.punctuality import Punctuality
 from mrd_bench_driver.supervision.run_requests import RunRequest
 from mrd_bench_driver.supervision.snapshot import BenchMonitor, Snapshot, SourceState
 
@@ -48,6 +48,8 @@ _RESET_TIMEOUT = 10.0
 _PROGRESS_INTERVAL = 0.2
 # Bench time in s between two looks, while the recorder waits for rest, at whether it is still there.
 _REST_INTERVAL = 0.5
+# Bench time in s over which the supervisor's cycle is measured before anything moves.
+_MEASUREMENT = 0.25
 # Bench time in s for all nodes to hear of a new mode, which the lease carries.
 _LEASE_DELAY = 0.05
 # Bench time in s after which a silent recorder ends a run. It is no danger, and may have to wait for a disk.
@@ -154,9 +156,10 @@ class BenchOperations:
         monitor: BenchMonitor,
         mode: BenchMode,
         interruption: Interruption,
+        punctuality: Punctuality,
         source: Source = GENERATOR,
     ) -> None:
-        self.source = source
+        self.source, self._punctuality = source, punctuality
         self._config, self._clock, self._peers = config, clock, peers
         self._monitor, self._mode, self._interruption = monitor, mode, interruption
         self._rate, self._loads, self._lease = math.nan, 0, 0
@@ -195,9 +198,10 @@ class BenchOperations:
             raise RefusedError(f"not armed, {trip.interlock}: {trip.message}")
 
     def require_punctual_machine(self) -> None:
-        """Measure for a moment how punctual the machine is; refuse if it is too slow to stop the rod in time."""
-        problem = measure_punctuality(self._clock, self._config.late).problem()
-        if problem:
+        """Measure for a moment how punctual the supervisor's cycle is; refuse if it is too late to stop the rod in time."""
+        self._punctuality.restart()
+        self._clock.sleep(_MEASUREMENT)
+        if problem := self._punctuality.problem():
             raise RefusedError(f"not armed, {problem}")
 
     # The experiment

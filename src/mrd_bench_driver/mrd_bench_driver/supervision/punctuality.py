@@ -2,11 +2,6 @@
 
 import math
 
-from mrd_base import BenchClock
-
-# Time in s between two cycles of the measurement before a run, and their number.
-_PERIOD, _CYCLES = 0.005, 50
-
 
 class Punctuality:
     """Counts the late ones of periodic cycles.
@@ -45,12 +40,3 @@ class Punctuality:
             f"this machine is too slow: {self.late} of {self.cycles} cycles came more than {1e3 * self._limit:g} ms late, "
             f"the worst {1e3 * self.worst:.0f} ms; end other programs, or give the bench a machine of its own"
         )
-
-
-def measure_punctuality(clock: BenchClock, limit: float) -> Punctuality:
-    """Return how punctually this machine ends short sleeps, over a quarter of a second."""
-    punctuality = Punctuality(limit)
-    for _ in range(_CYCLES):
-        punctuality.note(clock.now(), _PERIOD)
-        clock.sleep(_PERIOD)
-    return punctuality

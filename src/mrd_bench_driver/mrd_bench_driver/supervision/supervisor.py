@@ -266,7 +266,9 @@ class Supervisor:
 
     def _operations(self, interruption: Interruption | None = None) -> BenchOperations:
         interruption = interruption or self._raise_if_interrupted
-        return BenchOperations(self._config, self._clock, self._peers, self.monitor, self.mode, interruption, self._source)
+        return BenchOperations(
+            self._config, self._clock, self._peers, self.monitor, self.mode, interruption, self._punctuality, self._source
+        )
 
     @property
     def _source(self) -> Source:
