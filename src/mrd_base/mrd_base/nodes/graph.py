@@ -243,7 +243,7 @@ RECORDER_STATE = Topic(
     "recorder_state",
     DiagnosticStatus,
     LATCHED,
-    "whether a bag is recorded and why recording fails, on every change",
+    "whether a bag is recorded and why recording fails, on every change and every 200 ms",
     publishers=("recorder",),
     subscribers=("supervisor", "bench", "page"),
 )
