@@ -223,6 +223,7 @@ def test_a_converter_that_hangs_while_it_takes_a_voltage_ends_the_run_by_this_ca
         (tmp_path / "hang").unlink()
         assert bench.client.spin(lambda: output[-1].coil_command == 0, 10)
         assert bench.client.spin(lambda: not states[-1].message.startswith("the coil may still have current"), 10)
+        bench.time_to_rest(bench.clock.now(), 0.1)  # by then, the supervisor has heard it, too
         response = service(bench, "reset_fault")
         assert response.success, response.message
         again = bench.client.run_experiment(SHORT, tmp_path / "again", 0)
