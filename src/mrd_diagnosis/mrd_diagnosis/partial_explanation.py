@@ -87,7 +87,8 @@ def explain_in_part(
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
     forms = _weighted_forms(alone, other_models)
-    form, others = forms[0][0], [other for other, _ in forms[1:]]
+    form = forms[0][0]
+    others = sorted([alone, *other_models], key=lambda other: other.held_out_cost)
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
     chosen = comparison.effects
@@ -109,7 +110,7 @@ def explain_in_part(
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
         lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
         of_form_causes, explained = _form_causes(
-            comparison, explained, best_cost, lacked, [*tried, *lacked], [form], beside.null_gains, rng
+            comparison, explained, best_cost, lacked, [*tried, *lacked], others, beside.null_gains, rng
         )
         causes, values = causes | of_form_causes, values | explained.values
     remainder = beside.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder
@@ -298,13 +299,14 @@ def _form_causes(
 ) -> tuple[dict[str, HeldCause], Refit]:
     """Return the effects that hold as a part of the form, and the model with them.
 
-    They close most of what lies between the cost of ``explained``, the model with all other causes, and the cost that is
-    ``reachable`` by a freer or a better form. None of the ``other`` forms, which lack them, predicts better, and of the
-    ``candidates`` that look like one of them, none does in its place.
+    Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
+    that is ``reachable`` by a freer or a better form. The best of the ``others``, damper models with the best first, that
+    lacks one of them does not predict better, and of the ``candidates`` that look like it, none does in its place.
     """
-    weighting, causes = comparison.weighting, {}
+    weighting, causes, without = comparison.weighting, {}, explained
+    own = explained.problem.model.id
     for effect, fitted in _form_chain(weighting, explained, reachable, effects):
-        lacking = [form for form in others if not contains(form.problem.model, effect)]
+        lacking = [form for form in others if form.problem.model.id != own and not contains(form.problem.model, effect)]
         instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
         support = float(probabilities([fitted, *instead], rng)[0])
         if support < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
@@ -318,7 +320,16 @@ def _form_causes(
         closed = closed_fraction_between(explained, fitted, comparison, rng)
         causes[effect] = HeldCause(chances, p_value(gain, null_gains), closed)
         explained = fitted
+    # The chain closes most of it, but what holds of the chain may not.
+    if not _closes_most(without, explained, reachable):
+        return {}, without
     return causes, explained
+
+
+def _closes_most(without: Refit, with_effects: Refit, reachable: float) -> bool:
+    """Whether effects of the form close most of what a freer or a better form can reach."""
+    available = without.held_out_cost - reachable
+    return bool(without.held_out_cost - with_effects.held_out_cost >= THRESHOLDS.least_form_share * available)
 
 
 def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[tuple[str, Refit]]:
@@ -348,8 +359,7 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
             break
         best = fit.refit
         chain.append((fit.effects[-1], best))
-    closed = explained.held_out_cost - best.held_out_cost
-    return chain if closed >= THRESHOLDS.least_form_share * available else []
+    return chain if _closes_most(explained, best, reachable) else []
 
 
 def _with_and_without(weighting: Weighting, form: Refit, best: Refit, effect: str) -> tuple[Refit, Refit]:

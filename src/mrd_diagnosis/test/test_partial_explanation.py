@@ -151,6 +151,26 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it():
     assert causes_of(["joint_play"]) == {}
 
 
+def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_closed(monkeypatch):
+    """The chain closes most with its second effect. Where that one does not hold, the first is named if it does alone."""
+    recordings = [prepare_recording(run) for run in sines(6e-4)]
+    weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
+    comparison = compare_on(weighting, base, [], [])
+    (first,) = partial_explanation._form_chain(weighting, base, 0.2 * base.held_out_cost, ["backlash"])
+    superfluous = ("joint_play", replace(first[1], held_out_costs=first[1].held_out_costs + 1.0))
+    monkeypatch.setattr(partial_explanation, "_form_chain", lambda *_: [first, superfluous])
+    closed = base.held_out_cost - first[1].held_out_cost
+
+    def causes_of(reachable):
+        rest = [], [], np.zeros(9), np.random.default_rng(0)
+        return partial_explanation._form_causes(comparison, base, reachable, ["backlash", "joint_play"], *rest)
+
+    causes, explained = causes_of(base.held_out_cost - closed / 0.9)
+    assert list(causes) == ["backlash"]
+    assert explained is first[1]
+    assert causes_of(base.held_out_cost - closed / 0.7) == ({}, base)
+
+
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
     diagnosis = diagnose(runs(lag=0.012), "auto", effects=CANDIDATES)
     assert diagnosis.model.id in ("hyperbolic_tangent", "sigmoid", "algebraic")

@@ -12,8 +12,8 @@ from scipy.stats import kstest
 from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.decision import decide
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.effect_search import refit_with_effects, score_effect, start_values
-from mrd_diagnosis.model_comparison import compare_models, estimate_run_scatter
+from mrd_diagnosis.effect_search import EffectFit, refit_with_effects, score_effect, start_values
+from mrd_diagnosis.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
 from mrd_diagnosis.refit import refit, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
@@ -244,6 +244,20 @@ def test_an_effect_that_another_one_makes_superfluous_is_dropped(true):
     assert [len(step.problem.model.effects) for step in comparison.chain] == list(range(1, len(true) + 1))
     assert comparison.best.chi_square < 1.2
     assert comparison.alternatives.keys() == set(true)
+
+
+def test_what_looks_like_a_cause_is_fitted_in_its_place_though_others_do_more_by_themselves(delayed):
+    comparison, _ = delayed
+    names = ["flow_asymmetry", "settling", "mains_hum", "load_cell_drift", "gas_spring", "moving_mass", "force_sensor_lag"]
+    chosen = EffectFit(("channel_delay",), comparison.best, 1.0, 1.0)
+    folds = len(comparison.best.held_out_costs)
+    singles = [
+        EffectFit((name,), replace(comparison.base, held_out_costs=np.full(folds, 1e3 + rank)), 0.0, 0.0)
+        for rank, name in enumerate(names)
+    ]
+    compared = compare_on(comparison.weighting, comparison.base, [chosen], [chosen, *singles])
+    tried = set(compared.alternatives["channel_delay"]) - {"channel_delay", NO_EFFECT}
+    assert tried == {*names[:4], "moving_mass", "force_sensor_lag"}
 
 
 @pytest.fixture(scope="module")
