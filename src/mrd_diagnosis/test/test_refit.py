@@ -179,6 +179,25 @@ def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):
     assert 0.5 < sure < 1.0  # a bootstrap sample may lack the fold in which they differ
 
 
+@pytest.mark.parametrize("cost", [100.0, np.inf, np.nan])
+def test_a_fit_that_diverges_makes_no_others_alike(alone, cost):
+    worse, other = (replace(alone, held_out_costs=alone.held_out_costs * factor) for factor in (1.5, 1.1))
+    diverged = replace(alone, held_out_costs=alone.held_out_costs * cost)
+    without_it = probabilities([alone, worse, other], np.random.default_rng(0))
+    assert probabilities([alone, worse, other, diverged], np.random.default_rng(0)) == pytest.approx([*without_it, 0.0])
+
+
+def test_what_the_best_explanation_leaves_says_how_inexact_formulas_are(alone):
+    """The same lead is decisive beside noise, and not beside an error ten times as large."""
+    lead, wrong = 0.06, replace(alone, held_out_chi_squares=11.0 * alone.held_out_chi_squares)
+    chances = []
+    for best in (alone, wrong):
+        others = [replace(best, held_out_costs=best.held_out_costs * (1.0 + behind)) for behind in (0.5, lead)]
+        chances.append(probabilities([best, *others], np.random.default_rng(0))[0])
+    assert chances[0] > 0.95
+    assert 0.55 < chances[1] < 0.75
+
+
 @given(st.floats(0.0, 0.99), st.floats(0.1, 10.0))
 def test_the_closed_fraction_is_a_share_of_the_gap_beyond_noise(share, noise):
     rng = np.random.default_rng(0)
