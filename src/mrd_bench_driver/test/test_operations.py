@@ -237,7 +237,7 @@ def test_control_enables_and_a_failure_halts(peers: FakePeers) -> None:
 
 
 def test_a_servo_that_does_not_rest_after_the_homing_ends_it_all_the_same(peers: FakePeers) -> None:
-    """In mode homing without a procedure, the servo would home for anybody."""
+    """If the mode stayed homing after the procedure has ended, anybody could let the servo home the rod."""
     peers.refusals["servo/rest"] = "no answer"
     with pytest.raises(RefusedError, match="no answer"):
         peers.supervisor.home()
