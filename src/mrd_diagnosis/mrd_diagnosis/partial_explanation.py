@@ -88,7 +88,11 @@ def explain_in_part(
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
     forms = _weighted_forms(alone, other_models)
     form = forms[0][0]
-    others = sorted([alone, *other_models], key=lambda other: other.held_out_cost)
+    best_first = sorted([alone, *other_models], key=lambda other: other.held_out_cost)
+
+    def all_but(own: Refit) -> list[Refit]:
+        return [other for other in best_first if other is not own]
+
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
     chosen = comparison.best
@@ -101,7 +105,7 @@ def explain_in_part(
     of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen.effects and effect not in causes)]
     reachable = min(_cost_beside(beside.weighting.remainder, weighting, explained), chosen.held_out_cost)
     of_form_causes, explained = _form_causes(
-        comparison, explained, reachable, of_form, tried, others, beside.null_gains, rng
+        comparison, explained, reachable, of_form, tried, all_but(form), beside.null_gains, rng
     )
     values |= explained.values
     needed = _still_needed(beside.weighting, form, causes, of_form_causes, values)
@@ -116,7 +120,7 @@ def explain_in_part(
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
         lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
         of_form_causes, explained = _form_causes(
-            comparison, explained, best_cost, lacked, [*tried, *lacked], others, beside.null_gains, rng
+            comparison, explained, best_cost, lacked, [*tried, *lacked], all_but(alone), beside.null_gains, rng
         )
         causes, values = causes | of_form_causes, values | explained.values
     remainder = beside.weighting.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder
@@ -340,9 +344,8 @@ def _form_causes(
     lacks one of them does not predict better, and of the ``candidates`` that look like it, none does in its place.
     """
     weighting, causes, without = comparison.weighting, {}, explained
-    own = explained.problem.model.id
     for effect, fitted in _form_chain(weighting, explained, reachable, effects):
-        lacking = [form for form in others if form.problem.model.id != own and not contains(form.problem.model, effect)]
+        lacking = [form for form in others if not contains(form.problem.model, effect)]
         instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
         support = float(probabilities([fitted, *instead], rng)[0])
         if (
