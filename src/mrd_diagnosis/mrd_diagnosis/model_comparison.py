@@ -16,7 +16,7 @@ from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
 
 MOST_ALTERNATIVES = 4
-"""Effects that are fitted in the place of each cause."""
+"""Effects that are fitted in the place of each cause, besides those that look like it."""
 
 LARGEST_RUN_SCATTER = RunScatter(0.04, 20.0)
 """Largest scatter that is still attributed to the bench and not to physics."""
@@ -114,9 +114,15 @@ def compare_on(weighting: Weighting, base: Refit, chosen: Sequence[EffectFit], f
     """Refit everything that may still be the explanation with a weighting; arguments as of `compare_models`."""
     chain, without = _drop_superfluous(weighting, in_threads(lambda fit: refit_on(weighting, fit.refit), chosen))
     singles = sorted((fit for fit in fits if len(fit.effects) == 1), key=lambda fit: fit.refit.held_out_cost)
-    others = [fit.effects[0] for fit in singles if fit.effects[0] not in without][:MOST_ALTERNATIVES]
+    ranked = [fit.effects[0] for fit in singles if fit.effects[0] not in without]
+
+    def others(effect: str) -> list[str]:
+        """Return the best effects by themselves, and those that look like this one, which another cause may hide."""
+        alike = [name for name in ranked[MOST_ALTERNATIVES:] if name in EFFECTS[effect].confused_with]
+        return [*ranked[:MOST_ALTERNATIVES], *alike]
+
     alternatives = {
-        effect: {effect: chain[-1], NO_EFFECT: refitted} | refit_in_its_place(weighting, refitted, others)
+        effect: {effect: chain[-1], NO_EFFECT: refitted} | refit_in_its_place(weighting, refitted, others(effect))
         for effect, refitted in without.items()
     }
     return ModelComparison(weighting, refit_on(weighting, base), tuple(chain), tuple(without), alternatives)

@@ -87,20 +87,31 @@ def explain_in_part(
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
     forms = _weighted_forms(alone, other_models)
-    form, others = forms[0][0], [other for other, _ in forms[1:]]
+    form = forms[0][0]
+    best_first = sorted([alone, *other_models], key=lambda other: other.held_out_cost)
+
+    def all_but(own: Refit) -> list[Refit]:
+        return [other for other in best_first if other is not own]
+
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
-    chosen = comparison.effects
+    chosen = comparison.best
     if form is not alone:
-        chosen = _search_around(weighting, form, tried, rng, lambda fraction: progress(0.3 * fraction))
+        chosen = _search_around(weighting, form, tried, lambda fraction: progress(0.3 * fraction))
     beside = _search_beside_remainder(comparison, forms, tried, rng, lambda fraction: progress(0.3 + 0.5 * fraction))
     causes, values = beside.causes, alone.values | beside.values
     explained = _with_effects(weighting, form, list(causes), values)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
-    of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen and effect not in causes)]
-    freed = _cost_beside(beside.remainder, weighting, explained)
-    of_form_causes, explained = _form_causes(comparison, explained, freed, of_form, tried, others, beside.null_gains, rng)
-    causes, values = causes | of_form_causes, values | explained.values
+    of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen.effects and effect not in causes)]
+    reachable = min(_cost_beside(beside.weighting.remainder, weighting, explained), chosen.held_out_cost)
+    of_form_causes, explained = _form_causes(
+        comparison, explained, reachable, of_form, tried, all_but(form), beside.null_gains, rng
+    )
+    values |= explained.values
+    needed = _still_needed(beside.weighting, form, causes, of_form_causes, values)
+    if len(needed) < len(causes):
+        explained = _with_effects(weighting, form, [*needed, *of_form_causes], values)
+    causes = needed | of_form_causes
     if form is not alone:
         # What the best form contains and the user's model does not tells the two apart. The best form may do so in part
         # only: its linear spring takes the place of most of a gas spring.
@@ -109,10 +120,10 @@ def explain_in_part(
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
         lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
         of_form_causes, explained = _form_causes(
-            comparison, explained, best_cost, lacked, [*tried, *lacked], [form], beside.null_gains, rng
+            comparison, explained, best_cost, lacked, [*tried, *lacked], all_but(alone), beside.null_gains, rng
         )
         causes, values = causes | of_form_causes, values | explained.values
-    remainder = beside.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder
+    remainder = beside.weighting.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder
     freed = _cost_beside(remainder, weighting, explained)
     progress(0.9)
     named = [*lacking, *causes]
@@ -203,8 +214,8 @@ class _BesideRemainder:
 
     Attributes
     ----------
-    remainder : tuple of ndarray
-        See `mrd_diagnosis.weighting.WeightedProblem`.
+    weighting : Weighting
+        With the remainder.
     of_form : list of str
         Candidates that belong to the form of the damper, so that the remainder takes their place.
     causes : dict
@@ -215,7 +226,7 @@ class _BesideRemainder:
         See `mrd_diagnosis.null_distribution.draw_null_gains`.
     """
 
-    remainder: tuple[Array, ...]
+    weighting: Weighting
     of_form: list[str]
     causes: dict[str, HeldCause]
     values: dict[str, float]
@@ -243,7 +254,7 @@ def _search_beside_remainder(
     singles = [fit.refit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
     if not chosen:
-        return _BesideRemainder(weighting.remainder, of_form, {}, {}, null_gains)
+        return _BesideRemainder(weighting, of_form, {}, {}, null_gains)
     best = chosen[-1].refit
     compared = compare_on(weighting.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
     gains = {fit.effects[-1]: fit.gain for fit in chosen}
@@ -259,11 +270,11 @@ def _search_beside_remainder(
         if not holds(support, others[NO_EFFECT], others[effect]):
             continue
         chances = _chances(others, support, rng)
-        if max(chances, key=chances.__getitem__) != effect:  # something is missing there, but which effect is not known
+        if not _leads(effect, chances):  # something is missing there, but which effect is not known
             continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
-    return _BesideRemainder(weighting.remainder, of_form, causes, compared.best.values, null_gains)
+    return _BesideRemainder(weighting, of_form, causes, compared.best.values, null_gains)
 
 
 def _chances(refits: Mapping[str, Refit], support: float, rng: np.random.Generator) -> dict[str, float]:
@@ -272,13 +283,43 @@ def _chances(refits: Mapping[str, Refit], support: float, rng: np.random.Generat
     return {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
 
 
-def _search_around(
-    weighting: Weighting, form: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress
-) -> tuple[str, ...]:
-    """Return the effects that are chosen around a form of the damper without the remainder."""
+def _leads(effect: str, chances: Mapping[str, float]) -> bool:
+    """Whether an effect is the most probable one in its place, and not only one of many."""
+    return max(chances, key=chances.__getitem__) == effect and chances[effect] >= THRESHOLDS.leading_probability
+
+
+def _search_around(weighting: Weighting, form: Refit, effects: Sequence[str], progress: Progress) -> Refit:
+    """Return a form of the damper with the effects that are chosen around it without the remainder."""
     around = weighting.updated(form.problem.model, form.theta)
     chosen, _ = search_effects(around, refit_on(around, form), effects, progress=progress, quick=True)
-    return chosen[-1].effects if chosen else ()
+    return refit_on(weighting, chosen[-1].refit) if chosen else form
+
+
+def _still_needed(
+    weighting: Weighting,
+    form: Refit,
+    causes: dict[str, HeldCause],
+    of_form: Mapping[str, HeldCause],
+    values: Mapping[str, float],
+) -> dict[str, HeldCause]:
+    """Return the causes that do beside effects of the form at least half of what they do without these.
+
+    The remainder imitates an effect of the form in part only. What it left of it, another effect may have taken up.
+    """
+    if not of_form:
+        return causes
+
+    def closed(cause: str, present: Sequence[str]) -> float:
+        """Return by how much a cause lowers the held-out cost beside the remainder and the effects that are present."""
+        others = [effect for effect in present if effect != cause]
+        without, with_cause = (_with_effects(weighting, form, effects, values) for effects in (others, [*others, cause]))
+        return without.held_out_cost - with_cause.held_out_cost
+
+    return {
+        cause: held
+        for cause, held in causes.items()
+        if closed(cause, [*causes, *of_form]) >= 0.5 * closed(cause, list(causes))
+    }
 
 
 def _cost_beside(remainder: tuple[Array, ...], weighting: Weighting, refitted: Refit) -> float:
@@ -298,27 +339,40 @@ def _form_causes(
 ) -> tuple[dict[str, HeldCause], Refit]:
     """Return the effects that hold as a part of the form, and the model with them.
 
-    They close most of what lies between the cost of ``explained``, the model with all other causes, and the cost that is
-    ``reachable`` by a freer or a better form. None of the ``other`` forms, which lack them, predicts better, and of the
-    ``candidates`` that look like one of them, none does in its place.
+    Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
+    that is ``reachable`` by a freer or a better form. The best of the ``others``, damper models with the best first, that
+    lacks one of them does not predict better, and of the ``candidates`` that look like it, none does in its place.
     """
-    weighting, causes = comparison.weighting, {}
+    weighting, causes, without = comparison.weighting, {}, explained
     for effect, fitted in _form_chain(weighting, explained, reachable, effects):
         lacking = [form for form in others if not contains(form.problem.model, effect)]
         instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
         support = float(probabilities([fitted, *instead], rng)[0])
-        if support < THRESHOLDS.named_probability or not _holds_in_halves(explained, fitted):
+        if (
+            support < THRESHOLDS.named_probability
+            or not holds(support, explained, fitted)
+            or not _holds_in_halves(explained, fitted)
+        ):
             break
         alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in explained.effects]
         refits = {effect: fitted, NO_EFFECT: explained} | refit_in_its_place(weighting, explained, alike)
         chances = _chances(refits, support, rng)
-        if not holds(chances[effect], explained, fitted):
+        if not _leads(effect, chances):
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
         closed = closed_fraction_between(explained, fitted, comparison, rng)
         causes[effect] = HeldCause(chances, p_value(gain, null_gains), closed)
         explained = fitted
+    # The chain closes most of it, but what holds of the chain may not.
+    if not _closes_most(without, explained, reachable):
+        return {}, without
     return causes, explained
+
+
+def _closes_most(without: Refit, with_effects: Refit, reachable: float) -> bool:
+    """Whether effects of the form close most of what a freer or a better form can reach."""
+    available = without.held_out_cost - reachable
+    return bool(without.held_out_cost - with_effects.held_out_cost >= THRESHOLDS.least_form_share * available)
 
 
 def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[tuple[str, Refit]]:
@@ -329,7 +383,7 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
         return []
     chain: list[tuple[str, Refit]] = []
     best = explained
-    while len(chain) < MOST_FORM_EFFECTS and best.held_out_cost > reachable:
+    while len(chain) < MOST_FORM_EFFECTS and not _closes_most(explained, best, reachable):
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting,
@@ -348,8 +402,7 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
             break
         best = fit.refit
         chain.append((fit.effects[-1], best))
-    closed = explained.held_out_cost - best.held_out_cost
-    return chain if closed >= THRESHOLDS.least_form_share * available else []
+    return chain if _closes_most(explained, best, reachable) else []
 
 
 def _with_and_without(weighting: Weighting, form: Refit, best: Refit, effect: str) -> tuple[Refit, Refit]:

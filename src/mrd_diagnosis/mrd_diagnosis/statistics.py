@@ -32,15 +32,26 @@ def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Ar
 
     The likelihood of the held-out white error, tempered by its correlation in time and by the reduced chi-square that even
     the best refit leaves, is averaged over a Bayesian bootstrap of the folds (Rubin, 1981), so that nothing is certain that
-    rests on few folds. It is tempered as well by `Thresholds.formula_error`: a refit that is behind by less may hold the
-    cause in an inexact formula.
+    rests on few folds. Formulas are inexact, so that a refit that is a little behind may hold the cause, too: it is tempered
+    as well by `Thresholds.formula_error` of what the best closes, and by `Thresholds.remaining_error` of what it leaves
+    beyond noise, which shows that something is wrong with the formulas.
+
+    Parameters
+    ----------
+    alternatives : sequence of Refit
+        The second, if there is one, lacks what the first explains.
+    rng : numpy Generator
     """
-    costs = np.stack([alternative.held_out_costs for alternative in alternatives])
+    # A fit may diverge where a fold is held out.
+    costs = np.nan_to_num([alternative.held_out_costs for alternative in alternatives], nan=1e30, posinf=1e30)
     totals = costs.sum(axis=1)
     best = alternatives[int(np.argmin(totals))]
+    closed = float(totals[:2].max() - totals.min())
+    left = float(totals.min()) * (1.0 - 1.0 / max(best.chi_square, 1.0))
     temperature = max(
         error_dispersion(best.problem.residuals(best.theta)),
-        0.5 * THRESHOLDS.formula_error * float(totals.max() - totals.min()),
+        0.5 * THRESHOLDS.formula_error * closed,
+        0.5 * THRESHOLDS.remaining_error * left,
     )
     weights = rng.dirichlet(np.ones(costs.shape[1]), BOOTSTRAP_SAMPLES) * costs.shape[1]
     return np.asarray(softmax(-0.5 * weights @ costs.T / temperature, axis=1).mean(axis=0))

@@ -73,16 +73,22 @@ class Thresholds:
         "other forms with one effect, seed 990",
     )
     least_form_share: float = threshold(
-        0.8,
+        0.65,
         "of what the form remainder closes",
         "share that effects of the form must close by their own formulas to be named",
-        "other forms with one effect, seed 990",
+        "measured recordings with known errors, seed 63",
     )
     named_support: float = threshold(
         0.5,
         "",
         "probability of an effect, averaged over the damper models that count, from which it is named beside a wrong form",
         "measured recordings with known errors, seed 53",
+    )
+    leading_probability: float = threshold(
+        0.3,
+        "",
+        "probability from which the most probable effect is named beside a wrong form",
+        "measured recordings with known errors, seed 63",
     )
     least_information: float = threshold(
         0.01,
@@ -144,8 +150,14 @@ class Thresholds:
         0.02,
         "of the gap",
         "share of the gap by which the true effect may be behind another one, because its formula in the "
-        "catalogue is not exact",
+        "catalogue is not exact; of what it closes, where probabilities are computed",
         "development seeds 7002 and 7003",
+    )
+    remaining_error: float = threshold(
+        0.1,
+        "of what the best explanation leaves beyond noise",
+        "lead that is not decisive (odds of e) where the formulas leave so much",
+        "measured recordings with known errors, seed 63",
     )
     indistinguishable: float = threshold(
         0.9,

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from mrd_diagnosis import diagnose, partial_explanation
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
+from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
 from mrd_diagnosis.model_comparison import compare_on
-from mrd_diagnosis.partial_explanation import holds, stacking_weights
+from mrd_diagnosis.partial_explanation import HeldCause, holds, stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -52,6 +53,11 @@ def runs(effect=lambda signals: 0.0, lag=0.0, seeds=range(5), rate=250.0, second
         force = loop(x, v, a, acting) + effect((t, x, v, a)) + rng.normal(0, FORCE_NOISE, len(t))
         recorded.append(Run(f"run{seed}", t, x, v, current, force))
     return recorded
+
+
+def late(delay):
+    """Record the loop with a force that comes late by ``delay`` s."""
+    return [replace(run, force=np.interp(run.time - delay, run.time, run.force)) for run in runs()]
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +155,46 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it():
     assert 0.8 < cause.probabilities["backlash"] < 0.99
     assert sum(cause.probabilities.values()) == pytest.approx(1.0)
     assert causes_of(["joint_play"]) == {}
+
+
+def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_closed(monkeypatch):
+    """The chain closes most with its second effect. Where that one does not hold, the first is named if it does alone."""
+    recordings = [prepare_recording(run) for run in sines(6e-4)]
+    weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
+    comparison = compare_on(weighting, base, [], [])
+    (first,) = partial_explanation._form_chain(weighting, base, 0.2 * base.held_out_cost, ["backlash"])
+    superfluous = ("joint_play", replace(first[1], held_out_costs=first[1].held_out_costs + 1.0))
+    monkeypatch.setattr(partial_explanation, "_form_chain", lambda *_: [first, superfluous])
+    closed = base.held_out_cost - first[1].held_out_cost
+
+    def causes_of(reachable):
+        rest = [], [], np.zeros(9), np.random.default_rng(0)
+        return partial_explanation._form_causes(comparison, base, reachable, ["backlash", "joint_play"], *rest)
+
+    causes, explained = causes_of(base.held_out_cost - closed / 0.9)
+    assert list(causes) == ["backlash"]
+    assert explained is first[1]
+    assert causes_of(base.held_out_cost - closed / 0.6) == ({}, base)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "cause", "of_form", "kept"),
+    [
+        (runs(effect=lambda signals: 4.0 * signals[3]), "moving_mass", "shear_thinning", True),
+        (late(0.012), "force_sensor_lag", "channel_delay", False),
+    ],
+)
+def test_a_cause_must_still_be_needed_beside_the_effects_of_the_form(recorded, cause, of_form, kept):
+    recordings = [prepare_recording(run) for run in recorded]
+    weighting, base, _, _ = fit_base(BOUC_WEN, None, recordings, np.random.default_rng(0))
+    beside, form = with_form_remainder(weighting, base)
+    values = dict(form.values)
+    for effect in (cause, of_form):
+        values |= {f"{effect}.{parameter.name}": parameter.default for parameter in EFFECTS[effect].parameters}
+        values |= {f"{effect}.{name}": value for name, value in EFFECTS[effect].typical.items()}
+    held = HeldCause({}, 0.0, Interval(1.0))
+    needed = partial_explanation._still_needed(beside, form, {cause: held}, {of_form: held}, values)
+    assert list(needed) == ([cause] if kept else [])
 
 
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():

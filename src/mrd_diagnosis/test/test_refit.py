@@ -12,8 +12,8 @@ from scipy.stats import kstest
 from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.decision import decide
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.effect_search import refit_with_effects, score_effect, start_values
-from mrd_diagnosis.model_comparison import compare_models, estimate_run_scatter
+from mrd_diagnosis.effect_search import EffectFit, refit_with_effects, score_effect, start_values
+from mrd_diagnosis.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
 from mrd_diagnosis.refit import refit, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
@@ -179,6 +179,25 @@ def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):
     assert 0.5 < sure < 1.0  # a bootstrap sample may lack the fold in which they differ
 
 
+@pytest.mark.parametrize("cost", [100.0, np.inf, np.nan])
+def test_a_fit_that_diverges_makes_no_others_alike(alone, cost):
+    worse, other = (replace(alone, held_out_costs=alone.held_out_costs * factor) for factor in (1.5, 1.1))
+    diverged = replace(alone, held_out_costs=alone.held_out_costs * cost)
+    without_it = probabilities([alone, worse, other], np.random.default_rng(0))
+    assert probabilities([alone, worse, other, diverged], np.random.default_rng(0)) == pytest.approx([*without_it, 0.0])
+
+
+def test_what_the_best_explanation_leaves_says_how_inexact_formulas_are(alone):
+    """The same lead is decisive beside noise, and not beside an error ten times as large."""
+    lead, wrong = 0.06, replace(alone, held_out_chi_squares=11.0 * alone.held_out_chi_squares)
+    chances = []
+    for best in (alone, wrong):
+        others = [replace(best, held_out_costs=best.held_out_costs * (1.0 + behind)) for behind in (0.5, lead)]
+        chances.append(probabilities([best, *others], np.random.default_rng(0))[0])
+    assert chances[0] > 0.95
+    assert 0.55 < chances[1] < 0.75
+
+
 @given(st.floats(0.0, 0.99), st.floats(0.1, 10.0))
 def test_the_closed_fraction_is_a_share_of_the_gap_beyond_noise(share, noise):
     rng = np.random.default_rng(0)
@@ -244,6 +263,20 @@ def test_an_effect_that_another_one_makes_superfluous_is_dropped(true):
     assert [len(step.problem.model.effects) for step in comparison.chain] == list(range(1, len(true) + 1))
     assert comparison.best.chi_square < 1.2
     assert comparison.alternatives.keys() == set(true)
+
+
+def test_what_looks_like_a_cause_is_fitted_in_its_place_though_others_do_more_by_themselves(delayed):
+    comparison, _ = delayed
+    names = ["flow_asymmetry", "settling", "mains_hum", "load_cell_drift", "gas_spring", "moving_mass", "force_sensor_lag"]
+    chosen = EffectFit(("channel_delay",), comparison.best, 1.0, 1.0)
+    folds = len(comparison.best.held_out_costs)
+    singles = [
+        EffectFit((name,), replace(comparison.base, held_out_costs=np.full(folds, 1e3 + rank)), 0.0, 0.0)
+        for rank, name in enumerate(names)
+    ]
+    compared = compare_on(comparison.weighting, comparison.base, [chosen], [chosen, *singles])
+    tried = set(compared.alternatives["channel_delay"]) - {"channel_delay", NO_EFFECT}
+    assert tried == {*names[:4], "moving_mass", "force_sensor_lag"}
 
 
 @pytest.fixture(scope="module")

@@ -284,6 +284,12 @@ def test_calibration_by_hand():
     assert found.log == pytest.approx(-(math.log(0.95) + math.log(0.09) + math.log(0.65)) / 4)
 
 
+@pytest.mark.parametrize(("claims", "by_chance"), [(1, 0.5), (400, 0.5 * math.sqrt(2 / math.pi / 400))])
+def test_right_probabilities_have_the_calibration_error_of_chance(claims, by_chance):
+    found = calibration(np.full(claims, 0.5), np.arange(claims) % 2 == 0)
+    assert found.by_chance == pytest.approx(by_chance, rel=0.05)
+
+
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))
 def test_calibration_is_bounded_and_counts_everything(claims):
     found = calibration(*(np.array(part) for part in zip(*claims, strict=True)))

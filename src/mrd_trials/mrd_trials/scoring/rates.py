@@ -76,6 +76,10 @@ class Distribution:
         return float(np.quantile(self.values, level)) if self.values else float("nan")
 
 
+CHANCE_DRAWS = 2000
+"""Outcomes drawn from probabilities, for the calibration error that chance alone gives."""
+
+
 @dataclass(frozen=True)
 class ReliabilityBin:
     """A tenth of the probabilities, from ``lower`` on: their mean, and how often the claims were right."""
@@ -97,6 +101,8 @@ class Calibration:
         The tenths that are not empty.
     error : float
         Expected calibration error: mean distance of the curve from the diagonal, weighted by counts.
+    by_chance : float
+        What this error would be on average if every probability were right: a few claims never lie on the diagonal.
     brier, log : float
         Mean squared error, and mean negative logarithm of the probability that was given to what is true.
     """
@@ -104,6 +110,7 @@ class Calibration:
     count: int
     curve: tuple[ReliabilityBin, ...]
     error: float
+    by_chance: float
     brier: float
     log: float
 
@@ -111,8 +118,12 @@ class Calibration:
 def calibration(probability: Array, right: NDArray[np.bool_]) -> Calibration:
     """Compute the calibration of claims from their probabilities (n,) and from whether each was right (n,)."""
     if not len(probability):
-        return Calibration(0, (), *3 * (float("nan"),))
+        return Calibration(0, (), *4 * (float("nan"),))
     tenths = np.minimum((10 * probability).astype(int), 9)
+    drawn = np.random.default_rng(0).random((CHANCE_DRAWS, len(probability))) < probability
+    # Summed over a tenth, claims less probabilities are the distance of the curve from the diagonal times the count.
+    of_tenth = tenths[:, None] == np.arange(10)
+    distances = np.abs((drawn - probability) @ of_tenth).sum(axis=1) / len(probability)
     curve = tuple(
         ReliabilityBin(
             tenth / 10, float(probability[tenths == tenth].mean()), Rate(int(right[tenths == tenth].sum()), int(count))
@@ -125,6 +136,7 @@ def calibration(probability: Array, right: NDArray[np.bool_]) -> Calibration:
         count=len(probability),
         curve=curve,
         error=sum(entry.right.total * abs(entry.mean - entry.right.value) for entry in curve) / len(probability),
+        by_chance=float(distances.mean()),
         brier=float(np.mean((probability - right) ** 2)),
         log=float(-np.mean(np.log(of_truth))),
     )

@@ -107,7 +107,7 @@ def text(figure: Figure | str) -> str:
             quartiles = f"({figure.quantile(0.25):.2f}–{figure.quantile(0.75):.2f})"
             return f"{figure.median:.2f} {quartiles}" if figure.values else "–"
         case Calibration():
-            return f"{figure.error:.3f} ({figure.count} claims)" if figure.count else "–"
+            return f"{figure.error:.3f} ({figure.count} claims; by chance {figure.by_chance:.3f})" if figure.count else "–"
         case ExperimentComparison():
             rates = f"{figure.advised.hits} against {figure.random.hits} of {figure.advised.total}"
             return f"{text(figure.ratio)} ({rates})" if figure.advised.total else "–"
