@@ -13,50 +13,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
-from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.closure import closed_fraction_between
-from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects, search_effects
+from mrd_diagnosis.effect_search import search_effects
 from mrd_diagnosis.explanation import Explanation
+from mrd_diagnosis.form_causes import name_form_causes
 from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
+from mrd_diagnosis.held_cause import HeldCause, holds, holds_in_halves, leads, probabilities_in_place, with_effects
 from mrd_diagnosis.limitations import contains
-from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on, refit_in_its_place
+from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
-from mrd_diagnosis.refit import CONVERGED, Refit, held_out_errors, refit, refit_on, without_each
+from mrd_diagnosis.refit import Refit, refit, refit_on
 from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.weighted_forms import weighted_forms
 from mrd_diagnosis.weighting import Weighting
 from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
-
-MOST_FORMS = 3
-"""Damper models around which a cause is judged."""
-
-MOST_FORM_EFFECTS = 2
-"""Effects of the form that are added to the model one after the other, at most."""
-
-
-@dataclass(frozen=True)
-class HeldCause:
-    """An effect that holds whatever the form of the damper.
-
-    Attributes
-    ----------
-    probabilities : dict
-        Probability of every alternative to it, itself included, by name.
-    p_value : float
-        Probability of its improvement in noise alone.
-    closed_fraction : Interval
-        Share of the gap that it closes beside the others and a freer form of the damper.
-    """
-
-    probabilities: dict[str, float]
-    p_value: float
-    closed_fraction: Interval
 
 
 def explain_in_part(
@@ -86,7 +61,7 @@ def explain_in_part(
     weighting = comparison.weighting
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
-    forms = _weighted_forms(alone, other_models)
+    forms = weighted_forms(alone, other_models)
     form = forms[0][0]
     best_first = sorted([alone, *other_models], key=lambda other: other.held_out_cost)
 
@@ -100,26 +75,26 @@ def explain_in_part(
         chosen = _search_around(weighting, form, tried, lambda fraction: progress(0.3 * fraction))
     beside = _search_beside_remainder(comparison, forms, tried, rng, lambda fraction: progress(0.3 + 0.5 * fraction))
     causes, values = beside.causes, alone.values | beside.values
-    explained = _with_effects(weighting, form, list(causes), values)
+    explained = with_effects(weighting, form, list(causes), values)
     # What was chosen without the remainder may belong to the form as well, though the remainder cannot quite imitate it.
     of_form = [effect for effect in tried if effect in beside.of_form or (effect in chosen.effects and effect not in causes)]
     reachable = min(_cost_beside(beside.weighting.remainder, weighting, explained), chosen.held_out_cost)
-    of_form_causes, explained = _form_causes(
+    of_form_causes, explained = name_form_causes(
         comparison, explained, reachable, of_form, tried, all_but(form), beside.null_gains, rng
     )
     values |= explained.values
     needed = _still_needed(beside.weighting, form, causes, of_form_causes, values)
     if len(needed) < len(causes):
-        explained = _with_effects(weighting, form, [*needed, *of_form_causes], values)
+        explained = with_effects(weighting, form, [*needed, *of_form_causes], values)
     causes = needed | of_form_causes
     if form is not alone:
         # What the best form contains and the user's model does not tells the two apart. The best form may do so in part
         # only: its linear spring takes the place of most of a gas spring.
         best_cost = explained.held_out_cost
-        explained = _with_effects(weighting, alone, list(causes), values)
+        explained = with_effects(weighting, alone, list(causes), values)
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
         lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
-        of_form_causes, explained = _form_causes(
+        of_form_causes, explained = name_form_causes(
             comparison, explained, best_cost, lacked, [*tried, *lacked], all_but(alone), beside.null_gains, rng
         )
         causes, values = causes | of_form_causes, values | explained.values
@@ -155,57 +130,6 @@ def rests_on_form(comparison: ModelComparison) -> bool:
     if comparison.best.chi_square <= THRESHOLDS.noise_chi_square:
         return False
     return bool(form_effects(comparison.weighting, comparison.base, comparison.effects))
-
-
-def holds(probability: float, without: Refit, with_effect: Refit) -> bool:
-    """Whether an effect can be named beside a wrong form: it is more likely than not, and not one fold alone speaks for it.
-
-    Without the second, an effect was named whose share in the gap was 100 %, between -4 and 100: without it, the model
-    diverged in one of the folds.
-    """
-    gains = without.held_out_squares - with_effect.held_out_squares
-    return bool(probability >= THRESHOLDS.named_support and gains.sum() > max(gains.max(), 0.0))
-
-
-def stacking_weights(refits: Sequence[Refit]) -> Array:
-    """Return the weights (refits,) with which models together predict best: none negative, one in sum.
-
-    They minimise the squared error of the weighted prediction (stacked regressions; Breiman, 1996). The errors are those of
-    the joint fit: each model has few parameters for the samples.
-    """
-    errors = np.stack([refitted.problem.residuals(refitted.theta) for refitted in refits], axis=1)
-    sum_is_one = 100.0 * np.linalg.norm(errors)
-    matrix = np.linalg.cholesky(errors.T @ errors + sum_is_one**2 + 1e-9 * sum_is_one**2 * np.eye(len(refits))).T
-    target = np.linalg.solve(matrix.T, np.full(len(refits), sum_is_one**2))
-    weights = nnls(matrix, target)[0]
-    return np.asarray(weights / weights.sum())
-
-
-def _weighted_forms(own: Refit, others: Sequence[Refit]) -> list[tuple[Refit, float]]:
-    """Return the damper models that count most with their weights; first the one around which causes are searched.
-
-    Of refits of one model with more or less freedom, the best counts. Among the models that predict about as well as the
-    best, the first is the one with the largest weight: another one may err in the same places and in more. The user's
-    ``own`` model is preferred where it is among them and has a weight of its own.
-    """
-    best_by_model: dict[str, Refit] = {}
-    for refitted in sorted([own, *others], key=lambda refitted: (refitted.held_out_cost, refitted is not own)):
-        best_by_model.setdefault(refitted.problem.model.id, refitted)
-    if best_by_model[own.problem.model.id].held_out_cost > own.held_out_cost * (1.0 - THRESHOLDS.formula_error):
-        best_by_model[own.problem.model.id] = own
-    forms = list(best_by_model.values())
-    weights = stacking_weights(forms)
-    best = min(form.held_out_cost for form in forms)
-
-    def rank(index: int) -> tuple[bool, bool, float]:
-        worse = forms[index].held_out_cost * (1.0 - THRESHOLDS.formula_error) > best
-        preferred = forms[index] is own and weights[index] >= THRESHOLDS.listed_probability
-        return worse, not preferred, -weights[index]
-
-    first = min(range(len(forms)), key=rank)
-    counted = sorted(range(len(forms)), key=lambda index: (index != first, -weights[index]))[:MOST_FORMS]
-    total = weights[counted].sum()
-    return [(forms[index], float(weights[index] / total)) for index in counted]
 
 
 @dataclass(frozen=True)
@@ -261,7 +185,7 @@ def _search_beside_remainder(
     causes = {}
     for effect, others in compared.alternatives.items():
         p = p_value(gains[effect], null_gains)
-        if p > THRESHOLDS.p_value or not _holds_in_halves(others[NO_EFFECT], others[effect]):
+        if p > THRESHOLDS.p_value or not holds_in_halves(others[NO_EFFECT], others[effect]):
             continue
         of_forms = [(others[effect], others[NO_EFFECT])] + [
             _with_and_without(*space, compared.best, effect) for space in spaces[1:]
@@ -269,23 +193,12 @@ def _search_beside_remainder(
         support = sum(weight * float(probabilities(pair, rng)[0]) for pair, (_, weight) in zip(of_forms, forms, strict=True))
         if not holds(support, others[NO_EFFECT], others[effect]):
             continue
-        chances = _chances(others, support, rng)
-        if not _leads(effect, chances):  # something is missing there, but which effect is not known
+        chances = probabilities_in_place(others, support, rng)
+        if not leads(effect, chances):  # something is missing there, but which effect is not known
             continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
         causes[effect] = HeldCause(chances, p, closed)
     return _BesideRemainder(weighting, of_form, causes, compared.best.values, null_gains)
-
-
-def _chances(refits: Mapping[str, Refit], support: float, rng: np.random.Generator) -> dict[str, float]:
-    """Return the probability of each effect among refits in one place; with that of no effect, they sum to ``support``."""
-    shares = map(float, probabilities(list(refits.values()), rng))
-    return {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
-
-
-def _leads(effect: str, chances: Mapping[str, float]) -> bool:
-    """Whether an effect is the most probable one in its place, and not only one of many."""
-    return max(chances, key=chances.__getitem__) == effect and chances[effect] >= THRESHOLDS.leading_probability
 
 
 def _search_around(weighting: Weighting, form: Refit, effects: Sequence[str], progress: Progress) -> Refit:
@@ -312,7 +225,7 @@ def _still_needed(
     def closed(cause: str, present: Sequence[str]) -> float:
         """Return by how much a cause lowers the held-out cost beside the remainder and the effects that are present."""
         others = [effect for effect in present if effect != cause]
-        without, with_cause = (_with_effects(weighting, form, effects, values) for effects in (others, [*others, cause]))
+        without, with_cause = (with_effects(weighting, form, effects, values) for effects in (others, [*others, cause]))
         return without.held_out_cost - with_cause.held_out_cost
 
     return {
@@ -327,125 +240,16 @@ def _cost_beside(remainder: tuple[Array, ...], weighting: Weighting, refitted: R
     return refit_on(replace(weighting, remainder=remainder), refitted).held_out_cost
 
 
-def _form_causes(
-    comparison: ModelComparison,
-    explained: Refit,
-    reachable: float,
-    effects: Sequence[str],
-    candidates: Sequence[str],
-    others: Sequence[Refit],
-    null_gains: Array,
-    rng: np.random.Generator,
-) -> tuple[dict[str, HeldCause], Refit]:
-    """Return the effects that hold as a part of the form, and the model with them.
-
-    Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
-    that is ``reachable`` by a freer or a better form. The best of the ``others``, damper models with the best first, that
-    lacks one of them does not predict better, and of the ``candidates`` that look like it, none does in its place.
-    """
-    weighting, causes, without = comparison.weighting, {}, explained
-    for effect, fitted in _form_chain(weighting, explained, reachable, effects):
-        lacking = [form for form in others if not contains(form.problem.model, effect)]
-        instead = [_with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
-        support = float(probabilities([fitted, *instead], rng)[0])
-        if (
-            support < THRESHOLDS.named_probability
-            or not holds(support, explained, fitted)
-            or not _holds_in_halves(explained, fitted)
-        ):
-            break
-        alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in explained.effects]
-        refits = {effect: fitted, NO_EFFECT: explained} | refit_in_its_place(weighting, explained, alike)
-        chances = _chances(refits, support, rng)
-        if not _leads(effect, chances):
-            break
-        gain = float(explained.held_out_cost - fitted.held_out_cost)
-        closed = closed_fraction_between(explained, fitted, comparison, rng)
-        causes[effect] = HeldCause(chances, p_value(gain, null_gains), closed)
-        explained = fitted
-    # The chain closes most of it, but what holds of the chain may not.
-    if not _closes_most(without, explained, reachable):
-        return {}, without
-    return causes, explained
-
-
-def _closes_most(without: Refit, with_effects: Refit, reachable: float) -> bool:
-    """Whether effects of the form close most of what a freer or a better form can reach."""
-    available = without.held_out_cost - reachable
-    return bool(without.held_out_cost - with_effects.held_out_cost >= THRESHOLDS.least_form_share * available)
-
-
-def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[tuple[str, Refit]]:
-    """Add effects of the form one after the other; return them where they close most of what can be reached."""
-    available = explained.held_out_cost - reachable
-    gap = explained.held_out_cost - weighting.noise_cost
-    if available < THRESHOLDS.least_share_first * gap:
-        return []
-    chain: list[tuple[str, Refit]] = []
-    best = explained
-    while len(chain) < MOST_FORM_EFFECTS and not _closes_most(explained, best, reachable):
-        remaining = [effect for effect in effects if effect not in best.effects]
-        fits = refit_with_effects(
-            weighting,
-            BaseFit.linearise(weighting, best),
-            remaining,
-            len(remaining),
-            present=best.effects,
-            converged=ROUGHLY_CONVERGED if best.effects else CONVERGED,
-        )
-        if not fits:
-            break
-        fit = min(fits, key=lambda fit: fit.refit.held_out_cost)
-        # What closes less of the gap than a formula may be wrong by is no cause.
-        needed = max(THRESHOLDS.least_share_next * (best.held_out_cost - reachable), THRESHOLDS.formula_error * gap)
-        if best.held_out_cost - fit.refit.held_out_cost < needed:
-            break
-        best = fit.refit
-        chain.append((fit.effects[-1], best))
-    return chain if _closes_most(explained, best, reachable) else []
-
-
 def _with_and_without(weighting: Weighting, form: Refit, best: Refit, effect: str) -> tuple[Refit, Refit]:
     """Refit another form of the damper with the effects of ``best``, and with all of them but one."""
     without = [other for other in best.effects if other != effect]
-    return _with_effects(weighting, form, best.effects, best.values), _with_effects(weighting, form, without, best.values)
-
-
-def _with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], values: Mapping[str, float]) -> Refit:
-    """Refit a model with those effects that it does not contain; their parameters start from ``values``."""
-    model, theta = refitted.problem.model, refitted.theta
-    for effect in effects:
-        if not contains(refitted.problem.model, effect):
-            model, theta = with_effect(model, theta, effect)
-    theta = np.array([values[n] if "." in n else v for n, v in zip(model.names, theta, strict=True)])
-    return refit(weighting.problem(model, theta), theta, weighting.folds)
-
-
-def _holds_in_halves(without: Refit, with_effect: Refit) -> bool:
-    """Whether an effect lowers the error of either half of the folds with parameters fitted to the other half."""
-    return bool((_cost_of_halves(with_effect) < _cost_of_halves(without)).all())
-
-
-def _cost_of_halves(refitted: Refit) -> Array:
-    """Return the sum of squared white residuals (2,) of every second fold, predicted from the others."""
-    problem, folds = refitted.problem, refitted.folds
-    halves = [np.arange(first, len(folds), 2) for first in (0, 1)]
-    matrices = np.stack([refitted.normal_matrices[half].sum(axis=0) for half in halves])
-    gradients = np.stack([refitted.gradients[half].sum(axis=0) for half in halves])
-    thetas, coefficients = without_each(problem, problem.unit(refitted.theta), refitted.coefficients, matrices, gradients)
-    costs = []
-    for half, theta, of_remainder in zip(halves, thetas, coefficients, strict=True):
-        pieces = [folds[index] for index in half]
-        shape = (len(pieces), 1)
-        white, _, _ = held_out_errors(problem, np.tile(theta, shape), np.tile(of_remainder, shape), pieces)
-        costs.append(float(white.sum()))
-    return np.array(costs)
+    return with_effects(weighting, form, best.effects, best.values), with_effects(weighting, form, without, best.values)
 
 
 def _comparison_with(comparison: ModelComparison, effects: Sequence[str], values: Mapping[str, float]) -> ModelComparison:
     """Refit the user's model with one effect more at a time, without the remainder."""
     chain = [
-        _with_effects(comparison.weighting, comparison.base, effects[: count + 1], values) for count in range(len(effects))
+        with_effects(comparison.weighting, comparison.base, effects[: count + 1], values) for count in range(len(effects))
     ]
     alternatives = {effect: {effect: chain[-1]} for effect in effects}
     return replace(comparison, chain=tuple(chain), effects=tuple(effects), alternatives=alternatives)

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrd_diagnosis import diagnose, partial_explanation
+from mrd_diagnosis import diagnose, form_causes, partial_explanation
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
+from mrd_diagnosis.held_cause import HeldCause, holds
 from mrd_diagnosis.model_comparison import compare_on
-from mrd_diagnosis.partial_explanation import HeldCause, holds, stacking_weights
+from mrd_diagnosis.weighted_forms import stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -149,7 +150,7 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it():
 
     def causes_of(effects):
         rest = [], np.zeros(9), np.random.default_rng(0)
-        return partial_explanation._form_causes(comparison, base, reachable, effects, plays, *rest)[0]
+        return form_causes.name_form_causes(comparison, base, reachable, effects, plays, *rest)[0]
 
     (cause,) = causes_of(["backlash"]).values()
     assert 0.8 < cause.probabilities["backlash"] < 0.99
@@ -162,14 +163,14 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
     recordings = [prepare_recording(run) for run in sines(6e-4)]
     weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
     comparison = compare_on(weighting, base, [], [])
-    (first,) = partial_explanation._form_chain(weighting, base, 0.2 * base.held_out_cost, ["backlash"])
+    (first,) = form_causes._form_chain(weighting, base, 0.2 * base.held_out_cost, ["backlash"])
     superfluous = ("joint_play", replace(first[1], held_out_costs=first[1].held_out_costs + 1.0))
-    monkeypatch.setattr(partial_explanation, "_form_chain", lambda *_: [first, superfluous])
+    monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [first, superfluous])
     closed = base.held_out_cost - first[1].held_out_cost
 
     def causes_of(reachable):
         rest = [], [], np.zeros(9), np.random.default_rng(0)
-        return partial_explanation._form_causes(comparison, base, reachable, ["backlash", "joint_play"], *rest)
+        return form_causes.name_form_causes(comparison, base, reachable, ["backlash", "joint_play"], *rest)
 
     causes, explained = causes_of(base.held_out_cost - closed / 0.9)
     assert list(causes) == ["backlash"]
