@@ -57,13 +57,18 @@ def claim_domain() -> int:
     raise RuntimeError(f"all ROS domains from 1 to {_LAST_DOMAIN} are used by other simulated benches and tests")
 
 
-def claim_namespace(namespace: str) -> bool:
-    """Keep a namespace of the present ROS domain for this process, until it ends; return whether nobody has it yet.
+def claim_name(name: str) -> int | None:
+    """Keep the name of a node, or a namespace, of the present ROS domain for this process, on this machine.
 
-    ROS takes seconds to find another bench, so that of two that are started together neither would find the other.
+    ROS takes seconds to find others, so that of two that are started together neither would find the other.
+
+    Returns
+    -------
+    int or None
+        A file descriptor, which keeps the name until it is closed or the process ends; None if the name is taken.
     """
-    name = f"mrd_bench_{os.environ.get('ROS_DOMAIN_ID', '0')}_{namespace.strip('/').replace('/', '.')}.lock"
-    path = Path(tempfile.gettempdir(), name)
+    file = f"mrd_bench_{os.environ.get('ROS_DOMAIN_ID', '0')}_{name.strip('/').replace('/', '.')}.lock"
+    path = Path(tempfile.gettempdir(), file)
     try:
         lock = os.open(path, os.O_RDONLY)  # to lock a file, nobody needs to own it
     except FileNotFoundError:
@@ -72,5 +77,5 @@ def claim_namespace(namespace: str) -> bool:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(lock)
-        return False
-    return True
+        return None
+    return lock

@@ -188,6 +188,35 @@ def test_help_says_what_the_node_is(option):
     assert "\n  offset_mm  double\n" in node.stdout
 
 
+def test_help_whose_reader_has_had_enough_says_nothing():
+    node = subprocess.run(f"{' '.join(NODE)} --help | true", shell=True, capture_output=True, text=True, timeout=20)
+    assert (node.stdout, node.stderr) == ("", "")
+
+
+def test_a_second_node_of_a_name_is_refused_where_the_two_would_disturb_each_other():
+    folder = str(Path(__file__).parent)
+    program = (
+        f"import sys; sys.path.insert(0, {folder!r}); from tiny_node import *; TinyNode.alone = True; run_node(TinyNode)"
+    )
+    node = [sys.executable, "-c", program]
+    with subprocess.Popen(node, stdout=subprocess.PIPE, text=True) as first:
+        try:
+            assert "TinySettings(" in first.stdout.readline()
+            second = subprocess.run(node, capture_output=True, text=True, timeout=20)
+            elsewhere = subprocess.Popen([*node, "--ros-args", "-r", "__ns:=/other"], stdout=subprocess.PIPE, text=True)
+            with elsewhere:
+                assert "TinySettings(" in elsewhere.stdout.readline()
+                elsewhere.terminate()
+        finally:
+            first.terminate()
+    assert second.returncode == 2
+    assert second.stderr.startswith("error: another /tiny runs on this machine in ROS domain ")
+    assert second.stderr.count("\n") == 1
+    with subprocess.Popen(node, stdout=subprocess.PIPE, text=True) as after:
+        assert "TinySettings(" in after.stdout.readline()
+        after.terminate()
+
+
 @pytest.mark.parametrize(
     ("section", "hint"),
     [("/**/tny", "did you mean tiny?"), ("tini", "did you mean tiny?"), ("/bench/sevro", "did you mean servo?")],

@@ -2,7 +2,7 @@ import os
 import subprocess
 import sys
 
-from mrd_base.domain import claim_namespace, domains_in_use
+from mrd_base.domain import claim_name, domains_in_use
 
 PROGRAM = "from mrd_base.domain import claim_domain; print(claim_domain(), flush=True); input()"
 
@@ -35,13 +35,13 @@ def test_a_domain_with_a_ros_program_that_has_no_lock_is_in_use():
 
 def test_a_namespace_of_a_domain_belongs_to_one_process(monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    program = "from mrd_base.domain import claim_namespace; print(claim_namespace('/lab/bench'), flush=True); input()"
+    program = "from mrd_base.domain import claim_name; print(claim_name('/lab/bench') is not None, flush=True); input()"
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     other = subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
     )
     assert other.stdout.readline() == "True\n"
-    assert not claim_namespace("lab/bench")
-    assert claim_namespace("/lab/bench2")
+    assert claim_name("lab/bench") is None
+    assert claim_name("/lab/bench2") is not None
     other.communicate("\n", timeout=10)
-    assert claim_namespace("/lab/bench")
+    assert claim_name("/lab/bench") is not None

@@ -291,13 +291,16 @@ def test_a_stop_before_the_end_of_homing_cancels_it(peers: FakePeers) -> None:
         (["name: x"], "experiment 1: duration_s is missing"),
         ([EXPERIMENT, EXPERIMENT], "experiment 2: another one of the set has the name short"),
         ([EXPERIMENT.replace("short", "there")], "there: exists already and is not overwritten"),
+        ([EXPERIMENT.replace("short", "in_a_file")], "set/in_a_file: cannot be made, because"),
     ],
 )
 def test_an_unusable_set_is_refused_before_anything_is_asked_of_the_bench(
     peers: FakePeers, tmp_path: Path, experiments: list[str], message: str
 ) -> None:
     (tmp_path / "there").mkdir()
-    outcome = peers.supervisor.run_set(experiments, str(tmp_path), 3, lambda *_progress: None, never_cancelled)
+    (tmp_path / "set").write_text("a file where the folder of the bags should be")
+    folder = tmp_path / "set" if "in_a_file" in "".join(experiments) else tmp_path
+    outcome = peers.supervisor.run_set(experiments, str(folder), 3, lambda *_progress: None, never_cancelled)
     assert not outcome.success
     assert message in outcome.message
     assert peers.calls == []

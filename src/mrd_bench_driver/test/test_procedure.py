@@ -110,6 +110,14 @@ def test_an_experiment_goes_its_course_and_reports_it() -> None:
     assert outcome.message == "1500 samples in 60.0 s, none lost"
     assert [phase for phase, _, _ in progress] == ["arming", "recording", "running", "running", "stopping", "closing"]
     assert ("running", 30.0, 60.0) in progress
+    assert progress[-1] == ("closing", 60.0, 60.0)
+
+
+@pytest.mark.parametrize(("step", "elapsed"), [("follow_experiment", 30.0), ("start_recording", 0.0)])
+def test_the_progress_of_a_run_that_ends_early_says_how_far_it_came(step: str, elapsed: float) -> None:
+    progress: list[tuple[str, float, float]] = []
+    run_experiment(FakeBench({step: RefusedError("no")}), REQUEST, lambda *report: progress.append(report))
+    assert progress[-1] == ("closing", elapsed, 60.0)
 
 
 def test_a_hybrid_test_is_the_same_procedure_in_mode_control() -> None:

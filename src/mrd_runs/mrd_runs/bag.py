@@ -20,7 +20,7 @@ from typing import Any
 import zstandard
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.interfaces.typing import Typesdict
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
@@ -107,13 +107,15 @@ class BagWriter:
         if exists:
             raise InputError(f"{path}: exists already and is not overwritten; give another folder or remove it")
         self.types = typestore()
-        self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
-        # Compression halves the file and makes reading faster; writing takes a tenth longer (benchmarks/read_bag.py).
-        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         try:
+            self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            # Compression halves the file and makes reading faster; writing takes a tenth longer (benchmarks/read_bag.py).
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._writer.open()
         except OSError as error:
             raise InputError(f"{path}: cannot be made ({error.strerror}; {free_space(self.path)})") from None
+        except WriterError as error:  # somebody has made it in this instant
+            raise InputError(f"{path}: cannot be made ({error})") from None
         storage: Any = self._writer.storage
         self._storage = storage
         # rosbags writes no checksums; this one is a part of the compressed content.

@@ -93,6 +93,13 @@ def test_existing_folder_is_refused(tmp_path: Path) -> None:
         BagWriter(tmp_path / "run")
 
 
+def test_a_folder_that_somebody_makes_in_the_same_instant_is_not_written_into(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "run").mkdir()
+    monkeypatch.setattr(Path, "exists", lambda _path: False)
+    with pytest.raises(InputError, match="cannot be made"):
+        BagWriter(tmp_path / "run")
+
+
 def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be made"):

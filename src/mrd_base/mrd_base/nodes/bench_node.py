@@ -35,10 +35,12 @@ from std_msgs.msg import Empty
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
 from mrd_base.config import check_sections, from_mapping, to_mapping, unknown_key
+from mrd_base.domain import claim_name
 from mrd_base.errors import InputError
 from mrd_base.nodes.graph import COMMAND, DIAGNOSTICS, LATCHED, NODES, RECORDED, REFUSALS
 from mrd_base.nodes.help import describe_node
 from mrd_base.nodes.parameters import CLOCK, flatten, parameter_fields
+from mrd_base.tool import run_tool
 
 # Sections of bench.yaml that stand under /** and so reach every node, also one that does not use them.
 _SHARED = {"clock", "limits"}
@@ -113,6 +115,8 @@ class BenchNode(Node, Generic[C]):
     ----------
     dynamic : frozenset of str
         YAML keys of the configuration that may change while the node runs; the node passes each to `accept_parameter`.
+    alone : bool
+        Whether a second node of this name is refused, because the two would command or record the same bench.
     config : dataclass
         Configuration at start, in SI units.
     hardware_id : str
@@ -129,6 +133,7 @@ class BenchNode(Node, Generic[C]):
     """
 
     dynamic: typing.ClassVar[frozenset[str]] = frozenset()
+    alone: typing.ClassVar[bool] = False
 
     def __init__(self, name: str, config_type: type[C]) -> None:
         self.bench = BenchClock()
@@ -144,12 +149,29 @@ class BenchNode(Node, Generic[C]):
         except RCLError as error:
             # For example a middleware without the security that ROS_SECURITY_ENABLE asks for.
             raise InputError(f"node {name}: {' '.join(str(error).split(', at /')[0].split())}") from None
+        self._claim = self._claim_name() if self.alone else None
         for file in _parameter_files(sys.argv):
             check_sections(file, {*NODES, name})
         self.config: C = self._configure(config_type)
         self.bench = self.make_clock(self.declare_parameter(CLOCK.key, CLOCK.default, CLOCK.descriptor()).value)
         self._diagnostics = DIAGNOSTICS.publisher(self)
         self.create_timer(1.0, self._publish_diagnostics)
+
+    def _claim_name(self) -> int:
+        """Keep the name of the node on this machine."""
+        claim = claim_name(self.get_fully_qualified_name())
+        if claim is None:
+            raise InputError(
+                f"another {self.get_fully_qualified_name()} runs on this machine in ROS domain "
+                f"{os.environ.get('ROS_DOMAIN_ID', '0')}; end it, or give this one another namespace or domain"
+            )
+        return claim
+
+    def destroy_node(self) -> None:
+        super().destroy_node()
+        if self._claim is not None:
+            os.close(self._claim)
+            self._claim = None
 
     def _configure(self, config_type: type[C]) -> C:
         """Build the configuration of the given parameters, and declare them."""
@@ -396,7 +418,7 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
     waits. Nodes with coroutines as callbacks therefore choose another executor.
     """
     if {"-h", "--help"} & set(sys.argv[1:]):
-        print(describe_node(Path(sys.argv[0]).stem, factory))
+        run_tool(lambda: print(describe_node(Path(sys.argv[0]).stem, factory)))
         sys.exit(0)
     signals = {signal.SIGINT, signal.SIGTERM}
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # under nohup, the node outlives its terminal

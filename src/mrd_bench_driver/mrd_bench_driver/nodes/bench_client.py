@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 
 from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
-from mrd_base.domain import claim_namespace
+from mrd_base.domain import claim_name
 from mrd_base.nodes.graph import (
     DIAGNOSTICS,
     EMERGENCY_STOP,
@@ -65,7 +65,7 @@ def require_free_namespace(namespace: str) -> None:
 
     On this machine, the namespace is then kept for this process.
     """
-    if not claim_namespace(namespace):
+    if claim_name(namespace) is None:
         raise _occupied(namespace, "which starts or runs on this machine")
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)

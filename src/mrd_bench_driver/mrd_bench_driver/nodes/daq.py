@@ -39,6 +39,7 @@ class DaqNode(BenchNode[DaqConfig]):
     """
 
     dynamic: ClassVar[frozenset[str]] = frozenset({"rate_hz"})
+    alone = True
 
     def __init__(self) -> None:
         super().__init__("daq", DaqConfig)

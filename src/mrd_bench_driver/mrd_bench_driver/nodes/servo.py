@@ -43,6 +43,8 @@ class ServoNode(BenchNode[ServoConfig]):
     may stop it.
     """
 
+    alone = True
+
     def __init__(self) -> None:
         super().__init__("servo", ServoConfig)
         self._published, self._missed = ServoStatus(), 0

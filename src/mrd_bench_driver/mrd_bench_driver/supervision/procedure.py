@@ -38,7 +38,7 @@ class _Experiment:
     def __init__(self, bench: BenchOperations, request: RunRequest, progress: Progress) -> None:
         self._bench, self._request, self._progress = bench, request, progress
         self._undo: list[Callable[[], None]] = []  # in the order in which the steps are undone
-        self._duration = 0.0
+        self._duration = self._elapsed = 0.0
         self._recording = False
         self.recorded = BagSummary()
 
@@ -66,7 +66,8 @@ class _Experiment:
         # The rod is stopped first: a generator that hangs must not delay this.
         self._undo.insert(1, bench.abort_experiment)
         bench.start_experiment()
-        bench.follow_experiment(self._duration, lambda elapsed: self._progress("running", elapsed, self._duration))
+        bench.follow_experiment(self._duration, self._follow)
+        self._elapsed = self._duration
         self._undo.remove(bench.abort_experiment)  # the generator has ended by itself
         self._progress("stopping", self._duration, self._duration)
         bench.await_last_samples()
@@ -81,8 +82,12 @@ class _Experiment:
                 failures.append(str(error))
         return failures + ([self.recorded.problem] if self.recorded.problem else [])
 
+    def _follow(self, elapsed: float) -> None:
+        self._elapsed = elapsed
+        self._progress("running", elapsed, self._duration)
+
     def _close_bag(self) -> None:
-        self._progress("closing", self._duration, self._duration)
+        self._progress("closing", self._elapsed, self._duration)
         try:
             self.recorded = self._bench.stop_recording()
         except RefusedError:

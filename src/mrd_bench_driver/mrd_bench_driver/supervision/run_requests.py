@@ -1,6 +1,7 @@
 """Requests for runs: which experiment to run, and where to record it."""
 
 import datetime
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -88,13 +89,18 @@ def set_of_runs(experiments: Sequence[str], folder: str, seed: int, runs: Path) 
 
 
 def require_new(request: RunRequest) -> None:
-    """Refuse a run whose bag exists, or cannot be looked for."""
+    """Refuse a run whose bag exists, cannot be looked for, or can obviously not be made."""
     try:
         exists = request.bag.exists()
+        folder = next(parent for parent in request.bag.parents if parent.exists())
     except OSError as error:
         raise RefusedError(f"{request.bag}: cannot be used ({error.strerror})") from None
     if exists:
         raise RefusedError(f"{request.bag}: exists already and is not overwritten; give another folder")
+    if not folder.is_dir():
+        raise RefusedError(f"{request.bag}: cannot be made, because {folder} is no folder; give another folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise RefusedError(f"{request.bag}: cannot be made, because {folder} cannot be written to; give another folder")
 
 
 def _read(goal: str, where: str) -> tuple[str, str]:

@@ -45,6 +45,8 @@ class ControllerNode(BenchNode[ControllerSettings]):
     the controller commands 0 A, ends the setpoints, and tells why on ``control_state``; the supervisor holds the rod.
     """
 
+    alone = True
+
     def __init__(self) -> None:
         super().__init__("controller", ControllerSettings)
         self._experiment: ControlExperiment | None = None

@@ -78,6 +78,8 @@ class Recorder(BenchNode[RecorderSettings]):
     ``stopping``.
     """
 
+    alone = True
+
     def __init__(self) -> None:
         super().__init__("recorder", RecorderSettings)
         self._lock = threading.RLock()  # held by whoever uses the attributes below
@@ -213,7 +215,7 @@ class Recorder(BenchNode[RecorderSettings]):
         if self._writer is not None:
             if not self._is_orphaned():
                 raise InputError(f"already recording into {self._writer.path}; stop_recording first")
-            self._close_bag()
+            self._end_orphaned_bag(self._writer.path)
         if not request.bag:
             raise InputError("the request names no bag; expected the folder to make")
         cdr = self._latched.get(self._calibration)
@@ -240,6 +242,11 @@ class Recorder(BenchNode[RecorderSettings]):
             self._publish_state("recording")
         self.get_logger().info(f"recording into {writer.path}")
         return writer.path
+
+    def _end_orphaned_bag(self, path: Path) -> None:
+        """Close a bag whose run nobody ends any more."""
+        failure = self._close_bag()
+        self.get_logger().warning(f"closed {path}, whose run has ended without stop_recording{failure and f': {failure}'}")
 
     # Stop
 

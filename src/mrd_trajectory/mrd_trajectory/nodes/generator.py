@@ -25,6 +25,8 @@ class Generator(BenchNode[GeneratorSettings]):
     supervisor has granted for an experiment; without one, nobody follows them.
     """
 
+    alone = True
+
     def __init__(self) -> None:
         super().__init__("generator", GeneratorSettings)
         self._plan: Plan | None = None
