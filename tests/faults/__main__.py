@@ -46,6 +46,7 @@ def run(faults: list[Fault], moments: int, repeat: int, seed: int, folder: Path)
                     flush=True,
                 )
                 if reaction.failures:
+                    print(*bench.story(), sep="\n", file=sys.stderr, flush=True)
                     break
     return list(measured.items())
 

@@ -253,6 +253,23 @@ class Bench(WholeBench):
         before = [mode.mode for mode in self.modes if seconds(mode.header.stamp) <= seconds(state.header.stamp)]
         return bool(before) and before[-1] == BenchState.HOMING
 
+    def story(self, duration: float = 20.0) -> list[str]:
+        """Return what modes, servo and logs have said of late, for a row that is beyond its limits."""
+        since = seconds(self.truth[-1].header.stamp) - duration
+        told: list[tuple[float, str]] = []
+        for what, states in (("mode", self.modes), ("servo", self.servo)):
+            before = ""
+            for state in states:
+                text = f"{what} {getattr(state, 'mode', '')}: {state.message}"
+                if (at := seconds(state.header.stamp)) > since and text != before:
+                    told.append((at, text))
+                before = text
+        logs = [f"{name}.log: {line}" for name in self.processes.running for line in self.log(name).splitlines()[-6:]]
+        return [f"{at:.3f} s: {text}" for at, text in sorted(told)] + logs
+
+    def log(self, name: str) -> str:
+        return str(self.processes.log(name).read_text(errors="replace"))
+
     def last_time(self, begun: float, what: Callable[[Any], bool]) -> float:
         """Return how long after a bench time something true of the plant has last been so, in s."""
         return max((0.0, *(seconds(state.header.stamp) - begun for state in self.truth if what(state))))
