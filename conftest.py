@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 try:
     from mrd_base.domain import claim_domain
@@ -17,6 +18,9 @@ try:
 except ImportError:
     pytest.exit("the packages are not in reach; enter the environment first: . ./env.sh", returncode=2)
 
+# No test is timed: the machine may do other work.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 claim_domain()
 stale_kernels.delete_stale_kernels(Path(__file__).parent / "src")
 

@@ -151,7 +151,7 @@ def test_a_port_that_is_not_there_or_taken(far):
         MotorLine(os.ttyname(far.slave), 9600, BenchClock(), far.waiter)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.binary(max_size=300))
 def test_any_bytes_give_lines_or_a_refusal(shared, data):
     try:

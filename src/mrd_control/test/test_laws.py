@@ -36,7 +36,6 @@ def asked(name, *, acceleration=0.0, upper=0.0, lower=0.0, travel=0.0, speed=Non
     return law.kernel(law.vector(gains or {}, CAR, 1 / RATE), np.zeros(law.memory(CAR)), signals, TABLE)
 
 
-@settings(deadline=None)
 @given(speeds, speeds, st.floats(-20, 20))
 def test_two_state_laws_follow_their_rules(upper, lower, acceleration):
     speed, situation = upper - lower, {"upper": upper, "lower": lower, "acceleration": acceleration}
@@ -48,7 +47,6 @@ def test_two_state_laws_follow_their_rules(upper, lower, acceleration):
     assert asked("constant_current", gains={"current": 0.2}, **situation) == 0.2
 
 
-@settings(deadline=None)
 @given(speeds, speeds, st.floats(0, 1))
 def test_laws_with_a_force_demand_never_ask_for_active_force(upper, lower, share):
     """No current where the demanded force has the direction of the motion, and the clipped force does never."""
@@ -66,7 +64,6 @@ def test_laws_with_a_force_demand_never_ask_for_active_force(upper, lower, share
             assert current == 0.0
 
 
-@settings(deadline=None)
 @given(st.floats(-2e3, 2e3), st.lists(st.floats(-0.5, 0.5), min_size=4, max_size=4))
 def test_the_clipped_optimal_law_asks_only_while_the_force_is_to_rise(force, state):
     demanded = optimal_gains(LAWS["clipped_lqr"].values({}), CAR) @ state
@@ -76,7 +73,6 @@ def test_the_clipped_optimal_law_asks_only_while_the_force_is_to_rise(force, sta
         assert current == 0.0
 
 
-@settings(deadline=None)
 @given(st.floats(0.002, 2.0), st.sampled_from([-1.0, 1.0]), st.floats(0.0, 1.0))
 def test_the_inverse_model_gives_the_current_of_a_force(speed, direction, current):
     """In steady motion; between the speeds of the map the force is taken as linear."""
@@ -109,7 +105,7 @@ def test_a_law_that_needs_an_inverse_refuses_a_damper_without_one():
     run_loop(CAR, constant, LAWS["skyhook_on_off"], base, RATE)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.sampled_from([QuarterCar(), SingleMass(passive_damping=50.0), ShearBuilding()]), st.integers(0, 2**32 - 1))
 def test_optimal_gains_cannot_be_bettered(system, seed):
     """The mean cost under white noise, by the Lyapunov equation, rises with any small change of the gains."""

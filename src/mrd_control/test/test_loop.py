@@ -127,7 +127,7 @@ def test_elements_in_series_are_refused(name, car):
         run_loop(car, damper, CONSTANT, np.zeros((100, 2)), RATE)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.sampled_from(
         [

@@ -47,7 +47,7 @@ def corrected(model, effects, verdict="explained", laws=None, **more):
     effects=st.lists(st.sampled_from(list(EFFECTS)), max_size=3, unique=True),
     law=st.sampled_from(["", "quadratic", "tanh"]),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_the_written_simulator_is_the_diagnosed_one(tmp_path_factory, model, effects, law):
     built, theta, made = corrected(model, effects, laws=law)
     output = write_plant(made, SHIPPED, tmp_path_factory.mktemp("apply") / "plant.yaml")

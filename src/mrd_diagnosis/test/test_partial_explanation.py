@@ -67,7 +67,7 @@ def wrong_form():
     return weighting, base
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(scale=st.floats(1e-2, 1e3), seed=st.integers(0, 2**32 - 1))
 def test_the_cost_beside_the_remainder_is_the_least_penalised_one(wrong_form, scale, seed):
     weighting, base = wrong_form

@@ -23,7 +23,7 @@ def recording(rate, seconds, frequency=1.5, seed=0):
     return prepare_recording(Run(f"{rate:g}Hz_{seed}", t, x, v, current, force))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(most=st.integers(300, 8000))
 def test_about_as_many_samples_are_counted_as_asked_for_and_fast_recordings_lose_most(most):
     recordings = [recording(1000.0, 4.0), recording(100.0, 4.0), recording(500.0, 2.0)]

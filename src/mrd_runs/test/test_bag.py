@@ -181,7 +181,7 @@ def test_file_cut_after_closing_is_refused(tmp_path: Path, columns, fill_bag) ->
         read_run(tmp_path / "run")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(at=st.integers(0, 10**6), junk=st.binary(min_size=1, max_size=40))
 def test_damaged_file_never_gives_more_than_one_line(
     tmp_path_factory, whole_bag, read_or_refuse, at: int, junk: bytes
@@ -338,7 +338,7 @@ def test_layout_is_that_of_the_definition() -> None:
     assert TYPES.fielddefs[SAMPLES_TYPE][1] == LAYOUT
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=6), st.text("abc/", max_size=9), st.integers(0, 2**40))
 def test_table_decoder_agrees_with_rosbags(counts: list[int], frame: str, sequence: int) -> None:
     types = TYPES.types

@@ -68,7 +68,7 @@ def files(draw):
     return lines + body, columns, np.array(written)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     made=files(),
     newline=st.sampled_from(["\n", "\r\n"]),
@@ -97,7 +97,7 @@ def test_what_is_written_in_any_dialect_is_read_again(tmp_path: Path, made, newl
         assert sources[quantity].unit == unit or find_unit(quantity, sources[quantity].unit) == unit
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\n\r"), max_size=60), max_size=30))
 def test_no_text_makes_the_guess_fail(lines) -> None:
     dialect = guess_dialect(lines)

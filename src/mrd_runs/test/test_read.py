@@ -128,7 +128,7 @@ def test_unknown_kind_of_file(tmp_path: Path) -> None:
 CELLS = 'time_s,position_m,current_A,force_N0123456789.e-\n"'
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @example(content=b"\x1c")  # white space as text, not as bytes
 @given(content=st.one_of(st.binary(max_size=300), st.text(CELLS, max_size=300).map(str.encode)))
 def test_any_bytes_give_a_run_or_one_line(tmp_path_factory, read_or_refuse, content: bytes) -> None:
@@ -139,7 +139,7 @@ def test_any_bytes_give_a_run_or_one_line(tmp_path_factory, read_or_refuse, cont
         assert not isinstance(result, str) or "\n" not in result
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.floats(-0.2, 0.2), min_size=50, max_size=80))
 def test_every_number_survives_the_csv(tmp_path_factory, positions: list[float]) -> None:
     file = tmp_path_factory.getbasetemp() / "numbers.csv"

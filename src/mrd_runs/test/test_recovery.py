@@ -149,7 +149,7 @@ def test_complete_bag_is_copied_without_a_loss(tmp_path: Path, columns, fill_bag
         assert [c._replace(owner=None) for c in old.connections] == [c._replace(owner=None) for c in new.connections]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(end=st.integers(8, 10**6), zeros=st.sampled_from([0, 1, 8, 37, 4096]))
 def test_bag_cut_anywhere_and_padded(whole: Whole, end: int, zeros: int) -> None:
     """A cut keeps every message of the chunks before it; zeros behind it add and take nothing."""
@@ -175,7 +175,7 @@ def test_more_of_a_file_is_never_less_of_its_messages(tmp_path: Path, columns, m
     assert len(set(counts)) > 40
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(at=st.integers(0, 10**6), junk=st.binary(min_size=1, max_size=40))
 def test_damage_costs_at_most_its_chunk(whole: Whole, at: int, junk: bytes) -> None:
     """Only damage to the first chunk, which defines the topic, is one that the end of the file must make good."""

@@ -53,7 +53,7 @@ def seeds(count):
 
     def decorate(test):
         phases = (Phase.explicit, Phase.reuse, Phase.generate)
-        return settings(max_examples=count, deadline=None, phases=phases)(given(seed=st.integers(0, 2**32 - 1))(test))
+        return settings(max_examples=count, phases=phases)(given(seed=st.integers(0, 2**32 - 1))(test))
 
     return decorate
 
@@ -521,7 +521,7 @@ def test_lvdt_error_at_its_end():
     assert np.allclose(found["x"], [-0.025 * 1.014, 0.0, 0.0125 * 1.011])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.floats(0, 0.1), st.lists(st.floats(0, 2), min_size=2, max_size=30))
 def test_magnetic_hysteresis_is_a_play(half_width, currents):
     """Within the half width of the current, moved by nothing but the current beyond it, however many samples that takes."""
@@ -592,7 +592,7 @@ def test_force_sensor_lag_of_a_ramp():
         assert np.allclose(found, expected, rtol=0, atol=1e-7)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     delay=st.floats(0, 0.05), rate=st.sampled_from([25.0, 500.0, 8000.0]), seed=st.integers(0, 99), size=st.integers(1, 3000)
 )

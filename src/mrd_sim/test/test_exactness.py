@@ -221,7 +221,7 @@ def test_force_is_exact_along_a_polyline(model, case):
 
 
 @pytest.mark.parametrize("name", [m.id for m in WITH_MEMORY if m.order == 0])
-@settings(max_examples=80, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+@settings(max_examples=80, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_more_vertices_on_the_same_polyline_change_nothing(name, examples, seed):
     """Anywhere in the bounds, at any speed: steps from 5 µs to 40 ms."""

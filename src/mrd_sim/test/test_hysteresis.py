@@ -103,7 +103,7 @@ def test_general_exponent_tends_to_the_closed_forms(w, log_travel, sign, sigma, 
     assert advance(w, travel, sigma, n + near) == pytest.approx(closed, abs=3 * near + 1e-12)
 
 
-@settings(max_examples=300, deadline=None)  # the first call may compile
+@settings(max_examples=300)
 @given(
     st.floats(-0.99, 0.99, allow_subnormal=False),
     st.floats(-4, 1),

@@ -34,7 +34,7 @@ def seeds(count):
 
     def decorate(test):
         phases = (Phase.explicit, Phase.reuse, Phase.generate)
-        return settings(max_examples=count, deadline=None, phases=phases)(given(seed=st.integers(0, 2**32 - 1))(test))
+        return settings(max_examples=count, phases=phases)(given(seed=st.integers(0, 2**32 - 1))(test))
 
     return decorate
 
@@ -429,7 +429,6 @@ def test_modified_bouc_wen_converges_at_fourth_order():
     assert order > 3.5
 
 
-@settings(deadline=None)
 @given(
     w=st.floats(-1, 1),
     travel=st.floats(-80, 80),

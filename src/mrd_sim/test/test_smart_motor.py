@@ -401,7 +401,7 @@ noise = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(noise)
 @example(b"RW(\r")
 @example(b"O=99999999999999999999999999 OSH=5 Z ")
@@ -415,7 +415,7 @@ def test_no_bytes_crash_the_motor_and_only_g_moves_the_rod(data):
     assert not host.motor.axis.on
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.binary(min_size=1, max_size=3).filter(lambda data: not set(data) & set(b"\r\n ")))
 def test_a_g_with_anything_attached_is_no_g(data):
     host = Host()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError
@@ -86,7 +86,6 @@ mappings = st.fixed_dictionaries(
 )
 
 
-@settings(deadline=None)
 @given(mappings)
 def test_an_experiment_is_read_back_from_its_yaml(mapping):
     experiment = parse(mapping)
@@ -135,7 +134,6 @@ def test_text_that_is_not_an_experiment_is_refused_in_one_line(text):
     assert "\n" not in str(caught.value)
 
 
-@settings(deadline=None)
 @given(st.text(max_size=200))
 def test_any_text_is_refused_as_input(text):
     with pytest.raises(InputError):

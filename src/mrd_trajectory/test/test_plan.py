@@ -120,7 +120,7 @@ COILS = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     rod=RODS,
     coil=COILS,

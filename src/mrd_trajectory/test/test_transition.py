@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, reject, settings
+from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
 from mrd_base import InputError
@@ -32,7 +32,6 @@ def assert_continuous(path):
         np.testing.assert_allclose(left, piece.c[-1, 1:], atol=(1e-9, 1e-7, 1e-4)[nu])
 
 
-@settings(deadline=None)
 @given(kind=kinds, start=positions, end=positions)
 def test_rest_to_rest_is_minimal(kind, start, end):
     assume(abs(end - start) > 1e-6)
@@ -56,7 +55,6 @@ def test_linear_move_is_the_double_s_of_the_textbook():
     assert path(path.x[-1] / 2, 1) == pytest.approx(0.1)
 
 
-@settings(deadline=None)
 @given(kind=kinds, x0=positions, v0=speeds, a0=accelerations, x1=positions, v1=speeds, a1=accelerations)
 def test_moving_ends_are_met_within_the_limits(kind, x0, v0, a0, x1, v1, a1):
     start, end = MotionState(x0, v0, a0), MotionState(x1, v1, a1)
@@ -83,7 +81,6 @@ def test_states_of_a_running_sine_are_reached_from_rest(kind):
                 assert path.x[-1] < 1.5
 
 
-@settings(deadline=None)
 @given(kind=kinds, before=st.floats(-0.2, 0.2), after=st.floats(-0.2, 0.2))
 def test_a_corner_joins_both_lines(kind, before, after):
     turn = corner(kind, before, after, LIMITS)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mrd_base import InputError, from_mapping, to_mapping
@@ -103,7 +103,6 @@ def test_chirp_of_constant_speed_keeps_its_speed():
     assert last == pytest.approx(first, rel=0.02)
 
 
-@settings(deadline=None)
 @given(order=st.integers(2, 11), seed=st.integers(0, 1000))
 def test_prbs_is_a_maximal_length_sequence(order, seed):
     period = 2**order - 1
@@ -130,7 +129,6 @@ def test_prbs_holds_whole_bits():
     assert (np.diff(shape.levels) != 0).all()
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 30))
 def test_aprbs_visits_all_levels_for_times_in_bounds(seed, count):
     shape = Aprbs(0.0, 0.4, 0.03, 0.2, count, seed).shape(20.0)
@@ -174,7 +172,6 @@ def test_corners_and_holds_are_at_the_given_times():
     np.testing.assert_allclose(Step(0.0, 0.1, 0.7).shape(2.0).times, [0, 0.7])
 
 
-@settings(deadline=None)
 @given(
     slopes=st.lists(st.floats(1e-4, 0.2), min_size=1, max_size=8), amplitude=st.floats(1e-3, 0.026), hold=st.floats(0.1, 5)
 )

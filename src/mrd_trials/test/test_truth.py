@@ -129,7 +129,7 @@ def test_a_family_draws_only_its_own_formulas_and_all_of_them() -> None:
             assert drawn == {formula.id for formula in effect.formulas if formula.family == family}
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     form=st.sampled_from(sorted(DAMPER_FORMS)),
     seed=st.integers(0, 2**16),
