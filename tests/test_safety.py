@@ -87,13 +87,6 @@ def publish(bench: Any, qos: QoSProfile) -> None:
     bench.client.node.destroy_publisher(publisher)
 
 
-def setpoint_of_now(bench: Any, **fields: Any) -> Setpoint:
-    """Return a setpoint that is stamped with the present bench time."""
-    message = Setpoint(**fields)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * bench.clock.now()), 10**9)
-    return message
-
-
 # Sensors
 
 
@@ -351,7 +344,7 @@ def test_an_idle_bench_obeys_nobody(shared_bench: Any) -> None:
     stranger = bench.client.node.create_publisher(Setpoint, "setpoint", ORDINARY)
     assert bench.client.spin(lambda: stranger.get_subscription_count() >= 2, 10)
     for _ in range(50):
-        message = setpoint_of_now(bench, position=0.01, velocity=0.05, coil_current=1.0)
+        message = bench.setpoint_of_now(position=0.01, velocity=0.05, coil_current=1.0)
         stranger.publish(message)
         bench.client.spin(lambda: False, 0.02)
     assert all(output.coil_command == 0 for output in bench.output[outputs - 1 :])
@@ -402,7 +395,7 @@ def test_a_run_goes_on_undisturbed_by_what_would_spoil_it(shared_bench: Any, tmp
         answer = attempt()
         assert not answer.success, name
         assert answer.message, name
-        message = setpoint_of_now(bench, position=0.01, coil_current=1.0)
+        message = bench.setpoint_of_now(position=0.01, coil_current=1.0)
         stranger.publish(message)
     result = result_of(bench, ended)
     assert result.success, result.message
@@ -500,7 +493,7 @@ def test_a_control_by_hand_that_ends_leaves_drive_and_coil_off(way: str, shared_
     number = int(service(bench, "control", SetBool, data=True).message.rsplit(" ", 1)[1])
 
     def drive() -> None:
-        message = setpoint_of_now(bench, position=bench.servo[-1].position, coil_current=0.5, lease=number)
+        message = bench.setpoint_of_now(position=bench.servo[-1].position, coil_current=0.5, lease=number)
         with bench.clock.busy():  # so that it is not old when it comes
             setpoints.publish(message)
             bench.client.spin(lambda: False, 0.05)

@@ -16,7 +16,7 @@ from mrd_base.nodes.bench_node import LATCHED, RECORDED, seconds
 from mrd_bench_driver.nodes.bench_client import BenchClient
 from mrd_bench_driver.processes import BenchProcesses, bench_processes, clock_of
 from mrd_interfaces.action import RunExperiment
-from mrd_interfaces.msg import ServoState
+from mrd_interfaces.msg import ServoState, Setpoint
 
 ROOT = Path(__file__).resolve().parents[1]
 BENCH, PLANT = ROOT / "config/bench.yaml", ROOT / "config/plant.yaml"
@@ -90,6 +90,12 @@ class WholeBench:
         response = client.call_async(request)
         assert self.client.spin(response.done, timeout, watch=False), f"no response from {client.srv_name}"
         return response.result()
+
+    def setpoint_of_now(self, **fields: Any) -> Setpoint:
+        """Return a setpoint that is stamped with the present bench time."""
+        message = Setpoint(**fields)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * self.clock.now()), 10**9)
+        return message
 
     def set_fault(self, name: str) -> None:
         """Break something in the plant, or repair it with ""."""

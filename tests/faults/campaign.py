@@ -264,11 +264,9 @@ class Bench(WholeBench):
                 if (at := seconds(state.header.stamp)) > since and text != before:
                     told.append((at, text))
                 before = text
-        logs = [f"{name}.log: {line}" for name in self.processes.running for line in self.log(name).splitlines()[-6:]]
-        return [f"{at:.3f} s: {text}" for at, text in sorted(told)] + logs
-
-    def log(self, name: str) -> str:
-        return str(self.processes.log(name).read_text(errors="replace"))
+        logs = {name: self.processes.log(name).read_text(errors="replace") for name in self.processes.running}
+        ends = [f"{name}.log: {line}" for name, text in logs.items() for line in text.splitlines()[-6:]]
+        return [f"{at:.3f} s: {text}" for at, text in sorted(told)] + ends
 
     def last_time(self, begun: float, what: Callable[[Any], bool]) -> float:
         """Return how long after a bench time something true of the plant has last been so, in s."""

@@ -62,8 +62,7 @@ def _send_setpoints(bench: Bench) -> None:
     stranger = bench.client.node.create_publisher(Setpoint, "setpoint", ORDINARY)
     assert bench.client.spin(lambda: stranger.get_subscription_count() >= 2, 10)
     for _ in range(20):
-        message = Setpoint(position=0.01, velocity=0.05, coil_current=1.0)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(1e9 * bench.clock.now()), 10**9)
+        message = bench.setpoint_of_now(position=0.01, velocity=0.05, coil_current=1.0)
         stranger.publish(message)
         time.sleep(0.01)
     bench.client.node.destroy_publisher(stranger)

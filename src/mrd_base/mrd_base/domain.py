@@ -57,6 +57,11 @@ def claim_domain() -> int:
     raise RuntimeError(f"all ROS domains from 1 to {_LAST_DOMAIN} are used by other simulated benches and tests")
 
 
+def present_domain() -> str:
+    """Return the ROS domain of this process."""
+    return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
 def claim_name(name: str) -> int | None:
     """Keep the name of a node, or a namespace, of the present ROS domain for this process, on this machine.
 
@@ -67,7 +72,7 @@ def claim_name(name: str) -> int | None:
     int or None
         A file descriptor, which keeps the name until it is closed or the process ends; None if the name is taken.
     """
-    file = f"mrd_bench_{os.environ.get('ROS_DOMAIN_ID', '0')}_{name.strip('/').replace('/', '.')}.lock"
+    file = f"mrd_bench_{present_domain()}_{name.strip('/').replace('/', '.')}.lock"
     path = Path(tempfile.gettempdir(), file)
     try:
         lock = os.open(path, os.O_RDONLY)  # to lock a file, nobody needs to own it

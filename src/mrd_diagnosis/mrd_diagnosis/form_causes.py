@@ -96,7 +96,7 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
     return chain if _closes_most(explained, best, reachable) else []
 
 
-def _closes_most(without: Refit, with_effects: Refit, reachable: float) -> bool:
+def _closes_most(without: Refit, fitted: Refit, reachable: float) -> bool:
     """Whether effects of the form close most of what a freer or a better form can reach."""
     available = without.held_out_cost - reachable
-    return bool(without.held_out_cost - with_effects.held_out_cost >= THRESHOLDS.least_form_share * available)
+    return bool(without.held_out_cost - fitted.held_out_cost >= THRESHOLDS.least_form_share * available)

@@ -3,7 +3,7 @@
 No base model has the form of a measured damper. So causes are searched around the model of the catalogue that predicts best,
 whatever model the simulator has, and a cause is named when it holds against three things: a flexible remainder for the form
 of the damper (`form_remainder`), the other half of the recordings, and other damper models, which count as much as they add
-to the prediction (`stacking_weights`). An effect that belongs to the form itself holds against the remainder where its
+to the prediction (`weighted_forms`). An effect that belongs to the form itself holds against the remainder where its
 formula closes most of what the remainder can close.
 """
 

@@ -142,11 +142,18 @@ def test_at_one_speed_a_cause_is_named_beside_a_wrong_form(play, named):
         assert diagnosis.causes[0].parameters["joint_play.play"].value.value == pytest.approx(play, rel=0.1)
 
 
-def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it():
-    """Around the damper's own curve, a play of either kind closes most of the gap, that of the drive somewhat more."""
+@pytest.fixture(scope="module")
+def around_own_curve():
+    """Sines with a play, and the fit of the damper's own curve to them."""
     recordings = [prepare_recording(run) for run in sines(6e-4)]
     weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
-    comparison, reachable, plays = compare_on(weighting, base, [], []), 0.2 * base.held_out_cost, ("backlash", "joint_play")
+    return compare_on(weighting, base, [], []), base
+
+
+def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it(around_own_curve):
+    """Around the damper's own curve, a play of either kind closes most of the gap, that of the drive somewhat more."""
+    (comparison, base), plays = around_own_curve, ("backlash", "joint_play")
+    reachable = 0.2 * base.held_out_cost
 
     def causes_of(effects):
         rest = [], np.zeros(9), np.random.default_rng(0)
@@ -158,12 +165,10 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it():
     assert causes_of(["joint_play"]) == {}
 
 
-def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_closed(monkeypatch):
+def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_closed(around_own_curve, monkeypatch):
     """The chain closes most with its second effect. Where that one does not hold, the first is named if it does alone."""
-    recordings = [prepare_recording(run) for run in sines(6e-4)]
-    weighting, base, _, _ = fit_base(find_model("hyperbolic_tangent"), None, recordings, np.random.default_rng(0))
-    comparison = compare_on(weighting, base, [], [])
-    (first,) = form_causes._form_chain(weighting, base, 0.2 * base.held_out_cost, ["backlash"])
+    comparison, base = around_own_curve
+    (first,) = form_causes._form_chain(comparison.weighting, base, 0.2 * base.held_out_cost, ["backlash"])
     superfluous = ("joint_play", replace(first[1], held_out_costs=first[1].held_out_costs + 1.0))
     monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [first, superfluous])
     closed = base.held_out_cost - first[1].held_out_cost

@@ -35,7 +35,7 @@ from std_msgs.msg import Empty
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
 from mrd_base.config import check_sections, from_mapping, to_mapping, unknown_key
-from mrd_base.domain import claim_name
+from mrd_base.domain import claim_name, present_domain
 from mrd_base.errors import InputError
 from mrd_base.nodes.graph import COMMAND, DIAGNOSTICS, LATCHED, NODES, RECORDED, REFUSALS
 from mrd_base.nodes.help import describe_node
@@ -163,7 +163,7 @@ class BenchNode(Node, Generic[C]):
         if claim is None:
             raise InputError(
                 f"another {self.get_fully_qualified_name()} runs on this machine in ROS domain "
-                f"{os.environ.get('ROS_DOMAIN_ID', '0')}; end it, or give this one another namespace or domain"
+                f"{present_domain()}; end it, or give this one another namespace or domain"
             )
         return claim
 

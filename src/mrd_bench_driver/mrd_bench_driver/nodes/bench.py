@@ -12,7 +12,7 @@ from typing import Any
 
 from mrd_base import InputError, run_tool
 from mrd_base.config import check_sections
-from mrd_base.domain import claim_domain
+from mrd_base.domain import claim_domain, present_domain
 from mrd_base.nodes.graph import NODES
 from mrd_base.progress import shown_progress
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
@@ -190,7 +190,7 @@ def _work(arguments: argparse.Namespace) -> None:
                 if not session.experiments:
                     print(
                         f"the bench is up in namespace {processes.namespace} of ROS domain "
-                        f"{os.environ.get('ROS_DOMAIN_ID', '0')}; end it by Ctrl-C",
+                        f"{present_domain()}; end it by Ctrl-C",
                         flush=True,
                     )
                     client.stay_up(page=arguments.page)

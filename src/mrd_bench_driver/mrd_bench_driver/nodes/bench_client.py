@@ -17,7 +17,7 @@ from std_msgs.msg import Bool
 
 from mrd_base import BenchClock, InputError
 from mrd_base.barrier_clock import BarrierClock
-from mrd_base.domain import claim_name
+from mrd_base.domain import claim_name, present_domain
 from mrd_base.nodes.graph import (
     DIAGNOSTICS,
     EMERGENCY_STOP,
@@ -84,7 +84,7 @@ def require_free_namespace(namespace: str) -> None:
 
 def _occupied(namespace: str, how: str) -> InputError:
     return InputError(
-        f"namespace {namespace} of ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')} is occupied by another bench "
+        f"namespace {namespace} of ROS domain {present_domain()} is occupied by another bench "
         f"({how}); end that one, or choose another --namespace or ROS_DOMAIN_ID"
     )
 
