@@ -425,6 +425,22 @@ def test_a_play_that_rules_short_strokes_is_no_other_rig():
     assert not [finding for finding in preflight(runs) if finding.kind == "rig"]
 
 
+@pytest.mark.parametrize("spring", [lambda x: 1e8 * x**3, lambda x: 1e6 * np.sign(x) * np.fmax(abs(x) - 0.012, 0) ** 1.5])
+def test_a_spring_that_long_strokes_press_more_is_no_other_rig(spring):
+    """A hardening spring, or an end stop that only the long strokes reach."""
+
+    def sine(name, amplitude):
+        time = np.arange(0.0, 10.0, 0.002)
+        phase = 0.06 / amplitude * time
+        position, velocity = amplitude * np.sin(phase), 0.06 * np.cos(phase)
+        return Run(name, time, position, velocity, np.zeros_like(time), 100 * np.tanh(velocity / 1e-3) + spring(position))
+
+    runs = [sine("long", 0.025), sine("short", 0.01), sine("shorter", 0.008)]
+    assert not [finding for finding in preflight(runs) if finding.kind == "rig"]
+    runs[1] = replace(runs[1], force=4.0 * runs[1].force)
+    assert only_finding(preflight(runs), "rig", "short", "force").severity == "fault"
+
+
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_wrong_sign(good, name):
     finding = only_finding(preflight(with_change(good, name, force=-run_named(good, name).force)), "rig", name, "force")

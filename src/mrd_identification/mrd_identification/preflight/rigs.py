@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from mrd_identification.preflight.channels import PRE_YIELD_STROKE, CheckedRun
 from mrd_identification.preflight.finding import Finding
@@ -12,6 +13,8 @@ Array = NDArray[np.float64]
 
 LARGEST_RATIO = 2.4
 """Largest ratio of forces at the same speed and current that scatter, heat or remanence explain."""
+PLACE = 1e-3
+"""Length in m of a place of the stroke, within which the force of a spring hardly changes."""
 ADDED_FORCE = 30.0
 """Force in N that is added to both forces before they are compared: remanence may double a small off-state force."""
 UNIT_RATIOS = {1e3: "kN against N", 9.80665: "kgf against N", 4.44822: "lbf against N"}
@@ -55,18 +58,27 @@ def _force_by_cell(checked: CheckedRun) -> Array:
     speed = np.digitize(np.abs(run.velocity), SPEED_EDGES) - 1
     current = np.digitize(np.abs(run.current), CURRENT_EDGES) - 1
     shape = (len(SPEED_EDGES) - 1, len(CURRENT_EDGES) - 1)
-    force = np.full((2, *shape), np.nan)
     starts = checked.stroke_starts
     start = starts[np.searchsorted(starts, np.arange(len(run)), side="right") - 1]
     # After a reversal the pre-yield loop and the play of joints rule the force, whatever the speed.
     settled = np.abs(run.position - run.position[start]) > PRE_YIELD_STROKE
-    inside = settled & (speed >= 0) & (speed < shape[0])
-    cell = np.where(inside, speed * shape[1] + current, -1)
-    for direction, mask in enumerate((run.velocity > 0, run.velocity < 0)):
-        counts = np.bincount(cell[inside & mask], minlength=shape[0] * shape[1])
-        for index in np.flatnonzero(counts >= max(CELL_SAMPLES, CELL_SHARE * len(speed))):
-            force[direction].flat[index] = np.median(run.force[mask & (cell == index)])
-    return np.asarray(0.5 * (force[0] - force[1]))
+    inside = np.flatnonzero(settled & (speed >= 0) & (speed < shape[0]))
+    cell, extends = (speed * shape[1] + current)[inside], run.velocity[inside] > 0
+    # At a place of the stroke, springs and end stops press equally in both directions, so half the difference lacks them.
+    place = np.floor((run.position[inside] - run.position.min()) / PLACE).astype(np.intp)
+    group = place * shape[0] * shape[1] + cell
+    both = np.intersect1d(group[extends], group[~extends])
+    force = np.full(shape, np.nan)
+    if not len(both):
+        return force
+    out, back = (ndimage.median(run.force[inside][way], group[way], both) for way in (extends, ~extends))
+    compared = np.isin(group, both)
+    half = 0.5 * (out - back)[np.searchsorted(both, group[compared])]
+    cell = cell[compared]
+    counts = np.bincount(cell, minlength=force.size)
+    for index in np.flatnonzero(counts >= 2 * max(CELL_SAMPLES, CELL_SHARE * len(run))):
+        force.flat[index] = np.median(half[cell == index])
+    return force
 
 
 def _disagreement(force: Array, forces_of_others: Sequence[Array]) -> tuple[int, float]:
