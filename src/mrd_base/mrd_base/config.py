@@ -227,9 +227,13 @@ def _merge(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
 
 def unknown_key(key: object, known: Collection[str]) -> str:
     """Return the text about an unknown key: the key, the closest known key, and all known keys."""
+    return f"{key}{closest_key(key, known)} (known: {', '.join(known)})"
+
+
+def closest_key(key: object, known: Collection[str]) -> str:
+    """Return the question whether the closest known key was meant; empty where none is close."""
     matches = difflib.get_close_matches(str(key), known, 1)
-    hint = f"; did you mean {matches[0]}?" if matches else ""
-    return f"{key}{hint} (known: {', '.join(known)})"
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def from_mapping(cls: type[T], mapping: Any, where: str, *, units: Mapping[str, str] | None = None) -> T:

@@ -28,7 +28,7 @@ def start(*arguments):
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["-p", "prt:=/dev/x"], "error: node tiny: unknown parameter prt; did you mean port? (known: limits.stroke_mm, "),
+        (["-p", "prt:=/dev/x"], "error: node tiny: unknown parameter prt; did you mean port? (--help lists all "),
         (["-p", "limits.stroek_mm:=40"], "unknown parameter limits.stroek_mm; did you mean limits.stroke_mm?"),
         (["-p", "limits.stroke_mm:=abc"], "error: node tiny: limits: stroke_mm: found str 'abc', expected a finite number"),
         (["-p", "limits.stroke_mm:=0.055"], "limits: stroke_mm: found 0.055, expected 1 to 1000 (travel of the damper)"),

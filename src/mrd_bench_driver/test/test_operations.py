@@ -189,7 +189,7 @@ def test_cancel_and_stop_end_an_experiment(peers: FakePeers) -> None:
     started = threading.Event()
     peers.effects["start_experiment"] = started.set
     outcome = run(peers, started.is_set)
-    assert (outcome.success, outcome.cancelled, outcome.message) == (False, True, "cancelled")
+    assert (outcome.success, outcome.cancelled, outcome.message) == (False, True, "cancelled by stop or through its goal")
     assert "abort_experiment" in peers.calls
 
     started.clear()

@@ -134,7 +134,7 @@ def test_wherever_it_ends_early_everything_that_was_begun_is_put_away(step: str,
     outcome = run_experiment(bench, REQUEST, lambda *_report: None)
     assert not outcome.success
     assert outcome.cancelled == isinstance(error, CancelledError)
-    assert outcome.message == (str(error) or "cancelled")
+    assert outcome.message == str(error)
     begun, after = bench.done[: bench.done.index(step) + 1], bench.done[bench.done.index(step) + 1 :]
     assert tuple(begun) == STEPS[: len(begun)]
     expected = []
@@ -167,6 +167,11 @@ def test_a_recorder_that_refuses_to_begin_is_told_once() -> None:
     outcome = run_experiment(bench, REQUEST, lambda *_report: None)
     assert bench.done[-1] == "stop_recording"
     assert outcome.message == "recorder: bag exists"
+    bench = FakeBench(
+        {"start_recording": RefusedError("recorder: bag exists")},
+        recorded=BagSummary(problem="not recording; nothing to stop"),
+    )
+    assert run_experiment(bench, REQUEST, lambda *_report: None).message == "recorder: bag exists"
 
 
 def test_lost_samples_are_no_success() -> None:
@@ -218,7 +223,11 @@ def test_the_first_run_that_fails_ends_the_set_and_keeps_what_there_is(cancelled
 
 @pytest.mark.parametrize(
     ("error", "message"),
-    [(RefusedError("speed exceeds"), "speed exceeds"), (CancelledError(), "cancelled"), (TrippedError("force"), "force")],
+    [
+        (RefusedError("speed exceeds"), "speed exceeds"),
+        (CancelledError(), "cancelled by stop or through its goal"),
+        (TrippedError("force"), "force"),
+    ],
 )
 def test_one_that_cannot_be_run_keeps_the_whole_set_from_beginning(error: Exception, message: str) -> None:
     def check(request: RunRequest) -> None:

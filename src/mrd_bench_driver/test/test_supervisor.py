@@ -445,7 +445,7 @@ def test_a_cancelled_experiment_is_stopped_and_its_bag_closed(fakes: Fakes) -> N
     fakes.graph.until(handle.cancel_goal_async().done)
     ended = fakes.result(handle)
     assert ended.status == GoalStatus.STATUS_CANCELED
-    assert (ended.result.message, ended.result.samples) == ("cancelled", 500)
+    assert (ended.result.message, ended.result.samples) == ("cancelled by stop or through its goal", 500)
     assert fakes.calls == [END_STEPS[0], "abort_experiment", END_STEPS[1]]
     fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
     assert not fakes.stops
@@ -454,7 +454,7 @@ def test_a_cancelled_experiment_is_stopped_and_its_bag_closed(fakes: Fakes) -> N
 def test_stop_ends_an_experiment_and_control(fakes: Fakes) -> None:
     handle = fakes.running()
     assert fakes.graph.call("stop", Trigger).success
-    assert fakes.result(handle).result.message == "cancelled"
+    assert fakes.result(handle).result.message == "cancelled by stop or through its goal"
     fakes.graph.until(lambda: fakes.mode() == BenchState.IDLE)
 
     assert fakes.graph.call("control", SetBool, data=True).success

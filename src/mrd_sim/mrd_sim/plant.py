@@ -116,7 +116,7 @@ class PlantConfig:
     hardware_rate: float = quantity(2000.0, "Hz", "rate of the converter, as in the section daq", lower=1, upper=8000)
     block: float = quantity(0.02, "ms", "length of the readings in one message", lower=0.001, upper=0.02)
     start_position: float = quantity(-0.008, "mm", "initial position of the rod", lower=-0.5, upper=0.5)
-    fault: str = quantity("", "", f"one of: {', '.join(filter(None, FAULTS))}; may change while the bench runs")
+    fault: str = quantity("", "", f"one of: {', '.join(filter(None, FAULTS))}")
     damper: DamperConfig = field(default_factory=DamperConfig)
     motor: MotorConfig = field(default_factory=MotorConfig)
     supply: CoilSupply = field(default_factory=CoilSupply)

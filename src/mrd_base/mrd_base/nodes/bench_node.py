@@ -34,7 +34,7 @@ from std_msgs.msg import Empty
 
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.clock import BenchClock
-from mrd_base.config import check_sections, from_mapping, to_mapping, unknown_key
+from mrd_base.config import check_sections, closest_key, from_mapping, to_mapping
 from mrd_base.domain import claim_name, present_domain
 from mrd_base.errors import InputError
 from mrd_base.nodes.graph import COMMAND, DIAGNOSTICS, LATCHED, NODES, RECORDED, REFUSALS
@@ -180,7 +180,9 @@ class BenchNode(Node, Generic[C]):
         others = (_SHARED | _RCLPY) - {key.split(".")[0] for key in fields}
         for key in given:
             if key not in fields and key.split(".")[0] not in others:
-                raise InputError(f"node {self.get_name()}: unknown parameter {unknown_key(key, fields)}")
+                # A node has too many parameters for one line.
+                hint = f"{closest_key(key, fields)} (--help lists all {len(fields)})"
+                raise InputError(f"node {self.get_name()}: unknown parameter {key}{hint}")
         nested: dict[str, Any] = {}
         for key, field in fields.items():
             value = given[key].value if key in given else field.default

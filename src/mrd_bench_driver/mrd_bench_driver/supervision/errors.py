@@ -13,4 +13,4 @@ class CancelledError(Exception):
     """Somebody asked to end the request."""
 
     def __str__(self) -> str:
-        return "cancelled"
+        return "cancelled by stop or through its goal"

@@ -89,11 +89,14 @@ class _Experiment:
     def _close_bag(self) -> None:
         self._progress("closing", self._elapsed, self._duration)
         try:
-            self.recorded = self._bench.stop_recording()
+            recorded = self._bench.stop_recording()
         except RefusedError:
             # A recorder that refused to start may refuse to stop. One that responded too late to the start must be stopped.
             if self._recording:
                 raise
+            return
+        if self._recording or recorded.bag:
+            self.recorded = recorded
 
 
 def run_experiment(bench: BenchOperations, request: RunRequest, progress: Progress) -> RunOutcome:
