@@ -4,12 +4,16 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from faults.__main__ import FAMILIES
 from faults.broken_machine import BrokenMachine
+from faults.campaign import Bench
+from mrd_interfaces.msg import ServoState
 
 pytestmark = pytest.mark.realtime
 
@@ -37,6 +41,26 @@ def test_some_faults_are_within_their_limits() -> None:
 def test_all_faults_are_within_their_limits() -> None:
     table = campaign("--moments", "1", timeout=3500)
     assert table.count("| ok |") == sum(len(family.FAULTS) for family in FAMILIES)
+
+
+def test_a_state_of_the_servo_of_the_row_before_is_not_taken_for_its_answer() -> None:
+    """Once, the cause of the row before was read: the state after the fault was still on its way."""
+    states = [ServoState(message="old"), ServoState(message="new"), ServoState(message="newest")]
+    for second, state in enumerate(states):
+        state.header.stamp.sec = second
+    bench = Bench.__new__(Bench)
+    bench.servo = states[:1]
+
+    def spin(condition: Callable[[], bool], _timeout: float, **_options: bool) -> bool:
+        while not condition() and len(bench.servo) < len(states):
+            bench.servo.append(states[len(bench.servo)])
+        return condition()
+
+    bench.client = SimpleNamespace(spin=spin)
+    bench.hear_the_servo(1.5)
+    assert bench.servo[-1].message == "newest"
+    with pytest.raises(AssertionError):
+        bench.hear_the_servo(2.5)
 
 
 def test_no_two_faults_have_one_name() -> None:

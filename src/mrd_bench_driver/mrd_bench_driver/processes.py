@@ -225,7 +225,7 @@ class BenchProcesses:
         return self._logs / f"{name}.log"
 
     def check(self) -> None:
-        """Raise if a process has ended: `InputError` if it refused its configuration, else `ProcessDiedError`."""
+        """Raise `ProcessDiedError` if a process has ended, with its reason where it refused its configuration."""
         for name, process in self.running.items():
             status = process.poll()
             # One that refuses its configuration is named in every case.
@@ -233,7 +233,8 @@ class BenchProcesses:
                 continue
             lines = self.log(name).read_text(errors="replace").splitlines()[-_LOG_LINES:]
             if status == 2 and lines:
-                raise InputError(f"{name}: {lines[-1].removeprefix('error: ')} (the logs of all nodes are in {self._logs})")
+                reason = lines[-1].removeprefix("error: ")
+                raise ProcessDiedError(name, f"{name}: {reason} (the logs of all nodes are in {self._logs})")
             output = "".join(f"\n  {line}" for line in lines) or " nothing"
             raise ProcessDiedError(name, f"{name} ended with status {status}; its log {self.log(name)} ends with{output}")
 

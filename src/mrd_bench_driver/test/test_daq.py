@@ -501,6 +501,26 @@ def test_a_log_that_blocks_keeps_nobody_from_0_volts(graph: Any) -> None:
         os.close(stderr)
 
 
+def test_a_log_of_something_refused_that_blocks_keeps_nobody_from_0_volts(graph: Any) -> None:
+    """ROS logs with Python locked: all threads of the node waited for a terminal that stood still."""
+    unread, stderr = os.pipe()
+    try:
+        with broken_daq(graph, stderr) as (terminals, _):
+            terminals.drive(0.5, 2.5)
+            filler = os.open(f"/proc/self/fd/{stderr}", os.O_WRONLY | os.O_NONBLOCK)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    os.write(filler, b"x")
+            os.close(filler)
+            terminals.setpoint(0.8, lease=8)
+            graph.during(0.3)
+            terminals.emergency_stop.publish(Bool(data=True))
+            graph.until(lambda: terminals.volts() == 0.0)
+    finally:
+        os.close(unread)
+        os.close(stderr)
+
+
 class HungDaq:
     """A DAQ node whose callbacks the test calls: nobody spins it, as if a callback hung. A plant follows its output."""
 

@@ -450,6 +450,26 @@ def test_an_abort_of_the_experiment_ends_the_homing(peers: FakePeers) -> None:
     assert peers.clock.now() - begin < 3.0
 
 
+@pytest.mark.parametrize("by_supervisor", [False, True])
+@pytest.mark.parametrize("homed", [False, True])
+def test_a_stop_while_the_machine_is_measured_is_not_followed_by_a_drive_that_is_switched_on(
+    peers: FakePeers, monkeypatch: pytest.MonkeyPatch, by_supervisor: bool, homed: bool
+) -> None:
+    """The next request was sent first, and only then somebody asked whether a stop had come."""
+    supervisor = peers.supervisor
+    peers.servo = dataclasses.replace(peers.servo, homed=homed)
+
+    def stop(_now: float) -> str:
+        if by_supervisor:
+            supervisor.stop()
+        peers.servo = dataclasses.replace(peers.servo, halt_time=peers.clock.now())
+        return ""
+
+    monkeypatch.setattr(supervisor._punctuality, "problem", stop)
+    run(peers)
+    assert not {"servo/home", "servo/enable True"} & set(peers.calls), peers.calls
+
+
 def test_a_refused_reset_of_an_idle_bench_stops_nothing(peers: FakePeers) -> None:
     peers.force = 900.0
     peers.publish()
@@ -470,8 +490,15 @@ def press_daq(peers: FakePeers) -> None:
     peers.supervisor.monitor.add_daq_problem("")
 
 
+def press_daq_that_has_no_problem(peers: FakePeers) -> None:
+    """It was reset before, as a converter is that failed, or has been started anew."""
+    peers.supervisor.monitor.add_daq_problem("")
+    peers.supervisor.monitor.add_daq_problem("emergency stop; call reset_fault")
+    peers.supervisor.monitor.add_daq_problem("")
+
+
 @pytest.mark.parametrize("fault", [True, False])
-@pytest.mark.parametrize("press", [press_servo, press_daq])
+@pytest.mark.parametrize("press", [press_servo, press_daq, press_daq_that_has_no_problem])
 def test_a_button_of_servo_or_daq_is_not_erased_by_a_reset(
     peers: FakePeers, press: Callable[[FakePeers], None], fault: bool
 ) -> None:

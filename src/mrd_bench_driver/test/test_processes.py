@@ -89,12 +89,12 @@ def test_one_that_dies_is_told_with_its_last_lines(prefix: Path, tmp_path: Path)
             processes.check()
 
 
-def test_one_that_refuses_its_configuration_is_unusable_input(prefix: Path, tmp_path: Path) -> None:
+def test_one_that_refuses_its_configuration_is_told_with_its_reason(prefix: Path, tmp_path: Path) -> None:
     refusing = add(prefix, "daq", "#!/bin/sh\necho 'error: node daq: unknown parameter rte_hz'\nexit 2\n")
     with BenchProcesses([refusing], tmp_path / "log") as processes:
         processes.running["daq"].wait(5)
         with pytest.raises(
-            InputError, match=r"^daq: node daq: unknown parameter rte_hz \(the logs of all nodes are in .*\)$"
+            ProcessDiedError, match=r"^daq: node daq: unknown parameter rte_hz \(the logs of all nodes are in .*\)$"
         ):
             processes.check()
 

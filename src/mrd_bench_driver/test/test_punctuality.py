@@ -13,11 +13,11 @@ def noted(*delays: float) -> Punctuality:
 
 
 def test_a_punctual_machine_has_no_problem() -> None:
-    assert noted(*[0.03] * 50).problem() == ""
+    assert noted(*[0.03] * 50).problem(1e9 + 50 * 0.04) == ""
 
 
 def test_a_late_cycle_is_named_with_numbers_and_a_remedy() -> None:
-    assert noted(0.0, 0.09, 0.001, 0.05).problem() == (
+    assert noted(0.0, 0.09, 0.001, 0.05).problem(0.0) == (
         "this machine is too slow: 2 of 4 cycles came more than 40 ms late, the worst 90 ms; end other programs, or give "
         "the bench a machine of its own"
     )
@@ -29,6 +29,15 @@ def test_only_delays_count_and_a_new_run_counts_anew() -> None:
         punctuality.note(time, 0.01)
     assert (punctuality.cycles, punctuality.late) == (6, 2)
     punctuality.restart()
-    for time in (9.0, 9.01):
+    for time in (5.01, 5.02):
         punctuality.note(time, 0.01)
-    assert punctuality.problem() == ""
+    assert punctuality.problem(5.03) == ""
+
+
+def test_a_pause_that_touches_either_end_of_a_measurement_is_seen() -> None:
+    punctuality = noted(0.0, 0.0)
+    punctuality.restart()
+    punctuality.note(1e9 + 0.32, 0.01)
+    assert "1 of 1 cycles came more than 40 ms late, the worst 290 ms" in punctuality.problem(1e9 + 0.32)
+    punctuality.restart()
+    assert "1 of 1 cycles came more than 40 ms late, the worst 240 ms" in punctuality.problem(1e9 + 0.57)

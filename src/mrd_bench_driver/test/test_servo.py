@@ -83,6 +83,20 @@ def test_setpoints_that_stop_stop_the_rod(homed):
     assert homed.rod == pytest.approx(stands + 0.5 * MM, abs=5e-6)
 
 
+def test_setpoints_from_the_future_keep_the_rod_moving_no_longer_than_others(homed):
+    """Their age was counted from their stamps, and the rod moved for 253 ms."""
+    ahead, wanted = 0.125, sine(homed)
+
+    def early(now):
+        setpoint = wanted(now + ahead)
+        return RodSetpoint(now + ahead, setpoint.position, setpoint.velocity, setpoint.acceleration)
+
+    homed.run(1.3, early)
+    homed.run(0.16)
+    assert "X" in homed.motor.log
+    assert homed.motor.velocity == 0
+
+
 def test_setpoints_that_end_at_rest_leave_the_servo_armed(homed):
     homed.run(0.5, lambda now: RodSetpoint(now, 0.3 * MM, 0, 0))
     homed.run(0.5)

@@ -453,6 +453,8 @@ def test_a_log_that_blocks_keeps_nobody_from_stopping_the_rod(fake, graph):
         until(lambda: fake.motor.log.count("RPA") > queries)  # its reply will not come
         stop.publish(Bool(data=True))
         until(lambda: "S" in fake.motor.log)
+        # Neither does the log of the stop itself leave the drive on.
+        until(lambda: "OFF" in fake.motor.log)
     finally:
         process.kill()
         process.wait()

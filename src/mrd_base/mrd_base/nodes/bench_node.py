@@ -39,6 +39,7 @@ from mrd_base.domain import claim_name, present_domain
 from mrd_base.errors import InputError
 from mrd_base.nodes.graph import COMMAND, DIAGNOSTICS, LATCHED, NODES, RECORDED, REFUSALS
 from mrd_base.nodes.help import describe_node
+from mrd_base.nodes.output import output_that_never_waits
 from mrd_base.nodes.parameters import CLOCK, flatten, parameter_fields
 from mrd_base.tool import run_tool
 
@@ -427,6 +428,13 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
         signals.add(signal.SIGHUP)
     # A handler in Python would not run before the executor returns. All threads inherit that these signals are blocked.
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    with output_that_never_waits():
+        status = _run(factory, executor, signals)
+    sys.exit(status)
+
+
+def _run(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any], signals: set[signal.Signals]) -> int:
+    """Run a node until one of the signals comes; return the exit status."""
     node: BenchNode[Any] | None = None
     stopping = threading.Event()
     status = 0
@@ -462,7 +470,7 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
                 node.bench.leave()
             node.destroy_node()
         rclpy.try_shutdown()
-    sys.exit(status)
+    return status
 
 
 def _wait_for(signals: set[signal.Signals], clock: BenchClock, wake: Callable[[], None]) -> threading.Event:

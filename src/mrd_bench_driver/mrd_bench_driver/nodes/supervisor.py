@@ -67,6 +67,9 @@ _REQUEST_THREADS = 8
 _RENEWAL = 0.04
 # Wall time in s for running actions to end when the node closes.
 _CLOSE_TIMEOUT = 2.0
+# Supervisors whose ages, in s, differ by less started together; the name tells which one ends.
+_TOGETHER = 1.0
+
 # Bench time in s within which an emergency stop that is heard may be our own.
 _ECHO = 0.1
 
@@ -219,8 +222,12 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.check_interlocks()
 
     def _on_lease(self, lease: Lease) -> None:
-        # Of two supervisors that start together, exactly one is the later one.
-        if lease.holder != self._holder and (lease.since, lease.holder) < (self._since, self._holder):
+        if lease.holder == self._holder:
+            return
+        # By its own clock each, because those of two machines differ, and that of one may have been set meanwhile.
+        age, other = self.bench.now() - self._since, seconds(lease.header.stamp) - lease.since
+        together = abs(age - other) < _TOGETHER
+        if self._holder > lease.holder if together else age < other:
             self.ending = InputError(
                 f"{lease.holder} supervises this bench already; stop it, or give this one another namespace or domain"
             )

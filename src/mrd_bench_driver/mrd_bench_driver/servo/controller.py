@@ -119,6 +119,7 @@ class ServoController:
         self._rod = RodEstimator()
         self._activity = Activity.NOTHING
         self._setpoint = RodSetpoint(-math.inf, 0.0, 0.0, 0.0)
+        self._heard = -math.inf  # when it came
         self._homing: Homing | None = None
         self._connected = self._homed = False
         self._emergency_stop = ""  # reason of the latched stop
@@ -159,7 +160,8 @@ class ServoController:
                     return
                 self._activity, self._following_error = Activity.SETPOINTS, 0.0
                 self._rod.set_command(None)
-            self._setpoint = setpoint
+            # A stamp in the future must not keep the rod moving after its sender has stopped.
+            self._setpoint, self._heard = setpoint, min(setpoint.time, now)
 
     def enable(self, on: bool, now: float) -> Response:
         """Switch the drive on and follow setpoints, or bring the rod to rest and switch the drive off."""
@@ -417,7 +419,7 @@ class ServoController:
             if waited > _RELEASE_WAIT[1] or (waited > _RELEASE_WAIT[0] and abs(self._rod.velocity) < _RELEASE_SPEED):
                 self._enqueue(b"OFF\r")
                 self._release_requested, self._drive_on, self._switched = None, False, now
-        if self._activity is Activity.SETPOINTS and now - self._setpoint.time > self.config.setpoint_timeout:
+        if self._activity is Activity.SETPOINTS and now - self._heard > self.config.setpoint_timeout:
             if abs(self._setpoint.velocity) < STANDSTILL_SPEED and abs(self._following_error) < REST_TOLERANCE:
                 self._activity = Activity.NOTHING
                 self._rod.set_command(None)
@@ -468,7 +470,7 @@ class ServoController:
         if self._activity is not Activity.SETPOINTS and not homing_move:
             return b""
         # A setpoint that is getting old is not extrapolated any more. The motion then ends by itself.
-        if not homing_move and now - self._setpoint.time > self.config.setpoint_timeout / 2:
+        if not homing_move and now - self._heard > self.config.setpoint_timeout / 2:
             return b""
         fixed = None if self._schedule.with_acceleration else self._horizon.braking_acceleration(self.config.limits.speed)
         with_adt = fixed is None or self._ticks % _ACCELERATION_INTERVAL == 0

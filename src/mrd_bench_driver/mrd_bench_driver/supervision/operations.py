@@ -201,7 +201,7 @@ class BenchOperations:
         """Measure for a moment how punctual the supervisor's cycle is; refuse if it is too late to stop the rod in time."""
         self._punctuality.restart()
         self._clock.sleep(_MEASUREMENT)
-        if problem := self._punctuality.problem():
+        if problem := self._punctuality.problem(self._clock.now()):
             raise RefusedError(f"not armed, {problem}")
 
     # The experiment
@@ -449,6 +449,7 @@ class BenchOperations:
         # Else it would be chance whether a node that works at this instant, too, has done so before the request comes, and
         # whether what it then publishes has been received when the response comes.
         self._clock.settle()
+        self._interruption()  # what has come meanwhile must not be answered by a request
         response = self._peers.call(service, timeout or self._config.answer_timeout, self._interruption, **fields)
         self._clock.settle()
         return response

@@ -124,7 +124,7 @@ class BenchMonitor:
         self.sources = {"generator": SourceState(), "controller": SourceState()}
         self._work = self._power = 0.0  # of a hybrid test, in J and W
         self.daq_problem = ""
-        self.daq_repetitions = 0
+        self.daq_problems = 0
         self.recorder_state = self.recording_problem = ""
         self.recorder_time = -math.inf
         self.recorder_changed = clock.waiter()
@@ -185,8 +185,8 @@ class BenchMonitor:
             self.setpoint_time = now
 
     def add_daq_problem(self, problem: str) -> None:
-        """Note why the DAQ has stopped, or "". It repeats a problem when somebody stops it once more."""
-        self.daq_repetitions += bool(problem and self.daq_problem)
+        """Note why the DAQ has stopped, or "". It tells a problem again when somebody stops it once more."""
+        self.daq_problems += bool(problem)
         self.daq_problem = problem
 
     def add_experiment_state(self, state: str, now: float, source: str = "generator") -> None:

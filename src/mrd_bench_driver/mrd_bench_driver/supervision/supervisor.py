@@ -185,10 +185,10 @@ class Supervisor:
         with self._exclusive("reset_fault"):
             bench = self._operations(never_interrupted)
             bench.require_servo_and_daq()
-            before = self._emergency_stops, self.monitor.daq_repetitions
+            before = self._emergency_stops, self.monitor.daq_problems
 
             def stopped() -> bool:
-                return (self._emergency_stops, self.monitor.daq_repetitions) != before or self._is_halted()
+                return (self._emergency_stops, self.monitor.daq_problems) != before or self._is_halted()
 
             try:
                 bench.reset_faults()
@@ -321,7 +321,7 @@ class Supervisor:
         if self.mode.current is Mode.FAULT and self.mode.reason not in outcome.message:
             outcome = dataclasses.replace(outcome, success=False, message=f"{self.mode.reason}; {outcome.message}")
         # An interlock names what fell silent. Whether only the machine was too slow, it cannot know.
-        problem = self._punctuality.problem()
+        problem = self._punctuality.problem(self._clock.now())
         return dataclasses.replace(outcome, message=f"{outcome.message}; {problem}") if problem else outcome
 
     def _require_free(self) -> None:
