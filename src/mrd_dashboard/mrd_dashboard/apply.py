@@ -1,10 +1,9 @@
 """Put a diagnosis into the simulator, as the tool ``apply`` does."""
 
-import math
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_diagnosis.correction import correction, write_plant
+from mrd_diagnosis.correction import correction_of_report, write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
 
 
@@ -25,18 +24,7 @@ def apply_report(report: Path, plant: str) -> str:
     """
     if not plant:
         raise InputError("this bench has no simulator; start the page with the parameter plant, a plant.yaml")
-    content = read_gap_report(report)
-    refitted = content["corrected"] or {"parameters": {}, "effects": []}
-    closed = content["gap"]["closed_fraction"]["value"] if content["gap"] else None
-    corrected = correction(
-        content["verdict"],
-        content["model"],
-        content["laws"],
-        refitted["parameters"],
-        refitted["effects"],
-        closed_fraction=math.nan if closed is None else closed,
-        where=str(report),
-        remedy="",  # what it advises can be done on the page
-    )
+    # What the remedy would be can be done on the page.
+    corrected = correction_of_report(read_gap_report(report), str(report), remedy="")
     output = write_plant(corrected, plant, report.with_name("plant.yaml"))
     return f"{output}: {corrected.remark} Start the simulated bench with --plant {output}"

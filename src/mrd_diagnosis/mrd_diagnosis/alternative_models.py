@@ -60,7 +60,7 @@ def fit_alternative_models(weighting: Weighting, base: Refit, enough: float, rng
 
 
 def best_model(start: DamperModel, recordings: Sequence[Recording], rng: np.random.Generator) -> DamperModel:
-    """Return the damper model that predicts held-out folds of recordings best, without effects.
+    """Return the damper model that predicts held-out folds of recordings best, without effects and more freedom.
 
     Parameters
     ----------
@@ -70,7 +70,9 @@ def best_model(start: DamperModel, recordings: Sequence[Recording], rng: np.rand
     rng : numpy Generator
     """
     weighting, base, _, _ = fit_base(start, None, recordings, rng)
-    refits = [base, *fit_alternative_models(weighting, base, -np.inf, rng).values()]
+    others = fit_alternative_models(weighting, base, -np.inf, rng)
+    # The diagnosis would go on without the freedom of a model with more parameters fitted.
+    refits = [base, *(refitted for refitted in others.values() if all(p.free for p in refitted.problem.parameters))]
     return min(refits, key=lambda refitted: refitted.held_out_cost).problem.model
 
 

@@ -18,7 +18,7 @@ from mrd_diagnosis.explanation import Explanation, probabilities_of_alternatives
 from mrd_diagnosis.flexible_remainder import flexible_functions
 from mrd_diagnosis.form_remainder import SCALES, columns_by_run, form_columns, orthogonal, with_remainder
 from mrd_diagnosis.model_comparison import compare_on
-from mrd_diagnosis.null_distribution import draw_null_gains, p_value
+from mrd_diagnosis.null_distribution import NullGains, draw_null_gains
 from mrd_diagnosis.refit import Refit, refit, refit_on
 from mrd_diagnosis.statistics import error_dispersion
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -41,7 +41,7 @@ def explain_change(
     effects: Sequence[str],
     rng: np.random.Generator,
     progress: Progress = lambda _fraction: None,
-) -> tuple[Explanation, list[EffectFit], Array]:
+) -> tuple[Explanation, list[EffectFit], NullGains]:
     """Find the effects that explain a change.
 
     Parameters
@@ -62,8 +62,7 @@ def explain_change(
         Its comparison has the common remainder, and counts as noise what no change explains.
     singles : list of EffectFit
         Each effect by itself.
-    null_gains : ndarray
-        See `mrd_diagnosis.null_distribution.draw_null_gains`.
+    null_gains : NullGains
     """
     weighting = replace(weighting, scatter=RUN_SCATTER)
     common, own = _functions(weighting, base, rng)
@@ -75,13 +74,19 @@ def explain_change(
     base = refit(weighting.problem(base.problem.model, base.theta), base.theta, weighting.folds, null_errors)
     chosen, fits = search_effects(weighting, base, effects, null_errors, lambda fraction: progress(0.2 + 0.7 * fraction))
     singles = [fit for fit in fits if len(fit.effects) == 1]
-    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
-    comparison = compare_on(weighting, base, chosen, fits)
-    p_values = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
-    for effect in comparison.effects:
-        if p_values[effect] > THRESHOLDS.p_value or not exceeds_run_scatter(comparison.best, effect):
-            comparison = comparison.without_effects()
+    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
+    while True:
+        comparison = compare_on(weighting, base, chosen, fits)
+        p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
+        proven = [
+            effect
+            for effect in comparison.effects
+            if p_values[effect] <= THRESHOLDS.p_value and exceeds_run_scatter(comparison.best, effect)
+        ]
+        if len(proven) == len(comparison.effects):
             break
+        # What one that is not proven took up, the others may explain.
+        chosen, _ = search_effects(weighting, base, proven, null_errors)
     chances = probabilities_of_alternatives(comparison, rng)
     progress(1.0)
     return Explanation(decide_change(comparison, chances, rng), comparison, chances, p_values), singles, null_gains
@@ -152,10 +157,21 @@ def _with_own_remainder(weighting: Weighting, base: Refit, functions: Array) -> 
 
 
 def _with_floor(weighting: Weighting, freed: Refit) -> Weighting:
-    """Return the weighting in which all error that a refit leaves on held-out folds counts as noise."""
-    variance = np.concatenate([noise.sigma for noise in weighting.noise]) ** 2
-    excess = max(float(freed.held_out_squares.sum() - variance.sum()) / len(variance), 0.0)
-    noise = [replace(of_run, sigma=np.sqrt(of_run.sigma**2 + excess)) for of_run in weighting.noise]
+    """Return the weighting in which the error that a refit leaves on held-out folds counts as noise, before and after the
+    change each for itself: no more and no less.
+    """
+    noise = list(weighting.noise)
+    for before in (True, False):
+        runs = [run for run, recording in enumerate(weighting.recordings) if recording.without_effects == before]
+        left = float(sum(freed.held_out_squares[fold] for fold, (run, _) in enumerate(freed.folds) if run in runs))
+        variance = np.concatenate([noise[run].sigma for run in runs]) ** 2
+        excess = (left - float(variance.sum())) / len(variance)
+        for run in runs:
+            # Where the noise was estimated too large, its distribution over the samples is wrong as well.
+            squares = (
+                noise[run].sigma ** 2 + excess if excess > 0.0 else np.full(len(noise[run].sigma), left / len(variance))
+            )
+            noise[run] = replace(noise[run], sigma=np.sqrt(squares))
     return replace(weighting, noise=noise, discrepancy=0.0)
 
 

@@ -108,12 +108,16 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
 
 
 def closed_fraction_between(before: Refit, after: Refit, comparison: ModelComparison, rng: np.random.Generator) -> Interval:
-    """Return the share of the explainable gap between two refits, on folds that are held out in turn."""
+    """Return the share of the explainable gap between two refits, on folds that are held out in turn; in those from before a
+    change, there is none.
+    """
+    recordings = comparison.weighting.recordings
+    acting = [place for place, (run, _) in enumerate(comparison.weighting.folds) if not recordings[run].without_effects]
     variance = np.concatenate([noise.sigma for noise in comparison.weighting.noise]) ** 2
     noise_of_folds = np.array([variance[fold].sum() for _, fold in comparison.weighting.folds])
-    gap = comparison.base.held_out_squares - noise_of_folds
+    gap = (comparison.base.held_out_squares - noise_of_folds)[acting]
     draws = bootstrap_counts(len(gap), rng)
-    gained = before.held_out_squares - after.held_out_squares
+    gained = (before.held_out_squares - after.held_out_squares)[acting]
     if gap.sum() <= 0:
         return Interval(np.nan)
     shares = (draws @ gained) / np.where(draws @ gap > 0, draws @ gap, np.nan)

@@ -50,6 +50,30 @@ class Correction:
         return Damper(self.model, self.parameters, self.laws, self.effects)
 
 
+def correction_of_report(report: Mapping[str, Any], where: str, **options: Any) -> Correction:
+    """Return the correction of a gap report's content, see `correction`, of which ``options`` are keyword arguments.
+
+    Raises
+    ------
+    InputError
+        As `correction` does.
+    """
+    refitted = report["corrected"] or {"parameters": {}, "effects": []}  # null where the recordings are faulty
+    # Without effects, and where the recordings are faulty, there is no share.
+    closed = report["gap"]["closed_fraction"]["value"] if report["gap"] else None
+    return correction(
+        report["verdict"],
+        report["model"],
+        report["laws"],
+        refitted["parameters"],
+        refitted["effects"],
+        closed_fraction=math.nan if closed is None else closed,
+        is_change=bool(report["runs"]["reference"]),
+        where=where,
+        **options,
+    )
+
+
 def correction(
     verdict: Verdict,
     model: str,
@@ -58,6 +82,7 @@ def correction(
     effects: Collection[str],
     *,
     closed_fraction: float = math.nan,
+    is_change: bool = False,
     anyway: bool = False,
     where: str = "the diagnosis",
     remedy: str = ", or apply the result with --anyway",
@@ -72,6 +97,8 @@ def correction(
         As in `mrd_diagnosis.diagnosis.Diagnosis`; parameters of effects are named EFFECT.PARAMETER.
     closed_fraction : float
         Share of the gap that the effects close, for the remark on a partly explained gap; nan where it is not known.
+    is_change : bool
+        Whether the diagnosis explains a change since reference runs; the parameters are of the damper before it.
     anyway : bool
         Apply also what is not proven: the first of several possible causes, the nearest effect, or the parameters alone.
     where, remedy : str
@@ -82,7 +109,7 @@ def correction(
     InputError
         If the recordings are faulty, or if the verdict does not prove an effect and ``anyway`` is not set.
     """
-    remark = _remark(verdict, model, effects, closed_fraction, anyway, where, remedy)
+    remark = _remark(verdict, model, effects, closed_fraction, is_change, anyway, where, remedy)
     if verdict == "no_gap":
         effects = ()
     parameters_of_effects = {
@@ -96,7 +123,14 @@ def correction(
 
 
 def _remark(
-    verdict: Verdict, model: str, effects: Collection[str], closed_fraction: float, anyway: bool, where: str, remedy: str
+    verdict: Verdict,
+    model: str,
+    effects: Collection[str],
+    closed_fraction: float,
+    is_change: bool,
+    anyway: bool,
+    where: str,
+    remedy: str,
 ) -> str:
     """Return what the corrected damper is, and whether it is proven; refuse what is not proven unless ``anyway``."""
     if verdict == "data_fault":
@@ -104,25 +138,27 @@ def _remark(
             f"{where}: the recordings are faulty, so there is nothing to apply; correct them and diagnose again"
         )
     named = ", ".join(effects)
-    refitted = f"The damper is {model} with refitted parameters"
+    gap = "change" if is_change else "gap"
+    parameters = "parameters refitted to the runs from before" if is_change else "refitted parameters"
+    refitted = f"The damper is {model} with {parameters}"
     with_effects = f"{refitted} and the effect{'s' if len(effects) > 1 else ''} {named}"
     if verdict == "no_gap":
         return f"{refitted}: the diagnosis found no missing effect."
     if verdict == "explained":
-        return f"{with_effects}: this explains the gap."
+        return f"{with_effects}: this explains the {gap}."
     if verdict == "partly_explained":
         closed = float(np.clip(closed_fraction, 0.0, 1.0))
         if math.isnan(closed):
-            return f"{with_effects}: this explains a part of the gap; the rest stays open."
-        return f"{with_effects}: this explains {format_share(closed)} of the gap; {format_share(1.0 - closed)} stays open."
+            return f"{with_effects}: this explains a part of the {gap}; the rest stays open."
+        return f"{with_effects}: this explains {format_share(closed)} of the {gap}; {format_share(1.0 - closed)} stays open."
     unproven, advice = f"{named} is not proven", "try the other damper models that it lists"
     if verdict == "ambiguous":
         advice = "record the experiment that it advises"
         remark = f"{with_effects}: this is the first of several possible causes and NOT proven."
     elif effects:
-        remark = f"{with_effects}: this comes nearest to the gap and is NOT proven."
+        remark = f"{with_effects}: this comes nearest to the {gap} and is NOT proven."
     else:
-        unproven = "no effect is known that explains the gap"
+        unproven = f"no effect is known that explains the {gap}"
         remark = f"{refitted}: an effect is missing that is NOT known."
     if not anyway:
         raise InputError(f"{where}: the verdict is {verdict}, so {unproven}; {advice}{remedy}")

@@ -38,9 +38,9 @@ from mrd_diagnosis.flexible_remainder import explainable_fraction
 from mrd_diagnosis.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
-from mrd_diagnosis.null_distribution import draw_null_gains, p_value
+from mrd_diagnosis.null_distribution import NullGains, draw_null_gains
 from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
-from mrd_diagnosis.refit import Refit
+from mrd_diagnosis.refit import Refit, refit_on
 from mrd_diagnosis.sentences import fault_sentence, verdict_sentence
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
@@ -153,7 +153,7 @@ def diagnose(
             findings,
             "data_fault",
             fault_sentence(findings),
-            _held_out_by(runs, held_out),
+            _held_out_by(runs, held_out, is_change=bool(reference)),
             tuple(reference),
         )
     before = [replace(recording, without_effects=True) for recording in in_threads(prepare_recording, reference)]
@@ -165,7 +165,7 @@ def diagnose(
         base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress
     )
     if model == BEST_MODEL:
-        chosen = f"Of the damper models of the catalogue, {base.id} predicts these recordings best."
+        chosen = f"Of the damper models that were tried, {base.id} predicts these recordings best."
         diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
     return replace(diagnosis, notes=(*diagnosis.notes, *closed_loop_notes(runs)))
 
@@ -206,8 +206,9 @@ def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | 
     return base.vector({name: value for name, value in parameters.values.items() if "." not in name})
 
 
-def _held_out_by(runs: Sequence[Run], held_out: Sequence[Run]) -> HeldOutBy:
-    return "runs" if held_out else "leave-one-run-out" if len(runs) > 1 else "blocks"
+def _held_out_by(runs: Sequence[Run], held_out: Sequence[Run], *, is_change: bool) -> HeldOutBy:
+    # What is common to the recordings from before and after predicts parts of a run, not a whole one.
+    return "runs" if held_out else "leave-one-run-out" if len(runs) > 1 and not is_change else "blocks"
 
 
 def _diagnose_physics(
@@ -263,6 +264,10 @@ def _diagnose_physics(
     conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
         progress("designing the next experiment", 0.96)
+    corrected, without_effects = complete.best.values, complete.without_effects().best.values
+    if reference:
+        without_effects = _damper_before(weighting, base)
+        corrected = corrected | without_effects
     gap = Gap(
         closure.noise_floor,
         closure.before,
@@ -285,13 +290,13 @@ def _diagnose_physics(
         findings=findings,
         verdict=verdict,
         sentence="",
-        held_out_by=_held_out_by(runs, set_aside),
+        held_out_by=_held_out_by(runs, set_aside, is_change=bool(reference)),
         reference=reference,
         gap=gap,
         corrected=CorrectedSimulator(
             complete.best.effects,
-            complete.best.values,
-            complete.without_effects().best.values,
+            corrected,
+            without_effects,
             {} if theta_as_given is None else dict(zip(model.names, map(float, theta_as_given), strict=True)),
         ),
         where=where,
@@ -320,7 +325,7 @@ def _explain_gap(
     effects: Sequence[str],
     rng: np.random.Generator,
     progress: Progress,
-) -> tuple[Explanation, ModelComparison, list[EffectFit], Array, dict[str, Refit]]:
+) -> tuple[Explanation, ModelComparison, list[EffectFit], NullGains, dict[str, Refit]]:
     """Explain the gap of a model; return the explanation, its comparison on all samples, each effect by itself, the gains in
     noise alone, and other damper models where they were tried.
     """
@@ -329,7 +334,7 @@ def _explain_gap(
     )
     progress("comparing models", 0.45)
     singles = [fit for fit in fits if len(fit.effects) == 1]
-    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng) if singles else np.zeros(1)
+    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     comparison = compare_models(weighting, base, chosen, fits, rng)
     other_models: dict[str, Refit] = {}
     runs = [recording.run for recording in weighting.recordings]
@@ -340,7 +345,7 @@ def _explain_gap(
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
         comparison = comparison.with_alternative_models(other_models)
     chances = probabilities_of_alternatives(comparison, rng)
-    p_values = {fit.effects[-1]: p_value(fit.gain, null_gains) for fit in chosen}
+    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
     complete = compare_on_all_samples(comparison, rng)
     verdict = decide(complete, base.chi_square, chances, p_values, rng)
     explanation = Explanation(verdict, comparison, chances, p_values)
@@ -379,6 +384,15 @@ def _nearest(comparison: ModelComparison, candidates: Sequence[Candidate]) -> Ca
     if chosen is None and candidates and candidates[0].closed_fraction.value > 0.0:
         return candidates[0]
     return chosen
+
+
+def _damper_before(weighting: Weighting, base: Refit) -> dict[str, float]:
+    """Return the parameters of the model by name, refitted to the recordings from before a change alone."""
+    runs = [run for run, recording in enumerate(weighting.recordings) if recording.without_effects]
+    before = replace(
+        weighting, recordings=[weighting.recordings[run] for run in runs], noise=[weighting.noise[run] for run in runs]
+    )
+    return refit_on(before, base).values
 
 
 def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weighting) -> float | None:

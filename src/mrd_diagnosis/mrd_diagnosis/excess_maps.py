@@ -87,12 +87,13 @@ def _excess_map(title: str, x: Array, x_name: str, y: Array, y_name: str, excess
 def _spectrogram(recording: Recording, residual: Array) -> Map:
     """Return the amplitude density of the residual over time and frequency."""
     run = recording.run
-    length = min(len(residual), max(32, round(COLUMN_DURATION * run.rate), len(residual) // MOST_COLUMNS))
-    frequency, time, density = spectrogram(residual, run.rate, "hann", length, 0, detrend=False)
+    rate = recording.rate
+    length = min(len(residual), max(32, round(COLUMN_DURATION * rate), len(residual) // MOST_COLUMNS))
+    frequency, time, density = spectrogram(residual, rate, "hann", length, 0, detrend=False)
     height = -(-len(frequency) // MOST_ROWS)
     rows = np.arange(0, len(frequency), height)
     power = np.add.reduceat(density, rows, axis=0) / np.diff(np.append(rows, len(frequency)))[:, None]
-    half, begin = 0.5 * length / run.rate, float(run.time[recording.counted][0])
+    half, begin = 0.5 * length / rate, float(run.time[recording.counted][0])
     return Map(
         f"spectrum of the error over time, run {run.name}",
         "time, s",

@@ -24,7 +24,7 @@ from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_diagnosis.effect_search import EffectFit, detection_threshold, tolerated_excess
 from mrd_diagnosis.experiment_design.advice import advise
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison
-from mrd_diagnosis.null_distribution import p_value
+from mrd_diagnosis.null_distribution import NullGains
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.statistics import effect_parameters, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -126,7 +126,7 @@ def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tu
 def list_candidates(
     comparison: ModelComparison,
     singles: Sequence[EffectFit],
-    null_gains: Array,
+    null_gains: NullGains,
     chances: Probabilities,
     rng: np.random.Generator,
 ) -> tuple[tuple[Candidate, ...], tuple[UntestableEffect, ...]]:
@@ -136,7 +136,7 @@ def list_candidates(
     variance = _force_variance(comparison)
     ranked = sorted(singles, key=lambda fit: fit.refit.held_out_cost)
     needed = max(
-        THRESHOLDS.least_gain * comparison.weighting.samples, float(np.quantile(null_gains, 1.0 - THRESHOLDS.p_value))
+        THRESHOLDS.least_gain * comparison.weighting.samples, float(np.quantile(null_gains.gains, 1.0 - THRESHOLDS.p_value))
     )
     lead_gain = ranked[0].held_out_gain if ranked else 0.0
     only = comparison.effects[0] if len(comparison.effects) == 1 else None
@@ -160,7 +160,7 @@ def list_candidates(
                 fit.effects,
                 _nrmse(refit, variance),
                 closed,
-                p_value(fit.gain, null_gains),
+                null_gains.p_value(fit.gain, fit.refit.problem),
                 float(chances[effect][effect] if effect in chances else chances_of_lead.get(effect, 0.0)),
                 parameters,
                 ranked[0].effects if indistinguishable else (),

@@ -108,7 +108,7 @@ def _folds(recordings: Sequence[Recording], counts: Sequence[int], stride: int) 
     gap = 0
     if len(counts) == 1:
         edges = [int(edge) for edge in np.linspace(0, counts[0], BLOCKS + 1)]
-        gap = min(round(0.5 * GAP_BETWEEN_BLOCKS * recordings[0].run.rate / stride), counts[0] // (8 * BLOCKS))
+        gap = min(round(0.5 * GAP_BETWEEN_BLOCKS * recordings[0].rate / stride), counts[0] // (8 * BLOCKS))
     return [slice(start + gap, stop - gap) for start, stop in itertools.pairwise(edges)]
 
 

@@ -65,12 +65,12 @@ def force_noise_variance(
     if variances:
         return float(np.median(variances)), "repeats"
     period = repeating_period(recording.smoothed)
-    if period and len(residuals[index]) > 2 * period * recording.run.rate:
+    if period and len(residuals[index]) > 2 * period * recording.rate:
         return _variance_from_periods(recording, residuals[index], propagated[index], period), "periods"
     residual = without_offset_and_gain(residuals[index], recording.force)
     # Behind a filter, only samples at twice the cut-off have nearly independent noise, and a spectrum that shows it.
     low_pass = known_force_filter(recording.run)
-    stride = max(1, int(recording.run.rate / (2 * low_pass.cutoff))) if low_pass else 1
+    stride = max(1, int(recording.rate / (2 * low_pass.cutoff))) if low_pass else 1
     from_spectrum = _variance_from_spectrum(residual[::stride], propagated[index][::stride])
     # Errors of the model add to both estimates, so the smaller one is nearer to the truth.
     return min(from_spectrum, _variance_from_similar_states(recording, residual, INDEPENDENT_AFTER * stride)), "residual"
@@ -95,7 +95,7 @@ def _variance_from_repeat(
 
 def _variance_from_periods(recording: Recording, residual: Array, propagated: Array, period: float) -> float:
     """Return half the variance of what changes from period to period, apart from a change of offset and gain."""
-    samples = period / float(np.median(np.diff(recording.run.time)))
+    samples = period / (recording.step * float(np.median(np.diff(recording.run.time))))
     whole, fraction = int(samples), samples - int(samples)
 
     def one_period_later(series: Array) -> Array:

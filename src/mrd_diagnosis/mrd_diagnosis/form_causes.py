@@ -11,7 +11,7 @@ from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects
 from mrd_diagnosis.held_cause import HeldCause, holds, holds_in_halves, leads, probabilities_in_place, with_effects
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, refit_in_its_place
-from mrd_diagnosis.null_distribution import p_value
+from mrd_diagnosis.null_distribution import NullGains
 from mrd_diagnosis.refit import CONVERGED, Refit
 from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -31,7 +31,7 @@ def name_form_causes(
     effects: Sequence[str],
     candidates: Sequence[str],
     others: Sequence[Refit],
-    null_gains: Array,
+    null_gains: NullGains,
     rng: np.random.Generator,
 ) -> tuple[dict[str, HeldCause], Refit]:
     """Return the effects that hold as a part of the form, and the model with them.
@@ -58,7 +58,7 @@ def name_form_causes(
             break
         gain = float(explained.held_out_cost - fitted.held_out_cost)
         closed = closed_fraction_between(explained, fitted, comparison, rng)
-        causes[effect] = HeldCause(chances, p_value(gain, null_gains), closed)
+        causes[effect] = HeldCause(chances, null_gains.p_value(gain, fitted.problem), closed)
         explained = fitted
     # The chain closes most of it, but what holds of the chain may not.
     if not _closes_most(without, explained, reachable):

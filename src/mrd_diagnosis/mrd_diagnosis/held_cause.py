@@ -64,12 +64,12 @@ def holds_in_halves(without: Refit, with_effect: Refit) -> bool:
 
 
 def with_effects(weighting: Weighting, refitted: Refit, effects: Sequence[str], values: Mapping[str, float]) -> Refit:
-    """Refit a model with those effects that it does not contain; their parameters start from ``values``."""
+    """Refit a model with those effects that it does not contain; parameters of effects start from ``values`` where known."""
     model, theta = refitted.problem.model, refitted.theta
     for effect in effects:
         if not contains(refitted.problem.model, effect):
             model, theta = with_effect(model, theta, effect)
-    theta = np.array([values[n] if "." in n else v for n, v in zip(model.names, theta, strict=True)])
+    theta = np.array([values.get(n, v) if "." in n else v for n, v in zip(model.names, theta, strict=True)])
     return refit(weighting.problem(model, theta), theta, weighting.folds)
 
 

@@ -135,9 +135,9 @@ def find_oscillation(
     for recording, of_run, residual in zip(recordings, noise, residuals, strict=True):
         velocity = recording.motion.velocity[recording.counted]
         white = float(np.sum(of_run.sigma**2))
-        energies = _energies(residual, recording.run.rate)
+        energies = _energies(residual, recording.rate)
         spectra.append(energies - white / len(energies))
-        motions.append(_energies(velocity, recording.run.rate))
+        motions.append(_energies(velocity, recording.rate))
     excess, motion = _added(spectra), np.cumsum(_added(motions))
     total = float(sum(np.sum(r**2) - np.sum(n.sigma**2) for r, n in zip(residuals, noise, strict=True)))
     first = ABOVE_MOTION * int(np.searchsorted(motion, 0.95 * motion[-1]))
@@ -154,7 +154,7 @@ def find_oscillation(
     centre = float(np.average(band, weights=np.maximum(excess[band], 0.0))) / FRAME_DURATION
     lower, upper = (float(band[place]) / FRAME_DURATION for place in (0, -1))
     share_within_bounds, unknown = Interval(min(share, 1.0)), float("nan")
-    label = f"an oscillation near {centre:.2g} Hz"
+    label = f"an oscillation near {centre:.{0 if centre >= 10 else 1}f} Hz"
     return Region("frequency", lower, upper, "Hz", share_within_bounds, unknown, unknown, label)
 
 
@@ -221,7 +221,7 @@ def _blocks(recordings: Sequence[Recording]) -> tuple[Indices, Indices]:
     block_of_sample, run_of_block, first = [], [], 0
     for run, recording in enumerate(recordings):
         samples = len(recording.force)
-        blocks = max(1, round(samples / recording.run.rate / BLOCK_DURATION))
+        blocks = max(1, round(samples / recording.rate / BLOCK_DURATION))
         block_of_sample.append(first + np.arange(samples) * blocks // samples)
         run_of_block += [run] * blocks
         first += blocks
@@ -234,7 +234,7 @@ def _frequency_table(recordings: Sequence[Recording], noise: Sequence[RunNoise],
     Bands are equally wide on a logarithmic scale, and all count as equally many samples. In proportion to their width in Hz,
     no excess would be found anywhere but at the lowest frequencies.
     """
-    highest = max(recording.run.rate for recording in recordings) / 2
+    highest = max(recording.rate for recording in recordings) / 2
     inner = log_edges(np.array([highest]), 3.0, (1, 3))
     inner = inner[inner >= 1.0 / BLOCK_DURATION]
     edges = np.array([0.0, *inner, highest])
@@ -252,7 +252,7 @@ def _band_sums(recording: Recording, noise: RunNoise, residual: Array, lower_edg
     The squares of the sine windows of the frames sum to one, so that no energy is lost. The noise of the force sensor is
     white. The error of the measured motion and current has the spectrum of the smoother: flat up to its time constant.
     """
-    rate = recording.run.rate
+    rate = recording.rate
     hop = max(8, min(round(BLOCK_DURATION * rate), len(residual) // 4))
     window = np.sin(np.pi * (np.arange(2 * hop) + 0.5) / (2 * hop))
     padded = np.pad(np.stack([residual, noise.sigma]), ((0, 0), (hop, hop + -len(residual) % hop)))

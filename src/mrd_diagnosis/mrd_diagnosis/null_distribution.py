@@ -1,6 +1,7 @@
 """Null distribution: the largest improvement that effects seem to make where there is only noise."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,31 @@ LEAST_TOTAL_DRAWS = 40
 
 REALISATIONS = 999
 """Realisations of the whole set; in each, every fold takes one of its draws with a random sign."""
+
+
+@dataclass(frozen=True)
+class NullGains:
+    """Decreases of the cost that effects seem to make where there is only noise.
+
+    Attributes
+    ----------
+    gains : ndarray (REALISATIONS,)
+        Largest decrease over all effects that were tried by themselves, in squares of white errors.
+    noise_cost : float
+        What noise alone contributes to the cost, with the weighting in which they were drawn.
+    """
+
+    gains: Array
+    noise_cost: float
+
+    def p_value(self, gain: float, problem: WeightedProblem) -> float:
+        """Return the probability that noise alone gives so large a decrease of the cost of a problem.
+
+        Once an effect is known, less error is left and noise weighs more than when the decreases were drawn; they grow as
+        its part of the cost does. The result is at least what so many realisations can resolve.
+        """
+        gains = self.gains * problem.noise_cost / self.noise_cost
+        return float(1 + np.count_nonzero(gains >= gain)) / (1 + len(gains))
 
 
 def draw_null_errors(
@@ -50,11 +76,13 @@ def draw_null_errors(
     return in_threads(lambda item: errors_of_run(*item), list(enumerate(rng.spawn(len(problem.recordings)))))
 
 
-def draw_null_gains(base: Refit, refits: Sequence[Refit], rng: np.random.Generator) -> Array:
-    """Draw the largest decrease (REALISATIONS,) of the cost over all refits where there is only noise.
+def draw_null_gains(base: Refit, refits: Sequence[Refit], rng: np.random.Generator) -> NullGains:
+    """Draw the largest decrease of the cost over all refits where there is only noise.
 
     To first order, the decrease is what the Jacobian of a refit, which includes its effect, can remove of an error.
     """
+    if not refits:
+        return NullGains(np.zeros(1), base.problem.noise_cost)
     folds, draws = base.null_gradients.shape[:2]
     choice = rng.integers(0, draws, (REALISATIONS, folds))
     sign = rng.choice([-1.0, 1.0], (REALISATIONS, folds))
@@ -65,9 +93,5 @@ def draw_null_gains(base: Refit, refits: Sequence[Refit], rng: np.random.Generat
         return np.asarray(((gradient @ inverse) * gradient).sum(axis=1))
 
     explained_by_base = explained(base)
-    return np.asarray(np.max([explained(fitted) - explained_by_base for fitted in refits], axis=0))
-
-
-def p_value(gain: float, null_gains: Array) -> float:
-    """Return the probability of so large a gain in noise alone; at least what so many realisations can resolve."""
-    return float(1 + np.count_nonzero(null_gains >= gain)) / (1 + len(null_gains))
+    gains = np.max([explained(fitted) - explained_by_base for fitted in refits], axis=0)
+    return NullGains(np.asarray(gains), base.problem.noise_cost)

@@ -22,7 +22,7 @@ from mrd_diagnosis.form_remainder import form_effects, with_form_remainder
 from mrd_diagnosis.held_cause import HeldCause, holds, holds_in_halves, leads, probabilities_in_place, with_effects
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, compare_on
-from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains, p_value
+from mrd_diagnosis.null_distribution import NullGains, draw_null_errors, draw_null_gains
 from mrd_diagnosis.refit import Refit, refit, refit_on
 from mrd_diagnosis.statistics import probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -146,15 +146,15 @@ class _BesideRemainder:
         The effects that hold, by id.
     values : dict
         Parameters of the model with the chosen effects, by name.
-    null_gains : ndarray
-        See `mrd_diagnosis.null_distribution.draw_null_gains`.
+    null_gains : NullGains
+        Of the effects beside the remainder.
     """
 
     weighting: Weighting
     of_form: list[str]
     causes: dict[str, HeldCause]
     values: dict[str, float]
-    null_gains: Array
+    null_gains: NullGains
 
 
 def _search_beside_remainder(
@@ -176,16 +176,15 @@ def _search_beside_remainder(
     base = refit(base.problem, base.theta, weighting.folds, null_errors)
     chosen, fits = search_effects(weighting, base, tried, null_errors, progress)
     singles = [fit.refit for fit in fits if len(fit.effects) == 1]
-    null_gains = draw_null_gains(base, singles, rng) if singles else np.zeros(1)
+    null_gains = draw_null_gains(base, singles, rng)
     if not chosen:
         return _BesideRemainder(weighting, of_form, {}, {}, null_gains)
     best = chosen[-1].refit
     compared = compare_on(weighting.updated(best.problem.model, best.theta, best.coefficients), base, chosen, fits)
-    gains = {fit.effects[-1]: fit.gain for fit in chosen}
+    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
     causes = {}
     for effect, others in compared.alternatives.items():
-        p = p_value(gains[effect], null_gains)
-        if p > THRESHOLDS.p_value or not holds_in_halves(others[NO_EFFECT], others[effect]):
+        if p_values[effect] > THRESHOLDS.p_value or not holds_in_halves(others[NO_EFFECT], others[effect]):
             continue
         of_forms = [(others[effect], others[NO_EFFECT])] + [
             _with_and_without(*space, compared.best, effect) for space in spaces[1:]
@@ -197,7 +196,7 @@ def _search_beside_remainder(
         if not leads(effect, chances):  # something is missing there, but which effect is not known
             continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
-        causes[effect] = HeldCause(chances, p, closed)
+        causes[effect] = HeldCause(chances, p_values[effect], closed)
     return _BesideRemainder(weighting, of_form, causes, compared.best.values, null_gains)
 
 

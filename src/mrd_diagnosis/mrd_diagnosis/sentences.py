@@ -314,7 +314,8 @@ def _certainty(diagnosis: Diagnosis) -> str:
     """Return the probability of the least certain cause in words."""
     least = min((cause.probability for cause in diagnosis.causes), default=math.nan)
     bound = "above " if least > 0.99 else "at least " if len(diagnosis.causes) > 1 else ""
-    among = f"among the {_effects_tried(diagnosis)} effects that were tried"
+    tried = _effects_tried(diagnosis)
+    among = f"among the {tried} effects that were tried" if tried > 1 else "no other effect was tried"
     return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)} {among}"
 
 

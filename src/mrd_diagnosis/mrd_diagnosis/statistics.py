@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 BOOTSTRAP_SAMPLES = 400
 """Samples of every bootstrap."""
 
+MOST_HELD_OUT = 10.0
+"""Ratio of the costs of a fold, held out and fitted, above which the fit without the fold diverged."""
+
 
 def certainty(lead: float, gap: float) -> float:
     """Return the probability of an explanation that leads another one by ``lead``, when both explain ``gap`` (white
@@ -46,7 +49,11 @@ def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Ar
     costs = np.nan_to_num([alternative.held_out_costs for alternative in alternatives], nan=1e30, posinf=1e30)
     totals = costs.sum(axis=1)
     best = alternatives[int(np.argmin(totals))]
-    closed = float(totals[:2].max() - totals.min())
+    # What a fit leaves that diverged in a fold is no gap that others close.
+    bounded = np.minimum(costs, MOST_HELD_OUT * np.array([alternative.fold_costs for alternative in alternatives])).sum(
+        axis=1
+    )
+    closed = float(bounded[:2].max() - bounded.min())
     left = float(totals.min()) * (1.0 - 1.0 / max(best.chi_square, 1.0))
     temperature = max(
         error_dispersion(best.problem.residuals(best.theta)),

@@ -128,6 +128,11 @@ class WeightedProblem(Problem):
         basis, damping = self._profile
         return np.asarray(white - basis @ (damping * (basis.T @ white)))
 
+    @property
+    def noise_cost(self) -> float:
+        """Sum of squared white errors that noise alone contributes."""
+        return float(sum(np.sum((s * w.weight) ** 2) for s, w in zip(self.sigmas, self.whitenings, strict=True)))
+
     @cached_property
     def white_remainder(self) -> Array:
         """The whitened columns (samples, columns) of the remainder."""

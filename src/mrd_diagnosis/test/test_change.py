@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_diagnosis import diagnose
+from mrd_diagnosis import change, diagnose
+from mrd_diagnosis.correction import correction_of_report
 from mrd_diagnosis.decision import decide_change
 from mrd_diagnosis.diagnose import candidates_for
-from mrd_diagnosis.report.gap_file import read_gap_report
+from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import write_gap_report
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import consecutive_forces, prepare_recording
 from mrd_runs import Run
 from mrd_sim.models import find_model
@@ -21,13 +23,13 @@ BEFORE, AFTER = range(3), range(3, 6)
 RATE, DURATION = 250.0, 6.0
 
 
-def run(seed, yielded=1.0, viscous=1.0, reach=1.0):
+def run(seed, yielded=1.0, viscous=1.0, reach=1.0, rate=RATE, duration=DURATION):
     """Record a damper that no model of the catalogue describes, along a motion and a current of its own.
 
     ``yielded`` and ``viscous`` are factors of a fluid's yield force and viscous force, ``reach`` is one of the motion.
     """
     rng = np.random.default_rng(seed)
-    t = np.arange(int(DURATION * RATE)) / RATE
+    t = np.arange(int(duration * rate)) / rate
     x, v, a = np.zeros((3, len(t)))
     for amplitude, frequency in ((7e-3, 0.7), (4e-3, 1.9), (2e-3, 3.7)):
         w, phase = 2 * np.pi * frequency, rng.uniform(0, 6)
@@ -138,7 +140,7 @@ def test_an_effect_in_an_error_no_larger_than_the_noise_is_no_change():
     folds = [(0, slice(10 * k, 10 * k + 10)) for k in range(4)]
     base = SimpleNamespace(chi_square=0.95, held_out_squares=np.full(4, 9.5))
     best = SimpleNamespace(chi_square=0.6, held_out_squares=np.full(4, 6.0), held_out_chi_squares=np.full(4, 6.0))
-    weighting = SimpleNamespace(noise=[noise], folds=folds)
+    weighting = SimpleNamespace(noise=[noise], folds=folds, recordings=[SimpleNamespace(without_effects=False)])
     comparison = SimpleNamespace(effects=("end_stop",), base=base, best=best, weighting=weighting)
     chances = {"end_stop": {"end_stop": 0.95}}
     assert decide_change(comparison, chances, np.random.default_rng(0)) == "no_gap"
@@ -168,6 +170,51 @@ def test_two_runs_before_and_two_after_that_reach_an_end_stop_tell_of_it(stiffne
     after = [*map(stopped, after, stiffnesses), *after[2:]]
     diagnosis = diagnose(after, "bouc_wen", reference=before, effects=("end_stop", "moving_mass", "joint_play"))
     assert [cause.effect for cause in diagnosis.causes] == (["end_stop"] if any(stiffnesses) else [])
+
+
+def test_a_change_is_seen_where_the_noise_was_estimated_too_large():
+    """At 100 Hz, the estimate exceeds what a function free to differ leaves, and a gain of 20 % was no change."""
+    before = [run(seed, rate=100.0, duration=5.0)[0] for seed in BEFORE]
+    after = [run(seed, rate=100.0, duration=5.0)[0] for seed in AFTER]
+    after = [replace(of_run, force=1.2 * of_run.force) for of_run in after]
+    diagnosis = diagnose(after, "bouc_wen", reference=before, effects=CANDIDATES)
+    assert [cause.effect for cause in diagnosis.causes] == ["load_cell_gain"]
+    assert diagnosis.gap.noise_floor.value < diagnosis.gap.before.value
+
+
+def test_what_is_new_after_the_change_and_has_no_name_is_not_made_up_for_by_the_runs_before():
+    """A ripple of 60 N raised the floor of all runs; those from before fell below it, and 6 % of the change was all."""
+    before = [run(seed, rate=200.0, duration=5.0)[0] for seed in BEFORE]
+    after = [run(seed, rate=200.0, duration=5.0)[0] for seed in AFTER]
+    after = [replace(r, force=1.15 * r.force + 60.0 * np.sin(2 * np.pi * r.position / 4e-3)) for r in after]
+    diagnosis = diagnose(after, "bouc_wen", reference=before, effects=CANDIDATES)
+    assert diagnosis.verdict != "explained" or diagnosis.gap.closed_fraction.value >= THRESHOLDS.least_closed
+
+
+def test_an_effect_that_does_not_hold_takes_no_other_with_it(monkeypatch):
+    whole = change.exceeds_run_scatter
+    monkeypatch.setattr(
+        change, "exceeds_run_scatter", lambda refitted, effect: effect != "moving_mass" and whole(refitted, effect)
+    )
+    effects = ("load_cell_gain", "moving_mass")
+    diagnosis = diagnose(changed(share=0.3, mass=12.0), "bouc_wen", reference=runs(BEFORE), effects=effects)
+    assert [cause.effect for cause in diagnosis.causes] == ["load_cell_gain"]
+
+
+def test_the_corrected_simulator_has_the_parameters_of_the_damper_before_the_change():
+    """Those of a fit to the runs before and after held half of the change already, and the effect came on top."""
+    diagnosis = diagnose(changed(share=0.2), "bouc_wen", reference=runs(BEFORE), effects=("load_cell_gain",))
+    recordings = [prepare_recording(of_run) for of_run in runs(BEFORE)]
+    damper = {name: value for name, value in diagnosis.corrected.parameters.items() if "." not in name}
+    model = find_model("bouc_wen")
+    modelled = np.concatenate(consecutive_forces(model, model.vector(damper), recordings))
+    measured = np.concatenate([recording.force for recording in recordings])
+    assert modelled @ measured / (modelled @ modelled) == pytest.approx(1.0, abs=0.02)
+    assert diagnosis.held_out_by == "blocks"
+    remark = correction_of_report(to_json(diagnosis), "it").remark
+    assert remark.endswith(
+        "parameters refitted to the runs from before and the effect load_cell_gain: this explains the change."
+    )
 
 
 def test_a_change_excludes_held_out_runs():

@@ -129,7 +129,7 @@ def test_apply_takes_the_share_from_the_report(tmp_path, monkeypatch, capsys):
     _, _, values = diagnosed("bingham", effects=["force_sensor_lag"])
     gap = {"closed_fraction": {"value": 0.38, "ci95": [0.3, 0.4]}}
     report = {"verdict": "partly_explained", "model": "bingham", "laws": find_model("bingham").laws, "gap": gap}
-    report["corrected"] = {"parameters": values, "effects": ["force_sensor_lag"]}
+    report |= {"corrected": {"parameters": values, "effects": ["force_sensor_lag"]}, "runs": {"reference": []}}
     monkeypatch.setattr(apply_tool, "read_gap_report", lambda path: report)
     monkeypatch.setattr("sys.argv", ["apply", "-", "--plant", str(SHIPPED), "--output", str(tmp_path / "plant.yaml")])
     apply_tool.work()

@@ -38,7 +38,7 @@ from mrd_diagnosis.diagnosis import (
 from mrd_diagnosis.effect_names import effect_clause
 from mrd_diagnosis.explanation import list_alternatives
 from mrd_diagnosis.localisation import localise
-from mrd_diagnosis.null_distribution import REALISATIONS, p_value
+from mrd_diagnosis.null_distribution import REALISATIONS, NullGains
 from mrd_diagnosis.quantities import format_error, format_p_value, format_probability, format_quantity, format_share
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.candidate_text import describe_candidate, ordered_candidates
@@ -371,6 +371,16 @@ def test_what_a_wrong_form_may_imitate_is_called_unproven(monkeypatch, capsys, t
     assert output.startswith(f"{diagnosis.sentence}\nnext step: Add the cause to your simulator")
     assert "probability" not in output.partition("next command")[2]
     assert "named as a cause" in output
+
+
+def test_the_form_is_not_spoken_of_where_nobody_asked_for_it(tmp_path):
+    """Of a change, the report said that a freer form removes almost nothing: nothing had been computed."""
+    diagnosis = diagnosed("partly_explained")
+    gap = replace(diagnosis.gap, form_fraction=float("nan"))
+    page = write_gap_report(replace(diagnosis, gap=gap, reference=diagnosis.runs[:1]), tmp_path).read_text()
+    for text in ("would remove almost nothing", "of the gap lies in the form", "neither a cause nor the form"):
+        assert text not in page
+    assert "error of the model and a function common to the runs before and after" in page
 
 
 def test_candidates_are_shown_in_the_order_of_the_columns():
@@ -797,8 +807,10 @@ def test_shares():
 
 
 def test_the_least_p_value_that_can_be_resolved_is_a_bound():
-    assert format_p_value(p_value(10.0, np.zeros(REALISATIONS))) == "≤ 0.001"
-    assert format_p_value(p_value(10.0, np.append(np.zeros(REALISATIONS - 1), 11.0))) == "0.002"
+    problem = SimpleNamespace(noise_cost=1.0)
+    assert format_p_value(NullGains(np.zeros(REALISATIONS), 1.0).p_value(10.0, problem)) == "≤ 0.001"
+    gains = np.append(np.zeros(REALISATIONS - 1), 11.0)
+    assert format_p_value(NullGains(gains, 1.0).p_value(10.0, problem)) == "0.002"
 
 
 def test_errors_keep_three_figures():

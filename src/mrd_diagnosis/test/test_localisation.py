@@ -149,6 +149,15 @@ def test_an_oscillation_is_found_with_its_frequency_and_share(campaign):
     assert reversing.label == "an oscillation near 71 Hz"
 
 
+def test_the_frequency_of_an_oscillation_is_right_where_samples_are_left_out(campaign):
+    thinned = [replace(r, counted=slice(r.counted.start, r.counted.stop, 2)) for r in campaign]
+    line = oscillation_of(thinned, lambda r: 3.0 * np.sin(2 * np.pi * 40.7 * r.run.time))
+    assert line.label == "an oscillation near 41 Hz"
+    noises, drawn = noise_of(thinned)
+    spectrogram = maps(thinned, noises, drawn)[-1]
+    assert spectrogram.y_edges[-1] == pytest.approx(thinned[0].run.rate / 4, rel=0.1)
+
+
 @pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0], ids=["white", "pink", "red"])
 def test_a_broadband_error_is_no_oscillation(campaign, exponent):
     random = np.random.default_rng(3)

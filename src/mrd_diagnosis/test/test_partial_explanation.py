@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrd_diagnosis import diagnose, form_causes, partial_explanation
+from mrd_diagnosis import alternative_models, diagnose, form_causes, partial_explanation
 from mrd_diagnosis.alternative_models import fit_alternative_models
-from mrd_diagnosis.base_fit import fit_base
+from mrd_diagnosis.base_fit import fit_base, with_effect
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
-from mrd_diagnosis.held_cause import HeldCause, holds
+from mrd_diagnosis.held_cause import HeldCause, holds, with_effects
 from mrd_diagnosis.model_comparison import compare_on
+from mrd_diagnosis.refit import refit
 from mrd_diagnosis.weighted_forms import stacking_weights
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -211,6 +212,18 @@ def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
     assert diagnosis.causes[0].probability > 0.9
 
 
+def test_no_model_is_chosen_for_a_freedom_that_it_will_not_have(wrong_form, monkeypatch):
+    """It was chosen with its exponent fitted too, and the diagnosis went on with the usual one."""
+    weighting, base = wrong_form
+    monkeypatch.setattr(alternative_models, "fit_base", lambda *_arguments: (weighting, base, [], []))
+    freed = weighting.problem(base.problem.model, base.theta, ("exponent",))
+    better = replace(base, problem=freed, held_out_costs=0.5 * base.held_out_costs)
+    model = find_model("modified_dahl")
+    other = replace(base, problem=weighting.problem(model, model.defaults), held_out_costs=0.8 * base.held_out_costs)
+    monkeypatch.setattr(alternative_models, "fit_alternative_models", lambda *_: {"freed": better, "other": other})
+    assert alternative_models.best_model(BOUC_WEN, [], np.random.default_rng(0)).id == "modified_dahl"
+
+
 def test_models_are_weighted_by_what_they_add_to_the_prediction(wrong_form):
     weighting, base = wrong_form
     twin = replace(base, theta=base.theta.copy())
@@ -221,6 +234,15 @@ def test_models_are_weighted_by_what_they_add_to_the_prediction(wrong_form):
     # The damper's own curve is a hyperbolic tangent of speed.
     assert weights[2 + list(others).index("hyperbolic_tangent")] > 0.9
     assert stacking_weights([base, twin]) == pytest.approx([0.5, 0.5], abs=1e-3)
+
+
+def test_a_form_keeps_the_values_of_an_effect_that_no_other_form_has(wrong_form):
+    """A model that lacks a hysteretic state is one of the forms with its effect; the values came from another form."""
+    weighting, base = wrong_form
+    model, theta = with_effect(base.problem.model, base.theta, "moving_mass")
+    form = refit(weighting.problem(model, theta), theta, weighting.folds)
+    both = with_effects(weighting, form, ["gas_spring"], {"gas_spring.stiffness": 500.0})
+    assert both.effects == ("gas_spring", "moving_mass")
 
 
 def test_another_form_alone_is_no_effect():

@@ -79,6 +79,11 @@ class Recording:
         """Every how many samples one is counted."""
         return int(self.counted.step or 1)
 
+    @property
+    def rate(self) -> float:
+        """Rate in Hz of the counted samples."""
+        return self.run.rate / self.step
+
     @cached_property
     def whole(self) -> "Recording":
         """The same recording with all samples counted, see `thinned`."""

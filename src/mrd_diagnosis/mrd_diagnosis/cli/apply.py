@@ -1,11 +1,10 @@
 """Write the simulated bench with the damper that a diagnosis found."""
 
 import argparse
-import math
 
 from mrd_base import run_tool
 from mrd_base.tool import command
-from mrd_diagnosis.correction import Correction, correction, write_plant
+from mrd_diagnosis.correction import Correction, correction_of_report, write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.own import model_arguments
@@ -32,19 +31,7 @@ def work() -> None:
     add_models_folder(parser)
     arguments = parser.parse_args()
     report = read_gap_report(arguments.report)
-    refitted = report["corrected"] or {"parameters": {}, "effects": []}  # null where the recordings are faulty
-    # Without effects, and where the recordings are faulty, there is no share.
-    closed = report["gap"]["closed_fraction"]["value"] if report["gap"] else None
-    corrected = correction(
-        report["verdict"],
-        report["model"],
-        report["laws"],
-        refitted["parameters"],
-        refitted["effects"],
-        closed_fraction=math.nan if closed is None else closed,
-        anyway=arguments.anyway,
-        where=arguments.report,
-    )
+    corrected = correction_of_report(report, arguments.report, anyway=arguments.anyway)
     output = write_plant(corrected, arguments.plant, arguments.output)
     print(f"{output}: {corrected.remark}")
     simulate, identify = command("mrd_sim", "simulate"), command("mrd_identification", "identify")

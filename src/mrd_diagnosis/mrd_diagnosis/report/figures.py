@@ -55,7 +55,11 @@ def error_chart(diagnosis: Diagnosis, gap: Gap) -> go.Figure:
     beside = f"{corrected}, and" if partly else "with"
     rows = [
         ("parameters as given", Interval(np.nan if gap.as_given is None else gap.as_given), MEASURED),
-        ("parameters refitted", gap.before, MODELLED),
+        (
+            "with a function common to before and after" if diagnosis.reference else "parameters refitted",
+            gap.before,
+            MODELLED,
+        ),
         (corrected, gap.after if corrected else Interval(np.nan), ACCENT),
         (f"{beside} a freer form", Interval(float(freer)), NEUTRAL),
         (f"{beside} a flexible function", Interval(float(flexible)), NEUTRAL),
@@ -144,7 +148,7 @@ def map_figures(diagnosis: Diagnosis) -> list[tuple[str, go.Figure]]:
     after = [*_maps(residuals, [residual.after for residual in residuals])[:-1], _maps([worst], [worst.after])[-1]]
     noise = float(np.sqrt(np.mean(np.concatenate([residual.noise.sigma for residual in residuals]) ** 2)))
     # White noise has a flat one-sided spectral density.
-    levels = {"N": noise, "N/√Hz": noise * float(np.sqrt(2.0 / worst.recording.run.rate))}
+    levels = {"N": noise, "N/√Hz": noise * float(np.sqrt(2.0 / worst.recording.rate))}
     corrected = corrected_label(diagnosis)
     return [
         (before_map.title, _map_figure(before_map, after_map, corrected, levels[before_map.unit]))
@@ -233,9 +237,11 @@ def most_informative_segment(residual: RunResidual, seconds: float) -> NDArray[n
     """Return the samples of the segment in which the effects remove most error, thinned to what a screen shows."""
     removed = residual.before**2 - residual.after**2
     total = np.append(0.0, np.cumsum(removed if removed.any() else residual.before**2))
-    length = min(len(removed), max(2, round(seconds * residual.recording.run.rate)))
-    first = residual.recording.counted.start + int(np.argmax(total[length:] - total[:-length]))
-    return np.arange(first, first + length, -(-length // MOST_POINTS))
+    length = min(len(removed), max(2, round(seconds * residual.recording.rate)))
+    first = int(np.argmax(total[length:] - total[:-length]))
+    counted = residual.recording.counted
+    places = np.arange(first, first + length, -(-length // MOST_POINTS))
+    return np.asarray(counted.start + residual.recording.step * places)
 
 
 def _loop_seconds(residual: RunResidual) -> float:

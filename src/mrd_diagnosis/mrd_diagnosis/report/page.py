@@ -62,7 +62,7 @@ _HELD_OUT_BY = {
     "runs": "on runs that were set aside from the start",
     "leave-one-run-out": "on each run in turn, with the parameters fitted to the other runs. A run that exceeds them, "
     "or is the only one that shows an effect, is divided into segments, and each segment is predicted from the other ones",
-    "blocks": "on each segment of the run in turn, with the parameters fitted to the other segments. This is weaker "
+    "blocks": "on each segment of a run in turn, with the parameters fitted to all other segments. This is weaker "
     "evidence than a prediction of other runs",
 }
 _NOISE_SOURCES = {
@@ -260,16 +260,22 @@ def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
         numbers.append(_headline_share(gap.closed_fraction, f"of the gap removed {label}"))
         if gap.extrapolated is not None:
             numbers.append(_headline_share(gap.extrapolated, "of the gap removed on runs that go beyond the others"))
-    if diagnosis.verdict == "partly_explained":
+    if diagnosis.verdict == "partly_explained" and np.isfinite(gap.form_fraction):
         numbers.append((format_share(share_of_form(gap)), "of the gap lies in the form of the damper model", ""))
     if model := notable_model(diagnosis):
         numbers.append((format_share(model.closed_fraction.value), f"of the gap removed by {model.name}", ""))
-    errors = [("error of the model alone, parameters refitted", gap.before)]
+    errors = [(f"error of {_model_without_effects(diagnosis)}", gap.before)]
     if label:
         errors.append((f"error {label}", gap.after))
     errors.append(("error from noise alone", gap.noise_floor))
     numbers += [(format_error(error.value), name, _ends(error)) for name, error in errors if np.isfinite(error.value)]
     return numbers
+
+
+def _model_without_effects(diagnosis: Diagnosis) -> str:
+    if diagnosis.reference:
+        return "the model and a function common to the runs before and after"
+    return "the model alone, parameters refitted"
 
 
 def _headline_share(share: Interval, name: str) -> tuple[str, str, str]:
@@ -322,7 +328,9 @@ def _remains(diagnosis: Diagnosis, gap: Gap) -> list[str]:
         f"{capitalised(corrected_label(diagnosis))}, {format_share(remaining)} of the gap stays open.",
         where_sentence(diagnosis, "it"),
     ]
-    if form > THRESHOLDS.notable_alternative_model:
+    if np.isnan(form):  # not asked, as of a change
+        form = remaining
+    elif form > THRESHOLDS.notable_alternative_model:
         lines.append(
             f"{format_share(form)} of the gap lies in the form of the damper model: a freer function of {FORM} would remove "
             "it."
