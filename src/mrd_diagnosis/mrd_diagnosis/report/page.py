@@ -99,7 +99,8 @@ GLOSSARY = {
     "probability": "How likely an effect is the cause, compared with the other effects that were fitted in its place. It "
     "compares the effects that were tried; an effect that is not in the catalogue is not among them. Where the gap is "
     "partly explained, the effects are compared beside a freer form of the model, and around another model.",
-    "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases.",
+    "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases if "
+    "the formula of the effect is exact. In blind trials with other formulas, it did in 9 of 14.",
     "p-value": "The probability that noise alone improves the fit to the same data so much. An effect can improve the fit "
     "and still predict held-out data worse.",
 }
