@@ -13,6 +13,8 @@ from enum import IntEnum
 _STOP_MEMORY = 0.04
 # Time in s by which setpoints may be stamped ahead: those of a hybrid test are by the servo's delay, up to 0.1 s.
 _LARGEST_LEAD = 0.13
+# Supervisors whose ages, in s, differ by less have started together.
+_TOGETHER = 1.0
 
 
 class Mode(IntEnum):
@@ -36,6 +38,16 @@ class Mode(IntEnum):
 
     def __str__(self) -> str:
         return self.name.lower()
+
+
+def is_later(holder: str, age: float, other: str, age_of_other: float) -> bool:
+    """Whether one of two supervisors is the later one, which ends; of two that started together, the names decide.
+
+    Ages are in s, by the own clock of each: those of two machines differ, and that of one may have been set meanwhile.
+    """
+    if holder == other:
+        return False
+    return holder > other if abs(age - age_of_other) < _TOGETHER else age < age_of_other
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,12 @@
 """Who may move rod and coil, and when the lease is void."""
 
 import dataclasses
+import math
 
-from mrd_base.lease import Lease, LeaseWatch, Mode
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrd_base.lease import Lease, LeaseWatch, Mode, is_later
 
 OWN = Lease(100.0, "one", 90.0, Mode.IDENTIFICATION, 7)
 
@@ -11,6 +15,19 @@ def watch(lease: Lease = OWN) -> LeaseWatch:
     watch = LeaseWatch(0.15)
     assert watch.renew(lease, lease.time) == ""
     return watch
+
+
+def test_of_two_supervisors_the_later_one_ends() -> None:
+    """By the clock of the machine alone, the earlier one ended where that clock had been set back between."""
+    assert is_later("a", 5.0, "b", 3600.0)
+    assert not is_later("b", 3600.0, "a", 5.0)
+    assert not is_later("a", 5.0, "a", 5.1), "its own lease"
+    assert not is_later("b", 5.0, "a", math.nan), "a stranger's message"
+
+
+@given(st.floats(0, 1e6), st.floats(-0.9, 0.9))
+def test_of_two_supervisors_that_start_together_exactly_one_ends(age: float, more: float) -> None:
+    assert is_later("a", age, "b", age + more) != is_later("b", age + more, "a", age)
 
 
 def test_nobody_moves_anything_without_a_lease() -> None:

@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from mrd_base import InputError
-from mrd_base.lease import is_timely
+from mrd_base.lease import is_later, is_timely
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import (
     BENCH_STATE,
@@ -67,9 +67,6 @@ _REQUEST_THREADS = 8
 _RENEWAL = 0.04
 # Wall time in s for running actions to end when the node closes.
 _CLOSE_TIMEOUT = 2.0
-# Supervisors whose ages, in s, differ by less started together; the name tells which one ends.
-_TOGETHER = 1.0
-
 # Bench time in s within which an emergency stop that is heard may be our own.
 _ECHO = 0.1
 
@@ -222,12 +219,8 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
         self._supervisor.check_interlocks()
 
     def _on_lease(self, lease: Lease) -> None:
-        if lease.holder == self._holder:
-            return
-        # By its own clock each, because those of two machines differ, and that of one may have been set meanwhile.
-        age, other = self.bench.now() - self._since, seconds(lease.header.stamp) - lease.since
-        together = abs(age - other) < _TOGETHER
-        if self._holder > lease.holder if together else age < other:
+        age, age_of_other = self.bench.now() - self._since, seconds(lease.header.stamp) - lease.since
+        if is_later(self._holder, age, lease.holder, age_of_other):
             self.ending = InputError(
                 f"{lease.holder} supervises this bench already; stop it, or give this one another namespace or domain"
             )
