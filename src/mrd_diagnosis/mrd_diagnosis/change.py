@@ -66,17 +66,18 @@ def explain_change(
     """
     weighting = replace(weighting, scatter=RUN_SCATTER)
     common, own = _functions(weighting, base, rng)
-    weighting, base = with_remainder(weighting, base, common)
+    known, base = with_remainder(weighting, base, common)
     progress(0.2)
-    freed = _with_own_remainder(weighting, base, own)
-    weighting = _with_floor(weighting, freed)
+    freed = _with_own_remainder(known, base, own)
+    weighting = _with_floor(known, [freed])
     null_errors = _null_errors(weighting, freed)
     base = refit(weighting.problem(base.problem.model, base.theta), base.theta, weighting.folds, null_errors)
     chosen, fits = search_effects(weighting, base, effects, null_errors, lambda fraction: progress(0.2 + 0.7 * fraction))
     singles = [fit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     while True:
-        comparison = compare_on(weighting, base, chosen, fits)
+        # An effect may describe a change that no function of the own remainder does: then that was no noise.
+        comparison = compare_on(_with_floor(known, [freed, *(fit.refit for fit in chosen)]), base, chosen, fits)
         p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
         proven = [
             effect
@@ -156,14 +157,15 @@ def _with_own_remainder(weighting: Weighting, base: Refit, functions: Array) -> 
     return min(refits, key=lambda refitted: refitted.held_out_cost)
 
 
-def _with_floor(weighting: Weighting, freed: Refit) -> Weighting:
-    """Return the weighting in which the error that a refit leaves on held-out folds counts as noise, before and after the
-    change each for itself: no more and no less.
+def _with_floor(weighting: Weighting, refits: Sequence[Refit]) -> Weighting:
+    """Return the weighting in which the least error that refits leave on held-out folds counts as noise, no more and no
+    less; before and after the change each for itself.
     """
     noise = list(weighting.noise)
     for before in (True, False):
         runs = [run for run, recording in enumerate(weighting.recordings) if recording.without_effects == before]
-        left = float(sum(freed.held_out_squares[fold] for fold, (run, _) in enumerate(freed.folds) if run in runs))
+        folds = [fold for fold, (run, _) in enumerate(weighting.folds) if run in runs]
+        left = float(min(fitted.held_out_squares[folds].sum() for fitted in refits))
         variance = np.concatenate([noise[run].sigma for run in runs]) ** 2
         excess = (left - float(variance.sum())) / len(variance)
         for run in runs:

@@ -14,6 +14,7 @@ from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
 from mrd_diagnosis.held_cause import HeldCause, holds, with_effects
 from mrd_diagnosis.model_comparison import compare_on
+from mrd_diagnosis.null_distribution import NullGains
 from mrd_diagnosis.refit import refit
 from mrd_diagnosis.weighted_forms import stacking_weights
 from mrd_identification.recording import prepare_recording
@@ -157,7 +158,7 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it(around_own_cu
     reachable = 0.2 * base.held_out_cost
 
     def causes_of(effects):
-        rest = [], np.zeros(9), np.random.default_rng(0)
+        rest = [], NullGains(np.zeros(9), 1.0), np.random.default_rng(0)
         return form_causes.name_form_causes(comparison, base, reachable, effects, plays, *rest)[0]
 
     (cause,) = causes_of(["backlash"]).values()
@@ -175,7 +176,7 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
     closed = base.held_out_cost - first[1].held_out_cost
 
     def causes_of(reachable):
-        rest = [], [], np.zeros(9), np.random.default_rng(0)
+        rest = [], [], NullGains(np.zeros(9), 1.0), np.random.default_rng(0)
         return form_causes.name_form_causes(comparison, base, reachable, ["backlash", "joint_play"], *rest)
 
     causes, explained = causes_of(base.held_out_cost - closed / 0.9)
@@ -207,7 +208,7 @@ def test_a_cause_must_still_be_needed_beside_the_effects_of_the_form(recorded, c
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
     diagnosis = diagnose(runs(lag=0.012), "auto", effects=CANDIDATES)
     assert diagnosis.model.id in ("hyperbolic_tangent", "sigmoid", "algebraic")
-    assert diagnosis.notes[0].startswith("Of the damper models of the catalogue")
+    assert diagnosis.notes[0].startswith("Of the damper models that were tried")
     assert [named.effect for named in diagnosis.causes] == ["coil_lag"]
     assert diagnosis.causes[0].probability > 0.9
 
