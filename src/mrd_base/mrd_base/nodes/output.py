@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import stat
 import sys
 import threading
 from collections.abc import Iterator
@@ -15,12 +16,13 @@ def output_that_never_waits() -> Iterator[None]:
     """Let threads of their own write what goes to stdout and stderr; while these wait, what exceeds a pipe is lost.
 
     ROS logs while Python's interpreter is locked: a write that waits would stop all threads of the process, also those that
-    stop rod and coil.
+    stop rod and coil. A file takes everything at once, and has the last words of a process that is killed.
     """
     copies = []
     for descriptor in (1, 2):
         with contextlib.suppress(OSError):  # it is closed
-            copies.append(_Copy(descriptor))
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                copies.append(_Copy(descriptor))
     try:
         yield
     finally:
