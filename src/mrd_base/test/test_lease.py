@@ -18,7 +18,7 @@ def watch(lease: Lease = OWN) -> LeaseWatch:
 
 
 def test_of_two_supervisors_the_later_one_ends() -> None:
-    """By the clock of the machine alone, the earlier one ended where that clock had been set back between."""
+    """Where the clock of the machine was set back between their starts, the earlier one ended."""
     assert is_later("a", 5.0, "b", 3600.0)
     assert not is_later("b", 3600.0, "a", 5.0)
     assert not is_later("a", 5.0, "a", 5.1), "its own lease"

@@ -4,7 +4,6 @@ import array
 import contextlib
 import itertools
 import math
-import os
 import subprocess
 import sys
 import time
@@ -24,6 +23,8 @@ from std_srvs.srv import Trigger
 from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, seconds
 from mrd_bench_driver.nodes.daq import DaqNode
 from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, BenchState, Calibration, Lease, Setpoint
+
+from .unread_pipe import fill, unread_pipe
 
 pytestmark = pytest.mark.realtime
 
@@ -484,41 +485,23 @@ def test_a_flaw_in_reading_ends_the_node_after_0_volts_and_with_its_traceback(gr
 def test_a_log_that_blocks_keeps_nobody_from_0_volts(graph: Any) -> None:
     """Nobody reads the pipe, as if a terminal stood still."""
     states = graph.subscribe("daq_state", DiagnosticStatus, LATCHED)
-    unread, stderr = os.pipe()
-    try:
-        with broken_daq(graph, stderr) as (terminals, _):
-            terminals.drive(0.5, 2.5)
-            filler = os.open(f"/proc/self/fd/{stderr}", os.O_WRONLY | os.O_NONBLOCK)
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    os.write(filler, b"x")
-            os.close(filler)
-            terminals.analog_input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
-            graph.until(lambda: terminals.volts() == 0.0)
-            graph.until(lambda: states[-1].message.startswith("the plant has no ai1, ai2, ai4"))
-    finally:
-        os.close(unread)
-        os.close(stderr)
+    with unread_pipe() as stderr, broken_daq(graph, stderr) as (terminals, _):
+        terminals.drive(0.5, 2.5)
+        fill(stderr)
+        terminals.analog_input.publish(AnalogInput(sample_period=1e-3, channels=["ai0"], voltage=[0.0]))
+        graph.until(lambda: terminals.volts() == 0.0)
+        graph.until(lambda: states[-1].message.startswith("the plant has no ai1, ai2, ai4"))
 
 
 def test_a_log_of_something_refused_that_blocks_keeps_nobody_from_0_volts(graph: Any) -> None:
     """ROS logs with Python locked: all threads of the node waited for a terminal that stood still."""
-    unread, stderr = os.pipe()
-    try:
-        with broken_daq(graph, stderr) as (terminals, _):
-            terminals.drive(0.5, 2.5)
-            filler = os.open(f"/proc/self/fd/{stderr}", os.O_WRONLY | os.O_NONBLOCK)
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    os.write(filler, b"x")
-            os.close(filler)
-            terminals.setpoint(0.8, lease=8)
-            graph.during(0.3)
-            terminals.emergency_stop.publish(Bool(data=True))
-            graph.until(lambda: terminals.volts() == 0.0)
-    finally:
-        os.close(unread)
-        os.close(stderr)
+    with unread_pipe() as stderr, broken_daq(graph, stderr) as (terminals, _):
+        terminals.drive(0.5, 2.5)
+        fill(stderr)
+        terminals.setpoint(0.8, lease=8)
+        graph.during(0.3)
+        terminals.emergency_stop.publish(Bool(data=True))
+        graph.until(lambda: terminals.volts() == 0.0)
 
 
 class HungDaq:

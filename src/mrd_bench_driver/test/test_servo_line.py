@@ -21,6 +21,7 @@ from mrd_bench_driver.servo.communication import ServoCommunication
 from mrd_bench_driver.servo.config import ServoConfig
 
 from .simulated_servo import MM, UNITS, FakeMotor
+from .unread_pipe import fill, unread_pipe
 
 pytestmark = pytest.mark.realtime
 
@@ -432,34 +433,28 @@ def test_a_log_that_blocks_keeps_nobody_from_stopping_the_rod(fake, graph):
         leases.publish(lease)
 
     graph.node.create_timer(0.02, renew)
-    unread, stderr = os.pipe()
     options = ["-r", f"__ns:={graph.node.get_namespace()}", "-p", f"port:={fake.link}", "-p", "lease_timeout_ms:=1000.0"]
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from mrd_bench_driver.nodes.servo import main; main()", "--ros-args", *options],
-        stderr=stderr,
-    )
-    try:
-        graph.until(lambda: states and states[-1].connected and leases.get_subscription_count())
-        graph.during(0.1)
-        assert graph.call("servo/enable", SetBool, data=True).success
-        graph.until(lambda: states[-1].enabled and stop.get_subscription_count() == 2)
-        filler = os.open(f"/proc/self/fd/{stderr}", os.O_WRONLY | os.O_NONBLOCK)
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                os.write(filler, b"x")
-        os.close(filler)
-        fake.answer = lambda text, reply: None
-        queries = fake.motor.log.count("RPA")
-        until(lambda: fake.motor.log.count("RPA") > queries)  # its reply will not come
-        stop.publish(Bool(data=True))
-        until(lambda: "S" in fake.motor.log)
-        # Neither does the log of the stop itself leave the drive on.
-        until(lambda: "OFF" in fake.motor.log)
-    finally:
-        process.kill()
-        process.wait()
-        os.close(unread)
-        os.close(stderr)
+    with unread_pipe() as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-c", "from mrd_bench_driver.nodes.servo import main; main()", "--ros-args", *options],
+            stderr=stderr,
+        )
+        try:
+            graph.until(lambda: states and states[-1].connected and leases.get_subscription_count())
+            graph.during(0.1)
+            assert graph.call("servo/enable", SetBool, data=True).success
+            graph.until(lambda: states[-1].enabled and stop.get_subscription_count() == 2)
+            fill(stderr)
+            fake.answer = lambda text, reply: None
+            queries = fake.motor.log.count("RPA")
+            until(lambda: fake.motor.log.count("RPA") > queries)  # its reply will not come
+            stop.publish(Bool(data=True))
+            until(lambda: "S" in fake.motor.log)
+            # Neither does the log of the stop itself leave the drive on.
+            until(lambda: "OFF" in fake.motor.log)
+        finally:
+            process.kill()
+            process.wait()
 
 
 @contextlib.contextmanager

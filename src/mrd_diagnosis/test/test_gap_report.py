@@ -374,7 +374,7 @@ def test_what_a_wrong_form_may_imitate_is_called_unproven(monkeypatch, capsys, t
 
 
 def test_the_form_is_not_spoken_of_where_nobody_asked_for_it(tmp_path):
-    """Of a change, the report said that a freer form removes almost nothing: nothing had been computed."""
+    """The report of a change said that a freer form removes almost nothing, although none had been fitted."""
     diagnosis = diagnosed("partly_explained")
     gap = replace(diagnosis.gap, form_fraction=float("nan"))
     page = write_gap_report(replace(diagnosis, gap=gap, reference=diagnosis.runs[:1]), tmp_path).read_text()

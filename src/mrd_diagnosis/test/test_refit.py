@@ -157,7 +157,7 @@ def test_gains_in_noise_follow_their_null_distribution(weighting, alone):
 
 
 def test_a_fit_that_diverged_in_one_fold_makes_nothing_equally_probable():
-    """What a divergent fit without the effect would leave counted as a gap, of which a formula may miss a share."""
+    """The error of a diverged fit counted as a gap, a share of which may be an error of the formula."""
     rng = np.random.default_rng(0)
     problem = SimpleNamespace(residuals=lambda theta: np.random.default_rng(1).normal(size=800))
 
