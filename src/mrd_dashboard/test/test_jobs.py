@@ -203,7 +203,7 @@ def test_nothing_is_applied_without_a_simulator(tmp_path: Path) -> None:
 
 
 def test_what_is_not_proven_is_refused_with_a_remedy_that_the_page_has(tmp_path: Path, monkeypatch) -> None:
-    report = {"verdict": "ambiguous", "model": "bingham", "laws": {}, "gap": None}
+    report = {"verdict": "ambiguous", "model": "bingham", "laws": {}, "gap": None, "runs": {"reference": []}}
     report["corrected"] = {"parameters": {}, "effects": ["coil_lag"]}
     monkeypatch.setattr("mrd_dashboard.apply.read_gap_report", lambda _: report)
     with pytest.raises(InputError, match=r"coil_lag is not proven; record the experiment that it advises$"):
