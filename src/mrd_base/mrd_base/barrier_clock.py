@@ -27,6 +27,8 @@ _START_TIMEOUT = 180.0
 _LOST_AFTER = 10.0
 # The same where its number has come already: either it came early, or that was a message of somebody else on the channel.
 _STRANGER_WAIT = 0.01
+# The same where a larger number has come: either that message took its place in a queue of one, or somebody else sent it.
+_NEWER_WAIT = 0.1
 # Wall time in s for ROS to match publishers and subscriptions of a new participant.
 _MATCHING_TIMEOUT = 30.0
 # Wall time in s between two looks for messages of others than participants.
@@ -151,7 +153,8 @@ class BarrierClock(BenchClock):
         self._timers: list[BenchTimer] = []
         self._received: list[str] = []
         self._inboxes: list[Inbox] = []
-        self._seen: list[int] = []
+        self._seen: list[int] = []  # for each inbox, the number up to which all announced messages have come
+        self._newest: list[int] = []  # the largest number that has come
         self._last_look = 0.0
         self._left_behind = False  # whether the owner of the time goes on without this process
         self._alone: float | None = None  # difference of bench time and wall time once the owner of the time is lost
@@ -191,6 +194,7 @@ class BarrierClock(BenchClock):
             self._received = [channel for channel, _, _ in subscriptions]
             self._inboxes = [inbox for _, inbox, _ in subscriptions]
             self._seen = [0] * len(self._inboxes)
+            self._newest = [0] * len(self._inboxes)
             for channel in self._receivers:
                 self._index(channel)
             receives = [(channel, inbox.lasting) for channel, inbox, _ in subscriptions]
@@ -402,6 +406,9 @@ class BarrierClock(BenchClock):
             waited = time.monotonic() - begin
             if self._seen[index] >= last and waited > _STRANGER_WAIT:
                 return
+            if self._newest[index] >= last and waited > _NEWER_WAIT:
+                self._seen[index] = last
+                return
             if waited > _LOST_AFTER:
                 channel = self._received[index]
                 self.on_loss(
@@ -417,7 +424,8 @@ class BarrierClock(BenchClock):
         if taken is None:
             return False
         message, number = taken
-        if number <= last:  # a larger number is that of another sender
+        self._newest[index] = max(self._newest[index], number)
+        if number <= last:  # a larger number may be that of another sender
             self._seen[index] = max(self._seen[index], number)
         if not self._deaf:
             self._inboxes[index].handle(message)
@@ -452,6 +460,7 @@ class BarrierClock(BenchClock):
                 with suppress(OSError):
                     os.sched_setaffinity(int(thread), {others["core"]})
         self._seen = [0] * len(self._seen)  # another sender counts from the beginning
+        self._newest = [0] * len(self._seen)
         self._look_for_outsiders()
         self.begun.set()
         self._send(Packet.MATCHED)

@@ -101,9 +101,9 @@ class Inbox:
         self._sent, self._delay = 0, delay
         self.handle = handle
 
-    def send(self, clock: BarrierClock, message: object) -> None:
+    def send(self, clock: BarrierClock, message: object, skipped: int = 0) -> None:
         clock.sending("channel")
-        self._sent += 1
+        self._sent += 1 + skipped
         threading.Timer(self._delay, self._messages.put, [(message, self._sent)]).start()
 
     def take(self):
@@ -161,6 +161,26 @@ def test_time_stands_until_messages_have_been_processed_in_the_order_of_the_inst
     timer.cancel()
     assert [sent for sent, _ in received[:20]] == pytest.approx([0.05 * k for k in range(1, 21)])
     assert all(sent == now for sent, now in received)
+    assert not losses
+
+
+def test_a_message_that_a_newer_one_has_replaced_is_not_waited_for(make_bench):
+    """In a queue of one, as of every latched topic, the newer message may take the place of the one that was announced."""
+    bench = make_bench("sender", "receiver")
+    sender, receiver = bench.clock("sender", join=False), bench.clock("receiver", join=False)
+    received, losses = [], []
+    receiver.on_loss = losses.append
+    inbox = Inbox(received.append)
+    sender.join({"channel": lambda: ["b"]}, identity="a")
+    receiver.join(None, [("channel", inbox, lambda: ["a"])], identity="b")
+    until(lambda: receiver.now() > 0.1)
+    sender.sending("channel")  # the message itself never comes
+    time.sleep(0.1)
+    inbox.send(sender, "newer", skipped=1)
+    inbox.send(sender, "newest")
+    begin = receiver.now()
+    until(lambda: receiver.now() > begin + 1.0, 3.0)
+    assert received == ["newer", "newest"]
     assert not losses
 
 

@@ -58,6 +58,7 @@ class FakePeers:
         self.emergency_stops.append(stop)
         if stop:
             self.servo = dataclasses.replace(self.servo, stopped=True, enabled=False)
+            self.supervisor.monitor.add_daq_problem("emergency stop")
 
     def require(self, nodes: tuple[str, ...], timeout: float, interruption: Callable[[], None]) -> None:
         missing = [node for node in nodes if node in self.absent]
@@ -87,6 +88,8 @@ class FakePeers:
         states = {"load_experiment": "loaded", "start_experiment": "running", "abort_experiment": "aborted"}
         self.state = states.get(service, self.state)
         self.recorder = {"start_recording": "recording", "stop_recording": "idle"}.get(service, self.recorder)
+        if service == "daq/reset_fault":
+            self.supervisor.monitor.add_daq_problem("")
         self.effects.get(service, lambda: None)()
         return SimpleNamespace(
             success=True, message="", duration=0.5, rate=1000.0, bag=fields.get("bag", "/tmp/bag"), samples=500, lost=0
@@ -351,9 +354,10 @@ def test_a_daq_that_stops_by_itself_stops_the_run(peers: FakePeers) -> None:
     outcome = run(peers)
     assert outcome.message.startswith("interlock daq fault: emergency stop by its service; call reset_fault")
     assert peers.supervisor.mode.current is Mode.FAULT
+    peers.effects["daq/reset_fault"] = press
     with pytest.raises(RefusedError, match="still in fault after the reset"):
         peers.supervisor.reset_fault()
-    peers.effects["daq/reset_fault"] = lambda: setattr(peers.supervisor.monitor, "daq_problem", "")
+    del peers.effects["daq/reset_fault"]
     assert peers.supervisor.reset_fault().startswith("reset; ")
 
 
@@ -511,6 +515,24 @@ def test_a_button_of_servo_or_daq_is_not_erased_by_a_reset(
     assert peers.supervisor.mode.current is Mode.FAULT
     del peers.effects["servo/reset_fault"]
     assert peers.supervisor.reset_fault().startswith("reset; ")
+
+
+@pytest.mark.parametrize("presses", [0, 1])
+def test_what_the_daq_tells_late_of_the_stop_that_is_reset_is_no_new_stop(peers: FakePeers, presses: int) -> None:
+    """Whoever resets at once was refused: the DAQ had not told of the stop when the reset began."""
+
+    def tell() -> None:
+        for _ in range(1 + presses):
+            peers.supervisor.monitor.add_daq_problem("emergency stop")
+
+    peers.supervisor.emergency_stop("emergency stop by the service")
+    peers.supervisor.monitor.add_daq_problem("")  # as before the stop
+    peers.effects["servo/reset_fault"] = tell
+    if presses:
+        with pytest.raises(RefusedError, match="a stop came during the reset"):
+            peers.supervisor.reset_fault()
+    else:
+        assert peers.supervisor.reset_fault().startswith("reset; ")
 
 
 def test_an_emergency_stop_at_the_very_end_of_a_reset_is_not_erased_by_it(peers: FakePeers) -> None:

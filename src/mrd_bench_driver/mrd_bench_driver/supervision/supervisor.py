@@ -33,6 +33,9 @@ SetProgress = Callable[[int, RunRequest, str, float, float], None]
 
 Outcome = TypeVar("Outcome", RunOutcome, SetOutcome)
 
+# Bench time in s within which the DAQ tells of a stop.
+_ANNOUNCEMENT = 0.5
+
 
 class Supervisor:
     """Supervises the bench.
@@ -73,6 +76,7 @@ class Supervisor:
         self._runs = Path(config.runs).expanduser()
         self._lock = threading.Lock()
         self._emergency_stops = 0  # so many have come
+        self._stopped = -math.inf  # bench time at which the nodes were last told to stop
         self._stops_before = 0  # stops that came before the present procedure
         self._begun = -math.inf  # bench time of its beginning
         self._controlled = -math.inf  # bench time since which somebody controls by hand
@@ -123,8 +127,12 @@ class Supervisor:
     def emergency_stop(self, reason: str) -> None:
         """Stop everything at once. The stop is latched until `reset_fault`; the reason of the first stop stays."""
         self._emergency_stops += 1
-        self._send_emergency_stop(True)
+        self._latch_stop()
         self.mode.trip(reason)
+
+    def _latch_stop(self) -> None:
+        self._stopped = self._clock.now()
+        self._send_emergency_stop(True)
 
     def tick(self) -> None:
         """Check the interlocks, and how punctually this is called every ``check`` s."""
@@ -185,17 +193,19 @@ class Supervisor:
         with self._exclusive("reset_fault"):
             bench = self._operations(never_interrupted)
             bench.require_servo_and_daq()
-            before = self._emergency_stops, self.monitor.daq_problems
+            # The DAQ may have yet to tell of the stop that is being reset.
+            late = not self.monitor.daq_problem and self._clock.now() - self._stopped < _ANNOUNCEMENT
+            stops, problems = self._emergency_stops, self.monitor.daq_problems + late
 
             def stopped() -> bool:
-                return (self._emergency_stops, self.monitor.daq_problems) != before or self._is_halted()
+                return self._emergency_stops > stops or self.monitor.daq_problems > problems or self._is_halted()
 
             try:
                 bench.reset_faults()
             except RefusedError:
                 # A node that was reset already is stopped again. Of a bench without a fault, nothing was latched.
                 if self.mode.current is Mode.FAULT:
-                    self._send_emergency_stop(True)
+                    self._latch_stop()
                 raise
             # The reset of servo and DAQ has erased what they heard meanwhile.
             if not stopped():
