@@ -87,7 +87,7 @@ def again(whole_bench: Any, tmp_path: Path) -> Iterator[Any]:
 
 
 @pytest.mark.realtime
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(500)
 def test_a_stranger_gets_an_answer_to_every_name(again: Any, tmp_path: Path) -> None:
     (tmp_path / "short.yaml").write_text(SHORT)
     command = [sys.executable, ROOT / "tests/stranger.py", PAGE, tmp_path / "short.yaml", tmp_path / "stranger"]

@@ -334,6 +334,16 @@ def test_everybodys_emergency_stop_stops_rod_and_coil_and_latches(button: str, s
     reset(bench)
 
 
+def test_a_reset_directly_after_a_stop_is_accepted(shared_bench: Any) -> None:
+    """The DAQ may have yet to tell of the stop; once in twenty times, that was taken for another one."""
+    stop, release = (shared_bench.client.node.create_client(Trigger, name) for name in ("emergency_stop", "reset_fault"))
+    assert shared_bench.client.spin(lambda: stop.service_is_ready() and release.service_is_ready(), 10)
+    for _ in range(40):
+        assert shared_bench.call(stop, Trigger.Request()).success
+        response = shared_bench.call(release, Trigger.Request())
+        assert response.success, response.message
+
+
 # Ownership
 
 
