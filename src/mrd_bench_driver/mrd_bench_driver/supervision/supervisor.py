@@ -193,12 +193,12 @@ class Supervisor:
         with self._exclusive("reset_fault"):
             bench = self._operations(never_interrupted)
             bench.require_servo_and_daq()
+            stops, problems = self._emergency_stops, self.monitor.daq_problems  # first: none that comes from here on is lost
             # The DAQ may have yet to tell of the stop that is being reset.
             late = not self.monitor.daq_problem and self._clock.now() - self._stopped < _ANNOUNCEMENT
-            stops, problems = self._emergency_stops, self.monitor.daq_problems + late
 
             def stopped() -> bool:
-                return self._emergency_stops > stops or self.monitor.daq_problems > problems or self._is_halted()
+                return self._emergency_stops > stops or self.monitor.daq_problems > problems + late or self._is_halted()
 
             try:
                 bench.reset_faults()
