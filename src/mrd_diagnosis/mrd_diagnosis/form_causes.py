@@ -10,7 +10,7 @@ from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects
 from mrd_diagnosis.held_cause import HeldCause, holds, holds_in_halves, leads, probabilities_in_place, with_effects
 from mrd_diagnosis.limitations import contains
-from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, refit_in_its_place
+from mrd_diagnosis.model_comparison import NO_EFFECT, ModelComparison, refit_in_its_place, refit_without
 from mrd_diagnosis.null_distribution import NullGains
 from mrd_diagnosis.refit import CONVERGED, Refit
 from mrd_diagnosis.statistics import probabilities
@@ -37,44 +37,63 @@ def name_form_causes(
     """Return the effects that hold as a part of the form, and the model with them.
 
     Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
-    that is ``reachable`` by a freer or a better form. The best of the ``others``, damper models with the best first, that
-    lacks one of them does not predict better, and of the ``candidates`` that look like it, none does in its place.
+    that is ``reachable`` by a freer or a better form. Each is judged beside the others: the best of the ``others``, damper
+    models with the best first, that lacks it does not predict better, and of the ``candidates`` that look like it, none does
+    in its place. Where two do not hold together, the first may do so alone.
     """
-    weighting, causes, without = comparison.weighting, {}, explained
-    for effect, fitted in _form_chain(weighting, explained, reachable, effects):
-        lacking = [form for form in others if not contains(form.problem.model, effect)]
-        instead = [with_effects(weighting, form, explained.effects, explained.values) for form in lacking[:1]]
-        support = float(probabilities([fitted, *instead], rng)[0])
-        if (
-            support < THRESHOLDS.named_probability
-            or not holds(support, explained, fitted)
-            or not holds_in_halves(explained, fitted)
-        ):
+    chain = _form_chain(comparison.weighting, explained, reachable, effects)
+    for length in range(len(chain), 0, -1):
+        fitted = chain[length - 1]
+        if not _closes_most(explained, fitted, reachable):
             break
-        alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in explained.effects]
-        refits = {effect: fitted, NO_EFFECT: explained} | refit_in_its_place(weighting, explained, alike)
-        chances = probabilities_in_place(refits, support, rng)
-        if not leads(effect, chances):
-            break
-        gain = float(explained.held_out_cost - fitted.held_out_cost)
-        closed = closed_fraction_between(explained, fitted, comparison, rng)
-        causes[effect] = HeldCause(chances, null_gains.p_value(gain, fitted.problem), closed)
-        explained = fitted
-    # The chain closes most of it, but what holds of the chain may not.
-    if not _closes_most(without, explained, reachable):
-        return {}, without
-    return causes, explained
+        causes = {}
+        for effect in fitted.effects:
+            if effect not in explained.effects:
+                cause = _held_beside_the_others(effect, comparison, fitted, candidates, others, null_gains, rng)
+                if cause is None:
+                    break
+                causes[effect] = cause
+        else:
+            return causes, fitted
+    return {}, explained
 
 
-def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[tuple[str, Refit]]:
-    """Add effects of the form one after the other; return them where they close most of what can be reached."""
-    available = explained.held_out_cost - reachable
+def _held_beside_the_others(
+    effect: str,
+    comparison: ModelComparison,
+    fitted: Refit,
+    candidates: Sequence[str],
+    others: Sequence[Refit],
+    null_gains: NullGains,
+    rng: np.random.Generator,
+) -> HeldCause | None:
+    """Return what an effect of a model does, or None where it does not hold; arguments as of `name_form_causes`."""
+    weighting = comparison.weighting
+    without = refit_without(weighting, fitted, effect)
+    lacking = [form for form in others if not contains(form.problem.model, effect)]
+    instead = [with_effects(weighting, form, without.effects, without.values) for form in lacking[:1]]
+    support = float(probabilities([fitted, *instead], rng)[0])
+    if support < THRESHOLDS.named_probability or not holds(support, without, fitted) or not holds_in_halves(without, fitted):
+        return None
+    alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in fitted.effects]
+    refits = {effect: fitted, NO_EFFECT: without} | refit_in_its_place(weighting, without, alike)
+    chances = probabilities_in_place(refits, support, rng)
+    if not leads(effect, chances):
+        return None
+    gain = float(without.held_out_cost - fitted.held_out_cost)
+    return HeldCause(
+        chances, null_gains.p_value(gain, fitted.problem), closed_fraction_between(without, fitted, comparison, rng)
+    )
+
+
+def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[Refit]:
+    """Add effects of the form one after the other, as long as each closes a share of what can still be reached."""
     gap = explained.held_out_cost - weighting.noise_cost
-    if available < THRESHOLDS.least_share_first * gap:
+    if explained.held_out_cost - reachable < THRESHOLDS.least_share_first * gap:
         return []
-    chain: list[tuple[str, Refit]] = []
+    chain: list[Refit] = []
     best = explained
-    while len(chain) < MOST_FORM_EFFECTS and not _closes_most(explained, best, reachable):
+    while len(chain) < MOST_FORM_EFFECTS:
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting,
@@ -86,14 +105,14 @@ def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effect
         )
         if not fits:
             break
-        fit = min(fits, key=lambda fit: fit.refit.held_out_cost)
+        better = min((fit.refit for fit in fits), key=lambda refitted: refitted.held_out_cost)
         # What closes less of the gap than a formula may be wrong by is no cause.
         needed = max(THRESHOLDS.least_share_next * (best.held_out_cost - reachable), THRESHOLDS.formula_error * gap)
-        if best.held_out_cost - fit.refit.held_out_cost < needed:
+        if best.held_out_cost - better.held_out_cost < needed:
             break
-        best = fit.refit
-        chain.append((fit.effects[-1], best))
-    return chain if _closes_most(explained, best, reachable) else []
+        best = better
+        chain.append(best)
+    return chain
 
 
 def _closes_most(without: Refit, fitted: Refit, reachable: float) -> bool:

@@ -133,18 +133,18 @@ def _drop_superfluous(weighting: Weighting, chain: list[Refit]) -> tuple[list[Re
     while chain:
         best = chain[-1]
         effects = tuple(dict.fromkeys(effect for step in chain for effect in step.effects))
-        without = dict(zip(effects, in_threads(partial(_without, weighting, best), effects), strict=True))
+        without = dict(zip(effects, in_threads(partial(refit_without, weighting, best), effects), strict=True))
         least = min(effects, key=lambda effect: without[effect].held_out_cost)
         if len(effects) == 1 or is_improvement(weighting, without[least], best):
             return chain, without
         kept = [effect for effect in effects if effect != least]
         chain = [without[least]]
         for effect in kept[:0:-1]:
-            chain.insert(0, _without(weighting, chain[0], effect))
+            chain.insert(0, refit_without(weighting, chain[0], effect))
     return chain, {}
 
 
-def _without(weighting: Weighting, refitted: Refit, effect: str) -> Refit:
+def refit_without(weighting: Weighting, refitted: Refit, effect: str) -> Refit:
     """Refit the model without one of its effects."""
     model, theta = without_effect(refitted.problem.model, refitted.theta, effect)
     return refit(weighting.problem(model, theta), theta, weighting.folds)
