@@ -171,18 +171,57 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
     """The chain closes most with its second effect. Where that one does not hold, the first is named if it does alone."""
     comparison, base = around_own_curve
     (first,) = form_causes._form_chain(comparison.weighting, base, 0.2 * base.held_out_cost, ["backlash"])
-    superfluous = ("joint_play", replace(first[1], held_out_costs=first[1].held_out_costs + 1.0))
+    superfluous = with_effects(comparison.weighting, first, ["channel_delay"], {})
+    superfluous = replace(superfluous, held_out_costs=first.held_out_costs + 1.0)
     monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [first, superfluous])
-    closed = base.held_out_cost - first[1].held_out_cost
+    closed = base.held_out_cost - first.held_out_cost
 
     def causes_of(reachable):
         rest = [], [], NullGains(np.zeros(9), 1.0), np.random.default_rng(0)
-        return form_causes.name_form_causes(comparison, base, reachable, ["backlash", "joint_play"], *rest)
+        return form_causes.name_form_causes(comparison, base, reachable, ["backlash", "channel_delay"], *rest)
 
     causes, explained = causes_of(base.held_out_cost - closed / 0.9)
     assert list(causes) == ["backlash"]
-    assert explained is first[1]
+    assert explained is first
     assert causes_of(base.held_out_cost - closed / 0.6) == ({}, base)
+
+
+def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
+    """A damper that leaks and thins: a model that leaks predicts better than thinning alone, but worse than both."""
+    both = ("bypass_flow", "shear_thinning")
+    model, theta = BOUC_WEN, BOUC_WEN.vector({"coil_lag": 0.0})
+    for effect in both:
+        model, theta = with_effect(model, theta, effect)
+    typical = {f"{effect}.{name}": value for effect in both for name, value in EFFECTS[effect].typical.items()}
+    theta = np.array([typical.get(name, value) for name, value in zip(model.names, theta, strict=True)])
+    recorded = []
+    for seed, run in enumerate(runs()):
+        path = make_path(run.time, run.position, run.velocity, np.gradient(run.velocity, run.time), run.current)
+        noise = np.random.default_rng(seed).normal(0, FORCE_NOISE, len(run.time))
+        recorded.append(prepare_recording(replace(run, force=model.force(theta, path) + noise)))
+    weighting, base, _, _ = fit_base(BOUC_WEN, None, recorded, np.random.default_rng(0))
+    complete = with_effects(weighting, base, both, typical)
+    thinning = with_effects(weighting, base, ["shear_thinning"], typical)
+    leaking_model = find_model("modified_bouc_wen")
+    leaking = replace(
+        thinning,
+        problem=weighting.problem(leaking_model, leaking_model.defaults),
+        **{cost: 0.9 * getattr(thinning, cost) for cost in ("held_out_costs", "held_out_squares", "held_out_chi_squares")},
+    )
+    monkeypatch.setattr(form_causes, "with_effects", lambda _weighting, form, *_: form)
+    monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [thinning, complete])
+    causes, explained = form_causes.name_form_causes(
+        compare_on(weighting, base, [], []),
+        base,
+        complete.held_out_cost,
+        both,
+        both,
+        [leaking],
+        NullGains(np.zeros(9), 1.0),
+        np.random.default_rng(0),
+    )
+    assert set(causes) == set(both)
+    assert explained is complete
 
 
 @pytest.mark.parametrize(
