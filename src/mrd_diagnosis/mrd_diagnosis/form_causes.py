@@ -33,43 +33,44 @@ def name_form_causes(
     others: Sequence[Refit],
     null_gains: NullGains,
     rng: np.random.Generator,
+    complete: bool = False,
 ) -> tuple[dict[str, HeldCause], Refit]:
     """Return the effects that hold as a part of the form, and the model with them.
 
     Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
     that is ``reachable`` by a freer or a better form. Each is judged beside the others: the best of the ``others``, damper
     models with the best first, that lacks it does not predict better, and of the ``candidates`` that look like it, none does
-    in its place. Where two do not hold together, the first may do so alone.
+    in its place. Where two do not hold together, the first may do so alone. A second one is searched where the first does
+    not close most, or to make the form ``complete``.
     """
-    chain = _form_chain(comparison.weighting, explained, reachable, effects)
-    for length in range(len(chain), 0, -1):
-        fitted = chain[length - 1]
-        if not _closes_most(explained, fitted, reachable):
-            break
+    weighting = comparison.weighting
+    chain = [explained, *_form_chain(weighting, explained, reachable, effects, complete)]
+    while len(chain) > 1 and _closes_most(explained, chain[-1], reachable):
+        *_, before, fitted = chain
+        added = [effect for effect in fitted.effects if effect not in explained.effects]
         causes = {}
-        for effect in fitted.effects:
-            if effect not in explained.effects:
-                cause = _held_beside_the_others(effect, comparison, fitted, candidates, others, null_gains, rng)
-                if cause is None:
-                    break
+        for effect in added:
+            without = refit_without(weighting, fitted, effect) if effect in before.effects else before
+            if cause := _held_cause(effect, without, fitted, comparison, candidates, others, null_gains, rng):
                 causes[effect] = cause
-        else:
+        if len(causes) == len(added):
             return causes, fitted
+        chain.pop()
     return {}, explained
 
 
-def _held_beside_the_others(
+def _held_cause(
     effect: str,
-    comparison: ModelComparison,
+    without: Refit,
     fitted: Refit,
+    comparison: ModelComparison,
     candidates: Sequence[str],
     others: Sequence[Refit],
     null_gains: NullGains,
     rng: np.random.Generator,
 ) -> HeldCause | None:
-    """Return what an effect of a model does, or None where it does not hold; arguments as of `name_form_causes`."""
+    """Return an effect of the form with what it does, or None where it does not hold; arguments as of `name_form_causes`."""
     weighting = comparison.weighting
-    without = refit_without(weighting, fitted, effect)
     lacking = [form for form in others if not contains(form.problem.model, effect)]
     instead = [with_effects(weighting, form, without.effects, without.values) for form in lacking[:1]]
     support = float(probabilities([fitted, *instead], rng)[0])
@@ -86,14 +87,16 @@ def _held_beside_the_others(
     )
 
 
-def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[Refit]:
+def _form_chain(
+    weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str], complete: bool
+) -> list[Refit]:
     """Add effects of the form one after the other, as long as each closes a share of what can still be reached."""
     gap = explained.held_out_cost - weighting.noise_cost
     if explained.held_out_cost - reachable < THRESHOLDS.least_share_first * gap:
         return []
     chain: list[Refit] = []
     best = explained
-    while len(chain) < MOST_FORM_EFFECTS:
+    while len(chain) < MOST_FORM_EFFECTS and (complete or not _closes_most(explained, best, reachable)):
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting,

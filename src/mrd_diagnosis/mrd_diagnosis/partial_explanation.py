@@ -93,9 +93,17 @@ def explain_in_part(
         best_cost = explained.held_out_cost
         explained = with_effects(weighting, alone, list(causes), values)
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
-        lacked += [effect for effect in comparison.effects if effect not in (*lacking, *lacked, *causes)]
+        lacked += [effect for effect in comparison.effects if effect in tried and effect not in causes]
         of_form_causes, explained = name_form_causes(
-            comparison, explained, best_cost, lacked, [*tried, *lacked], all_but(alone), beside.null_gains, rng
+            comparison,
+            explained,
+            best_cost,
+            lacked,
+            [*tried, *lacked],
+            all_but(alone),
+            beside.null_gains,
+            rng,
+            complete=True,
         )
         causes, values = causes | of_form_causes, values | explained.values
     remainder = beside.weighting.remainder if form is alone else with_form_remainder(weighting, alone)[0].remainder

@@ -170,9 +170,9 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it(around_own_cu
 def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_closed(around_own_curve, monkeypatch):
     """The chain closes most with its second effect. Where that one does not hold, the first is named if it does alone."""
     comparison, base = around_own_curve
-    (first,) = form_causes._form_chain(comparison.weighting, base, 0.2 * base.held_out_cost, ["backlash"])
+    (first,) = form_causes._form_chain(comparison.weighting, base, 0.2 * base.held_out_cost, ["backlash"], False)
     superfluous = with_effects(comparison.weighting, first, ["channel_delay"], {})
-    superfluous = replace(superfluous, held_out_costs=first.held_out_costs + 1.0)
+    superfluous = replace(superfluous, held_out_squares=first.held_out_squares + 1.0)
     monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [first, superfluous])
     closed = base.held_out_cost - first.held_out_cost
 
@@ -189,11 +189,9 @@ def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_clo
 def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
     """A damper that leaks and thins: a model that leaks predicts better than thinning alone, but worse than both."""
     both = ("bypass_flow", "shear_thinning")
-    model, theta = BOUC_WEN, BOUC_WEN.vector({"coil_lag": 0.0})
-    for effect in both:
-        model, theta = with_effect(model, theta, effect)
     typical = {f"{effect}.{name}": value for effect in both for name, value in EFFECTS[effect].typical.items()}
-    theta = np.array([typical.get(name, value) for name, value in zip(model.names, theta, strict=True)])
+    model = BOUC_WEN.with_effects(find_effects(both))
+    theta = model.vector(typical | {"coil_lag": 0.0})
     recorded = []
     for seed, run in enumerate(runs()):
         path = make_path(run.time, run.position, run.velocity, np.gradient(run.velocity, run.time), run.current)
@@ -202,13 +200,12 @@ def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
     weighting, base, _, _ = fit_base(BOUC_WEN, None, recorded, np.random.default_rng(0))
     complete = with_effects(weighting, base, both, typical)
     thinning = with_effects(weighting, base, ["shear_thinning"], typical)
-    leaking_model = find_model("modified_bouc_wen")
-    leaking = replace(
-        thinning,
-        problem=weighting.problem(leaking_model, leaking_model.defaults),
-        **{cost: 0.9 * getattr(thinning, cost) for cost in ("held_out_costs", "held_out_squares", "held_out_chi_squares")},
+    leaking = replace(thinning, held_out_costs=0.9 * thinning.held_out_costs)
+    monkeypatch.setattr(form_causes, "contains", lambda _model, effect: effect == "bypass_flow")
+    beside = []
+    monkeypatch.setattr(
+        form_causes, "with_effects", lambda _weighting, form, effects, _values: beside.append(effects) or form
     )
-    monkeypatch.setattr(form_causes, "with_effects", lambda _weighting, form, *_: form)
     monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [thinning, complete])
     causes, explained = form_causes.name_form_causes(
         compare_on(weighting, base, [], []),
@@ -222,6 +219,7 @@ def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
     )
     assert set(causes) == set(both)
     assert explained is complete
+    assert beside == [("bypass_flow",)]
 
 
 @pytest.mark.parametrize(
