@@ -106,7 +106,7 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
 def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tuple[Alternative, ...]:
     """Return the explanations that are likely enough to be listed beside a cause.
 
-    One that was not refitted in its place has no parameters.
+    One that was not refitted in its place has no parameters. What is a cause itself, beside this one, is no alternative.
     """
     return tuple(
         Alternative(
@@ -119,7 +119,7 @@ def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tu
         for effect, chances_of_others in chances.items()
         for refits in [comparison.alternatives[effect]]
         for other, chance in sorted(chances_of_others.items(), key=lambda item: -item[1])
-        if other not in (NO_EFFECT, effect) and chance >= THRESHOLDS.listed_probability
+        if other not in (NO_EFFECT, *comparison.effects) and chance >= THRESHOLDS.listed_probability
     )
 
 
