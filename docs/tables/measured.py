@@ -24,14 +24,13 @@ HEADER = (
     "another share in the form of the model",
     "held-out error before → after (noise), %",
     "region with most of the error that remains",
-    "s",
 )
 
 
 def row(diagnosis: Diagnosis) -> list[str]:
     """Return the cells of the table that a diagnosis fills."""
     if diagnosis.gap is None:
-        return [f"`{diagnosis.verdict}`", "–", "–", "–", "–"]
+        return [f"`{diagnosis.verdict}`", "–", "–", "–"]
     places = [region for region in diagnosis.where if region.axis != "run"]
     gap = diagnosis.gap
     before, after, floor = (100 * error.value for error in (gap.before, gap.after, gap.noise_floor))
@@ -41,7 +40,6 @@ def row(diagnosis: Diagnosis) -> list[str]:
         format_share(gap.form_fraction),
         f"{before:.1f} → {after:.1f} ({floor:.1f})",
         f"{format_share(places[0].share.value)} {places[0].label}" if places else "–",
-        f"{diagnosis.elapsed:.0f}",
     ]
 
 
