@@ -11,6 +11,7 @@ from mrd_diagnosis import alternative_models, diagnose, form_causes, partial_exp
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base, with_effect
 from mrd_diagnosis.diagnosis import Interval
+from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
 from mrd_diagnosis.held_cause import HeldCause, holds, with_effects
 from mrd_diagnosis.model_comparison import compare_on
@@ -240,6 +241,25 @@ def test_a_cause_must_still_be_needed_beside_the_effects_of_the_form(recorded, c
     held = HeldCause({}, 0.0, Interval(1.0))
     needed = partial_explanation._still_needed(beside, form, {cause: held}, {of_form: held}, values)
     assert list(needed) == ([cause] if kept else [])
+
+
+def test_without_candidates_no_effect_is_tried_again(wrong_form, monkeypatch):
+    """Along a single stroke there are none, but what the search had chosen was tried around the user's model once more."""
+    weighting, base = wrong_form
+    with_thinning = with_effects(weighting, base, ["shear_thinning"], {})
+    comparison = replace(compare_on(weighting, base, [], []), effects=("shear_thinning",), chain=(with_thinning,))
+    others = fit_alternative_models(weighting, base, -np.inf, np.random.default_rng(1))
+    tried = []
+
+    def nothing_holds(_comparison, explained, _reachable, effects, *_rest, **_options):
+        tried.append(list(effects))
+        return {}, explained
+
+    monkeypatch.setattr(partial_explanation, "name_form_causes", nothing_holds)
+    explanation = Explanation("unknown_effect", comparison, {}, {})
+    explained = partial_explanation.explain_in_part(explanation, list(others.values()), [], np.random.default_rng(2))
+    assert explained.verdict == "unknown_effect"
+    assert tried == [[], []]
 
 
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
