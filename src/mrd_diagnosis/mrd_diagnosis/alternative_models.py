@@ -11,7 +11,7 @@ from mrd_diagnosis.weighting import Weighting
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import Recording, current_levels
-from mrd_sim.models import MODELS, DamperModel, find_model
+from mrd_sim.models import DamperModel, find_model
 
 Array = NDArray[np.float64]
 
@@ -83,14 +83,14 @@ _AlternativeModel = tuple[str, DamperModel, tuple[str, ...], Array | None]
 def _alternatives(weighting: Weighting, base: Refit) -> Iterator[_AlternativeModel]:
     model = base.problem.model
     levels, _ = current_levels([recording.run for recording in weighting.recordings])
-    freed = tuple(parameter.name for parameter in model.parameters if not parameter.free)
+    freed = tuple(parameter.name for parameter in model.parameters if not (parameter.free or parameter.is_constant))
     if freed and model.id != "quasi_static":  # its fixed parameters are its dimensions
         yield f"{model.id} with {', '.join(freed)} fitted too", model, freed, base.theta
     if levels > 2 and any(law == "affine" for law in model.laws.values()):
-        quadratic = find_model(model.id, "quadratic")
+        quadratic = find_model(model.id, "quadratic", scales=model.scales)
         values = dict(zip(model.names, base.theta, strict=True))
         start = np.array([values.get(parameter.name, parameter.default) for parameter in quadratic.parameters])
         yield f"{model.id} with quadratic current laws", quadratic, (), start
     for name in OTHER_MODELS:
         if name != model.id:
-            yield name, MODELS[name], (), None
+            yield name, find_model(name, scales=model.scales), (), None

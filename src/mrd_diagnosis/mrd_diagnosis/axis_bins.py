@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis
 from mrd_identification.recording import Recording, current_levels
+from mrd_runs import Run
+from mrd_runs.scales import scales_of
 from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
@@ -16,8 +18,8 @@ Indices = NDArray[np.intp]
 Labels = tuple[str, str, str]
 """Templates of the labels of the first bin, of a bin between others, and of the last bin."""
 
-REVERSAL_EDGES = (0.2e-3, 0.5e-3, 1e-3, 2e-3, 5e-3)
-"""Edges in m of travel since a reversal, around the usual yield travels."""
+REVERSAL_EDGES = (0.01, 0.025, 0.05, 0.1, 0.25)
+"""Edges of travel since a reversal, over half the span of the position, around the usual yield travels."""
 
 MOST_LEVELS = 9
 """Levels of the current, at most, that have a bin each; a current with more has even bins."""
@@ -48,6 +50,11 @@ class Bins:
     labels: Sequence[str]
 
 
+def reversal_edges(runs: Sequence[Run]) -> Array:
+    """Return the edges in m of travel since a reversal, rounded to two digits."""
+    return np.array([float(f"{edge * scales_of(runs).stroke:.1e}") for edge in REVERSAL_EDGES])
+
+
 def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
     """Return the bins of every axis but the frequency, and the bin of every counted sample; -1 is no bin."""
     runs = [recording.run for recording in recordings]
@@ -73,7 +80,7 @@ def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
             "acceleration", acceleration, "m/s²", 1.0, log_edges(acceleration), range_labels("accelerations", "m/s²")
         ),
         _current_bins(joined(lambda k: runs[k].current), current_levels(runs)[0]),
-        _bins_between("reversal", travel, "m", 1e3, np.array(REVERSAL_EDGES), travel_labels),
+        _bins_between("reversal", travel, "m", 1e3, reversal_edges(runs), travel_labels),
         _sign_bins(velocity),
     ]
 

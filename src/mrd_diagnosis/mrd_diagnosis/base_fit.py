@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.null_distribution import draw_null_errors
 from mrd_diagnosis.refit import Refit, refit, scaled_inverse
-from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, Weighting
+from mrd_diagnosis.weighting import Weighting, usual_run_scatter
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording
-from mrd_sim.effects import EFFECTS
+from mrd_sim.effects import find_effects
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def fit_base(
     plain, notes = make_problem(model, recordings, fixed=fixed)
     theta = global_fit(plain, parameters, rng)
     noise = estimate_noise(recordings, model, theta, rng)
-    weighting = Weighting(recordings, noise, INITIAL_RUN_SCATTER, fixed).updated(model, theta)
+    weighting = Weighting(recordings, noise, usual_run_scatter(model.scales), fixed).updated(model, theta)
     problem = weighting.problem(model, theta)
     null_errors = draw_null_errors(problem, theta, [of_run.force for of_run in weighting.noise], weighting.scatter, rng)
     return weighting, refit(problem, theta, weighting.folds, null_errors), null_errors, notes
@@ -121,9 +121,7 @@ def without_effect(model: DamperModel, theta: Array, effect: str) -> tuple[Dampe
 
 def with_effect(model: DamperModel, theta: Array, effect: str) -> tuple[DamperModel, Array]:
     """Return the model with one more effect, and its parameters with this effect neutral."""
-    present = {other.id for other in model.effects}
-    extended = replace(model, effects=()).with_effects(
-        [EFFECTS[name] for name in EFFECTS if name in present or name == effect]
-    )
+    present = [other.id for other in model.effects if other.id != effect]
+    extended = replace(model, effects=()).with_effects(find_effects([*present, effect], model.scales))
     values = dict(zip(model.names, theta, strict=True))
     return extended, np.array([values.get(p.name, p.default) for p in extended.parameters])

@@ -31,8 +31,9 @@ Progress = Callable[[float], None]
 FOURIER_FEATURES = 120
 """Random Fourier features in the common remainder."""
 
-RUN_SCATTER = RunScatter(1e-3, 0.2)
-"""Scatter of the runs that is taken from their errors: a change may be one of gain or offset, so hardly any."""
+RUN_SCATTER = RunScatter(1e-3, 2.5e-4)
+"""Scatter of the runs that is taken from their errors: a change may be one of gain or offset, so hardly any; the offset is
+a share of half the span of the force."""
 
 
 def explain_change(
@@ -64,7 +65,9 @@ def explain_change(
         Each effect by itself.
     null_gains : NullGains
     """
-    weighting = replace(weighting, scatter=RUN_SCATTER)
+    weighting = replace(
+        weighting, scatter=RunScatter(RUN_SCATTER.gain, RUN_SCATTER.offset * base.problem.model.scales.force)
+    )
     common, own = _functions(weighting, base, rng)
     known, base = with_remainder(weighting, base, common)
     progress(0.2)

@@ -16,11 +16,12 @@ from mrd_diagnosis.weighting import error_of_run
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording
+from mrd_runs.scales import scales_of
 
 Array = NDArray[np.float64]
 
-NO_DIFFERENCE = {"stroke": 1e-4, "speed": 1e-3, "current": 0.02}
-"""Differences in m, m/s and A that do not count as extrapolation."""
+NO_DIFFERENCE = {"stroke": 0.005, "speed": 0.01, "current": 0.04}
+"""Differences, in the scales of the recordings, that do not count as extrapolation."""
 
 LEAST_RUNS_TO_RESAMPLE = 4
 """Runs from which on a bootstrap draws runs; of fewer, it draws segments of them."""
@@ -138,11 +139,14 @@ def _exceeds(recording: Recording, others: Sequence[Recording]) -> str:
 
     if not others:
         return ""
+    scales = scales_of([other.run for other in (recording, *others)])
     ranges_of_run, ranges_of_others = ranges(recording), [ranges(other) for other in others]
     return " and ".join(
         name
         for name, value in ranges_of_run.items()
-        if value > THRESHOLDS.extrapolation * max(other[name] for other in ranges_of_others) + NO_DIFFERENCE[name]
+        if value
+        > THRESHOLDS.extrapolation * max(other[name] for other in ranges_of_others)
+        + NO_DIFFERENCE[name] * getattr(scales, name)
     )
 
 

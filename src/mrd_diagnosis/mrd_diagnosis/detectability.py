@@ -125,7 +125,8 @@ def detectable_sizes(
         `Thresholds.noise_chi_square`. See `mrd_diagnosis.effect_search.detection_threshold`.
     """
     energy = (THRESHOLDS.noise_chi_square - 1.0) * weighting.samples if needed is None else needed
-    return in_threads(lambda effect: _detectability(weighting, base_fit, effect, energy), find_effects(effects))
+    named = find_effects(effects, base_fit.refit.problem.model.scales)
+    return in_threads(lambda effect: _detectability(weighting, base_fit, effect, energy), named)
 
 
 def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, needed: float) -> Detectability:

@@ -50,6 +50,7 @@ from mrd_identification.preflight import preflight
 from mrd_identification.preflight.excitation import has_one_peak_speed, repeats_one_stroke
 from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
 from mrd_trajectory.settings import GeneratorSettings
@@ -135,7 +136,8 @@ def diagnose(
     if model == BEST_MODEL and parameters:
         model = parameters.model
     laws = laws if laws is not None else (parameters.laws if parameters else None)
-    base = find_model(START_OF_CHOICE if model == BEST_MODEL else model, laws)
+    scales = scales_of([*reference, *runs])
+    base = find_model(START_OF_CHOICE if model == BEST_MODEL else model, laws, scales=scales)
     theta = _theta_as_given(base, parameters)
     progress("checking the recordings", 0.0)
     expected = None if model == BEST_MODEL else base

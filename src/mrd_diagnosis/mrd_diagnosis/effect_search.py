@@ -261,7 +261,7 @@ def score_effects(weighting: Weighting, base: BaseFit, effects: Sequence[str]) -
         if effect in base.effects:
             return EffectScore(0.0, base.refit.theta)
         model, neutral = with_effect(base.refit.problem.model, base.refit.theta, effect)
-        return score_effect(weighting.problem(model, neutral), base, find_effects([effect])[0])
+        return score_effect(weighting.problem(model, neutral), base, find_effects([effect], model.scales)[0])
 
     return in_threads(score, effects)
 

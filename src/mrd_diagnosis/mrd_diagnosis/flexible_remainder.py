@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mrd_diagnosis.axis_bins import travel_since_reversal
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import Recording
+from mrd_runs.scales import scales_of
 
 Array = NDArray[np.float64]
 
@@ -25,14 +26,17 @@ MOST_INTERACTING = 3
 RIDGES = 10.0 ** np.arange(-6, 3)
 """Ridges that are tried, relative to the mean eigenvalue of the normal matrix."""
 
-TRAVELS = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
-"""Travels in m over which the memories of the rod's direction and of the force fade."""
+TRAVELS = (0.005, 0.025, 0.1, 0.5)
+"""Travels, over half the span of the position, over which the memories of the rod's direction and of the force fade."""
 
 TIMES = (3e-3, 12e-3, 50e-3)
-"""Times in s over which the memories of current and force fade."""
+"""Times in s, those of coils, particles and amplifiers, over which the memories of current and force fade."""
 
-CURRENTS = (0.1, 0.4)
-"""Changes of current in A over which the memory of the current's direction fades."""
+CURRENTS = (0.2, 0.8)
+"""Changes of current, over the largest one, over which the memory of the current's direction fades."""
+
+SLOW = 0.1
+"""Speed, over that of fast strokes, below which friction may be viscous."""
 
 BLOCKS = 6
 """Blocks that take the place of runs where there is only one run."""
@@ -114,6 +118,7 @@ def _folds(recordings: Sequence[Recording], counts: Sequence[int], stride: int) 
 
 def _features(recordings: Sequence[Recording], residuals: Sequence[Array]) -> list[Array]:
     """Return motion, current, modelled force and their memories (counted samples, features) of each run."""
+    scales = scales_of([recording.run for recording in recordings])
     features = []
     for recording, residual in zip(recordings, residuals, strict=True):
         path, counted, time = recording.path, recording.counted, recording.run.time
@@ -128,14 +133,17 @@ def _features(recordings: Sequence[Recording], residuals: Sequence[Array]) -> li
             velocity,
             acceleration,
             np.sign(velocity) * np.sqrt(np.abs(velocity)),
-            np.tanh(velocity / 0.01),
-            np.log(travel_since_reversal(path) + 1e-4) * direction,
+            np.tanh(velocity / (SLOW * scales.speed)),
+            np.log(travel_since_reversal(path) / scales.stroke + TRAVELS[0]) * direction,
             current,
             modelled,
             modelled * np.cumsum(modelled * velocity * step),
-            *(fading_memory(np.exp(-np.abs(travel) / scale), direction) for scale in TRAVELS),
-            *(modelled - fading_memory(np.exp(-np.abs(travel) / scale), modelled) for scale in TRAVELS),
-            *(fading_memory(np.exp(-np.abs(change) / scale), np.sign(change)) * direction for scale in CURRENTS),
+            *(fading_memory(np.exp(-np.abs(travel) / (scale * scales.stroke)), direction) for scale in TRAVELS),
+            *(modelled - fading_memory(np.exp(-np.abs(travel) / (scale * scales.stroke)), modelled) for scale in TRAVELS),
+            *(
+                fading_memory(np.exp(-np.abs(change) / (scale * scales.current)), np.sign(change)) * direction
+                for scale in CURRENTS
+            ),
             *(current - fading_memory(np.exp(-step / scale), current) for scale in TIMES),
             *(modelled - fading_memory(np.exp(-step / scale), modelled) for scale in TIMES),
         ]

@@ -24,12 +24,14 @@ from mrd_diagnosis.weighting import Weighting
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import Recording
+from mrd_runs.scales import scales_of
 from mrd_sim.effects import find_effects
 
 Array = NDArray[np.float64]
 
-TRAVELS = (0.1e-3, 0.4e-3, 1.6e-3)
-"""Travels in m over which the memory of the rod's direction fades: the yield travels of dampers lie between."""
+TRAVELS = (0.005, 0.02, 0.08)
+"""Travels, over half the span of the position, over which the memory of the rod's direction fades: the yield travels of
+dampers lie between."""
 
 SPEEDS = (0.01, 0.03, 0.1, 0.3)
 """Shares of the largest speed at which a step of the force over speed is smoothed."""
@@ -48,7 +50,8 @@ def form_columns(recordings: Sequence[Recording]) -> Array:
     """Return the functions of motion and current (counted samples, columns), of rms one and orthogonal to each other."""
     top = max(float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings)
     largest = max(float(np.quantile(np.abs(recording.path.current), 0.995)) for recording in recordings)
-    parts = [_functions(recording, top, largest) for recording in recordings]
+    stroke = scales_of([recording.run for recording in recordings]).stroke
+    parts = [_functions(recording, top, largest, stroke) for recording in recordings]
     return orthogonal(np.concatenate(parts))
 
 
@@ -63,11 +66,11 @@ def orthogonal(columns: Array) -> Array:
     return np.asarray(columns @ vectors[:, kept])
 
 
-def _functions(recording: Recording, top_speed: float, largest_current: float) -> Array:
+def _functions(recording: Recording, top_speed: float, largest_current: float, stroke: float) -> Array:
     path = recording.path
     position, velocity, current = (series[path.samples] for series in (path.position, path.velocity, path.current))
     speed = velocity / top_speed
-    travel = np.diff(position, prepend=position[0])
+    travel = np.diff(position, prepend=position[0]) / stroke
     memories = [fading_memory(np.exp(-np.abs(travel) / scale), np.sign(travel)) for scale in TRAVELS]
     motion = [
         speed,
@@ -148,7 +151,7 @@ def form_effects(weighting: Weighting, base: Refit, effects: Sequence[str]) -> l
         """Return the energy of the effect's change of the force that the model leaves, without and with the remainder."""
         model, neutral = with_effect(base.problem.model, base.theta, effect)
         theta = neutral.copy()
-        for name, value in start_values(find_effects([effect])[0], base.problem.force)[0].items():
+        for name, value in start_values(find_effects([effect], base.problem.model.scales)[0], base.problem.force)[0].items():
             theta[model.names.index(f"{effect}.{name}")] = value
         energies = []
         for space, linearised in spaces:

@@ -38,8 +38,8 @@ CORNER = 4.0
 MEDIAN_OF_ABSOLUTE_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
-LEAST_SWITCH = 1e-3
-"""Change of current in A from one sample to the next below which the coil is not switched."""
+LEAST_SWITCH = 2e-3
+"""Change of current from one sample to the next, over the largest current, below which the coil is not switched."""
 
 WIDTH_OF_SWITCH = 1e-3
 """Share of the sampling interval within which a switched current changes."""
@@ -121,7 +121,7 @@ def _switches(current: Array, noise: float) -> Indices:
     change = np.abs(np.diff(current))
     padded = np.pad(change, 1)
     neighbours = np.maximum(padded[:-2], padded[2:])
-    return np.flatnonzero(change > 3.0 * neighbours + max(6.0 * noise, LEAST_SWITCH))
+    return np.flatnonzero(change > 3.0 * neighbours + max(6.0 * noise, LEAST_SWITCH * float(np.abs(current).max())))
 
 
 def _switched_path(

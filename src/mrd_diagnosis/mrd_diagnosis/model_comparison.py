@@ -11,15 +11,16 @@ from mrd_diagnosis.base_fit import BaseFit, without_effect
 from mrd_diagnosis.effect_search import EffectFit, is_improvement, refit_with_effects
 from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import Refit, refit, refit_on
-from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, RunScatter, Weighting
+from mrd_diagnosis.weighting import RunScatter, Weighting, usual_run_scatter
 from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
 
 MOST_ALTERNATIVES = 4
 """Effects that are fitted in the place of each cause, besides those that look like it."""
 
-LARGEST_RUN_SCATTER = RunScatter(0.04, 20.0)
-"""Largest scatter that is still attributed to the bench and not to physics."""
+LEAST_RUN_SCATTER, LARGEST_RUN_SCATTER = RunScatter(1e-3, 1.25e-4), RunScatter(0.04, 0.025)
+"""Least scatter of the runs of any bench, and the largest that is still attributed to the bench and not to physics; offsets
+are shares of half the span of the force."""
 
 NO_EFFECT = ""
 """Name of the alternative in which nothing takes the place of an effect."""
@@ -166,12 +167,16 @@ def estimate_run_scatter(refitted: Refit) -> RunScatter:
         error = (problem.modelled(refitted.theta, index) - problem.force[block]) * whitening.weight
         # A gap is not noise: the larger it is, the less certain are offset and gain of the run.
         known.append((columns.T @ columns, columns.T @ error, max(1.0, float(np.mean(error**2)))))
-    variance = np.array([INITIAL_RUN_SCATTER.gain**2, INITIAL_RUN_SCATTER.offset**2])
-    largest = [LARGEST_RUN_SCATTER.gain**2, LARGEST_RUN_SCATTER.offset**2]
+    scales = problem.model.scales
+    usual = usual_run_scatter(scales)
+    variance = np.array([usual.gain**2, usual.offset**2])
+    least, largest = (
+        [limit.gain**2, (limit.offset * scales.force) ** 2] for limit in (LEAST_RUN_SCATTER, LARGEST_RUN_SCATTER)
+    )
     for _ in range(50):
         moments = []
         for matrix, right, chi_square in known:
             covariance = np.linalg.inv(matrix / chi_square + np.diag(1 / variance))
             moments.append((covariance @ right / chi_square) ** 2 + np.diag(covariance))
-        variance = np.clip(np.mean(moments, axis=0), [1e-6, 1e-2], largest)
+        variance = np.clip(np.mean(moments, axis=0), least, largest)
     return RunScatter(float(np.sqrt(variance[0])), float(np.sqrt(variance[1])))

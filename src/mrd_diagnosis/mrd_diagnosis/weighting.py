@@ -12,6 +12,7 @@ from mrd_diagnosis.diagnosis import RunNoise
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, consecutive_forces
 from mrd_identification.residual_correlation import correlation_length
+from mrd_runs.scales import Scales
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -42,8 +43,9 @@ class RunScatter:
     offset: float
 
 
-INITIAL_RUN_SCATTER = RunScatter(0.01, 2.0)
-"""Scatter of the runs of one bench, assumed before it is estimated."""
+def usual_run_scatter(scales: Scales) -> RunScatter:
+    """Return the scatter of the runs of one bench that is assumed before it is estimated."""
+    return RunScatter(0.01, 0.0025 * scales.force)
 
 
 @dataclass(frozen=True)

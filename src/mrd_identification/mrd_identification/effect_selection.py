@@ -219,7 +219,7 @@ def select_effects(
     progress(1.0)
     model = present.problem.model
     values = dict(zip(model.names, map(float, present.theta), strict=True))
-    names = {f"{effect}.{p.name}": p for effect in present.effects for p in EFFECTS[effect].parameters}
+    names = {f"{effect.id}.{p.name}": p for effect in model.effects for p in effect.parameters}
     fixed = {name: values[name] for name, p in names.items() if not p.free and values[name] != p.default}
     return Selection(tuple(added), next_best, len(parts), of_runs, values, fixed)
 
@@ -304,7 +304,7 @@ def _starts(pose: Pose, present: Candidate) -> list[tuple[str, Problem]]:
     def start(effect: Effect) -> tuple[float, str, Problem] | None:
         problem = pose((*present.effects, effect.id))
         least, base = np.inf, problem.base
-        for trial in start_values(effect, problem.force):
+        for trial in start_values(effect.scaled(problem.model.scales), problem.force):
             change = problem.residuals(vector(problem, present.theta, trial)) - residuals
             if not (np.isfinite(change).all() and change.any()):
                 continue

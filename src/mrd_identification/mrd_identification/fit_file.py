@@ -12,7 +12,7 @@ from mrd_identification.fit import Estimate, Fit
 from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_identification.metrics import Metrics
 
-SCHEMA = "mrd-fit/5"
+SCHEMA = "mrd-fit/6"
 
 
 @dataclass(frozen=True)

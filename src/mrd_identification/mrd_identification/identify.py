@@ -23,6 +23,7 @@ from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording, run_weights
 from mrd_identification.uncertainty import Uncertainty, uncertainty
 from mrd_runs import Run
+from mrd_runs.scales import Scales, scales_of
 from mrd_sim.models import find_model
 
 Array = NDArray[np.float64]
@@ -212,7 +213,7 @@ def search_and_fit_from(
 ) -> Solution:
     """Search as `search_and_fit`, with the parameters ``known`` by name in the first population."""
     began = time.monotonic()
-    problem, _ = _pose(_prepare(runs, method), model, method)
+    problem, _ = _pose(_prepare(runs, method), model, method, scales_of(runs))
     nrmse_per_e2 = np.sqrt(len(problem.force)) / np.std(problem.force)
     theta = np.array([known[name] for name in problem.model.names]) if known else None
     population, generations = method.population, method.generations
@@ -235,13 +236,14 @@ def select(
     recordings = _prepare(runs, method)
     stride = -(-sum(len(recording.force) for recording in recordings) // MOST_SELECTION_SAMPLES)
     thinned = [replace(r, counted=slice(r.counted.start, r.counted.stop, stride)) for r in recordings]
-    problem, _ = _pose(recordings, model, method)
+    scales = scales_of(runs)
+    problem, _ = _pose(recordings, model, method, scales)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
 
     loss_scale = with_loss_scale(problem, best.front).loss_scale
 
     def pose(effects: Sequence[str]) -> Problem:
-        return replace(_pose(thinned, model, replace(method, effects=effects))[0], loss_scale=loss_scale)
+        return replace(_pose(thinned, model, replace(method, effects=effects), scales)[0], loss_scale=loss_scale)
 
     def share_done(share: float) -> None:
         progress(int(share * SELECTION_SEARCHES * method.generations), np.nan)
@@ -266,7 +268,8 @@ def assess(
     """
     began = time.monotonic()
     recordings = _prepare(runs, method)
-    problem, notes = _pose(recordings, model, method)
+    scales = scales_of(runs)
+    problem, notes = _pose(recordings, model, method, scales)
     notes = [*notes, *filter_notes([*runs, *held_out])]
     problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
@@ -280,7 +283,9 @@ def assess(
         every = [*recordings, *map(prepare_recording, held_out)]
         predicted, held_out_by = evaluate_model(problem.model, theta, every)[len(recordings) :], "runs"
     elif len(runs) > 1 and method.least_squares:
-        predicted, warnings = _leave_one_out(recordings, model, method, [s.front for s in solutions], len(notes), step)
+        predicted, warnings = _leave_one_out(
+            recordings, model, method, scales, [s.front for s in solutions], len(notes), step
+        )
         held_out_by = "leave-one-run-out"
         if selection:
             warnings = [*warnings, SELECTED_WITH_ALL_RUNS]
@@ -340,10 +345,10 @@ def _prepare(runs: Sequence[Run], method: Method) -> list[Recording]:
     return [prepare_recording(run, weight) for run, weight in zip(runs, run_weights(runs, method.weights), strict=True)]
 
 
-def _pose(recordings: Sequence[Recording], model: str, method: Method) -> tuple[Problem, list[str]]:
+def _pose(recordings: Sequence[Recording], model: str, method: Method, scales: Scales) -> tuple[Problem, list[str]]:
     """Return the problem that a method poses, and notes as `make_problem` returns them."""
     problem, notes = make_problem(
-        find_model(model, method.laws, method.effects),
+        find_model(model, method.laws, method.effects, scales),
         recordings,
         fixed=method.fixed,
         freed=method.freed,
@@ -360,6 +365,7 @@ def _leave_one_out(
     recordings: Sequence[Recording],
     model: str,
     method: Method,
+    scales: Scales,
     fronts: Sequence[Front],
     notes: int,
     step: Callable[[], None],
@@ -373,7 +379,7 @@ def _leave_one_out(
     thetas = np.concatenate([front.thetas for front in fronts])
     results, less_determined = [], []
     for index, recording in enumerate(recordings):
-        problem, notes_without = _pose([*recordings[:index], *recordings[index + 1 :]], model, method)
+        problem, notes_without = _pose([*recordings[:index], *recordings[index + 1 :]], model, method, scales)
         starts, norms = problem.project(problem.theta(problem.unit(thetas)))
         order = np.argsort(norms[:, 0], kind="stable")
         front = Front(starts[order], norms[order], 0)

@@ -25,11 +25,12 @@ FORGETTING_STROKE = 1e-3
 its influence on the force has decayed."""
 
 CURRENT_DEVIATION = 0.025
-"""A. No current sensor of a bench has more noise than this (an unfiltered ACS714-05B has 19 mA), so a larger standard
-deviation is a change of the current itself."""
+"""A. No current sensor of a bench has more noise than this (an unfiltered ACS714-05B has 19 mA), whatever the damper, so a
+larger standard deviation is a change of the current itself."""
 
-LEAST_CURRENT_CHANGE = 1e-3
-"""A. Smaller differences of current do not change the force of a damper by a measurable amount."""
+LEAST_CURRENT_CHANGE = 2e-3
+"""Share of the largest current. Smaller differences of current do not change the force of a damper
+measurably."""
 
 NOISE_WINDOW = 0.05
 """s, the length of the moving average that suppresses the noise of the current sensor."""
@@ -205,9 +206,10 @@ def current_levels(runs: Sequence[Run]) -> tuple[int, bool]:
     """Return how many coil currents the runs have (3 for three or more), and whether the current changes within a run."""
     if any(current_varies(run) for run in runs):
         return 3, True
+    least = LEAST_CURRENT_CHANGE * max(float(np.abs(run.current).max()) for run in runs)
     means = np.sort([float(run.current.mean()) for run in runs])
     deviation_of_mean = max(float(np.std(run.current)) / np.sqrt(len(run)) for run in runs)
-    return min(3, 1 + int(np.sum(np.diff(means) > max(LEAST_CURRENT_CHANGE, 10 * deviation_of_mean)))), False
+    return min(3, 1 + int(np.sum(np.diff(means) > max(least, 10 * deviation_of_mean)))), False
 
 
 def current_varies(run: Run) -> bool:
@@ -218,4 +220,4 @@ def current_varies(run: Run) -> bool:
     # Of white noise with standard deviation sigma, the lower quartile of the absolute differences is 0.32 sqrt(2) sigma.
     noise = float(np.quantile(np.abs(np.diff(run.current)), 0.25)) / 0.45
     smooth = np.convolve(run.current, np.full(window, 1 / window), "valid")
-    return bool(np.ptp(smooth) > max(LEAST_CURRENT_CHANGE, 12 * noise / np.sqrt(window)))
+    return bool(np.ptp(smooth) > max(LEAST_CURRENT_CHANGE * np.abs(run.current).max(), 12 * noise / np.sqrt(window)))

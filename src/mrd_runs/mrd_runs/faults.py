@@ -11,16 +11,14 @@ from scipy.signal import find_peaks
 from mrd_base.tool import command
 from mrd_runs.run import Run
 
-_MOVING_STROKE = 1e-3
-"""m; from there on the force of a damper responds to the motion, whatever its yield travel."""
 _FEWEST_TURNS = 3
 _WRONG_SIGN_WORK = -0.2
 """Work on the damper over the largest work of the same forces, below which a sign is wrong: it is positive at every usual
 delay, and near zero for a spring."""
 _TURNED = -0.3
 """Correlation of the velocity with the differences of the position, below which one of them is turned; noise lowers it."""
-_SMALLEST_FORCE, _LARGEST_FORCE = 5.0, 1e5
-"""Span of the force in N of small MR dampers; those of some newtons are rarer than files in kN or V."""
+_LARGEST_FORCE = 2e6
+"""Span of the force in N that no damper on a bench has."""
 _SEGMENTS = 200
 
 
@@ -44,23 +42,15 @@ def relative_work(run: Run) -> float:
     return float(segments.sum()) / total if total else 0.0
 
 
-def _moves(run: Run) -> bool:
-    return float(np.ptp(run.position)) > _MOVING_STROKE
-
-
 def _has_wrong_sign(run: Run) -> bool:
     turns = sum(len(find_peaks(sign * run.position, prominence=0.2 * np.ptp(run.position))[0]) for sign in (1, -1))
-    return _moves(run) and turns >= _FEWEST_TURNS and relative_work(run) < _WRONG_SIGN_WORK
+    return turns >= _FEWEST_TURNS and relative_work(run) < _WRONG_SIGN_WORK
 
 
 def _has_turned_velocity(run: Run) -> bool:
-    if not _moves(run) or np.ptp(run.velocity) == 0:
+    if np.ptp(run.velocity) == 0 or np.ptp(run.position) == 0:
         return False
     return float(np.corrcoef(run.velocity, np.gradient(run.position, run.time))[0, 1]) < _TURNED
-
-
-def _has_small_force(run: Run) -> bool:
-    return _moves(run) and 0 < float(np.ptp(run.force)) < _SMALLEST_FORCE
 
 
 def _has_large_force(run: Run) -> bool:
@@ -77,11 +67,6 @@ _CHECKS: tuple[tuple[Callable[[Run], bool], str], ...] = (
         _has_turned_velocity,
         "the velocity falls where the position rises: one of them has the wrong sign; turn it with "
         "`{import_} FILE --flip velocity --output DIR` or position",
-    ),
-    (
-        _has_small_force,
-        f"the force spans less than {_SMALLEST_FORCE:g} N while the rod moves: is it in kN or V? Convert it with "
-        "`{import_} FILE --units force=kN --output DIR`",
     ),
     (
         _has_large_force,

@@ -22,7 +22,7 @@ _LARGEST_MAGNITUDES = {
     "acceleration_mps2": (1e4, "is it in mm/s²?"),
     "velocity_mps": (50.0, "is it in mm/s?"),
 }
-_LARGEST_STROKE = 0.5  # m, peak to peak; ten times the stroke of a small damper
+_LARGEST_STROKE = 2.0  # m, peak to peak; no damper on a bench has more
 _MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
 _TEMPERATURES = (-60.0, 220.0)  # °C; the limits of damper oils and seals
 

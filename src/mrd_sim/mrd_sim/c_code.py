@@ -76,7 +76,7 @@ def c_source(model: DamperModel, values: Mapping[str, float], prefix: str = "mrd
             for p in model.parameters
         ),
         table="\n".join(
-            f'    {{"{p.name}", "{p.unit}", {c_number(value)}, {c_number(p.lower)}, {c_number(p.upper)}}},'
+            f'    {{"{p.name}", "{p.unit}", {c_number(value)}, {c_number(p.limits[0])}, {c_number(p.limits[1])}}},'
             for p, value in zip(model.parameters, theta, strict=True)
         ),
         states=len(state),

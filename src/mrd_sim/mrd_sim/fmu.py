@@ -112,8 +112,8 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
             parameter.meaning,
             unit=parameter.unit,
             start=repr(float(value)),
-            min=repr(float(parameter.lower)),
-            max=repr(float(parameter.upper)),
+            min=repr(parameter.limits[0]),
+            max=repr(parameter.limits[1]),
         )
     for name, (unit, meaning) in INPUTS.items():
         _add_variable(variables, name, "input", "continuous", meaning, unit=unit, start="0")

@@ -1,14 +1,22 @@
 """A number on which a model or an effect depends."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+from mrd_runs.scales import Scales, exponents
+
+LARGEST = 1e300
+"""Stands for a value without limit: a finite number, as C code and XML need one."""
 
 
 @dataclass(frozen=True)
 class Parameter:
     """A number that identification may choose.
 
-    ``log`` asks for a logarithmic scale between the bounds. A parameter that is not ``free`` keeps its default unless it is
-    set or freed by name.
+    Default and bounds are those for the reference damper (`mrd_runs.scales.REFERENCE`). For another one they grow with its
+    scales, by the unit: a play in m with the stroke, a viscous coefficient in N s/m with force, time and stroke. A number
+    that is ``absolute`` stays, for the reason given there. ``log`` asks for a logarithmic scale between the bounds. A
+    parameter that is not ``free`` keeps its default unless it is set or freed by name. One whose bounds are its default is a
+    constant of the equation, to which other parameters refer; it is never searched.
     """
 
     name: str
@@ -19,3 +27,25 @@ class Parameter:
     meaning: str
     log: bool = False
     free: bool = True
+    absolute: str = ""
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it is a constant of the equation."""
+        return self.lower == self.upper
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Values that have a meaning for some damper: any of the same sign, where the bounds follow the damper's scales."""
+        if self.absolute or not any(exponents(self.unit)):
+            return self.lower, self.upper
+        return -LARGEST if self.lower < 0.0 else 0.0, LARGEST
+
+    def scaled(self, scales: Scales) -> "Parameter":
+        """Return the parameter with default and bounds for a damper of these scales."""
+        factor = self.factor(scales)
+        return replace(self, default=self.default * factor, lower=self.lower * factor, upper=self.upper * factor)
+
+    def factor(self, scales: Scales) -> float:
+        """Return by how much the parameter is larger for a damper of these scales than for the reference damper."""
+        return 1.0 if self.absolute else scales.factor(self.unit)

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 MOST_IN_SERIES = 5
 """Elements in series: as many as the catalogue has."""
-MOST_PARAMETERS = 4
+MOST_PARAMETERS = 5
 """Parameters of such an element."""
 FORCE_TOLERANCE = 1e-6
 """N, of Newton's last step. The error that it leaves is of the order of its square."""

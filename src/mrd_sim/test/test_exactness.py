@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.models.shear_thinning_bouc_wen import CREEP_SPEED
+from mrd_sim.models.shear_thinning_bouc_wen import CREEP
 from mrd_sim.path import Path, make_path
 
 WITH_MEMORY = [model for model in MODELS.values() if model.states]
@@ -89,7 +89,7 @@ def thinning_speed(k, x, v, y):
 
 
 def thinning_viscous(k, speed):
-    return k["c0"] * speed * (np.hypot(speed, CREEP_SPEED) / 0.1) ** (k["m"] - 1)
+    return k["c0"] * speed * (np.hypot(speed, 0.1 * CREEP) / 0.1) ** (k["m"] - 1)
 
 
 def thinning_rate(k, x, v, y):

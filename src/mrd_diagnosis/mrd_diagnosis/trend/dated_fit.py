@@ -205,7 +205,7 @@ def _thin(recordings: Sequence[Recording], columns: int) -> list[Recording]:
 
 def _search(problem: Problem, runs: Sequence[Run], seed: int, progress: Callable[[float], None]) -> dict[str, float]:
     """Identify the model without effects, and return its parameters by name."""
-    model = find_model(problem.model.id, problem.model.laws)
+    model = find_model(problem.model.id, problem.model.laws, scales=problem.model.scales)
     method = Method(laws=model.laws, offsets=problem.offsets)
     result = search_and_fit(runs, model.id, method, seed, lambda generation, _: progress(generation / method.generations))
     return dict(zip(model.names, map(float, result.theta), strict=True))

@@ -13,6 +13,7 @@ from mrd_diagnosis.trend.dated_fit import DatedFit, Progress, fit_dates
 from mrd_diagnosis.trend.sentence import describe_trend
 from mrd_diagnosis.trend.trend_line import FEWEST_DATES, FEWEST_DATES_FOR_CHANGE, TrendLine, fit_trend_line
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
 from mrd_sim.models import DamperModel, find_model
 
 
@@ -103,7 +104,7 @@ def trend(
     began = time.monotonic()
     if limit is not None and not np.isfinite(limit):
         raise InputError(f"limit is {limit:g}, expected a finite number")
-    with_effects = _add_effects(find_model(model, laws), follow, effects)
+    with_effects = _add_effects(find_model(model, laws, scales=scales_of(runs)), follow, effects)
     calendar = calendar or make_calendar(runs)
     dates = len(calendar.times)
     if dates < FEWEST_DATES:
@@ -134,7 +135,7 @@ def _add_effects(model: DamperModel, follow: str, effects: Sequence[str]) -> Dam
     effect = follow.partition(".")[0]
     if "." in follow and effect not in effects:
         effects = (*effects, effect)
-    with_effects = find_model(model.id, model.laws, effects)
+    with_effects = find_model(model.id, model.laws, effects, model.scales)
     if follow not in with_effects.names:
         raise InputError(f"model {model.id}: unknown parameter {follow} (known: {', '.join(with_effects.names)})")
     return with_effects

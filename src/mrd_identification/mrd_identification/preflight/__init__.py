@@ -30,6 +30,7 @@ from mrd_identification.preflight.sensors import (
     check_velocity,
 )
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
 from mrd_sim.models import DamperModel
 
 CHECKS_OF_SINGLE_RUNS: tuple[Callable[[CheckedRun], Iterator[Finding]], ...] = (
@@ -71,7 +72,8 @@ def preflight(runs: Sequence[Run], model: DamperModel | None = None) -> tuple[Fi
     tuple of Finding
         Faults first, then limitations, then remarks.
     """
-    checked_runs = [CheckedRun(run) for run in runs]
+    scales = scales_of(runs)
+    checked_runs = [CheckedRun(run, scales) for run in runs]
     findings = [finding for checked in checked_runs for check in CHECKS_OF_SINGLE_RUNS for finding in check(checked)]
     findings += [finding for check in CHECKS_ACROSS_RUNS for finding in check(checked_runs)]
     findings += check_excitation(checked_runs, model)

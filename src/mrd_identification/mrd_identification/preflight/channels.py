@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from mrd_identification.preflight.finding import Finding, Severity
 from mrd_identification.recording import current_varies
 from mrd_runs import Run
+from mrd_runs.scales import Scales
 from mrd_runs.signals.quantisation import resolution, smallest_step
 
 Array = NDArray[np.float64]
@@ -23,12 +24,12 @@ at least one sample has to fall into that time."""
 RATE_TOLERANCE = 0.01
 """Relative difference of sample rates that still count as equal. Crystal clocks agree within 100 ppm, so a larger difference
 is another setting."""
-MOVING_STROKE = 1e-3
-"""Stroke in m from which the force of a damper has to respond: several yield travels."""
+MOVING_STROKE = 0.05
+"""Share of half the span of all positions, from which on the force of a damper has to respond: several yield travels."""
 FEW_STROKES = 3
 """Up to this number of strokes, the force may follow the initial state or the current more than the motion."""
-PRE_YIELD_STROKE = 2e-3
-"""Stroke in m below which a damper may stay in its pre-yield loop: yield travel (0.1 to 1 mm) and lost motion."""
+PRE_YIELD_STROKE = 0.1
+"""The same share below which a damper may stay in its pre-yield loop: yield travel and lost motion."""
 NOISE_BLOCK = 50
 """Samples over which the local noise is estimated: enough for a median, short against a plateau."""
 
@@ -104,9 +105,17 @@ class Channel:
 
 @dataclass(frozen=True)
 class CheckedRun:
-    """A run with its channels and the quantities that several checks need."""
+    """A run with its channels and the quantities that several checks need.
+
+    Attributes
+    ----------
+    run : Run
+    scales : Scales
+        Those of all runs of the analysis.
+    """
 
     run: Run
+    scales: Scales
 
     @cached_property
     def sampling_interval(self) -> float:
@@ -137,6 +146,11 @@ class CheckedRun:
         span = float(np.ptp(position.values))
         # White noise of 100000 samples spans about 9 standard deviations.
         return span if span > max(10 * position.noise, 2.5 * position.resolution) else 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the rod moves so far that the force of a damper has to respond."""
+        return self.stroke > MOVING_STROKE * self.scales.stroke
 
     @cached_property
     def top_speed(self) -> float:

@@ -5,13 +5,19 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_identification.preflight.channels import MOVING_STROKE, PRE_YIELD_STROKE, CheckedRun, counted, milli
+from mrd_identification.preflight.channels import CheckedRun, counted, milli
 from mrd_identification.preflight.finding import Finding
 from mrd_runs import Run
+from mrd_runs.faults import relative_work
+from mrd_runs.scales import scales_of
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
 
+RESTING = 0.005
+"""Share of half the span of all positions, up to which a rod rests."""
+SPRING_WORK = 0.25
+"""Work done on the damper over the largest work of the same forces, up to which it acts like a spring."""
 FEWEST_REVERSALS = 10
 """Reversals in all runs together, below which hysteresis loops cannot be told from drift."""
 ONE_SPEED_RATIO = 1.5
@@ -51,7 +57,7 @@ def _check_currents(runs: Sequence[CheckedRun], model: DamperModel | None) -> It
 def _check_reversals(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
     for checked in runs:
         reversals = len(checked.stroke_starts) - 1
-        if checked.stroke < MOVING_STROKE / 10:
+        if checked.stroke < RESTING * checked.scales.stroke:
             text = "the rod rests: this run says nothing about the damper in motion. Record it with motion, or leave it out."
         elif reversals < 2:
             text = (
@@ -74,11 +80,11 @@ def _check_reversals(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
 
 
 def _check_strokes_and_speeds(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
-    stroke = max(checked.stroke for checked in runs)
-    if stroke < PRE_YIELD_STROKE:
+    if max(relative_work(checked.run) for checked in runs) < SPRING_WORK:
+        longest = milli(max(checked.stroke for checked in runs))
         text = (
-            f"no stroke is longer than {milli(stroke)} mm: expected at least {milli(PRE_YIELD_STROKE)} mm. The damper may "
-            "never leave its pre-yield loop. Record longer strokes."
+            f"the damper gives back most of the work that is done on it, with strokes of up to {longest} mm: expected that "
+            "it dissipates it. It may never leave its pre-yield loop. Record longer strokes."
         )
         yield Finding("coverage", "limitation", text, channel="position")
     peaks, frequencies = _peaks_and_frequencies(runs)
@@ -109,12 +115,12 @@ def _summary(runs: Sequence[CheckedRun]) -> Finding:
 
 def has_one_peak_speed(runs: Sequence[Run]) -> bool:
     """Whether all full strokes of the runs have about the same peak speed."""
-    return _are_alike(_peaks_and_frequencies([CheckedRun(run) for run in runs])[0])
+    return _are_alike(_peaks_and_frequencies([CheckedRun(run, scales_of(runs)) for run in runs])[0])
 
 
 def repeats_one_stroke(runs: Sequence[Run]) -> bool:
     """Whether all full strokes of the runs are the same: a single sine, at whatever currents."""
-    peaks, frequencies = _peaks_and_frequencies([CheckedRun(run) for run in runs])
+    peaks, frequencies = _peaks_and_frequencies([CheckedRun(run, scales_of(runs)) for run in runs])
     return _are_alike(peaks, SAME_SPEED_RATIO) and _are_alike(frequencies)
 
 

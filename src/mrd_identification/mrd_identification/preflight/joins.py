@@ -31,8 +31,8 @@ REGULAR_SHARE = 0.85
 """Share of the distances between corners that must be equal within one sample."""
 JUMP_NOISE = 20.0
 """Jump of the position, in standard deviations of its noise, that no rod makes."""
-JUMP_ACCELERATION = 50.0
-"""Acceleration in m/s² that no rod reaches; the drive of the bench reaches 10 m/s²."""
+JUMP_ACCELERATION = 100.0
+"""Acceleration over that of a sine of the same stroke and speed, that no rod reaches; a drive reaches a fifth of it."""
 NOISE_RATIO = 2.0
 """Ratio of the noise before and after an instant from which the recordings are not of one setting."""
 NOISE_SIGMA = 3.0
@@ -90,7 +90,9 @@ def _check_jumps(checked: CheckedRun) -> Iterator[Finding]:
     # A spike comes back within a few samples. A held reading is made up for by a jump.
     kept = [np.abs(np.sum(part - usual[:, None], axis=1)) > 0.5 * np.abs(jump) for part in (windows[:, 4:], windows[:, :5])]
     kept.append((windows[:, 3] != 0) | (channel.resolution > 0))
-    least = max(JUMP_NOISE * channel.noise, 5 * channel.resolution, JUMP_ACCELERATION * interval**2)
+    least = max(
+        JUMP_NOISE * channel.noise, 5 * channel.resolution, JUMP_ACCELERATION * checked.scales.acceleration * interval**2
+    )
     least += 3 * checked.top_speed * interval
     contiguous = np.diff(checked.run.time)[4:-4] < GAP_INTERVALS * interval
     found = np.flatnonzero((np.abs(jump) > least) & np.all(kept, axis=0) & contiguous)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_identification.low_pass import LowPass, describe_low_pass, filter_notes, known_force_filter, moving_average
-from mrd_identification.preflight.channels import LOW_RATE, MOVING_STROKE, Channel, CheckedRun, milli
+from mrd_identification.preflight.channels import LOW_RATE, Channel, CheckedRun, milli
 from mrd_identification.preflight.finding import Finding, Severity
 from mrd_identification.preflight.joins import original_rate
 from mrd_identification.preflight.response import PHYSICAL_DELAYS, Response, delay_behind, force_response
@@ -19,6 +19,7 @@ from mrd_identification.preflight.spectra import (
     noise_end,
 )
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
 from mrd_runs.signals.mains import shows_line
 from mrd_sim.effects import EFFECTS
 
@@ -75,12 +76,12 @@ def processing_of(run: Run) -> Processing:
     Processing
         A small delay of the force cannot be told from a lag of the damper or its sensor, and is not given.
     """
-    return _processing_of(CheckedRun(run))
+    return _processing_of(CheckedRun(run, scales_of([run])))
 
 
 def _processing_of(checked: CheckedRun) -> Processing:
     run = checked.run
-    moves = checked.stroke > MOVING_STROKE and len(checked.stroke_starts) > FEWEST_STROKES
+    moves = checked.moves and len(checked.stroke_starts) > FEWEST_STROKES
     known = known_force_filter(run)
     response = force_response(run) if moves and np.ptp(run.force) > 0.0 and not known else Response()
     hum = mains_hum(run.force, run.rate)
@@ -204,7 +205,7 @@ def _filter_finding(checked: CheckedRun, channel: str, low_pass: LowPass) -> Fin
 
 
 def _hum_finding(checked: CheckedRun, hum: Hum) -> Finding:
-    largest = EFFECTS["mains_hum"].parameters[0].upper
+    largest = EFFECTS["mains_hum"].scaled(checked.scales).parameters[0].upper
     alternates = round(2 * hum.folded / checked.run.rate, 3) == 1.0
     least = "at least " if alternates else ""
     folded = f", which sampling folds to {hum.folded:.3g} Hz" if hum.folded < hum.frequency else ""

@@ -51,14 +51,15 @@ SAMPLED_CURRENT_CHANGES = 0.1
 size of a step tells nothing about the converter."""
 SPIKE_NOISE = 20.0
 """Distance of a position from its neighbours, in standard deviations of the noise, that no rod reaches."""
-SPIKE_ACCELERATION = 300.0
-"""Acceleration in m/s² that no rod reaches; the drive of the bench reaches 10 m/s²."""
+SPIKE_ACCELERATION = 600.0
+"""Acceleration over that of a sine of the same stroke and speed, that no rod reaches; a drive reaches 20."""
 TOP_BAND = 0.8
 """Frequency over the Nyquist frequency from which the power of a well-sampled signal has fallen off."""
 ALIASED_POWER = 0.01
 """Share of power in the top band, small noise not counted, from which signals may be folded there: 10 % of the rms value."""
-SWITCHED_SPAN = 0.1
-"""Span of a current in A from which switching between samples is looked for; noise and ripple span less."""
+SWITCHED_SPAN = 0.2
+"""Span of a current, over the largest of all runs, from which switching between samples is looked for; noise and ripple
+span less."""
 SWITCHED_STEP = 0.25
 """Change of the current from one sample to the next, over its span, that counts as switching; noise changes it by less."""
 SWITCHED_SHARE = 0.2
@@ -162,7 +163,9 @@ def check_spikes(checked: CheckedRun) -> Iterator[Finding]:
     values = channel.values
     neighbours = np.median(np.stack([values[:-4], values[1:-3], values[3:-1], values[4:]]), axis=0)
     distance = np.abs(values[2:-2] - neighbours)
-    least = max(SPIKE_NOISE * channel.noise, 5 * channel.resolution, SPIKE_ACCELERATION * interval**2)
+    least = max(
+        SPIKE_NOISE * channel.noise, 5 * channel.resolution, SPIKE_ACCELERATION * checked.scales.acceleration * interval**2
+    )
     # At a corner of the motion, a position is about the travel between two samples away from its neighbours.
     count = int(np.sum(distance > least + 3 * checked.top_speed * interval))
     if count:
@@ -306,7 +309,11 @@ def check_aliasing(checked: CheckedRun) -> Iterator[Finding]:
             yield checked.finding("aliasing", "limitation", name, text)
     current = checked.run.current
     span = float(np.subtract(*np.quantile(current, [0.99, 0.01])))
-    share = float(np.mean(np.abs(np.diff(current)) > SWITCHED_STEP * span)) if span > SWITCHED_SPAN else 0.0
+    share = (
+        float(np.mean(np.abs(np.diff(current)) > SWITCHED_STEP * span))
+        if span > SWITCHED_SPAN * checked.scales.current
+        else 0.0
+    )
     if share > SWITCHED_SHARE:
         text = (
             f"the current switches faster than it is sampled: it switches every {1 / share:.2g} samples, expected at least "

@@ -20,14 +20,17 @@ from scipy.signal import lfilter, windows
 from mrd_identification.low_pass import Kind, LowPass
 from mrd_identification.recording import current_varies
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-YIELD_TRAVELS = (3e-5, 1e-4, 3e-4, 1e-3)
-"""Travels in m over which friction develops after a reversal: those of MR fluids, joints and mounts."""
-CREEP_SPEEDS = (0.002, 0.01)
-"""Speeds in m/s below which friction may be viscous. It then falls before the motion turns, as if it were early."""
+YIELD_TRAVELS = (1.5e-3, 5e-3, 1.5e-2, 5e-2)
+"""Travels, over half the span of the position, over which friction develops after a reversal: those of MR fluids, joints and
+mounts."""
+CREEP_SPEEDS = (0.02, 0.1)
+"""Speeds, over that of fast strokes, below which friction may be viscous. It then falls before the motion turns, as if it
+were early."""
 SPRING_POWERS = (1, 3, 5)
 """Powers of the position with which springs and end stops act."""
 VELOCITY = len(YIELD_TRAVELS)
@@ -210,9 +213,10 @@ def _spectrum(series: Array, window: Array) -> ComplexArray:
 def _terms(run: Run, current_delay: float) -> Array:
     """Return the terms (p, n) of which the force of a damper is about a sum."""
     interval = float(np.median(np.diff(run.time)))
+    scales = scales_of([run])
     travel = np.append(0.0, 0.5 * (run.velocity[1:] + run.velocity[:-1])) * interval
-    friction = [_developed_friction(travel, length) for length in YIELD_TRAVELS]
-    slow_friction = [np.tanh(run.velocity / speed) for speed in CREEP_SPEEDS]
+    friction = [_developed_friction(travel, length * scales.stroke) for length in YIELD_TRAVELS]
+    slow_friction = [np.tanh(run.velocity / (speed * scales.speed)) for speed in CREEP_SPEEDS]
     middle, half_stroke = 0.5 * (run.position.max() + run.position.min()), 0.5 * float(np.ptp(run.position))
     from_middle = (run.position - middle) / half_stroke
     springs = [from_middle**power for power in SPRING_POWERS]

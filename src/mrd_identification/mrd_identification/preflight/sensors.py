@@ -7,20 +7,22 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from mrd_identification.preflight.alignment import cross_correlation, overlap
-from mrd_identification.preflight.channels import FEW_STROKES, MOVING_STROKE, CheckedRun, milli
+from mrd_identification.preflight.channels import FEW_STROKES, CheckedRun, milli
 from mrd_identification.preflight.finding import Finding
+from mrd_runs.faults import relative_work
 
 Array = NDArray[np.float64]
 
-LARGEST_STROKE = 0.5
-"""Span of the position in m from which it is likely recorded in mm."""
-LARGEST_CURRENT = 10.0
-"""Current in A from which it is likely recorded in mA; small MR dampers take up to 5 A."""
-SMALLEST_FORCE, LARGEST_FORCE = 5.0, 1e5
-"""Span of the force in N outside of which it is likely recorded in another unit; small MR dampers have some tens of N
-without current."""
+LARGEST_STROKE = 2.0
+"""Span of the position in m that no damper on a bench has: it is recorded in mm."""
+LARGEST_CURRENT = 30.0
+"""Current in A that no coil of a damper takes: it is recorded in mA."""
+LARGEST_FORCE = 2e6
+"""Span of the force in N that no damper on a bench has: it is recorded in mN."""
 FEW_NEWTONS = 30.0
-"""Span of the force in N of all runs below which a damper is either very small, or a large one that was recorded in kN."""
+"""Span of the force in N of all runs below which it is either that of a very small damper, or in kN; both exist."""
+SWING = 0.02
+"""Share of half the span of all forces, from which on a force swings."""
 UNRELATED_CORRELATION = 0.1
 """Correlation of force and velocity, at the best delay, below which the force does not respond to the motion."""
 ALLOWED_LAG = 2e-3
@@ -54,37 +56,31 @@ def check_units(checked: CheckedRun) -> Iterator[Finding]:
             f"the current reaches {current:.3g} A: expected at most {LARGEST_CURRENT:g} A. If it is in mA, convert it to A."
         )
         yield checked.finding("rig", "fault", "current", text)
-    # A force that never changes is reported as a dead channel.
-    changes = force > 2 * checked.channels["force"].resolution
-    if force > LARGEST_FORCE or (checked.stroke > MOVING_STROKE and changes and force < SMALLEST_FORCE):
-        unit = "kN or V" if force < SMALLEST_FORCE else "mN"
-        text = (
-            f"the force spans {force:.3g} N: expected {SMALLEST_FORCE:g} to {LARGEST_FORCE:g} N. If it is in {unit}, "
-            "convert it to N."
-        )
+    if force > LARGEST_FORCE:
+        text = f"the force spans {force:.3g} N: expected at most {LARGEST_FORCE:g} N. If it is in mN, convert it to N."
         yield checked.finding("rig", "fault", "force", text)
 
 
 def check_small_forces(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
     """Find forces that may be those of a very small damper, or in kN."""
-    spans = [float(np.ptp(checked.run.force)) for checked in runs if checked.stroke > MOVING_STROKE]
-    if spans and min(spans) >= SMALLEST_FORCE and max(spans) < FEW_NEWTONS:
+    spans = [float(np.ptp(checked.run.force)) for checked in runs if checked.moves]
+    if spans and 0.0 < max(spans) < FEW_NEWTONS:
         text = (
-            f"the force spans at most {max(spans):.3g} N: only very small dampers have so little. If it is in kN, convert "
-            "it to N."
+            f"the force spans at most {max(spans):.3g} N, as that of a very small damper does. If it is in kN or V, convert "
+            "it to N: all forces in this report are then too small by that factor, and nothing else changes."
         )
-        yield Finding("rig", "limitation", text, channel="force")
+        yield Finding("rig", "remark", text, channel="force")
 
 
 def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:
     """Find channels that do not respond to the motion or to the force."""
     position = checked.channels["position"]
-    if checked.stroke > MOVING_STROKE:
+    if checked.moves:
         yield from _check_dead_force(checked)
     elif np.std(position.values) <= 1.3 * position.noise or np.ptp(position.values) <= 2.5 * position.resolution:
         yield from _check_dead_position(checked)
     acceleration = checked.channels.get("acceleration")
-    if acceleration is None or checked.stroke <= MOVING_STROKE:
+    if acceleration is None or not checked.moves:
         return
     if np.ptp(acceleration.values) <= 2 * acceleration.resolution:
         text = (
@@ -119,7 +115,7 @@ def _check_dead_position(checked: CheckedRun) -> Iterator[Finding]:
     from_middle = run.force - 0.5 * (low + high)
     sides = np.sign(from_middle)[np.abs(from_middle) > 0.25 * (high - low)]
     swings = np.count_nonzero(np.diff(sides)) > FEW_STROKES
-    if high - low > max(10 * checked.channels["force"].noise, SMALLEST_FORCE) and swings:
+    if high - low > max(10 * checked.channels["force"].noise, SWING * checked.scales.force) and swings:
         # Steps of the current change the force on a resting rod as well: they then explain most of its variance.
         by_current = checked.current_varies and np.corrcoef(run.current, run.force)[0, 1] ** 2 > 0.5
         text = (
@@ -137,7 +133,7 @@ def check_accelerometer(checked: CheckedRun) -> Iterator[Finding]:
     has to be estimated.
     """
     run, interval = checked.run, checked.sampling_interval
-    if run.acceleration is None or checked.stroke < MOVING_STROKE or np.ptp(run.acceleration) == 0:
+    if run.acceleration is None or not checked.moves or np.ptp(run.acceleration) == 0:
         return
     if np.ptp(np.diff(run.time)) > 0.5 * interval:
         return
@@ -212,7 +208,7 @@ def check_velocity(checked: CheckedRun) -> Iterator[Finding]:
     derivative has to be estimated.
     """
     run, interval = checked.run, checked.sampling_interval
-    if checked.is_slowly_sampled or checked.stroke < MOVING_STROKE or np.ptp(np.diff(run.time)) > 0.5 * interval:
+    if checked.is_slowly_sampled or not checked.moves or np.ptp(np.diff(run.time)) > 0.5 * interval:
         return
     width = max(1, round(AVERAGING_TIME * run.rate))
     path = np.append(0.0, np.cumsum(0.5 * (run.velocity[1:] + run.velocity[:-1]))) * interval
@@ -235,8 +231,8 @@ def check_velocity(checked: CheckedRun) -> Iterator[Finding]:
 
 def check_signs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
     """Find runs in which the damper would drive the rod."""
-    moving = [checked for checked in runs if checked.stroke > MOVING_STROKE and len(checked.stroke_starts) > FEW_STROKES]
-    wrong = [checked for checked in moving if _relative_work(checked) < WRONG_SIGN_WORK]
+    moving = [checked for checked in runs if checked.moves and len(checked.stroke_starts) > FEW_STROKES]
+    wrong = [checked for checked in moving if relative_work(checked.run) < WRONG_SIGN_WORK]
     text = (
         "the force or the position has the wrong sign{}: F·v is negative on average, expected positive (force > 0 resists "
         "extension, position > 0 extends). Convert the {} with the sign of the wrong channel turned."
@@ -246,14 +242,3 @@ def check_signs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
         return
     for checked in wrong:
         yield checked.finding("rig", "fault", "force", text.format("", "file"))
-
-
-def _relative_work(checked: CheckedRun) -> float:
-    """Work done on the damper over the largest work that the same forces and displacements could do."""
-    force = checked.run.force - checked.run.force.mean()
-    work = 0.5 * (force[1:] + force[:-1]) * np.diff(checked.run.position)
-    # Noise of the position adds work of both signs from sample to sample: sum it over segments before taking magnitudes.
-    samples = max(1, len(work) // 200)
-    segments = np.array([segment.sum() for segment in np.array_split(work, max(1, len(work) // samples))])
-    total = float(np.abs(segments).sum())
-    return float(segments.sum()) / total if total else 0.0

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mrd_base import InputError
 from mrd_base.config import unknown_key
+from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.effects.effect import STAGES, Effect, Stage
 from mrd_sim.effects.loading import read_effects
 
@@ -52,8 +53,10 @@ EFFECT_FOLDERS: dict[str, str] = {}
 """Folder of each effect of the user's own, by id."""
 
 
-def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
+def find_effects(names: Sequence[str], scales: Scales = REFERENCE) -> tuple[Effect, ...]:
     """Return effects by their ids, in the order of the catalogue whatever that of the names; a user's own come last.
+
+    Their ranges are those for a damper of the given scales.
 
     Raises
     ------
@@ -65,7 +68,7 @@ def find_effects(names: Sequence[str]) -> tuple[Effect, ...]:
             raise InputError(f"unknown effect {unknown_key(name, EFFECTS)}")
         if list(names).count(name) > 1:
             raise InputError(f"effect {name} is named twice, expected once")
-    return tuple(effect for name, effect in EFFECTS.items() if name in names)
+    return tuple(effect.scaled(scales) for name, effect in EFFECTS.items() if name in names)
 
 
 def load_effects(folder: str | Path) -> tuple[Effect, ...]:

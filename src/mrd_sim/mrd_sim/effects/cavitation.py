@@ -8,14 +8,14 @@ from mrd_sim.effects.effect import Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-CLOSING_RESISTANCE = 500.0
-"""N s/m. A void closes against almost no resistance."""
-
 PARAMETERS = (
     Parameter("inverse_cap", "1/N", 0.0, 0.0, 5e-3, "1 / the largest compressing force, p"),
     Parameter("opening", "m/s", 0.1, 1e-3, 10.0, "speed at which the void grows under twice that force, s", log=True),
     Parameter("preload", "N", 0.0, 0.0, 300.0, "gas force at mid-stroke, F_0"),
     Parameter("stiffness", "N/m", 0.0, 0.0, 1e4, "stiffness of the gas, k"),
+    Parameter(
+        "closing", "N s/m", 500.0, 500.0, 500.0, "resistance against which a void closes, almost none, c_v", free=False
+    ),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -29,7 +29,7 @@ def _elongation(parameters: Any, before: Any, dt: float, force: Any, x: Any) -> 
     if over.real > 0.0:
         after -= p.opening * dt * over
     elif fluid.real > 0.0:
-        after += dt * fluid / CLOSING_RESISTANCE
+        after += dt * fluid / p.closing
     return after if after.real < 0.0 else 0.0 * after
 
 
@@ -39,7 +39,7 @@ EFFECT = Effect(
     phrase="cavitation limits the force in compression to {inverse_cap:inverse}",
     stage="fluid",
     equation="F = damper(x - e), e <= 0, by the fluid's part f = F + F_0 - k x: e' = -s (p |f| - 1) where f < -1/p, "
-    "f / 500 N s/m where f > 0, else 0",
+    "f / c_v where f > 0, else 0",
     source="gas pressure times piston area carries 1-2 kN; shock-absorber practice (compression cap, delayed rebound)",
     parameters=PARAMETERS,
     typical={"inverse_cap": 1.5e-3, "opening": 0.3, "preload": 50.0, "stiffness": 1000.0},

@@ -14,7 +14,9 @@ _FORCES = _TIMES + _ROOM
 _SAME_INSTANT = 1e-9
 """s. Vertices that are closer together count as one."""
 
-PARAMETERS = (Parameter("delay", "s", 0.0, 0.0, 0.05, "delay T of the force behind position and current"),)
+PARAMETERS = (
+    Parameter("delay", "s", 0.0, 0.0, 0.05, "delay T of the force behind position and current", absolute="electronic"),
+)
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 

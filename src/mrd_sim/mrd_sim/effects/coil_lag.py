@@ -8,7 +8,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("lag", "s", 0.0, 0.0, 0.06, "time constant while the current rises"),
+    Parameter("lag", "s", 0.0, 0.0, 0.06, "time constant while the current rises", absolute="electrical"),
     Parameter("falling", "", 0.0, -0.5, 3.0, "relative excess of the time constant while the current falls"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)

@@ -1,12 +1,13 @@
 """An effect: something that acts on a damper or its measurement, and that a simulator leaves out until it is switched on."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
 
@@ -27,12 +28,13 @@ class Effect:
         One of `STAGES`. An effect on signals changes the signal of its stage: motion (drive), current (magnetics), the
         damper's force (fluid, structure) or the measured force (sensing).
     parameters : tuple of Parameter
-        With their defaults the effect changes nothing. Their bounds are what is plausible.
+        With their defaults the effect changes nothing. Their bounds are what is plausible for the reference damper; `scaled`
+        gives those of another one.
     typical : mapping
         A value of each parameter with which the effect is clearly visible; a fit begins there.
     starts : callable, optional
-        ``starts(force)``: values of the first parameter from which a fit to such forces in N (n,) may begin. For an effect
-        that sets in at a threshold, or that does not change the force in proportion (a play).
+        ``starts(force)``: values of the first parameter from which a fit to forces in N (n,) of the reference damper may
+        begin. For an effect that sets in at a threshold, or that does not change the force in proportion (a play).
     variants : sequence of mapping
         Other values of fixed parameters, with which the effect may occur as well.
     kernel : callable, optional
@@ -95,6 +97,25 @@ class Effect:
 
     def __repr__(self) -> str:
         return f"<Effect {self.id}>"
+
+    def scaled(self, scales: Scales) -> "Effect":
+        """Return the effect with ranges, typical values and start values for a damper of these scales."""
+        if scales == REFERENCE:
+            return self
+        factors = {parameter.name: parameter.factor(scales) for parameter in self.parameters}
+        starts, size, force_ratio = self.starts, self.parameters[0].name, scales.factor("N")
+
+        def scaled_starts(force: Array) -> Sequence[float]:
+            assert starts is not None
+            return [value * factors[size] for value in starts(force / force_ratio)]
+
+        return replace(
+            self,
+            parameters=tuple(parameter.scaled(scales) for parameter in self.parameters),
+            typical={name: value * factors[name] for name, value in self.typical.items()},
+            variants=[{name: value * factors[name] for name, value in variant.items()} for variant in self.variants],
+            starts=scaled_starts if starts else None,
+        )
 
     def __post_init__(self) -> None:
         if self.elongation is not None:

@@ -7,13 +7,11 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-DEPTH = 2e-3
-"""m beyond the limit at which the exponent does not change the force."""
-
 PARAMETERS = (
-    Parameter("stiffness", "N/m²", 0.0, 0.0, 3e8, "force over the square of the depth, at a depth of 2 mm, k"),
+    Parameter("stiffness", "N/m²", 0.0, 0.0, 3e8, "force over the square of the depth, at the depth d, k"),
     Parameter("limit", "m", 0.024, 0.003, 0.03, "distance from mid-stroke where it begins, x_b"),
     Parameter("exponent", "1", 2.0, 1.0, 3.0, "n; 1 is a linear buffer, 1.5 a contact of spheres"),
+    Parameter("depth", "m", 2e-3, 2e-3, 2e-3, "depth d at which the exponent does not change the force", free=False),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -24,7 +22,7 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
     for k in range(len(x)):
         depth = absolute(x[k]) - p.limit
         if depth.real > 0.0:
-            stop = p.stiffness * DEPTH**2 * power(depth / DEPTH, p.exponent)
+            stop = p.stiffness * p.depth * p.depth * power(depth / p.depth, p.exponent)
             force[k] += stop if x[k].real > 0.0 else -stop
 
 
@@ -33,7 +31,7 @@ EFFECT = Effect(
     title="End stop",
     phrase="an end stop acts from {limit} off mid-stroke",
     stage="structure",
-    equation="F + sgn(x) k (2 mm)² (<|x| - x_b> / 2 mm)^n",
+    equation="F + sgn(x) k d² (<|x| - x_b> / d)^n",
     source="Hunt & Crossley (1975), with a free exponent, without their damping; RD-8040-1: from ± 25 to 27.5 mm",
     parameters=PARAMETERS,
     typical={"stiffness": 5e6, "limit": 0.008, "exponent": 2.0},

@@ -7,7 +7,7 @@ from mrd_sim.lag import decay, follow
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-PARAMETERS = (Parameter("lag", "s", 0.0, 0.0, 0.03, "time constant tau"),)
+PARAMETERS = (Parameter("lag", "s", 0.0, 0.0, 0.03, "time constant tau", absolute="electronic"),)
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 

@@ -7,12 +7,10 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-DEFLECTION = 0.01
-"""m from mid-stroke at which the parameter ``force`` is the force."""
-
 PARAMETERS = (
-    Parameter("force", "N", 0.0, 0.0, 3e3, "force at 10 mm from mid-stroke, F_10"),
+    Parameter("force", "N", 0.0, 0.0, 3e3, "force at the deflection, F_d"),
     Parameter("exponent", "1", 3.0, 1.5, 7.0, "n; 3 is Duffing's spring"),
+    Parameter("deflection", "m", 0.01, 0.01, 0.01, "distance from mid-stroke at which this is the force, d", free=False),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -21,16 +19,16 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     p = named(Parameters, parameters)
     for k in range(len(x)):
-        spring = p.force * power(absolute(x[k]) / DEFLECTION, p.exponent)
+        spring = p.force * power(absolute(x[k]) / p.deflection, p.exponent)
         force[k] += spring if x[k].real > 0.0 else -spring
 
 
 EFFECT = Effect(
     id="hardening_spring",
     title="Hardening spring",
-    phrase="a spring that presses with {force} at 10 mm hardens with the distance from mid-stroke",
+    phrase="a spring that presses with {force} at {deflection} hardens with the distance from mid-stroke",
     stage="structure",
-    equation="F + sgn(x) F_10 (|x| / 10 mm)^n",
+    equation="F + sgn(x) F_d (|x| / d)^n",
     source="Duffing (1918), with a free exponent; the linear part is the damper model's stiffness",
     parameters=PARAMETERS,
     typical={"force": 200.0, "exponent": 3.0},

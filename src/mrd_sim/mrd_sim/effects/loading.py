@@ -82,7 +82,7 @@ def _check_parameters(file: Path, effect: Effect) -> None:
             values = f"default {p.default:g}, typical {value:g}"
             raise InputError(f"{file}: {p.name} has {values}, expected both within its bounds, {p.lower:g} to {p.upper:g}")
     if not 1 <= len(effect.parameters) <= MOST_PARAMETERS:
-        raise InputError(f"{file}: has {len(effect.parameters)} parameters, expected one to four")
+        raise InputError(f"{file}: has {len(effect.parameters)} parameters, expected one to {MOST_PARAMETERS}")
 
 
 def _check_phrase(file: Path, effect: Effect) -> None:

@@ -6,12 +6,10 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_REFERENCE = 0.025
-"""m, to which the curve error refers."""
-
 PARAMETERS = (
-    Parameter("cubic", "", 0.0, -0.05, 0.05, "curve error n3 at 25 mm, relative to 25 mm"),
+    Parameter("cubic", "", 0.0, -0.05, 0.05, "curve error n3 at the position x_r, relative to it"),
     Parameter("gain", "", 0.0, -0.1, 0.1, "relative excess of the rod's true travel over the measured one, g"),
+    Parameter("reference", "m", 0.025, 0.025, 0.025, "position x_r to which the curve error refers", free=False),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -20,10 +18,10 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     p = named(Parameters, parameters)
     for k in range(len(x)):
-        share = x[k] / _REFERENCE
+        share = x[k] / p.reference
         square = share * share
         slope = 1.0 + p.gain + 3.0 * p.cubic * square
-        a[k] = slope * a[k] + 6.0 * p.cubic * share / _REFERENCE * v[k] * v[k]
+        a[k] = slope * a[k] + 6.0 * p.cubic * share / p.reference * v[k] * v[k]
         v[k] = slope * v[k]
         x[k] = (1.0 + p.gain + p.cubic * square) * x[k]
 
@@ -31,9 +29,9 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
 EFFECT = Effect(
     id="lvdt_nonlinearity",
     title="Nonlinearity of the position transducer",
-    phrase="the position transducer has a gain error of {gain:%} and a nonlinearity of {cubic:%} at 25 mm",
+    phrase="the position transducer has a gain error of {gain:%} and a nonlinearity of {cubic:%} at {reference}",
     stage="drive",
-    equation="x = x_m (1 + g + n3 (x_m / 25 mm)²), from the measured position x_m to the true one",
+    equation="x = x_m (1 + g + n3 (x_m / x_r)²), from the measured position x_m to the true one",
     source="LVDTs of 100 mm: linearity 0.1-0.5 % of full scale, gain ±1 %; misalignment 0-3°",
     parameters=PARAMETERS,
     typical={"cubic": 0.02, "gain": 0.02},

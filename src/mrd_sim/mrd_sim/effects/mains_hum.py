@@ -17,7 +17,7 @@ _STATES = 1 + 3 * len(MAINS_LINES)
 
 PARAMETERS = (
     Parameter("amplitude", "N", 0.0, 0.0, 200.0, "amplitude a"),
-    Parameter("frequency", "Hz", MAINS_LINES[0], 45.0, 125.0, "frequency f", free=False),
+    Parameter("frequency", "Hz", MAINS_LINES[0], 45.0, 125.0, "frequency f", free=False, absolute="that of the grid"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 

@@ -7,13 +7,11 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-_REFERENCE_SPEED = 0.1
-"""m/s. At this speed the viscous force keeps its value."""
-
 PARAMETERS = (
     Parameter("viscous", "N s/m", 0.0, 0.0, 5000.0, "viscous coefficient that becomes a power law, at 0 A, c"),
     Parameter("exponent", "", 0.7, 0.3, 1.0, "exponent of the speed, m"),
     Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of c over current, g"),
+    Parameter("reference_speed", "m/s", 0.1, 0.1, 0.1, "speed v_r at which the viscous force keeps its value", free=False),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -22,11 +20,11 @@ Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, u: Array, force: Array) -> None:
     p = named(Parameters, parameters)
     for k in range(len(x)):
-        relative = v[k] / _REFERENCE_SPEED
+        relative = v[k] / p.reference_speed
         bent = power(absolute(relative), p.exponent)
         if relative.real < 0.0:
             bent = -bent
-        force[k] += p.viscous * (1.0 + p.growth * u[k]) * _REFERENCE_SPEED * (bent - relative)
+        force[k] += p.viscous * (1.0 + p.growth * u[k]) * p.reference_speed * (bent - relative)
 
 
 EFFECT = Effect(
@@ -34,7 +32,7 @@ EFFECT = Effect(
     title="Shear thinning",
     phrase="the fluid thins under shear: {viscous} of its viscosity follow a power law with the exponent {exponent}",
     stage="fluid",
-    equation="F + c (1 + g u) (|x' / v_r|^(m-1) - 1) x', v_r = 0.1 m/s: c0 x' becomes K |x'|^m sgn x' where c(u) = c0(u)",
+    equation="F + c (1 + g u) (|x' / v_r|^(m-1) - 1) x': c0 x' becomes K |x'|^m sgn x' where c(u) = c0(u)",
     source="Herschel-Bulkley fluid; Wang & Gordaninejad (1999): m 0.6-0.95",
     parameters=PARAMETERS,
     typical={"viscous": 1000.0, "exponent": 0.7, "growth": 2.0},

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mrd_base import InputError
 from mrd_base.config import unknown_key
+from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.effects import find_effects
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.loading import read_models
@@ -41,8 +42,12 @@ MODEL_FOLDERS: dict[str, str] = {}
 """Folder of each model of the user's own, by id."""
 
 
-def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = ()) -> DamperModel:
+def find_model(
+    name: str, laws: str | Mapping[str, str] | None = None, effects: Sequence[str] = (), scales: Scales = REFERENCE
+) -> DamperModel:
     """Return a model by its id, with current laws as in `DamperModel.with_laws` and effects by their ids.
+
+    Its ranges are those for a damper of the given scales.
 
     Raises
     ------
@@ -52,7 +57,8 @@ def find_model(name: str, laws: str | Mapping[str, str] | None = None, effects: 
     if name not in MODELS:
         raise InputError(f"unknown model {unknown_key(name, MODELS)}")
     model = MODELS[name].with_laws(laws) if laws else MODELS[name]
-    return model.with_effects(find_effects(effects)) if effects else model
+    model = model.scaled(scales)
+    return model.with_effects(find_effects(effects, scales)) if effects else model
 
 
 def load_models(folder: str | Path) -> tuple[DamperModel, ...]:

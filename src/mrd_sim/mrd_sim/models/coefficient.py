@@ -7,7 +7,7 @@ from mrd_sim.current import LAWS
 from mrd_sim.parameter import Parameter
 
 SATURATION_CURRENT = (1.5, 0.1, 10.0)
-"""A. Default and bounds of the current at which a law saturates: measured dampers of this size saturate from 1 to 2.5 A."""
+"""A. Default and bounds of the current at which a law saturates, for the reference damper: some saturate from 1 to 2.5 A."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,8 @@ class Coefficient:
         What it multiplies, where the force is linear in it: position ``x``, velocity ``v``, one ``1``, or ``term``, a term
         that only the kernel knows. Empty for a coefficient in which the force is not linear; whatever its law, such a
         coefficient never falls below ``lower``.
+    absolute : str
+        See `Parameter`.
     law : str
         Id of its current law (`mrd_sim.current.LAWS`); without a slope the law is "constant".
     """
@@ -44,6 +46,7 @@ class Coefficient:
     free: bool = True
     multiplies: Literal["", "x", "v", "1", "term"] = ""
     law: str = "affine"
+    absolute: str = ""
 
     @property
     def code(self) -> int:
@@ -52,13 +55,21 @@ class Coefficient:
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the law's parameters: value at 0 A, slope there and, where the law has one, a third parameter."""
-        at_zero = Parameter(self.name, self.unit, self.default, self.lower, self.upper, self.meaning, self.log, self.free)
+        bounds = self.default, self.lower, self.upper
+        at_zero = Parameter(self.name, self.unit, *bounds, self.meaning, self.log, self.free, self.absolute)
         if self.per_ampere is None or self.law == "constant":
             return (at_zero,)
         default, lower, upper = self.per_ampere
         unit = f"{self.unit}/A" if self.unit else "1/A"
         slope = Parameter(
-            f"{self.name}_per_A", unit, default, lower, upper, f"{self.meaning}, slope over current at 0 A", free=self.free
+            f"{self.name}_per_A",
+            unit,
+            default,
+            lower,
+            upper,
+            f"{self.meaning}, slope over current at 0 A",
+            free=self.free,
+            absolute=self.absolute,
         )
         suffix = LAWS[self.law].third
         if not suffix:

@@ -45,7 +45,7 @@ def _read(file: Path) -> DamperModel:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", model.id):
         raise InputError(f"{file}: id is {model.id!r}, expected lower-case letters, digits and _")
     for p in model.parameters:
-        if not p.lower < p.upper or not p.lower <= p.default <= p.upper:
+        if not (p.lower < p.upper or (p.is_constant and not p.free)) or not p.lower <= p.default <= p.upper:
             raise InputError(
                 f"{file}: {p.name} has the default {p.default:g}, expected one within its bounds, {p.lower:g} to {p.upper:g}"
             )

@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.current import LAWS, evaluate_coefficients, lagged_current, slope_factors
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.models.coefficient import Coefficient
-from mrd_sim.parameter import Parameter
+from mrd_sim.parameter import LARGEST, Parameter
 from mrd_sim.path import Path
 from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, derivatives_in_series, first_class, force_in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
-
-NO_FLOOR = -1e300
-"""Stands for the least value of a coefficient that has none: a finite number, as C code needs one."""
 
 SeriesSolutions = dict[int, tuple[tuple[bytes, bytes], Array, Array]]
 """Solutions of a damper with elements in series, by the identity of the path.
@@ -32,7 +30,13 @@ dictionary serves one evaluation of derivatives, and its paths have to exist as 
 
 
 COIL_LAG = Parameter(
-    "coil_lag", "s", 0.004, 0.0, 0.05, "first-order lag from measured to effective current, u' = (I - u) / coil_lag"
+    "coil_lag",
+    "s",
+    0.004,
+    0.0,
+    0.05,
+    "first-order lag from measured to effective current, u' = (I - u) / coil_lag",
+    absolute="electrical",
 )
 
 
@@ -64,6 +68,8 @@ class DamperModel:
         one current.
     effects : tuple of Effect
         Effects that act with the model, see `with_effects`.
+    scales : Scales
+        Scales of the damper for which the ranges of `parameters` hold; the coefficients state those of the reference damper.
     """
 
     id: str
@@ -78,6 +84,7 @@ class DamperModel:
     odd: bool = True
     observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
     effects: tuple[Effect, ...] = ()
+    scales: Scales = REFERENCE
 
     def __repr__(self) -> str:
         return f"<DamperModel {' with '.join([self.id, *(effect.id for effect in self.effects)])}>"
@@ -86,7 +93,7 @@ class DamperModel:
         """Pickle the ids: compiled kernels cannot be pickled, and another process has the same catalogue."""
         from mrd_sim.models import find_model
 
-        return find_model, (self.id, self.laws, tuple(effect.id for effect in self.effects))
+        return find_model, (self.id, self.laws, tuple(effect.id for effect in self.effects), self.scales)
 
     def with_laws(self, laws: str | Mapping[str, str]) -> "DamperModel":
         """Return the model with other current laws.
@@ -111,6 +118,10 @@ class DamperModel:
             if law not in LAWS:
                 raise InputError(f"model {self.id}: unknown current law {law} for {name} (known: {', '.join(LAWS)})")
         return replace(self, coefficients=tuple(replace(c, law=chosen.get(c.name, c.law)) for c in self.coefficients))
+
+    def scaled(self, scales: Scales) -> "DamperModel":
+        """Return the model with the ranges and start values of a damper of these scales; its effects stay as they are."""
+        return replace(self, scales=scales)
 
     def with_effects(self, effects: Sequence[Effect]) -> "DamperModel":
         """Return the model with effects, their parameters after its own, named EFFECT.PARAMETER.
@@ -146,7 +157,8 @@ class DamperModel:
     @cached_property
     def _model_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the model without effects; the coil lag is the last."""
-        return (*(p for coefficient in self.coefficients for p in coefficient.parameters()), COIL_LAG)
+        declared = (*(p for coefficient in self.coefficients for p in coefficient.parameters()), COIL_LAG)
+        return tuple(parameter.scaled(self.scales) for parameter in declared)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -177,7 +189,12 @@ class DamperModel:
     @cached_property
     def floors(self) -> Array:
         """Least value of each coefficient on the vertices."""
-        return np.array([NO_FLOOR if coefficient.multiplies else coefficient.lower for coefficient in self.coefficients])
+        return np.array(
+            [
+                -LARGEST if coefficient.multiplies else self._model_parameters[column].lower
+                for coefficient, column in zip(self.coefficients, self.law_columns[:, 0], strict=True)
+            ]
+        )
 
     @cached_property
     def linear(self) -> NDArray[np.intp]:
@@ -199,7 +216,7 @@ class DamperModel:
         Raises
         ------
         InputError
-            For a name that the model does not have, or a value out of its bounds.
+            For a name that the model does not have, or a value beyond its limits (`mrd_sim.parameter.Parameter.limits`).
         """
         theta = self.defaults.copy()
         for name, value in values.items():
@@ -207,9 +224,11 @@ class DamperModel:
                 raise InputError(f"model {self.id}: unknown parameter {name} (known: {', '.join(self.names)})")
             index = self.names.index(name)
             parameter = self.parameters[index]
-            if not parameter.lower <= value <= parameter.upper:
+            lower, upper = parameter.limits
+            if not lower <= value <= upper:
                 given = f"{value:g} {parameter.unit}".rstrip()
-                raise InputError(f"model {self.id}: {name} is {given}, expected {parameter.lower:g} to {parameter.upper:g}")
+                expected = f"{lower:g} to {upper:g}" if upper < LARGEST else f"at least {lower:g}"
+                raise InputError(f"model {self.id}: {name} is {given}, expected {expected}")
             theta[index] = value
         return theta
 

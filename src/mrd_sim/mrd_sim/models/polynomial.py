@@ -7,8 +7,10 @@ from mrd_sim.models.model import Array, DamperModel
 
 DEGREE = 5
 TERMS = DEGREE + 1
-REFERENCE_SPEED = 0.1
-"""m/s. Powers of velocity are taken relative to it, so that all coefficients are forces of like size."""
+SPEED = Coefficient(
+    "reference_speed", "v_r", "m/s", "speed to which powers of velocity are relative", 0.1, 0.1, 0.1, free=False
+)
+"""With it, all other coefficients are forces of like size."""
 
 
 @njit(cache=True, nogil=True)
@@ -16,7 +18,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
     # The branch for rising velocity comes first, each with its coefficients by rising power.
     for k in range(len(x)):
         first = 0 if a[k].real >= 0.0 else TERMS
-        s = v[k] / REFERENCE_SPEED
+        s = v[k] / q[k, 2 * TERMS]
         total = 0.0 * q[k, 0]
         for i in range(TERMS - 1, -1, -1):
             total = total * s + q[k, first + i]
@@ -43,9 +45,9 @@ def _branch(name: str, condition: str) -> tuple[Coefficient, ...]:
 MODEL = DamperModel(
     id="polynomial",
     title="Two-branch polynomial",
-    equation="F = sum_i a_i^± (x' / v_r)^i, + for x'' >= 0 and - for x'' < 0, v_r = 0.1 m/s",
+    equation="F = sum_i a_i^± (x' / v_r)^i, + for x'' >= 0 and - for x'' < 0",
     source="Choi, Lee & Park (2001), degree 6; Tianjun & Changfu (2009), degree 5 as here",
-    coefficients=(*_branch("rising", "rises"), *_branch("falling", "falls")),
+    coefficients=(*_branch("rising", "rises"), *_branch("falling", "falls"), SPEED),
     kernel=_force,
     dissipative=False,
     odd=False,

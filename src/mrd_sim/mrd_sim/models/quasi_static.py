@@ -14,7 +14,7 @@ from mrd_sim.named import named_row, tuple_type
 
 def _geometry(name: str, symbol: str, unit: str, meaning: str, default: float, lower: float, upper: float) -> Coefficient:
     """Declare a coefficient that is known from the drawing or the fluid's data sheet, so that fits leave it alone."""
-    return Coefficient(name, symbol, unit, meaning, default, lower, upper, free=False)
+    return Coefficient(name, symbol, unit, meaning, default, lower, upper, free=False, absolute="of the drawing")
 
 
 COEFFICIENTS = (
@@ -26,8 +26,20 @@ COEFFICIENTS = (
     _geometry("coil_length", "L_c", "m", "length of the gap where there is no field", 0.015, 0.0, 0.05),
     _geometry("iron_share", "phi", "", "volume share of iron in the fluid", 0.32, 0.1, 0.5),
     _geometry("carrier", "C", "", "constant of the carrier fluid: oil 1, water 1.16, silicone oil 0.95", 1.0, 0.9, 1.2),
-    Coefficient("viscosity", "eta", "Pa s", "viscosity of the fluid without field", 0.1, 0.01, 2.0, log=True),
-    Coefficient("field", "H", "A/m", "magnetic field in the gap, remanent at 0 A", 0.0, 0.0, 3e4, (1.2e5, 1e4, 5e5)),
+    Coefficient(
+        "viscosity", "eta", "Pa s", "viscosity of the fluid without field", 0.1, 0.01, 2.0, log=True, absolute="of the fluid"
+    ),
+    Coefficient(
+        "field",
+        "H",
+        "A/m",
+        "magnetic field in the gap, remanent at 0 A",
+        0.0,
+        0.0,
+        3e4,
+        (1.2e5, 1e4, 5e5),
+        absolute="of the circuit",
+    ),
     Coefficient("friction", "F_f", "N", "friction of the seal", 50.0, 0.0, 300.0, multiplies="term"),
     Coefficient("creep_speed", "v_e", "m/s", "speed at which friction is 76 % developed", 2e-3, 5e-4, 5e-3, log=True),
     PRELOAD,

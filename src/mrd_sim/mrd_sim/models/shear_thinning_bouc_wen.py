@@ -28,10 +28,8 @@ from mrd_sim.models.modified_bouc_wen import SATURATED
 from mrd_sim.named import Row, named_row, tuple_type
 from mrd_sim.root import next_iterate
 
-REFERENCE_SPEED = 0.1
-"""m/s. At this speed the viscous force is c0 times the speed, whatever the flow index."""
-CREEP_SPEED = 1e-4
-"""m/s. Below it the power law gives way to a straight line, so that its slope stays finite."""
+CREEP = 1e-3
+"""Share of the reference speed. Below it the power law gives way to a straight line, so that its slope stays finite."""
 TOLERANCE = 1e-4
 """Share of the speed and of the yield travel. Newton's last step leaves an error of its square."""
 LONG = 3.0
@@ -42,12 +40,22 @@ RENEWALS = 3
 """Attempts to solve a step after which the corrections of its travel stay, so that the search ends."""
 
 FLOW_INDEX = Coefficient("flow_index", "m", "", "exponent of the viscous force over speed; 1 does not thin", 0.7, 0.3, 1.0)
+REFERENCE_SPEED = Coefficient(
+    "reference_speed",
+    "v_r",
+    "m/s",
+    "speed at which the viscous force is c0 times the speed, whatever the flow index",
+    0.1,
+    0.1,
+    0.1,
+    free=False,
+)
 
 
 def _with_flow_index() -> tuple[Coefficient, ...]:
-    """Return the coefficients of the modified Bouc-Wen model, the flow index after the viscous one."""
+    """Return the coefficients of the modified Bouc-Wen model, flow index and reference speed after the viscous one."""
     viscous = next(c for c in modified_bouc_wen.COEFFICIENTS if c.name == "viscous")
-    thinning = (replace(viscous, meaning="viscous force over speed at 0.1 m/s"), FLOW_INDEX)
+    thinning = (replace(viscous, meaning="viscous force over speed at the reference speed"), FLOW_INDEX, REFERENCE_SPEED)
     return tuple(item for c in modified_bouc_wen.COEFFICIENTS for item in (thinning if c is viscous else (c,)))
 
 
@@ -86,8 +94,8 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
 @njit(cache=True, nogil=True)
 def _thinning(u: Any, c: Row) -> Any:
     """Viscous force over c0 times the speed."""
-    square = (u * u + CREEP_SPEED * CREEP_SPEED) * (1.0 / (REFERENCE_SPEED * REFERENCE_SPEED))
-    return power(square, 0.5 * (c.flow_index - 1.0))
+    relative = u / c.reference_speed
+    return power(relative * relative + CREEP * CREEP, 0.5 * (c.flow_index - 1.0))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
@@ -147,7 +155,8 @@ def _step(
         Inverse of the yield travel during the step, in 1/m.
     """
     steepest = c.yield_force * per_yield
-    creep, less = CREEP_SPEED * CREEP_SPEED, c.flow_index - 1.0
+    creep_speed = CREEP * c.reference_speed
+    creep, less = creep_speed * creep_speed, c.flow_index - 1.0
     energy = c.viscous / (c.flow_index + 1.0)
     drive = (c.series_viscous + c.viscous * thinning) * u
     integral = 0.5 * c.series_viscous * u * u + energy * thinning * (u * u + creep)
@@ -196,7 +205,7 @@ def _step(
         step = -balance / (resistance + (c.stiffness + steepest * bend_now) * d_slope)
         d_step = d_slope * step
         in_yields = bend_now.real * (abs(missing.real) + abs(d_step.real)) * per_yield.real
-        if abs(step.real) <= TOLERANCE * (abs(u_now.real) + CREEP_SPEED) and in_yields <= TOLERANCE:
+        if abs(step.real) <= TOLERANCE * (abs(u_now.real) + creep_speed.real) and in_yields <= TOLERANCE:
             after = after + bend_now * d_step * per_yield
             if direction * after.real > 1.0 - SATURATED:
                 after = direction + 0.0 * after
@@ -228,7 +237,8 @@ def _first_guess(
     viscous force and the state are taken by two terms of their Taylor series.
     """
     less = c.flow_index - 1.0
-    per_square = 1.0 / (u * u + CREEP_SPEED * CREEP_SPEED)
+    creep_speed = CREEP * c.reference_speed
+    per_square = 1.0 / (u * u + creep_speed * creep_speed)
     fast = u * u * per_square
     viscous = c.viscous * thinning
     curvature = viscous * less * u * per_square * (3.0 + (less - 2.0) * fast)
@@ -248,7 +258,7 @@ MODEL = DamperModel(
     id="shear_thinning_bouc_wen",
     title="Modified Bouc-Wen with shear thinning",
     equation="F = c1 y' + k1 x + f0 with c1 y' = F_y w + c0 z' |z' / v_r|^(m-1) + k0 (x - y), "
-    "x_y w' = z' - sigma |z'| w |w|^(n-1) - (1 - sigma) z' |w|^n, z' = x' - y', v_r = 0.1 m/s",
+    "x_y w' = z' - sigma |z'| w |w|^(n-1) - (1 - sigma) z' |w|^n, z' = x' - y'",
     source="Spencer, Dyke, Sain & Carlson, J. Eng. Mech. 123 (1997) 230, with the law of Herschel & Bulkley (1926)",
     coefficients=COEFFICIENTS,
     kernel=_force,

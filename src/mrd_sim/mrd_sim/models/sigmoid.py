@@ -11,8 +11,7 @@ from mrd_sim.models.shared_coefficients import PRELOAD
 from mrd_sim.named import named_row, tuple_type
 
 LEAST_PEAK_SPEED = 1e-4
-HIGHEST_PEAK_SPEED = 1.0
-"""m/s. Bounds of the peak speed, so that noise in the acceleration cannot make the exponentials overflow."""
+"""Share of the highest peak speed; it keeps the root differentiable at rest."""
 
 COEFFICIENTS = (
     Coefficient(
@@ -35,6 +34,16 @@ COEFFICIENTS = (
     Coefficient("loop_half_width", "k4", "", "half the loop width, per peak speed", 0.05, 0.0, 0.5, (0.05, -0.5, 0.5)),
     Coefficient("viscous_growth", "k1", "s/m", "growth of the force after the bend", 6.0, 0.0, 50.0, (-2.0, -50.0, 50.0)),
     Coefficient("viscous_decay", "a4", "s/m", "loss of this growth with the peak speed", 2.0, 0.0, 20.0),
+    Coefficient(
+        "highest_peak_speed",
+        "v_x",
+        "m/s",
+        "peak speed beyond which the shape stays, so that noise in the acceleration cannot make the exponentials overflow",
+        1.0,
+        1.0,
+        1.0,
+        free=False,
+    ),
     PRELOAD,
 )
 Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
@@ -44,7 +53,7 @@ Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, force: Array) -> None:
     for k in range(len(x)):
         c = named_row(Coefficients, q, k)
-        peak = _peak_speed(x[k], v[k], a[k])
+        peak = _peak_speed(x[k], v[k], a[k], c.highest_peak_speed)
         branch = 1.0 if a[k].real > 0.0 else -1.0 if a[k].real < 0.0 else 0.0
         height = 0.5 * (1.0 + exp(c.transition_growth * peak))
         steepness = c.steepness / (1.0 + c.steepness_decay * peak)
@@ -54,7 +63,7 @@ def _force(q: Array, state: Array, dt: Array, x: Array, v: Array, a: Array, forc
 
 
 @njit(cache=True, nogil=True)
-def _peak_speed(x: Any, v: Any, a: Any) -> Any:
+def _peak_speed(x: Any, v: Any, a: Any, highest: Any) -> Any:
     """Return the speed of a sine at the middle of its stroke, from its state at any instant.
 
     In other motions the acceleration may point away from the middle. Then the present speed counts.
@@ -62,8 +71,9 @@ def _peak_speed(x: Any, v: Any, a: Any) -> Any:
     left = -x * a
     if left.real < 0.0:
         left = 0.0 * left
-    peak = sqrt(v * v + left + LEAST_PEAK_SPEED * LEAST_PEAK_SPEED)
-    return peak if peak.real < HIGHEST_PEAK_SPEED else HIGHEST_PEAK_SPEED + 0.0 * peak
+    least = LEAST_PEAK_SPEED * highest
+    peak = sqrt(v * v + left + least * least)
+    return peak if peak.real < highest.real else highest + 0.0 * peak
 
 
 MODEL = DamperModel(
