@@ -6,6 +6,7 @@ from string import Template
 from mrd_sim.effects import EFFECTS, STAGES, Effect
 from mrd_sim.models_page import clauses
 from mrd_sim.parameter import Parameter
+from mrd_sim.ranges import RANGES, grows_with
 
 COMMAND = "ros2 run mrd_sim effects --markdown > docs/effects.md"
 
@@ -26,6 +27,7 @@ from mrd_sim.dual import exp
 from mrd_sim.effects import Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
+from mrd_sim.ranges import RANGES, grows_with
 
 PARAMETERS = (
     Parameter("holding", "N", 0.0, 0.0, 100.0, "force F_m"),
@@ -102,14 +104,15 @@ In Python: `Damper("bouc_wen", effects={{"seal_friction": {{"coulomb": 30.0}}}})
 |---|---|---|---|
 $effects
 
-$sections
+{RANGES}$sections
 ## Your own
 
 Write one file for each effect and name their folder with `--effects-folder FOLDER` (in Python:
 `mrd_sim.effects.load_effects`). The kernel changes the signals of its stage in place, sample by sample: `x`, `v`, `a`
 (drive), `u` (magnetics, the current), `force`. `parameters` are read by name; `state` is carried on from block to
-block; `dt[0] == 0` begins a path. Use the functions of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the
-kernel also carries the derivatives that a fit needs. An effect that is not neutral at its parameters' defaults is
+block; `dt[0] == 0` begins a path.
+Write bounds and typical values for the reference damper ([ranges](#ranges)). Use the functions of `mrd_sim.dual`
+instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs. An effect that is not neutral at its parameters' defaults is
 refused. Reports describe the effect with its `phrase`.
 
 ```python
@@ -135,7 +138,8 @@ def page() -> str:
 def section(effect: Effect) -> str:
     """Return an effect's equation, parameters, signature and source in Markdown."""
     rows = "\n".join(
-        f"| `{p.name}` | {p.unit or '1'} | {_cell(p.meaning)} | {p.default:g} | {interval(p)} | {_typical(effect, p)} |"
+        f"| `{p.name}` | {p.unit or '1'} | {_cell(p.meaning)} | {p.default:g} | {interval(p)} | {_typical(effect, p)} "
+        f"| {grows_with(p)} |"
         for p in effect.parameters
     )
     return f"""## {effect.id}
@@ -146,8 +150,8 @@ def section(effect: Effect) -> str:
 {chr(10).join(clauses(effect.equation))}
 ```
 
-| parameter | unit | meaning | neutral | bounds | clearly visible |
-|---|---|---|---|---|---|
+| parameter | unit | meaning | neutral | bounds | clearly visible | grows with |
+|---|---|---|---|---|---|---|
 {rows}
 
 - Shows as: {effect.signature}.
@@ -164,6 +168,8 @@ def catalogue() -> list[Effect]:
 
 def interval(parameter: Parameter) -> str:
     """Return a parameter's bounds with the unit."""
+    if parameter.is_constant:
+        return f"{parameter.default:g} {parameter.unit}, a constant"
     fixed = "" if parameter.free else ", fixed unless set"
     return f"{parameter.lower:g} … {parameter.upper:g} {parameter.unit}".rstrip() + fixed
 

@@ -5,6 +5,7 @@ from string import Template
 from mrd_sim.current import LAWS
 from mrd_sim.models import MODELS, Coefficient, DamperModel
 from mrd_sim.models.model import COIL_LAG
+from mrd_sim.ranges import RANGES, grows_with
 
 COMMAND = "ros2 run mrd_sim models --markdown > docs/models.md"
 
@@ -53,6 +54,7 @@ COEFFICIENTS = (
     Coefficient("friction_out", "f_e", "N", "friction, extending", 120.0, 0.0, 2000.0, per_ampere=PER_AMPERE),
     Coefficient("friction_in", "f_c", "N", "friction, compressing", 80.0, 0.0, 2000.0, per_ampere=PER_AMPERE),
     Coefficient("viscous", "c", "N s/m", "viscosity", 1000.0, 0.0, 1e4),
+    Coefficient("creep_speed", "v_e", "m/s", "speed at which friction is 76 % developed", 2e-3, 2e-3, 2e-3, free=False),
 )
 Coefficients = tuple_type("Coefficients", __name__, COEFFICIENTS)
 
@@ -62,13 +64,13 @@ def _force(q, state, dt, x, v, a, force):
     for k in range(len(x)):
         c = named_row(Coefficients, q, k)
         friction = c.friction_out if v[k].real > 0.0 else c.friction_in
-        force[k] = friction * tanh(v[k] / 2e-3) + c.viscous * v[k]
+        force[k] = friction * tanh(v[k] / c.creep_speed) + c.viscous * v[k]
 
 
 MODEL = DamperModel(
     id="asymmetric_bingham",
     title="Asymmetric Bingham",
-    equation="F = f tanh(x' / 2 mm/s) + c x', f = f_e for x' > 0 and f_c for x' < 0",
+    equation="F = f tanh(x' / v_e) + c x', f = f_e for x' > 0 and f_c for x' < 0",
     source="my measurements",
     coefficients=COEFFICIENTS,
     kernel=_force,
@@ -125,13 +127,15 @@ $laws
 p0 is the value at 0 A and p1 the slope there, whatever the law. A coefficient in which the force is not linear stays at
 its lower bound where its law would take it below.
 
-$sections
+{RANGES}$sections
 ## Your own
 
 Write one file for each model and name their folder with `--models-folder FOLDER`, before or after `--model ID` (in a plant
 file and in goals of actions: `models_folder`; in Python: `mrd_sim.models.load_models`). The kernel fills the force, sample
-by sample. `q` holds the coefficients at the current of each sample, which are read by name; `state` is carried on from
-block to block; `dt[0] == 0` begins a path. Use the functions of `mrd_sim.dual` instead of `math`'s and compare `.real`:
+by sample.
+Write bounds for the reference damper ([ranges](#ranges)), and a number in the kernel that has a unit as a coefficient
+whose bounds are its default: then both follow the scales of any damper. `q` holds the coefficients at the current of
+each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the functions of `mrd_sim.dual` instead of `math`'s and compare `.real`:
 then the kernel also carries the derivatives that a fit needs.
 
 A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that
@@ -179,8 +183,8 @@ def section(model: DamperModel) -> str:
 {chr(10).join(clauses(model.equation))}
 ```
 
-| coefficient | | unit | meaning | at 0 A: default (bounds) | current law: slope at 0 A (bounds) |
-|---|---|---|---|---|---|
+| coefficient | | unit | meaning | at 0 A: default (bounds) | current law: slope at 0 A (bounds) | grows with |
+|---|---|---|---|---|---|---|
 {rows}
 
 """
@@ -213,6 +217,8 @@ def integration(model: DamperModel) -> str:
 
 def bounds(coefficient: Coefficient) -> str:
     """Return a coefficient's default and bounds at 0 A."""
+    if coefficient.lower == coefficient.upper:
+        return f"{coefficient.default:g}, a constant"
     fixed = "" if coefficient.free else ", fixed unless set"
     return f"{coefficient.default:g} ({coefficient.lower:g} … {coefficient.upper:g}{fixed})"
 
@@ -231,5 +237,5 @@ def _row(coefficient: Coefficient) -> str:
     meaning = coefficient.meaning.replace("|", "\\|")
     return (
         f"| `{coefficient.name}` | {coefficient.symbol} | {coefficient.unit or '1'} | {meaning} | {bounds(coefficient)} "
-        f"| {slope(coefficient)} |"
+        f"| {slope(coefficient)} | {grows_with(coefficient.parameters()[0])} |"
     )

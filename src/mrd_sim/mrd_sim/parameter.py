@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from mrd_runs.scales import Scales, exponents
+from mrd_runs.scales import Scales, exponents, rule
 
 LARGEST = 1e300
 """Stands for a value without limit: a finite number, as C code and XML need one."""
@@ -36,15 +36,20 @@ class Parameter:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Values that have a meaning for some damper: any of the same sign, where the bounds follow the damper's scales."""
+        """Values that have a meaning for some damper: any of the same signs, where the bounds follow the damper's scales."""
         if self.absolute or not any(exponents(self.unit)):
             return self.lower, self.upper
-        return -LARGEST if self.lower < 0.0 else 0.0, LARGEST
+        return -LARGEST if self.lower < 0.0 else 0.0 if self.lower == 0.0 else 1.0 / LARGEST, LARGEST
 
     def scaled(self, scales: Scales) -> "Parameter":
         """Return the parameter with default and bounds for a damper of these scales."""
         factor = self.factor(scales)
         return replace(self, default=self.default * factor, lower=self.lower * factor, upper=self.upper * factor)
+
+    @property
+    def rule(self) -> str:
+        """Scales of the recordings with which the bounds grow, such as ``force / stroke``; empty where they stay."""
+        return "" if self.absolute else rule(self.unit)
 
     def factor(self, scales: Scales) -> float:
         """Return by how much the parameter is larger for a damper of these scales than for the reference damper."""

@@ -132,18 +132,18 @@ def test_names_in_any_order_give_the_order_of_the_catalogue():
 
 @EVERY
 def test_declaration(effect):
-    assert 1 <= len(effect.parameters) <= 4
+    assert 1 <= len(effect.parameters) <= 5
     assert {parameter.name for parameter in effect.parameters} == effect.typical.keys() | {
         parameter.name for parameter in effect.parameters if not parameter.free
     }
     assert len({parameter.name for parameter in effect.parameters}) == len(effect.parameters)
     for parameter in effect.parameters:
         assert parameter.lower <= parameter.default <= parameter.upper
-        assert parameter.lower < parameter.upper
+        assert parameter.lower < parameter.upper or (parameter.is_constant and not parameter.free)
         assert not parameter.log or parameter.lower > 0
         assert parameter.meaning
         typical = effect.typical.get(parameter.name, parameter.default)
-        assert parameter.lower < typical < parameter.upper
+        assert parameter.is_constant or parameter.lower < typical < parameter.upper
     assert effect.parameters[0].default == 0.0
     assert effect.typical[effect.parameters[0].name] != 0.0
     assert (effect.kernel is None) != (effect.elongation is None)

@@ -64,10 +64,10 @@ def table() -> Table:
 
 def parameters(effect: Effect) -> Table:
     """Return a table of an effect's parameters."""
-    table = Table("parameter", "unit", "neutral", "bounds", "clearly visible", show_lines=True)
+    table = Table("parameter", "unit", "neutral", "bounds", "grow with", "clearly visible", show_lines=True)
     for p in effect.parameters:
         typical = effect.typical.get(p.name, p.default)
         named = f"{effect.id}.{p.name}"
         meaning = "\n".join(textwrap.wrap(p.meaning, max(len(named), 30)))
-        table.add_row(f"{named}\n{escape(meaning)}", p.unit, f"{p.default:g}", interval(p), f"{typical:g}")
+        table.add_row(f"{named}\n{escape(meaning)}", p.unit, f"{p.default:g}", interval(p), p.rule or "–", f"{typical:g}")
     return table

@@ -56,7 +56,7 @@ def catalogue() -> Table:
 
 def parameters(model: DamperModel) -> Table:
     """Return a table of a model's parameters by the names that the tools take."""
-    table = Table("parameter", "unit", "default", "bounds", "meaning")
+    table = Table("parameter", "unit", "default", "bounds", "grow with", "meaning")
     for parameter in model.parameters:
         interval = f"{parameter.lower:g} … {parameter.upper:g}"
         table.add_row(
@@ -64,6 +64,7 @@ def parameters(model: DamperModel) -> Table:
             parameter.unit,
             f"{parameter.default:g}",
             interval if parameter.free else f"{interval}, fixed unless set",
+            parameter.rule or "–",
             parameter.meaning,
         )
     return table

@@ -227,7 +227,9 @@ class DamperModel:
             lower, upper = parameter.limits
             if not lower <= value <= upper:
                 given = f"{value:g} {parameter.unit}".rstrip()
-                expected = f"{lower:g} to {upper:g}" if upper < LARGEST else f"at least {lower:g}"
+                expected = f"{lower:g} to {upper:g}"
+                if upper == LARGEST:
+                    expected = "more than 0" if lower > 0.0 else "at least 0"
                 raise InputError(f"model {self.id}: {name} is {given}, expected {expected}")
             theta[index] = value
         return theta
