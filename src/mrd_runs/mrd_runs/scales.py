@@ -81,6 +81,26 @@ REFERENCE = Scales(force=800.0, stroke=0.02, speed=0.1, current=0.5)
 """Scales of the reference damper, for which ranges and start values are stated: a LORD RD-8040-1 in usual recordings."""
 
 
+SMALLEST = Scales(force=1.0, stroke=2e-4, speed=1e-3, current=5e-3)
+LARGEST = Scales(force=2e6, stroke=1.0, speed=10.0, current=50.0)
+"""Scales beyond those of any damper on a bench."""
+SLOWEST = 1e3
+"""Times of the slowest recordings over those of the reference damper."""
+
+
+def extremes(unit: str) -> tuple[float, float]:
+    """Return by how much a quantity of this unit is smaller or larger with any damper than with the reference damper."""
+    least = most = 1.0
+    ends = [
+        (getattr(SMALLEST, name) / getattr(REFERENCE, name), getattr(LARGEST, name) / getattr(REFERENCE, name))
+        for name in _NAMES[:3]
+    ]
+    for (low, high), power in zip([*ends, (1.0, SLOWEST)], exponents(unit), strict=True):
+        least *= min(low**power, high**power)
+        most *= max(low**power, high**power)
+    return least, most
+
+
 def scales_of(runs: Sequence[Run]) -> Scales:
     """Return the scales of recordings of one damper.
 

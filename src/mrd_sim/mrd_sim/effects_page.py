@@ -111,8 +111,9 @@ Write one file for each effect and name their folder with `--effects-folder FOLD
 `mrd_sim.effects.load_effects`). The kernel changes the signals of its stage in place, sample by sample: `x`, `v`, `a`
 (drive), `u` (magnetics, the current), `force`. `parameters` are read by name; `state` is carried on from block to
 block; `dt[0] == 0` begins a path.
-Write bounds and typical values for the reference damper ([ranges](#ranges)). Use the functions of `mrd_sim.dual`
-instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs. An effect that is not neutral at its parameters' defaults is
+Write bounds and typical values for the reference damper ([ranges](#ranges)). ([ranges](#ranges)). Use the functions
+of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs.
+An effect that is not neutral at its parameters' defaults is
 refused. Reports describe the effect with its `phrase`.
 
 ```python

@@ -135,8 +135,9 @@ file and in goals of actions: `models_folder`; in Python: `mrd_sim.models.load_m
 by sample.
 Write bounds for the reference damper ([ranges](#ranges)), and a number in the kernel that has a unit as a coefficient
 whose bounds are its default: then both follow the scales of any damper. `q` holds the coefficients at the current of
-each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the functions of `mrd_sim.dual` instead of `math`'s and compare `.real`:
-then the kernel also carries the derivatives that a fit needs.
+each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the
+functions of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a
+fit needs.
 
 A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that
 lacks a property that it claims: `odd` (turning the motion round turns the force round) and `dissipative` (no closed cycle

@@ -2,10 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from mrd_runs.scales import Scales, exponents, rule
-
-LARGEST = 1e300
-"""Stands for a value without limit: a finite number, as C code and XML need one."""
+from mrd_runs.scales import Scales, extremes, rule
 
 
 @dataclass(frozen=True)
@@ -36,10 +33,9 @@ class Parameter:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Values that have a meaning for some damper: any of the same signs, where the bounds follow the damper's scales."""
-        if self.absolute or not any(exponents(self.unit)):
-            return self.lower, self.upper
-        return -LARGEST if self.lower < 0.0 else 0.0 if self.lower == 0.0 else 1.0 / LARGEST, LARGEST
+        """Least and largest value that any damper may have: wider than the bounds where these follow its scales."""
+        least, most = (1.0, 1.0) if self.absolute else extremes(self.unit)
+        return self.lower * (most if self.lower < 0.0 else least), self.upper * (most if self.upper > 0.0 else least)
 
     def scaled(self, scales: Scales) -> "Parameter":
         """Return the parameter with default and bounds for a damper of these scales."""

@@ -138,13 +138,8 @@ FMI fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference which[], si
         if (which[i] < FIRST_INPUT) {
             const mrd_parameter *p = &mrd_parameters[which[i]];
             if (!(p->lower <= values[i] && values[i] <= p->upper)) {
-                if (p->upper < 1e300) {
-                    snprintf(message, sizeof message, "%s is %g, expected %g to %g %s", p->name, values[i], p->lower, p->upper,
-                             p->unit);
-                } else {
-                    snprintf(message, sizeof message, "%s is %g %s, expected %s 0", p->name, values[i], p->unit,
-                             p->lower > 0 ? "more than" : "at least");
-                }
+                snprintf(message, sizeof message, "%s is %g, expected %.3g to %.3g %s", p->name, values[i], p->lower, p->upper,
+                         p->unit);
                 return refuse(s, message);
             }
             s->damper.parameters[which[i]] = values[i];

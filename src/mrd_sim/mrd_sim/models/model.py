@@ -14,12 +14,15 @@ from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.current import LAWS, evaluate_coefficients, lagged_current, slope_factors
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.models.coefficient import Coefficient
-from mrd_sim.parameter import LARGEST, Parameter
+from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
 from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, derivatives_in_series, first_class, force_in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
+
+NO_FLOOR = -1e300
+"""Stands for the least value of a coefficient that has none: a finite number, as C code needs one."""
 
 SeriesSolutions = dict[int, tuple[tuple[bytes, bytes], Array, Array]]
 """Solutions of a damper with elements in series, by the identity of the path.
@@ -191,7 +194,7 @@ class DamperModel:
         """Least value of each coefficient on the vertices."""
         return np.array(
             [
-                -LARGEST if coefficient.multiplies else self._model_parameters[column].lower
+                NO_FLOOR if coefficient.multiplies else self._model_parameters[column].lower
                 for coefficient, column in zip(self.coefficients, self.law_columns[:, 0], strict=True)
             ]
         )
@@ -227,10 +230,7 @@ class DamperModel:
             lower, upper = parameter.limits
             if not lower <= value <= upper:
                 given = f"{value:g} {parameter.unit}".rstrip()
-                expected = f"{lower:g} to {upper:g}"
-                if upper == LARGEST:
-                    expected = "more than 0" if lower > 0.0 else "at least 0"
-                raise InputError(f"model {self.id}: {name} is {given}, expected {expected}")
+                raise InputError(f"model {self.id}: {name} is {given}, expected {lower:.3g} to {upper:.3g}")
             theta[index] = value
         return theta
 
