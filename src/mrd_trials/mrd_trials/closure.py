@@ -62,13 +62,15 @@ class ClosureMeter:
 
         reduced = without_scatter([size.inverse.scaled(run) for run in [*given, *fresh]])
         silent = without_scatter(session.noise_free_runs(effects))
-        recordings, noise_free, of_fit = (
-            in_threads(prepare_recording, runs)
-            for runs in ([size.scaled(run) for run in reduced], [size.scaled(run) for run in silent], reduced)
-        )
-        noise_free, of_fit = (
-            [replace(other, counted=own.counted) for other, own in zip(others, recordings, strict=True)]
-            for others in (noise_free, of_fit)
+        of_fit = in_threads(prepare_recording, reduced)
+        recordings, noise_free = (
+            [
+                replace(recording, counted=fitted.counted)
+                for recording, fitted in zip(
+                    in_threads(prepare_recording, [size.scaled(run) for run in runs]), of_fit, strict=True
+                )
+            ]
+            for runs in (reduced, silent)
         )
         problem, theta = fit_model(model_id, of_fit[: len(given)], np.random.default_rng(session.fit_seed))
         uncorrected = [size.force * force for force in consecutive_forces(problem.model, theta, of_fit)]
@@ -108,7 +110,7 @@ class ClosureMeter:
 
 
 def submitted_model(model_id: str, effects: Sequence[str], parameters: Mapping[str, float]) -> tuple[DamperModel, Array]:
-    """Return a corrected model and its submitted parameters, which may exceed the bounds for a damper of the reference size."""
+    """Return a corrected model and the submitted parameters, which may exceed the bounds for the reference damper."""
     model = find_model(model_id, effects=list(effects))
     return model, np.array([parameters.get(entry.name, entry.default) for entry in model.parameters])
 
