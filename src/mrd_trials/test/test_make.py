@@ -39,7 +39,7 @@ def test_a_trial_is_made_continued_and_sealed(tmp_path):
         assert len(read_fresh_runs(folder, plant.plant)) == FRESH_RUNS
         runs = read_given_runs(folder, plant)
         assert len(runs) == 3
-        assert all(run.acceleration is not None and np.ptp(run.force) > 10.0 for run in runs)
+        assert all(run.acceleration is not None and np.ptp(run.force) > 10.0 * plant.size.force for run in runs)
         assert all(run.rate == pytest.approx(100.0, rel=1e-3) for run in runs)
 
     # An answer is lost: its plant is made again, the other one is kept.
