@@ -8,86 +8,39 @@ As a script it prints one line a case, for example
 """
 
 import argparse
-import os
-import re
 import subprocess
 import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
+from metamorphic_sets import MODEL, SETS, Columns, Recordings
 from scipy.io import savemat
 
 from mrd_base import InputError
 from mrd_diagnosis import Diagnosis, diagnose
-from mrd_identification import identify
+from mrd_identification import Fit, identify
 from mrd_runs import Run, read_runs
-from mrd_sim.damper import Damper
-from mrd_sim.models import find_model
-from mrd_sim.simulate import measure_plans
-from mrd_trajectory.experiment import read_experiment
-from mrd_trajectory.plan import plan
-from mrd_trajectory.settings import read_settings
+from mrd_trials.size import Size
 
-Array = NDArray[np.float64]
-Columns = dict[str, Array]
-"""Samples by the names of the neutral header."""
-
-Recordings = dict[str, Columns]
-"""Recordings by name, in the order in which they were recorded."""
-
-ROOT = Path(__file__).resolve().parents[1]
-MODEL = "bouc_wen"
-
-FORMATS: Mapping[str, tuple[str, Mapping[str, tuple[str, float]]]] = {
-    "si": (
-        ".csv",
-        {
-            "time_s": ("time_s", 1.0),
-            "position_m": ("position_m", 1.0),
-            "current_A": ("current_A", 1.0),
-            "force_N": ("force_N", 1.0),
-            "acceleration_mps2": ("acceleration_mps2", 1.0),
-        },
-    ),
+COLUMNS = ("time_s", "position_m", "current_A", "force_N", "acceleration_mps2")
+FORMATS: Mapping[str, tuple[str, tuple[str, ...], tuple[float, ...]]] = {
+    "si": (".csv", COLUMNS, (1.0, 1.0, 1.0, 1.0, 1.0)),
     "units": (
         ".txt",
-        {
-            "time_s": ("Time (ms)", 1e3),
-            "position_m": ("Displacement (mm)", 1e3),
-            "current_A": ("Coil current (mA)", 1e3),
-            "force_N": ("Force (kN)", 1e-3),
-            "acceleration_mps2": ("Acceleration (mm/s²)", 1e3),
-        },
+        ("Time (ms)", "Displacement (mm)", "Coil current (mA)", "Force (kN)", "Acceleration (mm/s²)"),
+        (1e3, 1e3, 1e3, 1e-3, 1e3),
     ),
-    "mat": (
-        ".mat",
-        {
-            "time_s": ("time", 1.0),
-            "position_m": ("position", 1.0),
-            "current_A": ("current", 1.0),
-            "force_N": ("force", 1.0),
-            "acceleration_mps2": ("acceleration", 1.0),
-        },
-    ),
-    "h5": (
-        ".h5",
-        {
-            "time_s": ("time", 1.0),
-            "position_m": ("position", 1e3),
-            "current_A": ("current", 1.0),
-            "force_N": ("force", 1e-3),
-            "acceleration_mps2": ("acceleration", 1.0),
-        },
-    ),
+    "mat": (".mat", ("time", "position", "current", "force", "acceleration"), (1.0, 1.0, 1.0, 1.0, 1.0)),
+    "h5": (".h5", ("time", "position", "current", "force", "acceleration"), (1.0, 1e3, 1.0, 1e-3, 1.0)),
 }
-"""Ending, and by quantity the name in the file and what the value in SI units is multiplied by."""
+"""Ending of a file; names in it of time, position, current, force and acceleration; what values in SI are multiplied by."""
 
 H5_UNITS = {"time": "s", "position": "mm", "current": "A", "force": "kN", "acceleration": "m/s^2"}
 
@@ -144,6 +97,11 @@ class Change:
     time: float = 0.0
     format: str = "si"
 
+    @property
+    def is_of_units(self) -> bool:
+        """Whether all samples are there, in their order."""
+        return not (self.cut or self.cut_end or self.split or self.reordered or self.half_rate)
+
     @classmethod
     def parse(cls, text: str) -> "Change":
         """Return the change of a text such as ``force=30,mirrored``; "unchanged" is none."""
@@ -189,9 +147,8 @@ class Change:
         half_stroke : float
             Half the stroke of the unchanged recordings in m.
         """
-        newton, metre, ampere = exponents(unit)
         shifted = value * (-1.0 if self.mirrored and name in ODD else 1.0) + (self.shift * half_stroke) * (name in POSITIONS)
-        return shifted * self.force**newton * self.motion**metre * self.current**ampere
+        return shifted * Size(self.force, self.motion, self.current).factor(unit)
 
     def _columns(self, columns: Columns, half_stroke: float) -> Columns:
         sign = -1.0 if self.mirrored else 1.0
@@ -203,6 +160,7 @@ class Change:
             "acceleration_mps2": sign * self.motion,
             "current_A": self.current,
             "force_N": sign * self.force,
+            "modelled_N": sign * self.force,
         }
         changed = {name: factors.get(name, 1.0) * values[kept] for name, values in columns.items()}
         changed["position_m"] = changed["position_m"] + self.shift * half_stroke * self.motion
@@ -218,35 +176,6 @@ def _halves(columns: Columns) -> dict[str, Columns]:
     }
 
 
-_UNITS = {
-    "N": (1, 0, 0),
-    "m": (0, 1, 0),
-    "A": (0, 0, 1),
-    "J": (1, 1, 0),
-    "W": (1, 1, 0),
-    "kg": (1, -1, 0),
-    "Pa": (1, -2, 0),
-    "s": (0, 0, 0),
-    "Hz": (0, 0, 0),
-    "rad": (0, 0, 0),
-    "1": (0, 0, 0),
-}
-"""Exponents of newton, metre and ampere in a unit; a kilogram is N s²/m."""
-
-
-def exponents(unit: str) -> tuple[int, int, int]:
-    """Return the exponents of newton, metre and ampere in a unit such as ``N s/(m A)``; a second counts as 1."""
-    total, place, sign = [0, 0, 0], 0, 1
-    for group in re.finditer(r"(/?)\s*(\([^)]*\)|[A-Za-z1]+[²³]?)", unit):
-        place, sign = group.end(), -1 if group[1] else 1
-        for symbol, power in re.findall(r"([A-Za-z]+|1)([²³]?)", group[2]):
-            times = {"": 1, "²": 2, "³": 3}[power]
-            total = [whole + sign * times * part for whole, part in zip(total, _UNITS[symbol], strict=True)]
-    if place != len(unit.rstrip()):
-        raise ValueError(f"unit {unit}: is not understood")
-    return total[0], total[1], total[2]
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What the chain says of a set of recordings.
@@ -257,20 +186,48 @@ class Outcome:
     sizes : mapping
         Value, ends of the interval and unit of each parameter of the causes, by EFFECT.PARAMETER, the first cause first.
     causes : tuple of str
-    error : float
-        NRMSE of the identified model on the runs; nan where none was identified.
+    fitted : Recordings
+        Position, force and modelled force of the identified model at the counted samples, nan elsewhere; none where no
+        model was identified.
     seconds : float
     """
 
     verdict: str
     causes: tuple[str, ...]
     sizes: Mapping[str, tuple[float, float, float, str]]
-    error: float
+    fitted: Recordings
     seconds: float
 
+    @property
+    def error(self) -> float:
+        """NRMSE of the identified model."""
+        return error_of(self.fitted)
 
-def run_chain(recordings: Recordings, folder: Path, file_format: str = "si", *, identified: bool = True) -> Outcome:
+
+def run_chain(
+    recordings: Recordings,
+    folder: Path,
+    file_format: str = "si",
+    *,
+    effects: Sequence[str] = (),
+    identified: bool = True,
+    **options: Any,
+) -> Outcome:
     """Write recordings to files, import and read them, identify the model, and diagnose.
+
+    Parameters
+    ----------
+    recordings : Recordings
+    folder : Path
+        For files and bags.
+    file_format : str
+        One of `FORMATS`.
+    effects : sequence of str
+        Candidates of the diagnosis; all by default.
+    identified : bool
+        Whether the model is identified.
+    **options
+        Of the identification.
 
     Raises
     ------
@@ -279,15 +236,37 @@ def run_chain(recordings: Recordings, folder: Path, file_format: str = "si", *, 
     """
     began = time.monotonic()
     runs = imported(recordings, folder, file_format)
-    error = identify(runs, MODEL, profile=False).pooled_fitted.nrmse if identified else float("nan")
-    diagnosis = diagnose(runs, MODEL)
-    return Outcome(
-        diagnosis.verdict,
-        tuple(cause.effect for cause in diagnosis.causes),
-        _sizes(diagnosis),
-        error,
-        time.monotonic() - began,
-    )
+    fitted = _fitted(identify(runs, MODEL, profile=False, **options)) if identified else {}
+    diagnosis = diagnose(runs, MODEL, effects=effects)
+    causes = tuple(cause.effect for cause in diagnosis.causes)
+    return Outcome(diagnosis.verdict, causes, _sizes(diagnosis), fitted, time.monotonic() - began)
+
+
+def _fitted(fit: Fit) -> Recordings:
+    fitted = {}
+    for result in fit.fitted:
+        counted = np.full(len(result.run), np.nan)
+        counted[result.counted] = 1.0
+        fitted[result.run.name] = {
+            "time_s": result.run.time,
+            "position_m": result.run.position,
+            "force_N": result.run.force * counted,
+            "modelled_N": result.modelled * counted,
+        }
+    return fitted
+
+
+def error_of(fitted: Recordings) -> float:
+    """Return the NRMSE of modelled forces over all runs."""
+    if not fitted:
+        return float("nan")
+    force, modelled = (np.concatenate([run[name] for run in fitted.values()]) for name in ("force_N", "modelled_N"))
+    return float(np.sqrt(np.nanmean((force - modelled) ** 2)) / np.nanstd(force))
+
+
+def expected_error(change: Change, unchanged: Outcome) -> float:
+    """Return the error that the model of the unchanged recordings leaves on the changed ones, cut and scaled alike."""
+    return error_of(change.apply(unchanged.fitted)) if unchanged.fitted else float("nan")
 
 
 def imported(recordings: Recordings, folder: Path, file_format: str) -> list[Run]:
@@ -302,9 +281,13 @@ def imported(recordings: Recordings, folder: Path, file_format: str) -> list[Run
 
 
 def _write(stem: Path, columns: Columns, file_format: str) -> Path:
-    ending, names = FORMATS[file_format]
+    ending, names, factors = FORMATS[file_format]
     path = stem.with_name(stem.name + ending)
-    table = {names[name][0]: values * names[name][1] for name, values in columns.items() if name in names}
+    table = {
+        name: columns[column] * factor
+        for column, name, factor in zip(COLUMNS, names, factors, strict=True)
+        if column in columns
+    }
     if ending == ".mat":
         savemat(path, table)
     elif ending == ".h5":
@@ -331,83 +314,40 @@ def half_stroke(recordings: Recordings) -> float:
     return float(0.5 * np.ptp(np.concatenate([columns["position_m"] for columns in recordings.values()])))
 
 
-def as_columns(runs: Sequence[Run]) -> Recordings:
-    """Return runs as columns by name."""
-    recordings = {}
-    for run in runs:
-        columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
-        recordings[run.name] = columns if run.acceleration is None else {**columns, "acceleration_mps2": run.acceleration}
-    return recordings
+SAME_SHARE, SAME_RELATIVE = 0.25, 1e-3
+"""What a size may differ by where nothing but units has changed: a share of its interval's half width, and relative."""
+
+SAME_ERROR = 0.01
+"""Relative difference of the error of an identified model that counts as none."""
 
 
-# Sets of recordings ------------------------------------------------------------------------------------------------------
+def differences(change: Change, outcome: Outcome, unchanged: Outcome, half_stroke: float) -> list[str]:
+    """Return in which respects an outcome is not what the change must make of the unchanged one; none where it is right.
 
-NOMINAL = {
-    "yield_force": 60.0,
-    "yield_force_per_A": 800.0,
-    "yield_travel": 1.5e-4,
-    "viscous": 800.0,
-    "viscous_per_A": 1500.0,
-    "stiffness": 1000.0,
-    "offset": -40.0,
-    "coil_lag": 0.0,
-}
-"""A damper of the size of the reference device; each parameter but the lag is varied by 30 %."""
-
-SHORT_SET = ("01_multisine", "02_slow_stroke", "05_current_steps", "07_fast_sine")
-"""Experiments of the standard set from which a fault can be told, in half the time."""
-
-CAUSES: Mapping[str, Mapping[str, float]] = {
-    "joint_play": {"play": 4e-4, "resistance": 25e3, "film": 0.5},
-    "force_sensor_lag": {"lag": 8e-3},
-    "seal_friction": {"coulomb": 60.0, "stiction": 0.6, "stribeck_speed": 4e-3, "presliding": 3e-5},
-}
-
-
-def simulated(effects: Mapping[str, Mapping[str, float]], seed: int, experiments: Sequence[str] = ()) -> Recordings:
-    """Return the standard set, or some experiments of it, as a bench would have recorded them."""
-    rng = np.random.default_rng(seed)
-    varied = {name: value * rng.uniform(0.7, 1.3) for name, value in NOMINAL.items()}
-    settings = read_settings(None)
-    files = sorted((ROOT / "config/experiments/characterise").glob("*.yaml"))
-    plans = [
-        plan(read_experiment(file), settings.limits, settings.force_envelope)
-        for file in files
-        if not experiments or file.stem in experiments
-    ]
-    return as_columns(measure_plans(plans, Damper(find_model(MODEL).id, varied, effects=effects), rng))
-
-
-def worn_joint(_seed: int = 0) -> Recordings:
-    """Return the shipped example."""
-    return as_columns(read_runs([str(file) for file in sorted((ROOT / "examples/worn_joint").glob("*.csv"))]))
-
-
-def measured(_seed: int = 0) -> Recordings:
-    """Return some recordings of a measured damper.
-
-    Raises
-    ------
-    FileNotFoundError
-        Where there are none.
+    Where nothing but units has changed, each size must be the same but for what an optimiser leaves. Where samples are
+    missing, its interval must meet the one of the unchanged recordings. Intervals without ends say nothing.
     """
-    folder = Path(os.environ.get("MRD_DATA", ROOT.parent / "shared/data"))
-    files = sorted(folder.glob("utfsm/sine_*_2hz_*.csv")) + sorted(folder.glob("utfsm/sine_25mm_0.5hz_*5A.csv"))
-    if not files:
-        raise FileNotFoundError(f"no measured runs utfsm/sine_*.csv in {folder}; name their folder by MRD_DATA")
-    return as_columns(read_runs([str(file) for file in files]))
+    found = []
+    if outcome.verdict != unchanged.verdict:
+        found.append(f"verdict {outcome.verdict}, expected {unchanged.verdict}")
+    if set(outcome.causes) != set(unchanged.causes):
+        found.append(f"causes {outcome.causes}, expected {unchanged.causes}")
+    for name in outcome.sizes.keys() & unchanged.sizes.keys():
+        value, lower, upper, unit = outcome.sizes[name]
+        must, *ends = (change.expected(name, unit, end, half_stroke) for end in unchanged.sizes[name][:3])
+        if not np.isfinite([lower, upper, *ends]).all():
+            continue
+        least, most = sorted(ends)
+        tolerance = SAME_SHARE * 0.5 * (most - least) + SAME_RELATIVE * abs(must)
+        if abs(value - must) > tolerance if change.is_of_units else lower > most or upper < least:
+            found.append(
+                f"{name} is {value:.4g} ({lower:.4g} to {upper:.4g}), expected {must:.4g} ({least:.4g} to {most:.4g})"
+            )
+    error, most = outcome.error, (1.0 + SAME_ERROR) * expected_error(change, unchanged)
+    if error > most:
+        found.append(f"error of the identified model {error:.5f}, expected at most {most:.5f}")
+    return found
 
-
-SETS: Mapping[str, Callable[[int], Recordings]] = {
-    "worn_joint": worn_joint,
-    "measured": measured,
-    "healthy": lambda seed: simulated({}, seed, SHORT_SET),
-    "standard_set": lambda seed: simulated({}, seed),
-    **{
-        name: lambda seed, name=name: simulated({name: CAUSES[name]}, seed, SHORT_SET)  # type: ignore[misc]
-        for name in CAUSES
-    },
-}
 
 STANDARD = (
     *("force=0.02", "force=0.2", "force=30", "force=300"),
@@ -427,7 +367,7 @@ STANDARD = (
 
 def line(change: Change, outcome: Outcome, unchanged: Outcome, stroke: float) -> str:
     """Return the line of a case; each size stands over what it must be, with ``!`` where its interval excludes that."""
-    sizes = []
+    sizes, is_right = [], not differences(change, outcome, unchanged, stroke)
     for name, (value, lower, upper, unit) in outcome.sizes.items():
         if name in unchanged.sizes:
             must = change.expected(name, unit, unchanged.sizes[name][0], stroke)
@@ -435,10 +375,9 @@ def line(change: Change, outcome: Outcome, unchanged: Outcome, stroke: float) ->
             sizes.append(f"{name} {over}{'' if lower <= must <= upper else '!'}")
         else:
             sizes.append(f"{name} {value:.3g} {unit} (new)")
-    same = outcome.verdict == unchanged.verdict and set(outcome.causes) == set(unchanged.causes)
     return (
-        f"{'ok  ' if same else 'DIFF'} {change!s:48} {outcome.verdict:16} {' + '.join(outcome.causes) or '-':30} "
-        f"error x{outcome.error / unchanged.error:.4f}  {outcome.seconds:4.0f} s  {', '.join(sizes)}"
+        f"{'ok  ' if is_right else 'DIFF'} {change!s:48} {outcome.verdict:16} {' + '.join(outcome.causes) or '-':30} "
+        f"error x{outcome.error / expected_error(change, unchanged):.4f}  {outcome.seconds:4.0f} s  {', '.join(sizes)}"
     )
 
 

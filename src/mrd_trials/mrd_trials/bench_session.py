@@ -9,6 +9,7 @@ import numpy as np
 from mrd_runs import Run
 from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers
 from mrd_trials.reference_fit import ReferenceFit
+from mrd_trials.start import begin_later
 from mrd_trials.trial_design import PlantDesign
 from mrd_trials.truth import (
     EFFECTS,
@@ -28,7 +29,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True)
 class BenchSession:
-    """All runs of a plant in one session on the bench, with any effects.
+    """All runs of a plant in one session on the bench, with any effects. The plant has the size of the reference damper.
 
     Attributes
     ----------
@@ -43,6 +44,8 @@ class BenchSession:
         Seed of the signs and shapes of the effects.
     fit_seed : int
         Seed of the fit that measures the strength of the effects.
+    start_seed : int or None
+        Seed of what is cut off at the start of the runs; None where they begin at rest.
     """
 
     names: tuple[str, ...]
@@ -52,6 +55,7 @@ class BenchSession:
     noise_seed: int
     effect_seed: int
     fit_seed: int
+    start_seed: int | None = None
 
     @classmethod
     def from_design(cls, design: PlantDesign, recorded: str = "") -> "BenchSession":
@@ -65,7 +69,7 @@ class BenchSession:
         plant = TruePlant(design.form, draw_parameters(design.form, form_rng), {}, formulas)
         instruments = TrueInstruments(rate=rate, averaged=rate > 100.0)
         names, commands = tuple(name for name, _ in named), tuple(command for _, command in named)
-        return cls(names, commands, instruments, plant, noise, effect, fit)
+        return cls(names, commands, instruments, plant, noise, effect, fit, design.start_seed)
 
     def record(self, effects: Effects, further: Sequence[BenchCommand] = ()) -> list[Readings]:
         """Record all runs, and ``further`` ones after them."""
@@ -73,17 +77,16 @@ class BenchSession:
 
     def given_runs(self, effects: Effects) -> list[Run]:
         """Record only the runs that the diagnosis is given; they are the same as among all runs."""
-        readings = self._record(self.commands[:-FRESH_RUNS], effects)
-        return [as_run(name, run) for name, run in zip(self.names[:-FRESH_RUNS], readings, strict=True)]
+        return self._as_runs(self._record(self.commands[:-FRESH_RUNS], effects))
 
     def noise_free_runs(self, effects: Effects) -> list[Run]:
         """Record all runs without noise and jitter; each has the same scatter as with them."""
         silent = replace(self, instruments=self.instruments.without_noise())
-        return [as_run(name, run) for name, run in zip(self.names, silent.record(effects), strict=True)]
+        return self._as_runs(silent.record(effects))
 
     def all_runs(self, effects: Effects) -> list[Run]:
         """Record all runs."""
-        return [as_run(name, run) for name, run in zip(self.names, self.record(effects), strict=True)]
+        return self._as_runs(self.record(effects))
 
     def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
         """Return the signal to floor of effects."""
@@ -113,6 +116,10 @@ class BenchSession:
     def scatter(self) -> list[RunDeviation]:
         """Scatter of every run."""
         return draw_scatter(self.instruments, np.random.default_rng(self.noise_seed), len(self.commands))
+
+    def _as_runs(self, readings: Sequence[Readings]) -> list[Run]:
+        runs = [as_run(name, run) for name, run in zip(self.names, readings, strict=False)]
+        return begin_later(runs, self.start_seed)
 
     def _record(self, commands: Sequence[BenchCommand], effects: Effects) -> list[Readings]:
         plant = replace(self.plant, effects=effects)

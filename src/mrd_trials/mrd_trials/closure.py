@@ -12,6 +12,7 @@ from mrd_runs import Run
 from mrd_sim.models import DamperModel, find_model
 from mrd_trials.bench_session import BenchSession, Effects
 from mrd_trials.reference_fit import fit_model
+from mrd_trials.size import REFERENCE, Size
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,8 @@ class ClosureMeter:
     ----------
     model_id : str
     recordings : sequence of Recording
-        All runs in order, the fresh ones last; the known gain and offset of each run are taken out of its force.
+        All runs in order at the size of the plant, the fresh ones last; the known gain and offset of each run are taken out
+        of its force.
     noise_free : sequence of Recording
         The same runs without noise.
     uncorrected : sequence of ndarray
@@ -41,20 +43,37 @@ class ClosureMeter:
 
     @classmethod
     def from_session(
-        cls, session: BenchSession, effects: Effects, model_id: str, given: Sequence[Run], fresh: Sequence[Run]
+        cls,
+        session: BenchSession,
+        effects: Effects,
+        model_id: str,
+        given: Sequence[Run],
+        fresh: Sequence[Run],
+        size: Size = REFERENCE,
     ) -> "ClosureMeter":
-        """Fit the model to the given runs of a plant; ``session`` and ``effects`` are those that the plant was made with."""
+        """Fit the model to the given runs of a plant at the reference size, and bring everything to the plant's.
 
-        def without_scatter(runs: Sequence[Run]) -> list[Recording]:
+        ``session`` and ``effects`` are those that the plant was made with; ``given`` and ``fresh`` have the plant's size.
+        """
+
+        def without_scatter(runs: Sequence[Run]) -> list[Run]:
             pairs = zip(runs, session.scatter, strict=True)
-            corrected = [replace(run, force=(run.force - scatter.offset) / scatter.gain) for run, scatter in pairs]
-            return in_threads(prepare_recording, corrected)
+            return [replace(run, force=(run.force - scatter.offset) / scatter.gain) for run, scatter in pairs]
 
-        recordings = without_scatter([*given, *fresh])
+        reduced = without_scatter([size.inverse.scaled(run) for run in [*given, *fresh]])
         silent = without_scatter(session.noise_free_runs(effects))
-        noise_free = [replace(s, counted=r.counted) for s, r in zip(silent, recordings, strict=True)]
-        problem, theta = fit_model(model_id, recordings[: len(given)], np.random.default_rng(session.fit_seed))
-        uncorrected = consecutive_forces(problem.model, theta, recordings)
+        of_fit = in_threads(prepare_recording, reduced)
+        recordings, noise_free = (
+            [
+                replace(recording, counted=fitted.counted)
+                for recording, fitted in zip(
+                    in_threads(prepare_recording, [size.scaled(run) for run in runs]), of_fit, strict=True
+                )
+            ]
+            for runs in (reduced, silent)
+        )
+        problem, theta = fit_model(model_id, of_fit[: len(given)], np.random.default_rng(session.fit_seed))
+        uncorrected = [size.force * force for force in consecutive_forces(problem.model, theta, of_fit)]
         return cls(model_id, recordings, noise_free, uncorrected, len(given))
 
     def on_given_runs(self, effects: Sequence[str], parameters: Mapping[str, float]) -> float:
@@ -67,8 +86,7 @@ class ClosureMeter:
 
     def _closed_fraction(self, effects: Sequence[str], parameters: Mapping[str, float], runs: slice) -> float:
         """Return 1 - (after² - floor²) / (before² - floor²) of the rms errors on some runs."""
-        model = find_model(self.model_id, effects=list(effects))
-        theta = model.vector(parameters)
+        model, theta = submitted_model(self.model_id, effects, parameters)
         corrected = consecutive_forces(model, theta, self.recordings)
         measured = np.concatenate([recording.force for recording in self.recordings[runs]])
         before = _mean_square_error(measured, np.concatenate(self.uncorrected[runs]))
@@ -89,6 +107,12 @@ class ClosureMeter:
                 self.recordings, forces, self.noise_free, silent_forces, strict=True
             )
         ]
+
+
+def submitted_model(model_id: str, effects: Sequence[str], parameters: Mapping[str, float]) -> tuple[DamperModel, Array]:
+    """Return a corrected model and the submitted parameters, which may exceed the bounds for the reference damper."""
+    model = find_model(model_id, effects=list(effects))
+    return model, np.array([parameters.get(entry.name, entry.default) for entry in model.parameters])
 
 
 def _mean_square_error(measured: Array, modelled: Array) -> float:

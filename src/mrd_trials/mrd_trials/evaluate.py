@@ -15,6 +15,7 @@ from mrd_trials.parallel import run_in_processes
 from mrd_trials.recorded_closure import share_closed
 from mrd_trials.recorded_session import RecordedSession
 from mrd_trials.records import Evaluation, GroundTruth, Submission, complete_records
+from mrd_trials.size import Size
 from mrd_trials.submission import diagnose_plant
 from mrd_trials.trial_design import ALTERED_TIERS, PlantDesign, design_trial, is_detectable
 from mrd_trials.trial_folder import PublicPlant, read_fresh_runs, read_given_runs, read_trial
@@ -52,6 +53,11 @@ class DiagnosedPlant:
     truth: GroundTruth
     submission: Submission
     of_untouched: Submission | None = None
+
+    @property
+    def size(self) -> Size:
+        """Size of the plant."""
+        return Size(**self.truth.size)
 
 
 def evaluate_trial(
@@ -111,15 +117,16 @@ def evaluate_plant(plant: DiagnosedPlant) -> Evaluation:
     session = BenchSession.from_design(plant.design, plant.recorded)
     detectable = truth.kind == "single" and is_detectable(truth)
     if (detectable or (truth.kind == "null" and truth.excitation == "rich")) and submission.verdict != "data_fault":
-        baseline = run_baseline_methods(runs, truth.model)
+        baseline = run_baseline_methods([plant.size.inverse.scaled(run) for run in runs], truth.model)
         equivalents = {cause: baseline.equivalents(cause) for cause in truth.causes}
         evaluation = replace(evaluation, rankings=baseline.rankings, equivalents=equivalents)
     if truth.effects and submission.where:
-        evaluation = replace(evaluation, true_map=true_map(session, truth.effects, truth.model, submission.where))
+        shares = true_map(session, truth.effects, truth.model, submission.where, plant.size)
+        evaluation = replace(evaluation, true_map=shares)
     is_solvable = bool(truth.causes) and truth.kind != "absent"
     if is_solvable or submission.causes:
         fresh = read_fresh_runs(plant.folder, truth.plant)
-        meter = ClosureMeter.from_session(session, truth.effects, truth.model, runs, fresh)
+        meter = ClosureMeter.from_session(session, truth.effects, truth.model, runs, fresh, plant.size)
         if is_solvable:
             oracle = diagnose_plant(plant.public, runs, effects=truth.causes)
             if oracle.effects:
@@ -129,7 +136,7 @@ def evaluate_plant(plant: DiagnosedPlant) -> Evaluation:
             evaluation = replace(evaluation, fresh_closure=closure)
     random = random_command(np.random.default_rng([*plant.design.seed, RANDOM_STREAM]))
     if submission.verdict == "ambiguous" and submission.next_experiment and random is not None:
-        advised = recommended_command(submission.next_experiment)
+        advised = recommended_command(submission.next_experiment, plant.size)
         evaluation = replace(
             evaluation,
             advised_resolves=_is_resolved(plant, session, runs, advised),
@@ -147,13 +154,13 @@ def _evaluate_altered(plant: DiagnosedPlant, evaluation: Evaluation) -> Evaluati
     if truth.excitation == BEFORE_AFTER or plant.of_untouched is None:
         return evaluation
     session = RecordedSession.from_design(plant.design, plant.recorded)
-    closed = share_closed(session, truth.effects, truth.model, plant.submission, plant.of_untouched)
+    closed = share_closed(session, truth.effects, truth.model, plant.submission, plant.of_untouched, plant.size)
     return replace(evaluation, fresh_closure=closed)
 
 
 def _is_resolved(plant: DiagnosedPlant, session: BenchSession, runs: Sequence[Run], command: BenchCommand) -> bool:
     """Whether a diagnosis with one more run names the causes and nothing else, without an alternative."""
-    further = as_run("next", session.record(plant.truth.effects, [command])[-1])
+    further = plant.size.scaled(as_run("next", session.record(plant.truth.effects, [command])[-1]))
     submission = diagnose_plant(plant.public, [*runs, further])
     named = {effect for cause in submission.causes for effect in cause.effects}
     return submission.verdict in ("explained", "partly_explained") and named == set(plant.truth.causes)

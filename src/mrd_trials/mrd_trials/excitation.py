@@ -22,6 +22,7 @@ from mrd_trajectory.waveforms.multisine import Multisine
 from mrd_trajectory.waveforms.prbs import Prbs
 from mrd_trajectory.waveforms.sine import Sine
 from mrd_trajectory.waveforms.staircase import Staircase
+from mrd_trials.size import Size
 from mrd_trials.truth import BenchCommand
 
 STEP = 1 / 8000
@@ -120,10 +121,14 @@ def replay(run: Run) -> BenchCommand:
     return BenchCommand(time, position, np.interp(time, run.time, run.current), exact=True)
 
 
-def recommended_command(experiment: str) -> BenchCommand:
-    """Return the command of an experiment that a diagnosis recommends, given as text."""
-    bench = read_settings(None)
-    return command(plan(parse_experiment(experiment, "next_experiment"), bench.limits, bench.force_envelope))
+def recommended_command(experiment: str, size: Size) -> BenchCommand:
+    """Return the command, at the reference size, of an experiment that a diagnosis recommends for a plant of some size.
+
+    The experiment is given as text.
+    """
+    bench = size.bench
+    of_plant = command(plan(parse_experiment(experiment, "next_experiment"), bench.limits, bench.force_envelope))
+    return BenchCommand(of_plant.time, of_plant.position / size.motion, of_plant.current / size.current)
 
 
 def read_recorded_dampers(folder: Path) -> dict[str, list[Run]]:

@@ -2,18 +2,21 @@
 
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from mrd_base import InputError
 from mrd_runs import Run
+from mrd_sim.effects import EFFECTS as CATALOGUE
 from mrd_trials.bench_session import BenchSession, Effects
 from mrd_trials.commitments import commitment, new_salt
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.recorded_session import RecordedSession
 from mrd_trials.records import GroundTruth, append_record, read_records
 from mrd_trials.reference_fit import ReferenceFit, find_strength
+from mrd_trials.size import REFERENCE, Size
 from mrd_trials.trial_design import (
     ALTERED_TIERS,
     DETECTABLE,
@@ -96,7 +99,7 @@ def make_trial(
         files = write_recordings(folder, truth.plant, runs)
         before = write_reference(folder, truth.plant, reference)
         plants[truth.plant] = PublicPlant(
-            truth.plant, truth.model, truth.excitation, truth.rate, files, commitment(truth), before
+            truth.plant, truth.model, truth.excitation, truth.rate, files, commitment(truth), before, Size(**truth.size)
         )
         append_record(truth, answers)
         in_order = tuple(plants[design.plant] for design in designs if design.plant in plants)
@@ -108,7 +111,7 @@ def make_trial(
 def make_plant(
     design: PlantDesign, recorded: str = "", background: str = ""
 ) -> tuple[GroundTruth, list[Run], Sequence[Run]]:
-    """Make one plant.
+    """Make one plant: draw it at the reference size, and bring what is recorded to its own.
 
     Returns
     -------
@@ -122,8 +125,11 @@ def make_plant(
     effects, strength = _draw_effects(design, session) if design.effects else ({}, 0.0)
     causes = tuple(name for name in effects if EFFECTS[name].in_catalogue)
     formulas = {name: session.formulas[name] for name in effects}
+    size = design.size or REFERENCE
     sizes = {
-        key: value for name in causes for key, value in EFFECTS[name].shared_sizes(effects[name], formulas[name]).items()
+        key: value * size.factor(unit_of(key))
+        for name in causes
+        for key, value in EFFECTS[name].shared_sizes(effects[name], formulas[name]).items()
     }
     form = DAMPER_FORMS.get(design.form)
     truth = GroundTruth(
@@ -145,8 +151,16 @@ def make_plant(
         seed=design.seed[-1],
         salt=new_salt(),
         background=background,
+        size=asdict(size),
+        begins_in_motion=design.start_seed is not None,
     )
-    return truth, session.all_runs(effects), session.reference
+    return truth, [size.scaled(run) for run in session.all_runs(effects)], [size.scaled(run) for run in session.reference]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter EFFECT.PARAMETER of the catalogue."""
+    effect, _, parameter = name.partition(".")
+    return next(entry.unit for entry in CATALOGUE[effect].parameters if entry.name == parameter)
 
 
 def session_of(design: PlantDesign, recorded: str = "") -> BenchSession | RecordedSession:

@@ -11,6 +11,8 @@ from mrd_runs.signals.motion import smooth_motion
 from mrd_trials.bench_session import Effects
 from mrd_trials.excitation import BEFORE_AFTER, FRESH_RUNS, read_recorded_dampers
 from mrd_trials.reference_fit import ReferenceFit
+from mrd_trials.size import measured_size
+from mrd_trials.start import begin_later
 from mrd_trials.trial_design import PlantDesign
 from mrd_trials.truth import EFFECTS, MeasuredRun, alter
 
@@ -37,6 +39,8 @@ class RecordedSession:
         Formula of every effect that may be put in.
     phase_seed, effect_seed, fit_seed : int
         Seeds of the phases of the mains, of the signs and shapes of the effects, and of the reference fit.
+    start_seed : int or None
+        Seed of what is cut off at the start of the runs; None where they begin as they were recorded.
     """
 
     runs: tuple[Run, ...]
@@ -46,22 +50,29 @@ class RecordedSession:
     effect_seed: int
     fit_seed: int
     parameters: dict[str, float] = field(default_factory=dict)
+    start_seed: int | None = None
 
     @classmethod
     def from_design(cls, design: PlantDesign, recorded: str) -> "RecordedSession":
         """Return the session of a design, always the same; ``recorded`` is as in `mrd_trials.trial_design.Recipe`.
 
         All designs on one background have the same recordings. For a comparison, every second background has the same runs
-        before and after, and the others have two halves that share no run.
+        before and after, and the others have two halves that share no run. Where a design has a size, the recordings are
+        brought to that of the reference damper, for which the plausible ranges of the effects are.
         """
         subset_rng = np.random.default_rng([*design.seed[:2], design.background, SUBSET_STREAM])
-        first, second, fresh = split_runs(read_recorded_dampers(Path(recorded))[design.damper], subset_rng)
+        runs = read_recorded_dampers(Path(recorded))[design.damper]
+        if design.size is not None:
+            measured = measured_size(runs)
+            runs = [measured.inverse.scaled(run) for run in runs]
+        first, second, fresh = split_runs(runs, subset_rng)
         formula_rng, seed_rng = np.random.default_rng(design.seed).spawn(2)
         formulas = {name: effect.draw_formula(design.family, formula_rng) for name, effect in EFFECTS.items()}
         phase, effect, fit = map(int, seed_rng.integers(2**62, size=3))
         is_compared = design.tier.excitation == BEFORE_AFTER
         given = second if is_compared and design.background % 2 else first
-        return cls((*given, *fresh), first if is_compared else (), formulas, phase, effect, fit)
+        before = tuple(begin_later(first, design.start_seed)) if is_compared else ()
+        return cls((*given, *fresh), before, formulas, phase, effect, fit, start_seed=design.start_seed)
 
     @property
     def rate(self) -> float:
@@ -75,14 +86,15 @@ class RecordedSession:
     def all_runs(self, effects: Effects) -> list[Run]:
         """Return all runs with effects put into them."""
         if not effects:
-            return list(self.runs)
+            return begin_later(self.runs, self.start_seed)
         altered = alter(
             [_smoothed(run) for run in self.runs], effects, self.formulas, np.random.default_rng(self.phase_seed)
         )
-        return [
+        runs = [
             replace(run, position=position, velocity=np.gradient(position, run.time), current=current, force=force)
             for run, (position, current, force) in zip(self.runs, altered, strict=True)
         ]
+        return begin_later(runs, self.start_seed)
 
     def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
         """Return the squared error that effects add to that of the model refitted to the untouched runs, over the latter."""

@@ -38,15 +38,15 @@ class GroundTruth:
     implied : tuple of str
         Effects of the catalogue that the form contains: naming them is neither right nor wrong.
     parameters : mapping
-        Parameters of the form.
+        Parameters of the form at the reference size.
     effects : mapping
-        Parameters of every effect of the plant by id, in the catalogue or not.
+        Parameters of every effect of the plant at the reference size by id, in the catalogue or not.
     formulas : mapping
         Id of the formula of each of these effects.
     causes : tuple of str
         Those effects that are in the catalogue: what a diagnosis should name.
     sizes : mapping
-        Parameters of the causes that mean the same in the catalogue, by EFFECT.PARAMETER.
+        Parameters of the causes that mean the same in the catalogue, at the size of the plant, by EFFECT.PARAMETER.
     signal_to_floor : float
         Mean square of what the effects add and the fitted model cannot take up, over that of the noise; 0 without effects.
         For effects put into recordings, the squared error that they add to the refitted model's, over that without them.
@@ -63,6 +63,10 @@ class GroundTruth:
         Hexadecimal digits that keep the commitment from being guessed.
     background : str
         Plant with the same recordings, untouched; empty for a simulated plant and for the untouched one itself.
+    size : mapping
+        ``force``, ``motion`` and ``current`` of the plant over those at the reference size.
+    begins_in_motion : bool
+        Whether its recordings begin in mid-motion.
     """
 
     plant: str
@@ -83,6 +87,8 @@ class GroundTruth:
     seed: int
     salt: str
     background: str = ""
+    size: Mapping[str, float] = field(default_factory=dict)
+    begins_in_motion: bool = False
 
 
 @dataclass(frozen=True)

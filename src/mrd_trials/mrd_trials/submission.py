@@ -95,7 +95,7 @@ def diagnose_plant(
     start = time.monotonic()
     compared = {"reference": reference} if reference else {}
     try:
-        diagnosis = method(runs, plant.model, effects=effects, seed=seed, **compared)
+        diagnosis = method(runs, plant.model, effects=effects, bench=plant.size.bench, seed=seed, **compared)
     except Exception as error:  # every error counts as a failure of the diagnosis
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         elapsed = time.monotonic() - start

@@ -4,13 +4,14 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from mrd_base import InputError
 from mrd_trials.excitation import BEFORE_AFTER, FROM_RECORDINGS, SEMIREAL, Tier, parse_tier, read_recorded_dampers
 from mrd_trials.records import GroundTruth, Kind
+from mrd_trials.size import Size, draw_size
 from mrd_trials.truth import ALTERATIONS, DAMPER_FORMS, EFFECTS, Family
 
 SHARES: Mapping[str, float] = {"null": 0.25, "single": 0.40, "pair": 0.15, "absent": 0.20}
@@ -40,6 +41,18 @@ DETECTABLE = 3.0
 MODEL, MODEL_FORM = "bouc_wen", "bouc_wen"
 """Damper model that is fitted, and the damper form that it can take."""
 
+Sizes = Literal["drawn", "reference"]
+Starts = Literal["drawn", "rest"]
+
+SIZES: tuple[Sizes, ...] = get_args(Sizes)
+STARTS: tuple[Starts, ...] = get_args(Starts)
+
+IN_MOTION = 0.5
+"""Share of the plants whose recordings begin in mid-motion."""
+
+SIZE_STREAM, BACKGROUND_SIZE_STREAM = 9, 10
+"""Numbers of the random streams, beside those of a plant's design, that give size and start of a plant or a background."""
+
 RECORDED_MODELS = (MODEL, "shear_thinning_bouc_wen")
 """Damper models that are fitted to recordings, in turn: the better a model, the smaller are the errors that can be seen."""
 
@@ -60,6 +73,11 @@ class Recipe:
         ``replay``, ``semireal`` and ``before_after``.
     family : {"development", "evaluation"}
         Family of the formulas and damper forms. The same seed gives other plants in the other family.
+    sizes : {"drawn", "reference"}
+        Whether every plant has a size of its own, or that of the reference damper; measured dampers keep theirs then. The
+        same seed gives the same plants in other units.
+    starts : {"drawn", "rest"}
+        Whether the recordings of half of the plants begin in mid-motion, or all begin as they were recorded.
     """
 
     seed: int
@@ -67,6 +85,8 @@ class Recipe:
     shares: Mapping[str, float] = field(default_factory=lambda: dict(SHARES))
     recorded: str = ""
     family: Family = "development"
+    sizes: Sizes = "drawn"
+    starts: Starts = "drawn"
 
 
 @dataclass(frozen=True)
@@ -94,6 +114,10 @@ class PlantDesign:
         Number of the untouched recordings into which the effects are put; 0 for a simulated plant.
     family : {"development", "evaluation"}
         Family from which the formulas of the effects are drawn.
+    size : Size or None
+        Size of the plant; None where simulated dampers have the reference size and measured ones their own.
+    start_seed : int or None
+        Seed of what is cut off at the start of the runs; None where nothing is.
     """
 
     plant: str
@@ -108,6 +132,8 @@ class PlantDesign:
     model: str = MODEL
     background: int = 0
     family: Family = "development"
+    size: Size | None = None
+    start_seed: int | None = None
 
 
 def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
@@ -123,6 +149,9 @@ def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
         raise InputError(f"shares {dict(recipe.shares)}: expected shares of {', '.join(SHARES)} that add up to 1")
     if recipe.family not in FAMILIES:
         raise InputError(f"family {recipe.family}: expected one of {', '.join(FAMILIES)}")
+    for what, value, known in (("sizes", recipe.sizes, SIZES), ("starts", recipe.starts, STARTS)):
+        if value not in known:
+            raise InputError(f"{what} {value}: expected one of {', '.join(known)}")
     stream = FAMILIES.index(recipe.family)
     rng = np.random.default_rng([recipe.seed, stream])
     recorded = sorted(read_recorded_dampers(Path(recipe.recorded))) if recipe.recorded else []
@@ -137,9 +166,22 @@ def design_trial(recipe: Recipe) -> tuple[list[PlantDesign], list[str]]:
         designs += design_tier(tier, count, recipe, recorded, rng)
     shuffled = [designs[place] for place in rng.permutation(len(designs))]
     return [
-        replace(design, plant=f"p{number:04d}", seed=(recipe.seed, stream, number))
+        _with_size_and_start(replace(design, plant=f"p{number:04d}", seed=(recipe.seed, stream, number)), recipe)
         for number, design in enumerate(shuffled, 1)
     ], left_out
+
+
+def _with_size_and_start(design: PlantDesign, recipe: Recipe) -> PlantDesign:
+    """Draw size and start of a plant; all plants on one background have the same ones."""
+    *trial, number = design.seed
+    key = [*trial, design.background, BACKGROUND_SIZE_STREAM] if design.background else [*trial, number, SIZE_STREAM]
+    rng = np.random.default_rng(key)
+    size, begins_in_motion, seed = draw_size(rng), rng.random() < IN_MOTION, int(rng.integers(2**62))
+    return replace(
+        design,
+        size=size if recipe.sizes == "drawn" else None,
+        start_seed=seed if begins_in_motion and recipe.starts == "drawn" else None,
+    )
 
 
 def untouched_plants(designs: Iterable[PlantDesign]) -> dict[tuple[str, int], str]:

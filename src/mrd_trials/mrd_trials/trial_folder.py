@@ -10,12 +10,14 @@ import numpy as np
 from mrd_base import InputError
 from mrd_runs import Run, read_runs
 from mrd_trials.excitation import FRESH_RUNS
+from mrd_trials.size import REFERENCE, Size
 from mrd_trials.trial_design import Recipe
 
 DESCRIPTION = "trial.json"
 
-FORMAT = 2
-"""Version of a trial: its keys, and what a recipe stands for. In 1, every effect had a single formula."""
+FORMAT = 3
+"""Version of a trial: its keys, and what a recipe stands for. In 1, every effect had a single formula; in 2, all dampers had
+one size."""
 
 COLUMNS = "time_s,position_m,current_A,force_N"
 
@@ -36,6 +38,8 @@ class PublicPlant:
         Commitment to its answer.
     reference : tuple of str
         Files of recordings from before, with which the diagnosis compares the others; mostly empty.
+    size : Size
+        Size of the bench for this plant: the diagnosis is told its limits.
     """
 
     plant: str
@@ -45,6 +49,7 @@ class PublicPlant:
     runs: tuple[str, ...]
     commitment: str
     reference: tuple[str, ...] = ()
+    size: Size = REFERENCE
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,14 @@ def read_trial(folder: Path) -> PublicTrial:
         if values.get("format", 1) != FORMAT:
             raise ValueError(f"format {values.get('format', 1)}, expected {FORMAT}")
         plants = tuple(
-            PublicPlant(**{**entry, "runs": tuple(entry["runs"]), "reference": tuple(entry["reference"])})
+            PublicPlant(
+                **{
+                    **entry,
+                    "runs": tuple(entry["runs"]),
+                    "reference": tuple(entry["reference"]),
+                    "size": Size(**entry["size"]),
+                }
+            )
             for entry in values["plants"]
         )
         return PublicTrial(Recipe(**values["recipe"]), plants)

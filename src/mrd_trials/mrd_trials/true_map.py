@@ -10,6 +10,7 @@ from mrd_runs import Run
 from mrd_trials.bench_session import BenchSession, Effects
 from mrd_trials.records import GapBin
 from mrd_trials.reference_fit import ReferenceFit
+from mrd_trials.size import REFERENCE, Size
 
 Array = NDArray[np.float64]
 
@@ -17,7 +18,9 @@ FRAME = 2.0
 """Length in s of the frames of a spectrum: bands of the frequency axis are half a hertz wide or wider."""
 
 
-def true_map(session: BenchSession, effects: Effects, model_id: str, bins: Sequence[GapBin]) -> tuple[GapBin, ...]:
+def true_map(
+    session: BenchSession, effects: Effects, model_id: str, bins: Sequence[GapBin], size: Size = REFERENCE
+) -> tuple[GapBin, ...]:
     """Return the true shares of the gap on given bins; none where the effects change nothing.
 
     The plant is recorded with and without its effects, under the same commands and with the same noise. What differs between
@@ -31,13 +34,15 @@ def true_map(session: BenchSession, effects: Effects, model_id: str, bins: Seque
         The effects of the plant.
     model_id : str
     bins : sequence of GapBin
-        Axes and ends; their shares are ignored.
+        Axes and ends at the size of the plant; their shares are ignored.
+    size : Size
+        Size of the plant.
     """
     reference = ReferenceFit.from_runs(model_id, session.given_runs({}), np.random.default_rng(session.fit_seed))
     change = reference.unexplained_change(session.given_runs(effects))
     if not change.any():
         return ()
-    runs = session.noise_free_runs(effects)[: len(reference.counted)]
+    runs = [size.scaled(run) for run in session.noise_free_runs(effects)[: len(reference.counted)]]
     energy = change**2
     series = axis_series(runs, reference.counted)
     shares = []

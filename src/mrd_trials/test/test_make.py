@@ -39,7 +39,7 @@ def test_a_trial_is_made_continued_and_sealed(tmp_path):
         assert len(read_fresh_runs(folder, plant.plant)) == FRESH_RUNS
         runs = read_given_runs(folder, plant)
         assert len(runs) == 3
-        assert all(run.acceleration is not None and np.ptp(run.force) > 10.0 for run in runs)
+        assert all(run.acceleration is not None and np.ptp(run.force) > 10.0 * plant.size.force for run in runs)
         assert all(run.rate == pytest.approx(100.0, rel=1e-3) for run in runs)
 
     # An answer is lost: its plant is made again, the other one is kept.
@@ -96,8 +96,8 @@ def test_a_folder_that_is_not_a_trial_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"is not a trial, expected trial\.json"):
         read_trial(tmp_path)
     (tmp_path / "trial.json").write_text("{}")
-    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 2\)"):
+    with pytest.raises(InputError, match=r"does not describe a trial \(format 1, expected 3\)"):
         read_trial(tmp_path)
-    (tmp_path / "trial.json").write_text('{"format": 2}')
+    (tmp_path / "trial.json").write_text('{"format": 3}')
     with pytest.raises(InputError, match="does not describe a trial"):
         read_trial(tmp_path)

@@ -22,6 +22,7 @@ from mrd_trials.scoring.rates import Rate
 from mrd_trials.scoring.report import write_score_report
 from mrd_trials.scoring.score import score_trial
 from mrd_trials.scoring.tables import markdown_tables
+from mrd_trials.size import Size, measured_size
 from mrd_trials.submission import installed_diagnoser
 from mrd_trials.trial_design import RECORDED_MODELS, Recipe, design_trial, is_detectable
 from mrd_trials.trial_folder import read_fresh_runs, read_given_runs, read_reference_runs, read_trial
@@ -58,8 +59,17 @@ def trial(recordings, tmp_path_factory):
     return folder, open_answers(path, read_trial(folder).commitments)
 
 
-def originals(recordings):
-    return {run.name: run for run in read_runs([str(file) for file in sorted((recordings / "press").glob("*.csv"))])}
+def originals(recordings, truth):
+    """Return the recordings at the size of a plant, by name."""
+    runs = read_runs([str(file) for file in sorted((recordings / "press").glob("*.csv"))])
+    size = Size(**truth.size)
+    return {run.name: size.scaled(measured_size(runs).inverse.scaled(run)) for run in runs}
+
+
+def is_untouched(run, original, channel):
+    """Whether a channel of a run is that of the original, of which the start may have been cut off."""
+    values = getattr(original, channel)[-len(run) :]
+    return np.allclose(getattr(run, channel), values, rtol=1e-6, atol=1e-6 * np.abs(values).max())
 
 
 def name_of(run):
@@ -69,19 +79,15 @@ def name_of(run):
 
 def test_null_plants_are_untouched_and_the_others_are_not(trial, recordings):
     folder, answers = trial
-    known = originals(recordings)
     for plant in read_trial(folder).plants:
         truth = answers[plant.plant]
+        known = originals(recordings, truth)
         runs = [*read_given_runs(folder, plant), *read_fresh_runs(folder, plant.plant)]
         assert len(runs) == 4 + FRESH_RUNS
         assert len({name_of(run) for run in runs}) == len(runs)
         channels = ("position", "current", "force")
-        changed = [
-            name
-            for run in runs
-            for name in channels
-            if not np.allclose(getattr(run, name), getattr(known[name_of(run)], name), rtol=1e-6, atol=1e-9)
-        ]
+        changed = [name for run in runs for name in channels if not is_untouched(run, known[name_of(run)], name)]
+        assert truth.begins_in_motion == (len(runs[0]) < len(known[name_of(runs[0])]))
         assert bool(changed) == (truth.kind == "single"), truth
         assert truth.rate == pytest.approx(100.0, rel=1e-6)
         assert truth.effects.keys() <= set(ALTERATIONS)
@@ -98,6 +104,7 @@ def test_altered_plants_have_the_recordings_of_an_untouched_one(trial):
         assert background.kind == "null"
         assert background.model == truth.model
         assert background.excitation == truth.excitation
+        assert (background.size, background.begins_in_motion) == (truth.size, truth.begins_in_motion)
         assert plants[truth.plant].runs != plants[truth.background].runs
         one, other = (
             [name_of(run) for run in read_given_runs(folder, plants[name])] for name in (truth.plant, truth.background)
@@ -111,13 +118,12 @@ def test_altered_plants_have_the_recordings_of_an_untouched_one(trial):
 
 def test_what_is_compared_is_untouched_and_half_of_it_shares_no_run(trial, recordings):
     folder, answers = trial
-    known = originals(recordings)
     shared = []
     for plant in read_trial(folder).plants:
         before = read_reference_runs(folder, plant)
         assert bool(before) == (answers[plant.plant].excitation == BEFORE_AFTER)
-        for run in before:
-            np.testing.assert_allclose(run.force, known[name_of(run)].force, rtol=1e-6, atol=1e-9)
+        known = originals(recordings, answers[plant.plant])
+        assert all(is_untouched(run, known[name_of(run)], "force") for run in before)
         if before:
             after = {name_of(run) for run in read_given_runs(folder, plant)}
             assert after == {name_of(run) for run in before} or after.isdisjoint(name_of(run) for run in before)
@@ -155,7 +161,7 @@ def cause_of(effect, probability):
     return SimpleNamespace(effect=effect, probability=probability, closed_fraction=interval, parameters={})
 
 
-def stand_in(runs, model, *, effects=(), seed=0, reference=()):
+def stand_in(runs, model, *, effects=(), bench=None, seed=0, reference=()):
     """A diagnosis that names the same effects for whatever it is given, one more in a comparison."""
     assert model in RECORDED_MODELS
     assert all(len(run.time) > 100 for run in (*runs, *reference))
@@ -175,7 +181,7 @@ def stand_in(runs, model, *, effects=(), seed=0, reference=()):
     )
 
 
-def without_reference(runs, model, *, effects=(), seed=0):
+def without_reference(runs, model, *, effects=(), bench=None, seed=0):
     return stand_in(runs, model)
 
 

@@ -15,7 +15,7 @@ from mrd_trials.submission import installed_diagnoser
 from mrd_trials.trial_design import Recipe
 from mrd_trials.trial_folder import read_trial
 
-RECIPE = Recipe(31, {"rich@100": 6})
+RECIPE = Recipe(31, {"rich@100": 6}, sizes="reference", starts="rest")
 """Two null plants, two with one effect, one with two effects, one with an effect that the catalogue lacks; two dampers have
 another form than the fitted model. None has mains hum, so the rate may be low."""
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 from mrd_base import InputError, run_tool
 from mrd_trials.cli.options import add_answers, add_workers, checked_workers, default_answers, progress_bar
 from mrd_trials.make import make_trial
-from mrd_trials.trial_design import FAMILIES, SHARES, Recipe
+from mrd_trials.trial_design import FAMILIES, SHARES, SIZES, STARTS, Recipe
 from mrd_trials.trial_folder import read_trial
 
 N = TypeVar("N", int, float)
@@ -50,6 +50,19 @@ def work() -> None:
         default=FAMILIES[0],
         help="formulas and damper forms: those of development, or those that nothing may be tuned on (default %(default)s)",
     )
+    parser.add_argument(
+        "--sizes",
+        choices=SIZES,
+        default=SIZES[0],
+        help="dampers from 5 N to 400 kN and from 1 mm to 0.5 m, or all of the size of the reference damper "
+        "(default %(default)s)",
+    )
+    parser.add_argument(
+        "--starts",
+        choices=STARTS,
+        default=STARTS[0],
+        help="half of the dampers with recordings that begin in mid-motion, or none (default %(default)s)",
+    )
     add_answers(parser)
     add_workers(parser)
     arguments = parser.parse_args()
@@ -57,7 +70,9 @@ def work() -> None:
         raise InputError(f"--seed is {arguments.seed}, expected a whole number from 0")
     plants = _pairs(arguments.plants, "--plants", _count) or STANDARD
     shares = _pairs(arguments.shares, "--shares", float) or SHARES
-    recipe = Recipe(arguments.seed, dict(plants), dict(shares), arguments.recorded, arguments.family)
+    recipe = Recipe(
+        arguments.seed, dict(plants), dict(shares), arguments.recorded, arguments.family, arguments.sizes, arguments.starts
+    )
     answers = arguments.answers or default_answers(arguments.trial)
     with progress_bar("making") as show:
         left_out = make_trial(recipe, arguments.trial, answers, checked_workers(arguments), show)
