@@ -273,7 +273,7 @@ def _diagnose_physics(
         closure.before,
         closure.after,
         closure.closed_fraction,
-        _error_as_given(model, theta_as_given, complete.weighting),
+        _error_as_given(model, theta_as_given, complete.weighting, closure),
         explainable,
         closure.extrapolated,
         explanation.form_fraction,
@@ -395,12 +395,15 @@ def _damper_before(weighting: Weighting, base: Refit) -> dict[str, float]:
     return refit_on(before, base).values
 
 
-def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weighting) -> float | None:
+def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weighting, closure: Closure) -> float | None:
     """Return the NRMSE of the simulator with the parameters that were handed in, without the runs' offsets and gain
-    errors.
+    errors: on the runs on which the other errors of the closure were measured.
     """
     if theta is None:
         return None
-    problem = weighting.problem(model, theta)
-    errors = [error_of_run(problem, theta, run)[1] for run in range(len(weighting.recordings))]
-    return nrmse(np.concatenate(errors), problem.force)
+    residuals = closure.residuals
+    recordings, noise = [residual.recording for residual in residuals], [residual.noise for residual in residuals]
+    problem = replace(weighting, recordings=recordings, noise=noise).problem(model, theta)
+    counted = [run for run, residual in enumerate(residuals) if residual.held_out == closure.counted[0].held_out]
+    errors = [error_of_run(problem, theta, run)[1] for run in counted]
+    return nrmse(np.concatenate(errors), np.concatenate([recordings[run].force for run in counted]))
