@@ -47,7 +47,7 @@ from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
 from mrd_identification.preflight import preflight
-from mrd_identification.preflight.excitation import has_one_peak_speed, repeats_one_stroke
+from mrd_identification.preflight.excitation import repeats_one_stroke
 from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects
@@ -336,19 +336,21 @@ def _explain_gap(
     singles = [fit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     comparison = compare_models(weighting, base, chosen, fits, rng)
+    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
+    complete = compare_on_all_samples(comparison, rng)
     other_models: dict[str, Refit] = {}
-    runs = [recording.run for recording in weighting.recordings]
-    if comparison.effects and has_one_peak_speed(runs):
-        # At a single speed, an effect may imitate what another damper model does.
+    chances = probabilities_of_alternatives(comparison, rng)
+    verdict = decide(complete, base.chi_square, chances, p_values, rng)
+    if verdict in ("explained", "ambiguous"):
+        # Before an effect is named: another damper model may explain as much without any.
         progress("trying other damper models", 0.48)
         excess = comparison.best.chi_square - 1.0
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
-        comparison = comparison.with_alternative_models(other_models)
-    chances = probabilities_of_alternatives(comparison, rng)
-    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
-    complete = compare_on_all_samples(comparison, rng)
-    verdict = decide(complete, base.chi_square, chances, p_values, rng)
+        comparison, complete = (compared.with_alternative_models(other_models) for compared in (comparison, complete))
+        chances = probabilities_of_alternatives(comparison, rng)
+        verdict = decide(complete, base.chi_square, chances, p_values, rng)
     explanation = Explanation(verdict, comparison, chances, p_values)
+    runs = [recording.run for recording in weighting.recordings]
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         if not other_models:
             progress("trying other damper models", 0.48)
