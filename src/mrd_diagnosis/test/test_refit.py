@@ -193,13 +193,11 @@ def test_a_score_predicts_the_gain_of_a_fit():
 def test_an_effect_with_which_the_model_diverges_scores_nothing(weighting, alone):
     """A damper whose viscosity is negative at some current is unstable behind a spring: its force overflows, or is none."""
     base_fit = BaseFit.linearise(weighting, alone)
-    for diverged in (1e200, np.nan):
-        problem = neutral(weighting, "series_compliance", alone.theta)
-        stub = SimpleNamespace(
-            model=problem.model, force=problem.force, residuals=lambda theta: np.full(len(problem.force), diverged)
-        )
+    problem = neutral(weighting, "series_compliance", alone.theta)
+    for diverged in np.full((2, len(problem.force)), [[1e200], [np.nan]]):
+        stub = SimpleNamespace(model=problem.model, force=problem.force, residuals=lambda theta, errors=diverged: errors)
         assert score_effect(stub, base_fit, EFFECTS["series_compliance"]).gain == 0.0
-        assert not np.isfinite(sum_of_squares(np.full(3, diverged)))
+        assert not np.isfinite(sum_of_squares(diverged))
 
 
 def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):
