@@ -182,6 +182,11 @@ def imitating_limitations(effect: str, findings: Sequence[Finding]) -> tuple[Fin
     )
 
 
+def gap_making_limitations(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the limitations after which a channel does not say what was when, so that a true model leaves a gap as well."""
+    return tuple(finding for finding in findings if finding.severity == "limitation" and finding.kind in TIMING_FINDINGS)
+
+
 def clocks_agree(run: Run) -> bool:
     """Whether the channels of a run are known to have one clock.
 

@@ -8,6 +8,7 @@ from mrd_base.tool import command, has_workspace
 from mrd_diagnosis.closed_loop import review_commands
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
+from mrd_diagnosis.honesty import gap_making_limitations
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs.read import run_arguments
@@ -191,6 +192,13 @@ def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     return " ".join(filter(None, sentences))
 
 
+def _limitation_headline(limiting: Sequence[Finding]) -> str:
+    """Return that a limitation of the recordings makes a gap by itself."""
+    runs = list(dict.fromkeys(finding.run for finding in limiting if finding.run))
+    where = f" (run{'s' if len(runs) > 1 else ''} {join_words(runs)})" if runs else ""
+    return f"A limitation of the recordings makes a gap by itself{where}: {limiting[0].text.rstrip('.')}."
+
+
 def _form_headline(diagnosis: Diagnosis, form: float) -> str:
     """Return that most of a gap lies in the form of the damper model, and which model to use."""
     text = (
@@ -223,6 +231,9 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         sentences = [f"None of the effects that these runs can test ({tested}) explains the {gap_name}{cannot}."]
     else:
         sentences = [f"These runs cannot test any of the effects ({untestable}) that may explain the {gap_name}."]
+    if limiting := gap_making_limitations(diagnosis.findings):
+        sentences.insert(0, _limitation_headline(limiting))
+        return " ".join(filter(None, [*sentences, where_sentence(diagnosis)]))
     if in_form > MOST:
         sentences.insert(0, _form_headline(diagnosis, in_form))
     if where := where_sentence(diagnosis):
@@ -307,6 +318,8 @@ def next_step(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict != "unknown_effect":
         return ""
+    if gap_making_limitations(diagnosis.findings):
+        return f"{_remedies(diagnosis)} Or leave these runs out. Then diagnose again."
     if model := notable_model(diagnosis):
         return f"Try the model {model.name}."
     text = ""
@@ -332,7 +345,7 @@ def _step_to_determine(diagnosis: Diagnosis) -> str:
     if limited:
         ids = join_words(list(dict.fromkeys(entry.effect for entry in limited)))
         steps.append(
-            f"Check whether your rig can have more of this than the plausible range of {ids} allows. If so, declare the effect "
+            f"Check whether your rig can have more of it than the plausible range of {ids} allows. If so, declare it "
             "with a wider range in a file of your own (docs/effects.md) and diagnose the runs again."
         )
     if any(entry.rule != "on_bound" for entry in diagnosis.rejected if entry.seen):
@@ -364,7 +377,8 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""
     commands = []
-    if model := notable_model(diagnosis):
+    unlimited = diagnosis.verdict == "partly_explained" or not gap_making_limitations(diagnosis.findings)
+    if unlimited and (model := notable_model(diagnosis)):
         model_id, _, change = model.name.partition(" with ")
         if change.endswith(" fitted too"):
             free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
