@@ -12,6 +12,7 @@ import yaml
 from mrd_base import InputError, node_patterns
 from mrd_diagnosis.diagnosis import Verdict
 from mrd_diagnosis.quantities import format_share
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECT_FOLDERS
 from mrd_sim.models import MODEL_FOLDERS, MODELS
@@ -67,6 +68,7 @@ def correction_of_report(report: Mapping[str, Any], where: str, **options: Any) 
         report["laws"],
         refitted["parameters"],
         refitted["effects"],
+        causes={cause["effect"]: cause["probability"] for cause in report["causes"]} if "causes" in report else None,
         closed_fraction=math.nan if closed is None else closed,
         is_change=bool(report["runs"]["reference"]),
         where=where,
@@ -81,6 +83,7 @@ def correction(
     parameters: Mapping[str, float],
     effects: Collection[str],
     *,
+    causes: Mapping[str, float] | None = None,
     closed_fraction: float = math.nan,
     is_change: bool = False,
     anyway: bool = False,
@@ -95,6 +98,9 @@ def correction(
     ----------
     verdict, model, laws, parameters, effects
         As in `mrd_diagnosis.diagnosis.Diagnosis`; parameters of effects are named EFFECT.PARAMETER.
+    causes : mapping, optional
+        Probability of each named cause, by the id of its effect; without it, all effects are taken for proven. Otherwise
+        those are that are named and more probable than not.
     closed_fraction : float
         Share of the gap that the effects close, for the remark on a partly explained gap; nan where it is not known.
     is_change : bool
@@ -109,7 +115,8 @@ def correction(
     InputError
         If the recordings are faulty, or if the verdict does not prove an effect and ``anyway`` is not set.
     """
-    remark = _remark(verdict, model, effects, closed_fraction, is_change, anyway, where, remedy)
+    doubtful = [] if causes is None else [e for e in effects if causes.get(e, 0.0) < THRESHOLDS.named_support]
+    remark = _remark(verdict, model, effects, doubtful, closed_fraction, is_change, anyway, where, remedy)
     if verdict == "no_gap":
         effects = ()
     parameters_of_effects = {
@@ -126,6 +133,7 @@ def _remark(
     verdict: Verdict,
     model: str,
     effects: Collection[str],
+    doubtful: Collection[str],
     closed_fraction: float,
     is_change: bool,
     anyway: bool,
@@ -144,6 +152,13 @@ def _remark(
     with_effects = f"{refitted} and the effect{'s' if len(effects) > 1 else ''} {named}"
     if verdict == "no_gap":
         return f"{refitted}: the diagnosis found no missing effect."
+    if verdict in ("explained", "partly_explained") and doubtful:
+        if not anyway:
+            raise InputError(
+                f"{where}: the probability of {', '.join(doubtful)} is below {100 * THRESHOLDS.named_support:g} %, so it is "
+                f"not proven; record more runs and diagnose again{remedy}"
+            )
+        return f"{with_effects}: this comes nearest to the {gap} and is NOT proven."
     if verdict == "explained":
         return f"{with_effects}: this explains the {gap}."
     if verdict == "partly_explained":

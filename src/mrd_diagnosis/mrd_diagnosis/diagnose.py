@@ -31,23 +31,23 @@ from mrd_diagnosis.explanation import (
     list_alternative_models,
     list_alternatives,
     list_candidates,
-    name_causes,
     probabilities_of_alternatives,
 )
 from mrd_diagnosis.flexible_remainder import explainable_fraction
+from mrd_diagnosis.judgement import judge, reject_others
 from mrd_diagnosis.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.localisation import find_oscillation, localise
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
 from mrd_diagnosis.null_distribution import NullGains, draw_null_gains
 from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
 from mrd_diagnosis.refit import Refit, refit_on
-from mrd_diagnosis.sentences import fault_sentence, verdict_sentence
+from mrd_diagnosis.sentences import fault_sentence, imitation_note, verdict_sentence
 from mrd_diagnosis.weighting import Weighting, error_of_run
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
 from mrd_identification.preflight import preflight
-from mrd_identification.preflight.excitation import has_one_peak_speed, repeats_one_stroke
+from mrd_identification.preflight.excitation import repeats_one_stroke
 from mrd_identification.recording import Recording, prepare_recording, thinned
 from mrd_runs import Run
 from mrd_runs.scales import scales_of
@@ -146,18 +146,7 @@ def diagnose(
         findings = (*preflight(reference, expected), *findings)
     if any(finding.severity == "fault" for finding in findings):
         progress("done", 1.0)
-        return Diagnosis(
-            base,
-            tuple(runs),
-            tuple(held_out),
-            seed,
-            time.monotonic() - began,
-            findings,
-            "data_fault",
-            fault_sentence(findings),
-            _held_out_by(runs, held_out, is_change=bool(reference)),
-            tuple(reference),
-        )
+        return _faulty(base, runs, held_out, reference, findings, seed, began)
     before = [replace(recording, without_effects=True) for recording in in_threads(prepare_recording, reference)]
     fitted, set_aside = (in_threads(prepare_recording, group) for group in (runs, held_out))
     if model == BEST_MODEL:
@@ -213,6 +202,30 @@ def _held_out_by(runs: Sequence[Run], held_out: Sequence[Run], *, is_change: boo
     return "runs" if held_out else "leave-one-run-out" if len(runs) > 1 and not is_change else "blocks"
 
 
+def _faulty(
+    model: DamperModel,
+    runs: Sequence[Run],
+    held_out: Sequence[Run],
+    reference: Sequence[Run],
+    findings: tuple[Finding, ...],
+    seed: int,
+    began: float,
+) -> Diagnosis:
+    """Return the diagnosis that the recordings are faulty."""
+    return Diagnosis(
+        model,
+        tuple(runs),
+        tuple(held_out),
+        seed,
+        time.monotonic() - began,
+        findings,
+        "data_fault",
+        fault_sentence(findings),
+        _held_out_by(runs, held_out, is_change=bool(reference)),
+        tuple(reference),
+    )
+
+
 def _diagnose_physics(
     model: DamperModel,
     theta_as_given: Array | None,
@@ -243,6 +256,17 @@ def _diagnose_physics(
         explanation, complete, singles, null_gains, other_models = _explain_gap(
             weighting, base, null_errors, tried, rng, progress
         )
+    runs = tuple(recording.run for recording in recordings if not recording.without_effects)
+    set_aside = tuple(recording.run for recording in held_out)
+    reference = tuple(recording.run for recording in recordings if recording.without_effects)
+    judgement = judge(explanation, complete, findings, [*reference, *runs], rng)
+    if judgement.faults:
+        progress("done", 1.0)
+        faults = tuple(replace(finding, severity="fault") for finding in judgement.faults)
+        others = tuple(finding for finding in findings if finding not in judgement.faults)
+        faulty = _faulty(model, runs, set_aside, reference, (*faults, *others), seed, began)
+        return replace(faulty, rejected=judgement.rejected, notes=(imitation_note(judgement.rejected),))
+    explanation, complete = judgement.explanation, judgement.complete
     verdict, comparison, chances = explanation.verdict, explanation.comparison, explanation.probabilities
     if verdict == "no_gap":
         comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
@@ -259,11 +283,10 @@ def _diagnose_physics(
         where, oscillation, explainable = _locate(closure, residuals, rng)
     nearest = None
     models: tuple[AlternativeModel, ...] = ()
-    reference = tuple(recording.run for recording in recordings if recording.without_effects)
-    if verdict in ("unknown_effect", "partly_explained"):
+    conclusive = verdict == "explained" or (verdict == "ambiguous" and bool(judgement.causes))
+    if verdict != "no_gap" and not conclusive:
         nearest = _nearest(comparison, listed)
         models = list_alternative_models(comparison, other_models, rng)
-    conclusive = verdict in ("explained", "ambiguous")
     if conclusive:
         progress("designing the next experiment", 0.96)
     corrected, without_effects = complete.best.values, complete.without_effects().best.values
@@ -275,13 +298,11 @@ def _diagnose_physics(
         closure.before,
         closure.after,
         closure.closed_fraction,
-        _error_as_given(model, theta_as_given, complete.weighting),
+        _error_as_given(model, theta_as_given, complete.weighting, closure),
         explainable,
         closure.extrapolated,
         explanation.form_fraction,
     )
-    runs = tuple(recording.run for recording in recordings if not recording.without_effects)
-    set_aside = tuple(recording.run for recording in held_out)
     progress("done", 1.0)
     diagnosis = Diagnosis(
         model=model,
@@ -303,8 +324,9 @@ def _diagnose_physics(
         ),
         where=where,
         oscillation=oscillation,
-        causes=name_causes(replace(explanation, comparison=complete), rng),
-        alternatives=list_alternatives(comparison, chances) if conclusive or verdict == "partly_explained" else (),
+        causes=judgement.causes,
+        rejected=reject_others(judgement, listed, models, findings, [*reference, *runs]),
+        alternatives=list_alternatives(comparison, chances) if verdict not in ("no_gap", "unknown_effect") else (),
         nearest=nearest,
         candidates=listed,
         untestable=(*without_evidence, *untestable),
@@ -338,19 +360,21 @@ def _explain_gap(
     singles = [fit for fit in fits if len(fit.effects) == 1]
     null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
     comparison = compare_models(weighting, base, chosen, fits, rng)
+    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
+    complete = compare_on_all_samples(comparison, rng)
     other_models: dict[str, Refit] = {}
-    runs = [recording.run for recording in weighting.recordings]
-    if comparison.effects and has_one_peak_speed(runs):
-        # At a single speed, an effect may imitate what another damper model does.
+    chances = probabilities_of_alternatives(comparison, rng)
+    verdict = decide(complete, base.chi_square, chances, p_values, rng)
+    if verdict in ("explained", "ambiguous"):
+        # Before an effect is named: another damper model may explain as much without any.
         progress("trying other damper models", 0.48)
         excess = comparison.best.chi_square - 1.0
         other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
-        comparison = comparison.with_alternative_models(other_models)
-    chances = probabilities_of_alternatives(comparison, rng)
-    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
-    complete = compare_on_all_samples(comparison, rng)
-    verdict = decide(complete, base.chi_square, chances, p_values, rng)
+        comparison, complete = (compared.with_alternative_models(other_models) for compared in (comparison, complete))
+        chances = probabilities_of_alternatives(comparison, rng)
+        verdict = decide(complete, base.chi_square, chances, p_values, rng)
     explanation = Explanation(verdict, comparison, chances, p_values)
+    runs = [recording.run for recording in weighting.recordings]
     if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
         if not other_models:
             progress("trying other damper models", 0.48)
@@ -397,12 +421,15 @@ def _damper_before(weighting: Weighting, base: Refit) -> dict[str, float]:
     return refit_on(before, base).values
 
 
-def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weighting) -> float | None:
+def _error_as_given(model: DamperModel, theta: Array | None, weighting: Weighting, closure: Closure) -> float | None:
     """Return the NRMSE of the simulator with the parameters that were handed in, without the runs' offsets and gain
-    errors.
+    errors: on the runs on which the other errors of the closure were measured.
     """
     if theta is None:
         return None
-    problem = weighting.problem(model, theta)
-    errors = [error_of_run(problem, theta, run)[1] for run in range(len(weighting.recordings))]
-    return nrmse(np.concatenate(errors), problem.force)
+    residuals = closure.residuals
+    recordings, noise = [residual.recording for residual in residuals], [residual.noise for residual in residuals]
+    problem = replace(weighting, recordings=recordings, noise=noise).problem(model, theta)
+    counted = [run for run, residual in enumerate(residuals) if residual.held_out == closure.counted[0].held_out]
+    errors = [error_of_run(problem, theta, run)[1] for run in counted]
+    return nrmse(np.concatenate(errors), np.concatenate([recordings[run].force for run in counted]))

@@ -81,6 +81,11 @@ class Region:
     label: str
 
 
+ON_BOUND = "the fit stopped at the limit of the plausible range; the true value may lie beyond it"
+UNDETERMINED = "not determined by these runs"
+"""Remarks on a parameter that make it hard to believe."""
+
+
 @dataclass(frozen=True)
 class ParameterEstimate:
     """A parameter of an effect, with its 95 % interval and a remark where it is hard to believe."""
@@ -141,6 +146,35 @@ class Cause:
     p_value: float
     closed_fraction: Interval
     parameters: Mapping[str, ParameterEstimate]
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """An effect that is not named as a cause.
+
+    Attributes
+    ----------
+    effect : str
+    rule : str
+        Id of the rule of `mrd_diagnosis.honesty.RULES` that rejected it.
+    why : str
+        The reason as a clause about the effect ("it").
+    seen : bool
+        Whether it belongs to what explains the gap best: without the rule it would have been named.
+    probability, p_value : float
+    closed_fraction : Interval
+        Share of the gap that it closes.
+    parameters : mapping
+    """
+
+    effect: str
+    rule: str
+    why: str
+    seen: bool
+    probability: float
+    p_value: float
+    closed_fraction: Interval
+    parameters: Mapping[str, ParameterEstimate] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -322,9 +356,11 @@ class Diagnosis:
         A narrow band of frequencies that has most of the excess error, where there is one.
     causes : tuple of Cause
         The named effects. With a partly explained gap, they hold whatever the form of the damper model.
+    rejected : tuple of Rejected
+        Every effect that was tried and is not named, first those that explain the gap best.
     alternatives : tuple of Alternative
     nearest : Candidate or None
-        What comes nearest to the gap where it is not explained.
+        What comes nearest to the gap where no cause explains it.
     candidates : tuple of Candidate
         The effects that were tried by themselves, and the chosen ones together; best first, without ``untestable``.
     untestable : tuple of UntestableEffect
@@ -352,6 +388,7 @@ class Diagnosis:
     where: tuple[Region, ...] = ()
     oscillation: Region | None = None
     causes: tuple[Cause, ...] = ()
+    rejected: tuple[Rejected, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
     nearest: Candidate | None = None
     candidates: tuple[Candidate, ...] = ()

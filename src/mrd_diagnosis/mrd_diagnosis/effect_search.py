@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mrd_diagnosis.base_fit import BaseFit, with_effect
 from mrd_diagnosis.refit import CONVERGED, Refit, refit, refit_on
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.weighting import WeightedProblem, Weighting
+from mrd_diagnosis.weighting import WeightedProblem, Weighting, sum_of_squares
 from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS, Effect, find_effects
 
@@ -248,7 +248,7 @@ def _better_start(
             for name, value in zip(problem.model.names, neutral, strict=True)
         ]
     )
-    cost_of_start, cost_of_other = (float(np.sum(problem.residuals(theta) ** 2)) for theta in (start, other))
+    cost_of_start, cost_of_other = (sum_of_squares(problem.residuals(theta)) for theta in (start, other))
     if cost_of_other < cost_of_start:
         return weighting.problem(problem.model, other), other
     return problem, start
@@ -285,7 +285,7 @@ def score_effect(problem: WeightedProblem, base: BaseFit, effect: Effect) -> Eff
         theta = neutral.copy()
         theta[places] = [trial[p.name] for p in effect.parameters]
         change = problem.residuals(theta) - base.residual
-        energy = float(change @ change)
+        energy = sum_of_squares(change)
         if not np.isfinite(energy) or energy == 0.0:
             continue
         absorbed = -base.inverse @ (base.jacobian.T @ change)

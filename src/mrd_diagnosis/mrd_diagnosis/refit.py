@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.weighting import WeightedProblem, Weighting, error_of_run
+from mrd_diagnosis.weighting import WeightedProblem, Weighting, error_of_run, sum_of_squares
 from mrd_identification.least_squares import bounded_step, levenberg_marquardt
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import Problem
@@ -228,7 +228,7 @@ def held_out_errors(
         samples = slice(fold.start - start, fold.stop - start)
         white, plain = (error[samples] for error in error_of_run(problem, thetas[index], run, coefficients[index]))
         relative = plain / problem.sigmas[run][samples]
-        return float(white @ white), float(plain @ plain), float(relative @ relative)
+        return sum_of_squares(white), sum_of_squares(plain), sum_of_squares(relative)
 
     white, plain, relative = np.array(in_threads(errors_of, range(len(folds)))).T
     return white, plain, relative

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from mrd_base.tool import command, has_workspace
 from mrd_diagnosis.closed_loop import review_commands
-from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap
+from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
+from mrd_diagnosis.honesty import gap_making_limitations
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs.read import run_arguments
@@ -16,6 +17,9 @@ from mrd_sim.own import folder_arguments, model_arguments
 
 NEARLY_ALL = 0.85
 """Share of the error from which a reader calls it nearly all."""
+
+MOST = 0.5
+"""Share of the gap from which a reader calls it most of it."""
 
 FORM = "speed, recent travel and current"
 """What the form remainder depends on; see `mrd_diagnosis.form_remainder`."""
@@ -66,6 +70,15 @@ def fault_sentence(findings: Sequence[Finding]) -> str:
     return f"Data problem{f' ({place})' if place else ''}: {faults[0].text.rstrip('.')}.{more}"
 
 
+def imitation_note(rejected: Sequence[Rejected]) -> str:
+    """Return which effects recordings seem to show that a limitation of these recordings can imitate."""
+    names = effect_names([entry.effect for entry in rejected])
+    return (
+        f"These recordings look as if the model lacked {names}, but their limitation can imitate that. So no cause is named "
+        "before it is mended; runs without it can be diagnosed by themselves."
+    )
+
+
 def _no_gap_sentence(gap: Gap) -> str:
     """Return the verdict that noise explains the error."""
     before, noise = format_error(gap.before.value), format_error(gap.noise_floor.value)
@@ -102,6 +115,8 @@ def _explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that several explanations fit nearly as well."""
+    if not diagnosis.causes:
+        return _seen_sentence(diagnosis, gap)
     alternatives = diagnosis.alternatives
     doubted = {alternative.instead_of for alternative in alternatives}
     certain = [cause for cause in diagnosis.causes if cause.effect not in doubted]
@@ -122,21 +137,78 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     return text
 
 
+def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
+    """Return the verdict that effects close the gap, but with sizes that the recordings do not determine."""
+    seen = [entry for entry in diagnosis.rejected if entry.seen]
+    sentences = [f"Seen, not determined: {join_words([effect_clause(entry.effect, entry.parameters) for entry in seen])}."]
+    sentences += [f"{capitalised(effect_name(entry.effect))} is not named as a cause: {entry.why}." for entry in seen]
+    if math.isfinite(gap.closed_fraction.value):
+        share = format_share(gap.closed_fraction.value)
+        sentences.append(f"It would remove {share} of the {_gap_name(diagnosis, 'explainable gap')}.")
+    likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in diagnosis.alternatives]
+    if likely:
+        sentences.append(f"In its place, the cause may be {join_words(likely, 'or')}.")
+    if limited := limited_effects(diagnosis):
+        first = limited[0]
+        sentences.append(
+            f"Another effect stands at the limit of its plausible range as well, and may close more beyond it: "
+            f"{effect_clause(first.effect, first.parameters)} (removes {format_share(first.closed_fraction.value)})."
+        )
+    return " ".join(sentences)
+
+
+def limited_effects(diagnosis: Diagnosis) -> list[Rejected]:
+    """Return the effects that are no part of the best explanation, close much, and stand at the limit of their range."""
+    limited = [entry for entry in diagnosis.rejected if entry.rule == "on_bound" and not entry.seen]
+    notable = [entry for entry in limited if entry.closed_fraction.value >= THRESHOLDS.least_share_first]
+    return sorted(notable, key=lambda entry: -entry.closed_fraction.value)
+
+
 def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names causes although they do not explain the whole gap, and describes the rest."""
-    sentences = [f"{capitalised(_clauses(diagnosis.causes))} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"]
+    form = share_of_form(gap)
+    form_first = form > MOST
+    sentences = [_form_headline(diagnosis, form)] if form_first else []
+    beside = "Beside that, " if form_first else ""
+    clauses = _clauses(diagnosis.causes)
+    sentences.append(
+        f"{beside}{clauses if beside else capitalised(clauses)} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
+    )
+    sentences += [
+        f"It seems as well that {effect_clause(entry.effect, entry.parameters)}; this is not named as a cause: {entry.why}."
+        for entry in diagnosis.rejected
+        if entry.seen
+    ]
     for cause in diagnosis.causes:
         others = [other for other in diagnosis.alternatives if other.instead_of == cause.effect]
         likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in others]
         if likely:
             sentences.append(f"In place of {effect_name(cause.effect)}, the cause may be {join_words(likely, 'or')}.")
-    form = share_of_form(gap)
-    if form > THRESHOLDS.notable_alternative_model:
+    if form > THRESHOLDS.notable_alternative_model and not form_first:
         sentences.append(
             f"Another {format_share(form)} lies in the form of the damper model: in how its force depends on {FORM}."
         )
     sentences.append(where_sentence(diagnosis, "the remaining error"))
     return " ".join(filter(None, sentences))
+
+
+def _limitation_headline(limiting: Sequence[Finding]) -> str:
+    """Return that a limitation of the recordings makes a gap by itself."""
+    runs = list(dict.fromkeys(finding.run for finding in limiting if finding.run))
+    where = f" (run{'s' if len(runs) > 1 else ''} {join_words(runs)})" if runs else ""
+    return f"A limitation of the recordings makes a gap by itself{where}: {limiting[0].text.rstrip('.')}."
+
+
+def _form_headline(diagnosis: Diagnosis, form: float) -> str:
+    """Return that most of a gap lies in the form of the damper model, and which model to use."""
+    text = (
+        f"Most of the gap ({format_share(form)}) lies in the form of the damper model: in how its force depends on {FORM}."
+    )
+    if model := notable_model(diagnosis):
+        text += (
+            f" Use the model {model.name} first: it removes {format_share(model.closed_fraction.value)} without any effect."
+        )
+    return text
 
 
 def open_share(gap: Gap) -> float:
@@ -151,16 +223,24 @@ def share_of_form(gap: Gap) -> float:
 
 def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that no effect explains the gap, with the best clues."""
-    nearest = diagnosis.nearest
+    nearest, model = diagnosis.nearest, notable_model(diagnosis)
+    in_form = max(0.0, gap.form_fraction, model.closed_fraction.value if model else 0.0)  # nan is no maximum
     tested, untestable, gap_name = _effects_tried(diagnosis), len(diagnosis.untestable), _gap_name(diagnosis)
     if tested:
         cannot = f"; {untestable} more cannot be tested with them" if untestable else ""
         sentences = [f"None of the effects that these runs can test ({tested}) explains the {gap_name}{cannot}."]
     else:
         sentences = [f"These runs cannot test any of the effects ({untestable}) that may explain the {gap_name}."]
+    if limiting := gap_making_limitations(diagnosis.findings):
+        sentences.insert(0, _limitation_headline(limiting))
+        return " ".join(filter(None, [*sentences, where_sentence(diagnosis)]))
+    if in_form > MOST:
+        sentences.insert(0, _form_headline(diagnosis, in_form))
     if where := where_sentence(diagnosis):
         sentences.append(where)
-    if model := notable_model(diagnosis):
+    if in_form > MOST:
+        return " ".join(sentences)
+    if model:
         share = format_share(model.closed_fraction.value)
         return " ".join([*sentences, f"The model {model.name} removes {share}: try it next."])
     if nearest is not None and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model:
@@ -219,7 +299,11 @@ def next_step(diagnosis: Diagnosis) -> str:
                 "without an effect, and the causes are fitted anew beside it. Apply the result of that. The second command "
                 "adds what was found here to the present model until then."
             )
+        if min(cause.probability for cause in diagnosis.causes) < THRESHOLDS.named_support:
+            add = "The next command adds what was found to your simulator, though it is not proven."
         return f"{add} {remedies} Then diagnose all runs again." if (remedies := _remedies(diagnosis)) else add
+    if diagnosis.verdict == "ambiguous" and not diagnosis.causes:
+        return _step_to_determine(diagnosis)
     if diagnosis.verdict == "ambiguous":
         advice = diagnosis.next_experiment
         text = advice.text if advice is not None else ""
@@ -234,6 +318,8 @@ def next_step(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict != "unknown_effect":
         return ""
+    if gap_making_limitations(diagnosis.findings):
+        return f"{_remedies(diagnosis)} Or leave these runs out. Then diagnose again."
     if model := notable_model(diagnosis):
         return f"Try the model {model.name}."
     text = ""
@@ -252,6 +338,23 @@ def next_step(diagnosis: Diagnosis) -> str:
     return f"{text}See where the error lies, and describe the missing effect in a file of your own (docs/effects.md)."
 
 
+def _step_to_determine(diagnosis: Diagnosis) -> str:
+    """Return what to do where effects are seen, but not determined."""
+    limited = [entry for entry in diagnosis.rejected if entry.rule == "on_bound" and entry.seen] + limited_effects(diagnosis)
+    steps = []
+    if limited:
+        ids = join_words(list(dict.fromkeys(entry.effect for entry in limited)))
+        steps.append(
+            f"Check whether your rig can have more of it than the plausible range of {ids} allows. If so, declare it "
+            "with a wider range in a file of your own (docs/effects.md) and diagnose the runs again."
+        )
+    if any(entry.rule != "on_bound" for entry in diagnosis.rejected if entry.seen):
+        steps.append(
+            "Record runs with other speeds, strokes and currents, which determine the size, and diagnose all together."
+        )
+    return " ".join(filter(None, [*steps, _remedies(diagnosis)]))
+
+
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the commands that follow from a verdict, one a line; empty where none do. ``folder`` is that of the report."""
     folder, runs = shlex.quote(folder), run_arguments(diagnosis.runs)
@@ -261,18 +364,21 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     apply += folder_arguments()
+    if any(cause.probability < THRESHOLDS.named_support for cause in diagnosis.causes):
+        apply += " --anyway"
     reviews = review_commands(diagnosis.runs, f"{folder}/gap_report.json")
     if diagnosis.verdict == "explained":
         return "\n".join([apply, *reviews])
-    if diagnosis.verdict == "ambiguous":
+    if diagnosis.verdict == "ambiguous" and diagnosis.causes:
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
-            return f"{apply} --anyway"
+            return apply if apply.endswith(" --anyway") else f"{apply} --anyway"
         record = f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n" if has_workspace() else ""
         return f"{record}{diagnose} NEW_RUN{held_out}{reference} {model_arguments(diagnosis.model.id, laws)} --output DIR"
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""
     commands = []
-    if model := notable_model(diagnosis):
+    unlimited = diagnosis.verdict == "partly_explained" or not gap_making_limitations(diagnosis.findings)
+    if unlimited and (model := notable_model(diagnosis)):
         model_id, _, change = model.name.partition(" with ")
         if change.endswith(" fitted too"):
             free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
@@ -297,7 +403,7 @@ def corrected_label(diagnosis: Diagnosis) -> str:
         return ""
     if diagnosis.verdict in ("explained", "partly_explained"):
         return "with the cause" if len(diagnosis.causes) == 1 else "with the causes"
-    if diagnosis.verdict == "ambiguous":
+    if diagnosis.verdict == "ambiguous" and diagnosis.causes:
         return "with the most likely cause" if len(diagnosis.causes) == 1 else "with the most likely causes"
     return "with the nearest effect" if len(diagnosis.corrected.effects) == 1 else "with the nearest effects"
 

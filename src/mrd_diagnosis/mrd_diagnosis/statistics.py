@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, softmax, stdtrit
 
-from mrd_diagnosis.diagnosis import Interval, ParameterEstimate
+from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Interval, ParameterEstimate
 from mrd_diagnosis.refit import Refit, scaled_inverse
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import BOUND_TOLERANCE
@@ -102,9 +102,9 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
         remark = ""
         if unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE:
             if refitted.theta[index] != parameter.default:
-                remark = "the fit stopped at the limit of the plausible range; the true value may lie beyond it"
+                remark = ON_BOUND
         elif ends[0] == 0.0 and ends[1] == 1.0:
-            remark = "not determined by these runs"
+            remark = UNDETERMINED
         interval = Interval(float(refitted.theta[index]), float(lower), float(upper))
         estimates[parameter.name] = ParameterEstimate(interval, parameter.unit, remark)
     for parameter, value in zip(problem.model.parameters, refitted.theta, strict=True):

@@ -179,6 +179,14 @@ def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients:
     return whitening_of_run(error), error - gain * whitening_of_run.reference - offset
 
 
+def sum_of_squares(errors: Array) -> float:
+    """Return the sum of squared errors (n,): not finite where the model has diverged, as a damper of negative viscosity
+    does behind a spring.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(errors @ errors)
+
+
 @dataclass(frozen=True)
 class Weighting:
     """Recordings with everything that is known about their errors.

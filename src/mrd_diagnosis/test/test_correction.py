@@ -153,6 +153,17 @@ def test_what_is_not_proven_needs_anyway():
     assert made.remark == "The damper is bouc_wen with refitted parameters: an effect is missing that is NOT known."
 
 
+@pytest.mark.parametrize("causes", [{"coil_lag": 0.42}, {"gas_spring": 0.9}, {}])
+def test_a_cause_that_is_not_named_or_rather_improbable_needs_anyway(causes):
+    for verdict in ("explained", "partly_explained"):
+        with pytest.raises(InputError, match=r"^gap\.json: the probability of coil_lag is below 50 %, .*--anyway"):
+            corrected("bouc_wen", ["coil_lag"], verdict, causes=causes, where="gap.json")
+        _, _, made = corrected("bouc_wen", ["coil_lag"], verdict, causes=causes, anyway=True)
+        assert "NOT proven" in made.remark
+    _, _, made = corrected("bouc_wen", ["coil_lag"], causes={"coil_lag": 0.95})
+    assert "explains the gap" in made.remark
+
+
 def test_effects_of_the_user_go_with_their_folder(tmp_path, user_effects):
     laws = find_model("bingham").laws
     made = Correction("bingham", laws, {}, {"own_spring": {"rate": 500.0}}, "-")

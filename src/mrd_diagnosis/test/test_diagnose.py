@@ -284,6 +284,18 @@ def test_a_true_simulator_among_scattered_runs_is_no_gap_in_the_parameters():
     assert diagnosis.sentence.startswith("No gap")
 
 
+@pytest.mark.parametrize("held_out", ["multisine", "slow"])
+def test_the_error_as_given_and_the_one_before_are_of_the_same_runs(held_out):
+    """Relative to its force, the noise of a slow run is larger than that of a fast one."""
+    runs = recorded(seed=12)
+    aside = [run for run in runs if run.name.endswith(held_out)]
+    simulator = StoredFit("bouc_wen", {}, (), DAMPER, {})
+    fitted = [run for run in runs if run not in aside]
+    diagnosis = diagnose(fitted, "bouc_wen", held_out=aside, parameters=simulator, effects=("moving_mass",))
+    assert diagnosis.gap.as_given == pytest.approx(diagnosis.gap.before.value, rel=0.15)
+    assert diagnosis.sentence.startswith("No gap")
+
+
 def test_a_second_cause_is_found_and_both_have_alternatives():
     runs = recorded({"coil_lag": {"lag": 0.002}, "moving_mass": {"mass": 4.0}}, seed=9)
     diagnosis = diagnose(runs, "bouc_wen", effects=FEW)

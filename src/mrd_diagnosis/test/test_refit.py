@@ -18,7 +18,7 @@ from mrd_diagnosis.model_comparison import NO_EFFECT, compare_models, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains
 from mrd_diagnosis.refit import refit, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
-from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, RunScatter, Weighting, whitening
+from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, RunScatter, Weighting, sum_of_squares, whitening
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -188,6 +188,16 @@ def test_a_score_predicts_the_gain_of_a_fit():
     assert alone.fold_costs.sum() - fitted.fold_costs.sum() == pytest.approx(scores["flow_asymmetry"].gain, rel=0.2)
     assert scores["load_cell_gain"].gain < 0.03 * scores["flow_asymmetry"].gain
     assert fitted.chi_square < 1.1 < alone.chi_square
+
+
+def test_an_effect_with_which_the_model_diverges_scores_nothing(weighting, alone):
+    """A damper whose viscosity is negative at some current is unstable behind a spring: its force overflows, or is none."""
+    base_fit = BaseFit.linearise(weighting, alone)
+    problem = neutral(weighting, "series_compliance", alone.theta)
+    for diverged in np.full((2, len(problem.force)), [[1e200], [np.nan]]):
+        stub = SimpleNamespace(model=problem.model, force=problem.force, residuals=lambda theta, errors=diverged: errors)
+        assert score_effect(stub, base_fit, EFFECTS["series_compliance"]).gain == 0.0
+        assert not np.isfinite(sum_of_squares(diverged))
 
 
 def test_a_clearly_better_refit_has_all_the_probability(weighting, alone):

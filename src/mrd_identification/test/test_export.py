@@ -125,7 +125,7 @@ def test_what_cannot_be_exported_is_refused(path, tmp_path):
 
 
 GAP = {
-    "schema": "mrd-gap/3",
+    "schema": "mrd-gap/4",
     "verdict": "explained",
     "model": "bingham",
     "laws": {},

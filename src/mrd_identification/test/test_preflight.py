@@ -208,6 +208,16 @@ def test_a_channel_refreshed_slowly(good, channel):
     assert "refreshed at 100 Hz" in finding.text
 
 
+def test_a_current_refreshed_slowly_is_no_command_in_steps(good):
+    run = run_named(good, "multisine")
+    ramp = 0.2 + 0.1 * np.sin(2 * np.pi * 0.7 * run.time)
+    held = np.arange(len(run)) // 5 * 5
+    finding = only_finding(preflight(with_change(good, "multisine", current=ramp[held])), "clock", "multisine", "current")
+    assert "refreshed at 100 Hz" in finding.text
+    levels = np.random.default_rng(0).choice([0.1, 0.2, 0.3], len(run))[held]
+    assert "clock" not in {finding.kind for finding in preflight(with_change(good, "multisine", current=levels))}
+
+
 # ---- Readings
 
 

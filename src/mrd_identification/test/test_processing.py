@@ -309,6 +309,42 @@ def test_a_change_of_the_noise(place, factor, channel):
     assert after / before == pytest.approx(np.hypot(1, factor), rel=0.25)
 
 
+@cache
+def paused(rest: str, seconds: float, rate: float) -> Run:
+    """Return a run whose rod rests for some seconds at its ``start``, in its ``middle`` or at its ``end``, and the rest of
+    the time moves under a force that is rough while it moves, as that of dry friction is.
+    """
+    still = round(seconds * rate)
+    before, after = {"start": (0, 8), "middle": (4, 4), "end": (8, 0)}[rest]
+    time = np.arange(still + round(8 * rate)) / rate
+    moves = (time < before) | (time >= time[-1] + 1 / rate - after)
+    phase = 2 * np.pi * 0.97 * np.cumsum(moves) / rate
+    position, velocity = 0.02 * np.sin(phase), 0.02 * 2 * np.pi * 0.97 * np.cos(phase) * moves
+    random = np.random.default_rng(still)
+    rough = moves * 8.0 * random.standard_normal(len(time))
+    force = 300.0 * np.tanh(velocity / 0.02) + rough + 0.5 * random.standard_normal(len(time))
+    return Run(rest, time, position + 2e-6 * random.standard_normal(len(time)), velocity, np.full(len(time), 0.3), force)
+
+
+@examples
+@given(st.sampled_from(["start", "middle", "end"]), st.sampled_from([3.0, 6.0, 12.0]), st.sampled_from([256.0, 500.0]))
+def test_a_rod_that_comes_to_rest_has_not_joined_two_recordings(rest, seconds, rate):
+    run = paused(rest, seconds, rate)
+    assert "gap" not in {finding.kind for finding in preflight([run])}
+    # The same rest hides no change of the noise while the rod moves.
+    later = run.time > 0.5 * run.duration if rest == "middle" else run.time > (seconds if rest == "start" else 0.0) + 4.0
+    louder = replace(run, force=run.force + later * 40.0 * np.random.default_rng(1).standard_normal(len(run)))
+    assert "the noise of the force changes" in findings_about(louder, "gap")["force"]
+
+
+def test_the_end_of_a_measured_motion_is_no_joint():
+    folder = Path(os.environ.get("MRD_DATA", Path(__file__).resolve().parents[4] / "shared/data")) / "brfd"
+    if not folder.is_dir():
+        pytest.skip("no measured runs; name their folder by MRD_DATA")
+    runs = read_runs(sorted(map(str, folder.glob("*.csv"))))
+    assert [finding for finding in preflight(runs) if finding.kind == "gap"] == []
+
+
 @examples
 @given(st.integers(500, 5000), st.floats(3e-3, 20e-3))
 def test_a_jump_of_the_position(place, size):

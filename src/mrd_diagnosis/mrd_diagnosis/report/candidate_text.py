@@ -77,9 +77,9 @@ def with_probabilities(diagnosis: Diagnosis) -> bool:
 
     Without a gap there is no cause, and with an unknown effect none of the candidates is the cause, so that a probability
     would mislead there. With a partly explained gap, only the causes and their alternatives have one: they were compared
-    beside a freer form of the model, the candidates without it.
+    beside a freer form of the model, the candidates without it. What is seen but not determined has none either.
     """
-    return diagnosis.verdict in ("explained", "ambiguous")
+    return diagnosis.verdict in ("explained", "ambiguous") and bool(diagnosis.causes)
 
 
 def candidate_probability(diagnosis: Diagnosis, candidate: Candidate) -> float:

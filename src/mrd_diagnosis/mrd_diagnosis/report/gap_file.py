@@ -19,6 +19,7 @@ from mrd_diagnosis.diagnosis import (
     Interval,
     ParameterEstimate,
     Region,
+    Rejected,
     RunResidual,
 )
 from mrd_diagnosis.effect_names import parameters_of_effect
@@ -28,7 +29,7 @@ from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-SCHEMA = "mrd-gap/3"
+SCHEMA = "mrd-gap/4"
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -53,6 +54,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "where": [_region(region) for region in diagnosis.where],
         "oscillation": None if diagnosis.oscillation is None else _region(diagnosis.oscillation),
         "causes": [_cause(cause) for cause in diagnosis.causes],
+        "rejected": [_rejected(entry) for entry in diagnosis.rejected],
         "alternatives": [_alternative(alternative) for alternative in diagnosis.alternatives],
         "nearest": None if diagnosis.nearest is None else _candidate(diagnosis.nearest),
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],
@@ -148,6 +150,19 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "parameters": _parameters(parameters_of_effect(cause.effect, cause.parameters)),
         **_closed_fraction(cause.closed_fraction),
         "p_value": finite_or_none(cause.p_value),
+    }
+
+
+def _rejected(entry: Rejected) -> dict[str, Any]:
+    return {
+        "effect": entry.effect,
+        "rule": entry.rule,
+        "why": entry.why,
+        "seen": entry.seen,
+        "probability": finite_or_none(entry.probability),
+        **_closed_fraction(entry.closed_fraction),
+        "p_value": finite_or_none(entry.p_value),
+        "parameters": _parameters(parameters_of_effect(entry.effect, entry.parameters)),
     }
 
 

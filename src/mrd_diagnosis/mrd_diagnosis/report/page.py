@@ -196,6 +196,16 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
             for columns in [_parameter_columns(diagnosis, corrected)]
             for parameter in diagnosis.model.parameters
         ],
+        "seen": [
+            (
+                capitalised(effect_clause(entry.effect, entry.parameters)),
+                entry.effect,
+                capitalised(entry.why),
+                format_share(entry.closed_fraction),
+            )
+            for entry in diagnosis.rejected
+            if entry.seen
+        ],
         "remains": _remains(diagnosis, gap) if diagnosis.verdict == "partly_explained" else [],
         "nearest": nearest,
         "alternative_models": [
@@ -251,7 +261,7 @@ def significant_regions(diagnosis: Diagnosis) -> list[Region]:
 def _headline(diagnosis: Diagnosis, gap: Gap) -> list[tuple[str, str, str]]:
     """Return value, name and interval of each number at the top of the page: how sure, how much is removed, the errors."""
     label, numbers = corrected_label(diagnosis), []
-    if diagnosis.verdict in ("explained", "ambiguous", "partly_explained"):
+    if diagnosis.causes:
         least = min(diagnosis.causes, key=lambda cause: cause.probability)
         which = "least certain " if len(diagnosis.causes) > 1 else "most likely " if diagnosis.alternatives else ""
         numbers.append(
@@ -371,7 +381,7 @@ def _cause_facts(diagnosis: Diagnosis, cause: Cause, gap: Gap) -> str:
 def _nearest_cards(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Return the effects that come nearest to an unknown effect, without the named causes."""
     nearest = diagnosis.nearest
-    if nearest is None or diagnosis.verdict != "unknown_effect":
+    if nearest is None or diagnosis.verdict == "partly_explained":
         return []
     if nearest.closed_fraction.value <= THRESHOLDS.notable_alternative_model:
         return []

@@ -37,6 +37,8 @@ NOISE_RATIO = 2.0
 """Ratio of the noise before and after an instant from which the recordings are not of one setting."""
 NOISE_SIGMA = 3.0
 """The same change, in standard deviations of the logarithmic noise from block to block."""
+RESTING_SPEED = 0.1
+"""Speed over the top speed that the rod exceeds in no part of a block in which it rests."""
 FEWEST_BLOCKS = 15
 """Blocks of samples on either side of a change of the noise."""
 
@@ -66,7 +68,7 @@ def check_joins(checked: CheckedRun) -> Iterator[Finding]:
     if checked.is_slowly_sampled:
         return
     for name in ("position", "force"):
-        change = _noise_change(checked.channels[name])
+        change = _noise_change(checked.channels[name], checked)
         if change is None:
             continue
         sample, before, after = change
@@ -106,23 +108,39 @@ def _check_jumps(checked: CheckedRun) -> Iterator[Finding]:
         yield checked.finding("gap", "limitation", "position", text)
 
 
-def _noise_change(channel: Channel) -> tuple[int, float, float] | None:
-    """Return the sample at which the white noise of a channel changes, and its standard deviations before and after."""
+def _noise_change(channel: Channel, checked: CheckedRun) -> tuple[int, float, float] | None:
+    """Return the sample at which the white noise of a channel changes, and its standard deviations before and after.
+
+    The motion changes the noise by itself: the roughness of dry friction ends where the rod stops. So moving and resting
+    blocks are compared among themselves, and noise that changes no more than the speed tells nothing.
+    """
     noise = channel.local_noise
     if len(noise) < 2 * FEWEST_BLOCKS or not noise.all():
         return None
-    level = np.log(noise)
+    speed = np.abs(checked.run.velocity)[: len(noise) * NOISE_BLOCK].reshape(len(noise), -1).max(axis=1)
+    moving = speed > RESTING_SPEED * checked.top_speed
+    for blocks in (np.flatnonzero(moving), np.flatnonzero(~moving)):
+        if len(blocks) < 2 * FEWEST_BLOCKS:
+            continue
+        level = np.log(noise[blocks])
+        place = _place_of_step(level)
+        before, after = level[:place], level[place:]
+        # What changes gradually, as the motion does, has no such step between the neighbours of the place.
+        near = np.median(after[:FEWEST_BLOCKS]) - np.median(before[-FEWEST_BLOCKS:])
+        change = np.median(after) - np.median(before)
+        spread = max(np.std(before), np.std(after))
+        speeds = speed[blocks]
+        faster = np.log(np.median(speeds[place:]) / np.median(speeds[:place])) if moving[blocks[0]] else 0.0
+        if min(abs(change), abs(near)) >= max(np.log(NOISE_RATIO), NOISE_SIGMA * spread, abs(faster)):
+            sigma_before, sigma_after = np.exp(np.median(before)), np.exp(np.median(after))
+            return int(blocks[place]) * NOISE_BLOCK, float(sigma_before), float(sigma_after)
+    return None
+
+
+def _place_of_step(level: Array) -> int:
+    """Return the index before which a series (n,) most likely has a step, with `FEWEST_BLOCKS` on either side."""
     number = np.arange(1, len(level))
     total = np.cumsum(level)
     step = (total[-1] - total[:-1]) / (len(level) - number) - total[:-1] / number
     gain = number * (len(level) - number) * step**2
-    inner = slice(FEWEST_BLOCKS - 1, len(level) - FEWEST_BLOCKS)
-    place = FEWEST_BLOCKS + int(np.argmax(gain[inner]))
-    before, after = level[:place], level[place:]
-    # What changes gradually, as the motion does, has no such step between the neighbours of the place.
-    near = np.median(after[:FEWEST_BLOCKS]) - np.median(before[-FEWEST_BLOCKS:])
-    change = float(np.median(after) - np.median(before))
-    spread = max(float(np.std(before)), float(np.std(after)))
-    if min(abs(change), abs(near)) < max(np.log(NOISE_RATIO), NOISE_SIGMA * spread):
-        return None
-    return place * NOISE_BLOCK, float(np.exp(np.median(before))), float(np.exp(np.median(after)))
+    return FEWEST_BLOCKS + int(np.argmax(gain[FEWEST_BLOCKS - 1 : len(level) - FEWEST_BLOCKS]))

@@ -23,6 +23,8 @@ SHORTEST_HOLD = 4
 """Samples; fewer equal readings in a row are always taken for a coincidence."""
 LONGEST_REFRESH = 20
 """Samples; a channel that is refreshed more slowly than this is found as held readings."""
+COMMANDED_LEVELS = 0.5
+"""Number of different readings over the number of holds, up to which a current is a command that steps between levels."""
 USELESS_CLIPPING = 0.01
 """Share of clipped samples from which force or position are useless: saturation would be taken for physics."""
 FEWEST_PILED_UP = 8
@@ -89,7 +91,10 @@ def check_held_readings(checked: CheckedRun) -> Iterator[Finding]:
         if not len(first) or np.ptp(values) == 0:
             continue
         length = last - first + 1
-        refresh_period = _refresh_period(channel, length) if channel.name != "current" else 0
+        refresh_period = _refresh_period(channel, length)
+        levels = len(np.unique(values[first]))
+        if channel.name == "current" and (not checked.current_varies or levels <= COMMANDED_LEVELS * len(first)):
+            refresh_period = 0
         if refresh_period:
             rate = checked.run.rate / refresh_period
             text = (
