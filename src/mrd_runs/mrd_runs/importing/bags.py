@@ -5,6 +5,8 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
 from mrd_base import InputError
 from mrd_runs.bag import read_bag
 from mrd_runs.definitions import SAMPLES_TYPE
@@ -90,6 +92,8 @@ def _is_usable(path: Path, mapped: Mapped) -> bool:
     try:
         for recording in _recordings(path, mapped):
             check_values(recording.columns, str(path), recording.place)
+            if not all(np.ptp(recording.columns[name]) for name in ("position_m", "force_N")):
+                return False
     except InputError:
         return False
     return True

@@ -50,7 +50,7 @@ class Passes:
         pieces = [piece[np.diff(time[piece], prepend=-np.inf) > 0] for piece in self.pieces]
         dropped = sum(map(len, self.pieces)) - sum(map(len, pieces))
         told = [f"{dropped} with the time of another one {'was' if dropped == 1 else 'were'} dropped"] if dropped else []
-        return Passes(pieces, self.jumps, self.told + told, 0.0)
+        return Passes(pieces, self.jumps, self.told + told, self.repeats)
 
 
 def find_passes(time: Array, receipt: Array | None = None, *, any_order: bool = False, unset: float = 0.0) -> Passes:
@@ -64,11 +64,11 @@ def find_passes(time: Array, receipt: Array | None = None, *, any_order: bool = 
         Times in s of another clock, which is known to run steadily: it shows a wrong time at once.
     any_order : bool
         Whether whole parts may have been written in any order, so that a jump back is no pass of its own as long as no two
-        parts cover the same time.
+        parts cover the same time, and only what is far from nearly all others is wrong.
     unset : float
         Value of a time that nobody has set.
     """
-    wrong = _find_wrong(time, receipt, unset)
+    wrong = _find_far(time) if any_order else _find_wrong(time, receipt, unset)
     kept = np.flatnonzero(~wrong)
     ordered = time[kept]
     cuts = _find_resets(ordered, any_order)
@@ -101,6 +101,12 @@ def usual_step(time: Array) -> float:
     """Return the usual interval between times, in s; infinite where they do not advance."""
     steps = np.diff(time)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+
+
+def _find_far(time: Array) -> NDArray[np.bool_]:
+    """Return which times lie far from nearly all others, whatever their order."""
+    low, middle, high = np.percentile(time, (5, 50, 95))
+    return np.asarray(np.abs(time - middle) > max(_FAR_END * (high - low), _FAR_FROM_RECEIPT))
 
 
 def _find_wrong(time: Array, receipt: Array | None, unset: float) -> NDArray[np.bool_]:

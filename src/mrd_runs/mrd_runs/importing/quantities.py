@@ -132,7 +132,8 @@ def find_sources(
     missing = [quantity for quantity in needed if quantity not in chosen]
     used = {quantity: name for quantity, name in chosen.items() if not unneeded.get(quantity) and quantity != "time"}
     of = {} if rate_is_given else {q: _time_of(q, named[name], list(named.values()), times) for q, name in used.items()}
-    if not rate_is_given and (not all(of.values()) or not of):
+    has_times = all(of.values()) if of else bool(times) or any(column.time for column in columns)
+    if not rate_is_given and not has_times:
         missing = ["time", *missing]
     if missing:
         known = {quantity: name for quantity, name in chosen.items() if quantity not in missing}
@@ -279,7 +280,10 @@ def topic_mappings(ranges: Mapping[str, float], *, current_is_given: bool) -> li
     current_is_given : bool
         Whether no current is needed.
     """
-    candidates = _candidates([Column(address) for address in ranges])
+    # The index of an element stands in brackets, as units do elsewhere.
+    address_of = {re.sub(r"[\[\]]", ".", address): address for address in ranges}
+    found = _candidates([Column(name) for name in address_of])
+    candidates = {quantity: [address_of[name] for name in names] for quantity, names in found.items()}
     moving = sorted((address for address in ranges if ranges[address] > 0), key=ranges.__getitem__)
     motion = "velocity" if "velocity" in candidates and "position" not in candidates else "position"
     pools: dict[str, list[str]] = {}

@@ -79,7 +79,7 @@ class _Clocks:
     def of_pass(self, number: int) -> tuple[Indices, Array]:
         """Return the messages of a pass of the header's clock and their times."""
         assert self.header is not None
-        piece = self.order.unrepeated(self.header).pieces[number]
+        piece = self.order.pieces[number]
         return piece, self.header[piece]
 
 
@@ -153,7 +153,7 @@ def _align_pass(topics: Mapping[str, Topic], main: Collection[str], where: str) 
     stamped = [name for name in topics if not (clocks[name].problem or _difference(clocks, first, name))]
     others = [name for name in topics if name not in stamped]
     told = [f"{name}: {text}" for name in stamped for text in clocks[name].order.told]
-    told += [f"{name} and {first} have no common stamps: its times of receipt follow those of {first}" for name in others]
+    told += [f"{name} is put onto the stamps of {first} by its times of receipt" for name in others]
     if clocks[first].order.jumps:
         told.append(_set_back("the headers", clocks[first].order))
     told += [text for name in stamped if (text := _doubt(clocks, first, name))]
@@ -179,7 +179,7 @@ def _clocks(topics: Mapping[str, Topic]) -> dict[str, _Clocks]:
         receipt = _seconds(topic.receipt, origin)
         header = None if topic.header is None else _seconds(topic.header, unset)
         order = find_passes(receipt, any_order=True) if header is None else find_passes(header, receipt, unset=-1e-9 * unset)
-        clocks[name] = _Clocks(receipt, header, order)
+        clocks[name] = _Clocks(receipt, header, order.unrepeated(receipt if header is None else header))
     return clocks
 
 

@@ -271,6 +271,8 @@ def _is_usable(path: Path, table: Table, mapped: Mapped) -> bool:
         recordings = _recordings(path, table, mapped)
         for recording in recordings:
             check_values(recording.columns, str(path), recording.place)
+            if not all(np.ptp(recording.columns[name]) for name in ("position_m", "force_N")):
+                return False
     except InputError:
         return False
     return len(recordings) == 1

@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 
 _TEXT = "text"
 _KNOWN = ("wf_start_offset",)
-_ORIGIN = np.datetime64("2000-01-01")  # of times with a date; the nearer to now, the more digits are left for the seconds
 
 
 class _Wave(NamedTuple):
@@ -117,7 +116,8 @@ def _read(
                     continue
                 values: Any = file[channels[name][0]][channels[name][1]][:]
                 if values.dtype.kind == "M":
-                    values = (values - _ORIGIN) / np.timedelta64(1, "ns") * 1e-9
+                    # From midnight on, so that two channels count from one instant and many digits are left.
+                    values = (values - values[0].astype("datetime64[D]")) / np.timedelta64(1, "ns") * 1e-9
                 series[name] = np.ascontiguousarray(values, np.float64)
     except InputError:
         raise

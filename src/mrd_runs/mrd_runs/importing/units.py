@@ -104,7 +104,7 @@ def find_unit(quantity: str, text: str) -> str | None:
     forms = [plain, re.sub(r"^u(?=[A-Za-z])", "µ", plain)]
     spoken = {form: unit for unit, words in _SYNONYMS[quantity].items() for form in words.split()}
     known = {unit: unit for unit in UNITS[quantity]}
-    lower = {unit.lower(): unit for unit in reversed(UNITS[quantity])}
+    lower = {unit.lower(): unit for unit in reversed(list(UNITS[quantity]))}
     of_form = (table.get(form) for table in (known, spoken) for form in forms)
     of_lower = (table.get(form.lower()) for table in (lower, spoken) for form in forms)
     return next((unit for unit in (*of_form, *of_lower) if unit), None)
