@@ -28,6 +28,7 @@ WORDS: Mapping[str, frozenset[str]] = {
 }
 """Words of column names: English, German, French, Spanish, Portuguese, Italian; without accents."""
 
+_ALL_WORDS = frozenset().union(*WORDS.values())
 _COMPOUNDS = ("zeit", "weg", "hub", "geschwindigkeit", "beschleunigung", "kraft", "strom", "temperatur")  # Kolbenweg
 _COMMANDED = ("set", "setpoint", "soll", "sollwert", "command", "commanded", "cmd", "target", "reference", "ref", "desired")
 _OPTIONS = {"current": "--current 0", "time": "--rate HZ"}  # in place of a column
@@ -224,6 +225,9 @@ def _score(quantity: str, column: Column) -> int:
         appended, words = "", _words(base)
     else:
         words = _words(f"{base} {appended}")
+    # The last part of a path tells more than those before it, where it tells anything.
+    last = _words(re.split(r"[./]", base)[-1])
+    words = last if set(last) & _ALL_WORDS else words
     known = [word for word in words if word in WORDS[quantity] or _is_compound(word, quantity)]
     if not known:
         return 0
@@ -259,7 +263,7 @@ def _split(name: str) -> tuple[str, str, str]:
         return f"{name[: match.start()]} {name[match.end() :]}".strip(), match[1], ""
     ends = [(match.start(), match.end()) for match in _SEPARATOR.finditer(name) if match.start() > 0]
     for begin, end in ends:
-        if is_unit(name[end:]):
+        if looks_like_unit(name[end:]):
             return name[:begin], "", name[end:]
     return (name[: ends[-1][0]], "", name[ends[-1][1] :]) if ends else (name, "", "")
 

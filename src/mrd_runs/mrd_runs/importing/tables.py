@@ -22,7 +22,7 @@ from mrd_runs.importing.quantities import (
     shown_options,
     time_unit,
 )
-from mrd_runs.importing.synchronise import synchronise
+from mrd_runs.importing.synchronise import MOTION, Series, synchronise
 from mrd_runs.importing.table import Table
 from mrd_runs.importing.units import si_unit, to_si
 from mrd_runs.importing.wrapping import unwrap
@@ -35,6 +35,7 @@ _TRIAL_ROWS = 20_000
 _TRIAL_UNITS: Sequence[Mapping[str, str]] = ({}, {"position": "mm"}, {"time": "ms"}, {"time": "ms", "position": "mm"})
 """Units that are tried for columns that have none."""
 _TRIAL_RATE = 100.0  # Hz
+_LEAST_SHARED = 0.5  # of the longest series
 _RATES_AGREE = 0.02
 
 
@@ -208,6 +209,7 @@ def _each_pass(
             columns = {"time": clocks[first][piece]} | {quantity: values for quantity, (_, values) in parts.items()}
             yield columns, of, told, partial(_place_in, table, piece)
         else:
+            _check_durations(path, wanted, parts)
             starts = {name: clocks[name][pieces[name][0]] for name in clocks}
             apart = max(starts.values()) - min(starts.values())
             columns, done = synchronise(parts, None, str(path))
@@ -217,6 +219,19 @@ def _each_pass(
                 [*told, f"columns that start {apart:.6g} s apart were put onto one time", *done],
                 "sample {}".format,
             )
+
+
+def _check_durations(path: Path, wanted: Mapping[str, Source], parts: Mapping[str, Series]) -> None:
+    """Refuse series of which one lasts so much longer than another that their times cannot both be right."""
+    lasting = {quantity: float(parts[quantity][0][-1] - parts[quantity][0][0]) for quantity in MOTION if quantity in parts}
+    shortest, longest = min(lasting, key=lasting.__getitem__), max(lasting, key=lasting.__getitem__)
+    if lasting[shortest] < _LEAST_SHARED * lasting[longest]:
+        shown = " and ".join(
+            f"{one_line(wanted[quantity].name)} {lasting[quantity]:.4g} s ({len(parts[quantity][0])} samples at "
+            f"{1 / usual_step(parts[quantity][0]):.4g} Hz)"
+            for quantity in (longest, shortest)
+        )
+        raise InputError(f"{path}: by their times, {shown} do not last equally long; expected one recording of all")
 
 
 def _place_in(table: Table, piece: Indices, index: int) -> str:

@@ -88,6 +88,7 @@ _OTHER_WORDS = (
 )
 _OTHERS = frozenset(_OTHER_WORDS.split())
 """Units of other quantities, in lower case."""
+_RATIO = re.compile(r"[^\s/]+(/|_per_)(s|sec|ms|min|h|hr|m|mm|rev|v)\^?[23]?", re.IGNORECASE)
 
 
 def si_unit(quantity: str) -> str:
@@ -122,9 +123,8 @@ def is_unit(text: str) -> bool:
 
 def looks_like_unit(text: str) -> bool:
     """Return whether a text names a unit of any kind, known or not."""
-    return (
-        is_unit(text) or text.strip().lower().replace("μ", "µ") in _OTHERS or bool(re.search(r"\S/\S|[²³]|\S_per_\S", text))
-    )
+    plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "µ")
+    return is_unit(plain) or plain.lower() in _OTHERS or bool(_RATIO.fullmatch(plain))
 
 
 def to_si(quantity: str, values: Array, unit: str, where: str) -> Array:
