@@ -221,13 +221,13 @@ def _score(quantity: str, column: Column) -> int:
     unit = column.unit or bracketed
     if unit and is_unit(unit) and not find_unit(quantity, unit):
         return 0
-    if not unit and find_unit(quantity, appended):
-        appended, words = "", _words(base)
+    if unit or not find_unit(quantity, appended):
+        text = f"{base} {appended}"
     else:
-        words = _words(f"{base} {appended}")
+        text, appended = base, ""
     # The last part of a path tells more than those before it, where it tells anything.
-    last = _words(re.split(r"[./]", base)[-1])
-    words = last if set(last) & _ALL_WORDS else words
+    last = _words(re.split(r"[./]", text)[-1])
+    words = last if set(last) & _ALL_WORDS else _words(text)
     known = [word for word in words if word in WORDS[quantity] or _is_compound(word, quantity)]
     if not known:
         return 0
