@@ -221,10 +221,8 @@ def _score(quantity: str, column: Column) -> int:
     unit = column.unit or bracketed
     if unit and is_unit(unit) and not find_unit(quantity, unit):
         return 0
-    if unit or not find_unit(quantity, appended):
-        text = f"{base} {appended}"
-    else:
-        text, appended = base, ""
+    is_unit_of_it = find_unit(quantity, appended) is not None
+    text = base if bracketed or is_unit_of_it or _is_other(appended) else column.name
     # The last part of a path tells more than those before it, where it tells anything.
     last = _words(re.split(r"[./]", text)[-1])
     words = last if set(last) & _ALL_WORDS else _words(text)
