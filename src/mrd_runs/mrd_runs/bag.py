@@ -267,7 +267,7 @@ def free_space(path: Path) -> str:
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """A topic of a bag: its message type, and its serialised messages in the order of their log times in ns."""
+    """A topic of a bag: its message type, and its serialised messages with their log times in ns."""
 
     message_type: str
     stamps: list[int] = field(default_factory=list)
@@ -301,7 +301,9 @@ class Bag:
         return [self.types.deserialize_cdr(message, entry.message_type) for message in entry.messages]
 
 
-def read_bag(path: str | Path, topics: Collection[str] | None = None, most: int | None = None) -> Bag:
+def read_bag(
+    path: str | Path, topics: Collection[str] | None = None, most: int | None = None, *, as_written: bool = False
+) -> Bag:
     """Read a bag folder, an ``.mcap`` or a ``.db3`` file.
 
     An MCAP file whose writer was killed is read up to its end.
@@ -314,6 +316,8 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None, most: int 
         Last parts of the names of the topics to read (``samples`` selects ``/bench/samples``); all topics by default.
     most : int, optional
         Number of messages to keep of each topic, the first ones; all by default.
+    as_written : bool
+        Whether the messages stay in the order of the file, and are not put into that of their log times.
 
     Raises
     ------
@@ -327,7 +331,8 @@ def read_bag(path: str | Path, topics: Collection[str] | None = None, most: int 
     for file in files:
         closed &= _read_file(file, content, metadata)
     for entry in content.topics.values():
-        _sort(entry)
+        if not as_written:
+            _sort(entry)
     return Bag(content.topics, read_types(content.definitions, path), files[0], not closed)
 
 
@@ -449,11 +454,11 @@ def read_types(definitions: Mapping[str, Schema], path: Path) -> Typestore:
         When a definition is none.
     """
     store = empty_typestore()
+    if any(schema.encoding not in _PARSERS for schema in definitions.values()):
+        store = typestore()
     for name, schema in definitions.items():
-        if name in store.fielddefs:
+        if name in store.fielddefs or schema.encoding not in _PARSERS:
             continue
-        if schema.encoding not in _PARSERS:
-            return typestore()
         try:
             parsed = parse_definition(schema)
             store.register({key: value for key, value in parsed.items() if key not in store.fielddefs})

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 # Samples in a block: 20 ms at 1 kHz, as the DAQ sends them.
 _BLOCK = 20
 
+# Longest sampling period in s that a block states; the topic of the exact times tells what a longer gap is.
+_LONGEST_PERIOD = 3600.0
+
 # First time in s that a ROS stamp cannot represent; its seconds are a 32-bit integer.
 _END_OF_STAMPS = 2.0**31
 
@@ -109,7 +112,7 @@ def _write(writer: BagWriter, columns: Mapping[str, Array], stamps: NDArray[np.i
         begin = min(first, end - 1)
         message = block_type(
             header(stamp_type(stamp // 10**9, stamp % 10**9), ""),
-            float((time[end] - time[begin]) / (end - begin)),
+            min(float((time[end] - time[begin]) / (end - begin)), _LONGEST_PERIOD),
             first,
             columns["position_m"][block],
             columns["force_N"][block],

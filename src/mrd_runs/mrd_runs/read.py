@@ -36,9 +36,10 @@ def read_run(path: str | Path) -> Run:
     -------
     Run
         Its ``info`` holds ``source``, ``format``, ``checksum`` (of the samples, whatever the format), ``notes``, ``lost``
-        (number of samples missing by their sequence numbers) and ``recovered`` (whether the bag had not been closed). For a
-        bag it also holds what the bag says of itself: ``experiment``, ``experiment_name``, ``calibration``, ``versions``,
-        ``seed``, ``started``, ``jitter_s``.
+        (number of samples missing by their sequence numbers), ``recovered`` (whether the bag had not been closed), and
+        ``clocks`` where the channels are not known to have one clock (see `Run.clocks_agree`). For a bag it also holds what
+        the bag says of itself: ``experiment``, ``experiment_name``, ``calibration``, ``versions``, ``seed``, ``started``,
+        ``jitter_s``.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class Run:
     temperature : ndarray (n,) or None
         Temperature of the damper in K.
     info : mapping
-        Facts about the recording: source, checksum, experiment, calibration, versions, seed, notes (see `read_run`).
+        Facts about the recording: source, checksum, experiment, calibration, versions, seed, clocks, notes (see `read_run`).
     """
 
     name: str
@@ -55,6 +55,19 @@ class Run:
     def rate(self) -> float:
         """Mean sampling rate in Hz."""
         return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+
+    @property
+    def clocks(self) -> Mapping[str, str]:
+        """What the times of each channel were of, by quantity, such as ``force``; empty where all are of one clock."""
+        clocks: Mapping[str, str] = self.info.get("clocks", {})
+        return clocks
+
+    def clocks_agree(self, *quantities: str) -> bool:
+        """Return whether the times of some channels, by default of all, are known to be of one clock.
+
+        Channels of one table, one message or one DAQ are; channels of two devices that stamp by themselves are not.
+        """
+        return len({clock for quantity, clock in self.clocks.items() if not quantities or quantity in quantities}) < 2
 
     @property
     def duration(self) -> float:

@@ -65,6 +65,9 @@ def _known_kinds(content: Any) -> dict[str, Any]:
         if isinstance(value, str | int | float) and name not in ("versions", "notes", "calibration")
     }
     versions, notes, calibration = (content.get(name) for name in ("versions", "notes", "calibration"))
+    clocks = content.get("clocks")
+    if isinstance(clocks, dict):
+        facts["clocks"] = {name: one_line(clock) for name, clock in clocks.items() if isinstance(clock, str)}
     if isinstance(versions, dict):
         facts["versions"] = {name: value for name, value in versions.items() if isinstance(value, str)}
     if isinstance(notes, list):

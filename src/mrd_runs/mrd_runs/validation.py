@@ -24,6 +24,7 @@ _LARGEST_MAGNITUDES = {
 }
 _LARGEST_STROKE = 2.0  # m, peak to peak; no damper on a bench has more
 _MEDIAN_INTERVALS = (5e-6, 0.25)  # s; 4 Hz to 200 kHz
+_LONGEST_GAP, _LARGEST_GAP = 60.0, 100.0  # s, and relative to all other times
 _TEMPERATURES = (-60.0, 220.0)  # °C; the limits of damper oils and seals
 
 
@@ -67,8 +68,7 @@ def make_run(
 
     where = where or name
     columns = {key: np.ascontiguousarray(values, np.float64) for key, values in columns.items()}
-    check_columns(columns, FEWEST_SAMPLES, where, place)
-    _check_units(columns, where)
+    check_values(columns, where, place)
     notes = [*(info or {}).get("notes", ()), *_unit_notes(columns, where)]
     time = columns["time_s"] - columns["time_s"][0]
     velocity, temperature = columns.get("velocity_mps"), columns.get("temperature_C")
@@ -87,6 +87,25 @@ def make_run(
         None if temperature is None else temperature + 273.15,
         {**(info or {}), "notes": tuple(notes)},
     )
+
+
+def check_values(columns: Mapping[str, Array], where: str, place: Callable[[int], str] = "sample {}".format) -> None:
+    """Check columns of samples as `make_run` does; raise InputError for the first that is unusable."""
+    check_columns(columns, FEWEST_SAMPLES, where, place)
+    _check_gaps(columns["time_s"], where, place)
+    _check_units(columns, where)
+
+
+def _check_gaps(time: Array, where: str, place: Callable[[int], str]) -> None:
+    """Refuse a time that lies so far from all others that it must be wrong."""
+    steps = np.diff(time)
+    index = int(np.argmax(steps))
+    rest = float(time[-1] - time[0] - steps[index])
+    if steps[index] > max(_LONGEST_GAP, _LARGEST_GAP * rest):
+        raise InputError(
+            f"{where}: {place(index + 1)}: time_s is {time[index + 1]:.9g} after {time[index]:.9g}, which is "
+            f"{steps[index] / rest:.3g} times all the rest; is it a wrong stamp? Remove it, or split the file there"
+        )
 
 
 def _check_units(columns: Mapping[str, Array], where: str) -> None:

@@ -193,7 +193,7 @@ def test_names_of_columns(lines: list[str], names: list[str]) -> None:
 
 def test_a_column_that_holds_no_numbers_is_named() -> None:
     columns = [Column("t"), Column("x"), Column("F", "", "1.087,76")]
-    expected = r"no column is left for the force, expected .* \(columns: t, x\) \(no numbers: F holds '1.087,76'\)$"
+    expected = r"no column is left for the force, expected .* \(columns: t, x; no numbers: F holds '1.087,76'\)$"
     with pytest.raises(InputError, match=expected):
         find_sources(columns, {}, "a", current_is_given=True, rate_is_given=False)
     with pytest.raises(InputError, match=r"^a: --map force: F holds '1.087,76', expected numbers$"):

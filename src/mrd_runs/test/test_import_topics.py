@@ -82,7 +82,7 @@ def test_joint_states_wrenches_and_floats_become_a_run(import_tool, tmp_path: Pa
     assert (code, error) == (0, "")
     assert "the samples are those of the position, 250 Hz, the slowest of motion and force" in text
     assert "force is averaged between them; current keeps its last value" in text
-    assert "/coil: the times are those of the recording, because its messages have no stamps" in text
+    assert "/coil is put onto the stamps of /joint_states by its times of receipt" in text
     run = read_run(tmp_path / "bags/a")
     first = run.time[0]
     time = run.time - first + 1 / 250  # the force begins after the first position
@@ -179,7 +179,7 @@ def test_messages_out_of_order_are_sorted(tmp_path: Path) -> None:
     write_bag(tmp_path / "a", StoragePlugin.MCAP, messages)
     topics = {"position": "/joint_states.position[rod]", "force": "/ft.wrench.force.z"}
     recording = read_foreign(tmp_path / "a", Mapped(topics=topics, current=0.0))
-    assert "force: 1 messages were out of order or had the time of another one" in recording.info["notes"]
+    assert "/ft: 1 with the time of another one was dropped" in recording.info["notes"][0]
     time = recording.columns["time_s"] + 1 / 250
     np.testing.assert_allclose(recording.columns["force_N"], force(time), atol=2.0)
 

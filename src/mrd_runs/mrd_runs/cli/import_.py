@@ -3,7 +3,7 @@
 import argparse
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,7 +11,8 @@ from mrd_base import InputError, run_tool
 from mrd_runs import make_run
 from mrd_runs.bag_import import bag_folder, write_bag
 from mrd_runs.faults import find_faults
-from mrd_runs.importing import Mapped, read_foreign
+from mrd_runs.formats import Recording
+from mrd_runs.importing import Mapped, find_files, read_passes, read_together
 from mrd_runs.importing.units import COLUMNS, check_quantity
 from mrd_runs.read import checksum, unique_name
 
@@ -34,10 +35,13 @@ def work() -> None:
     )
     if mapped.rate is not None and not 0 < mapped.rate < 1e7:
         raise InputError(f"--rate is {mapped.rate:g}, expected a sample rate in Hz")
+    files, skipped = find_files(arguments.files)
+    for path in skipped:
+        print(f"{path}: not read, because of its ending", file=sys.stderr)
     written: list[Path] = []
     new = [folder for folder in (arguments.output, *arguments.output.parents) if not folder.exists()]
     try:
-        _import(arguments.files, mapped, arguments.output, written)
+        _import(files, mapped, arguments.output, written)
     except BaseException:
         for path in written:
             shutil.rmtree(path, ignore_errors=True)
@@ -50,24 +54,35 @@ def work() -> None:
 def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[Path]) -> None:
     known: dict[str, Path] = {}
     names: set[str] = set()
+    for file, recordings in _read_all(files, mapped):
+        stem = file.resolve().name if file.is_dir() else file.stem
+        for number, recording in enumerate(recordings, 1):
+            digest = checksum(recording.columns)
+            if digest in known:
+                raise InputError(f"{file}: is the same recording as {known[digest]}; give each recording once")
+            name = unique_name(f"{stem}-{number}" if len(recordings) > 1 else stem, file, names)
+            run = make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
+            path = bag_folder(name, output)
+            written.append(path)
+            facts = {name: run.info[name] for name in ("started", "experiment", "clocks") if name in run.info}
+            write_bag(recording.columns, run.info["notes"], file, path, facts)
+            known[digest] = file
+            names.add(name)
+            print(f"{path}: {len(run)} samples, {run.duration:.6g} s at {run.rate:.6g} Hz")
+            for note in run.info["notes"]:
+                print(f"  {note}")
+            for fault in find_faults([run]):
+                print(f"warning: {fault}", file=sys.stderr)
+
+
+def _read_all(files: Sequence[Path], mapped: Mapped) -> Iterator[tuple[Path, list[Recording]]]:
+    """Yield the recordings in each file, or those of all files where each holds one channel of them."""
+    together = read_together(files, mapped)
+    if together is not None:
+        yield files[0], together
+        return
     for file in files:
-        recording = read_foreign(file, mapped)
-        digest = checksum(recording.columns)
-        if digest in known:
-            raise InputError(f"{file}: is the same recording as {known[digest]}; give each recording once")
-        name = unique_name(file.resolve().name if file.is_dir() else file.stem, file, names)
-        run = make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
-        path = bag_folder(name, output)
-        written.append(path)
-        facts = {name: run.info[name] for name in ("started", "experiment") if name in run.info}
-        write_bag(recording.columns, run.info["notes"], file, path, facts)
-        known[digest] = file
-        names.add(name)
-        print(f"{path}: {len(run)} samples, {run.duration:.6g} s at {run.rate:.6g} Hz")
-        for note in run.info["notes"]:
-            print(f"  {note}")
-        for fault in find_faults([run]):
-            print(f"warning: {fault}", file=sys.stderr)
+        yield file, read_passes(file, mapped)
 
 
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:

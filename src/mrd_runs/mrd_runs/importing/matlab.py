@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_runs.importing.arrays import columns_of, flatten
+from mrd_runs.importing.arrays import columns_of, leaves_of
 from mrd_runs.importing.hdf5 import is_hdf5, read_hdf5_table
+from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
 from mrd_runs.text import one_line
 
@@ -35,7 +36,8 @@ def read_matlab_table(path: Path) -> Table:
     from scipy.io import loadmat, whosmat
 
     try:
-        values = sum(int(np.prod(shape, dtype=np.float64)) for _, shape, _ in whosmat(path))
+        listed = whosmat(path)
+        values = sum(int(np.prod(shape, dtype=np.float64)) for _, shape, _ in listed)
         if path.stat().st_size > _LARGEST_FILE or values > MOST_VALUES:
             raise InputError(f"{path}: holds more than {MOST_VALUES} values; split it")
         trial = subprocess.run([sys.executable, "-c", _TRIAL, str(path.resolve())], stderr=subprocess.DEVNULL, check=False)
@@ -46,16 +48,43 @@ def read_matlab_table(path: Path) -> Table:
         raise
     except Exception as error:  # scipy raises many kinds for a damaged file
         raise InputError(f"{path}: cannot be read as a MATLAB file ({one_line(error)})") from None
+    columns: dict[str, Column] = {}
     arrays: dict[str, Any] = {}
-    for name, leaf in flatten({key: value for key, value in content.items() if not key.startswith("__")}):
-        if isinstance(leaf, np.ndarray) and leaf.dtype.kind in "fiu":
-            arrays |= {column: leaf[index] for column, index in columns_of(name, leaf.shape)}
+    facts: list[tuple[str, str]] = []
+    for name, leaf in leaves_of({key: value for key, value in content.items() if not key.startswith("__")}):
+        if isinstance(leaf.values, np.ndarray) and leaf.values.dtype.kind in "fiu":
+            for column, index in columns_of(name, leaf.values.shape):
+                columns[column] = Column(column, leaf.unit, time=leaf.time)
+                arrays[column] = leaf.values[index]
+        elif isinstance(leaf.values, int | float | np.number):
+            facts.append((name.rpartition(".")[2], str(leaf.values)))
+        else:
+            columns[name] = Column(name, text=_kind(leaf.values))
+    if any(kind in ("opaque", "object") for *_, kind in listed):
+        columns |= {name: Column(name, text=f"a {kind} of MATLAB") for name, kind in _objects(path).items()}
     if not arrays:
+        others = "; ".join(f"{one_line(name)} is {column.text}" for name, column in list(columns.items())[:5])
         raise InputError(
-            f"{path}: holds no vectors of numbers; save time, position and force as vectors or as a structure of them "
-            "(tables and timeseries of MATLAB can be read by MATLAB only)"
+            f"{path}: holds no vectors of numbers{f' ({others})' if others else ''}; save time, position and force as "
+            "vectors or as a structure of them (tables, timeseries and other objects of MATLAB can be read by MATLAB only)"
         )
     return Table(
-        tuple(Column(name) for name in arrays),
+        tuple(columns.values()),
         lambda names: {name: np.ascontiguousarray(arrays[name], np.float64) for name in names},
+        rate=stated_rate(facts),
     )
+
+
+def _kind(value: object) -> str:
+    return "text" if isinstance(value, str) else "empty" if np.size(np.asarray(value, object)) == 0 else "no numbers"
+
+
+def _objects(path: Path) -> dict[str, str]:
+    """Return the kinds of the variables that are objects, by name; SciPy names them only."""
+    from scipy.io import loadmat
+
+    found = {}
+    for name, value in loadmat(path).items():
+        if isinstance(value, np.ndarray) and value.dtype.names == ("s0", "s1", "s2", "arr"):
+            found[str(name)] = str(value.reshape(-1)[0]["s2"].decode(errors="replace")) or "object"
+    return found

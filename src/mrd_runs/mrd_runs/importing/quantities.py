@@ -1,5 +1,6 @@
 """Which column of a file is which quantity: by its name in several languages, by its unit, or by what the user says."""
 
+import itertools
 import re
 import shlex
 import unicodedata
@@ -9,7 +10,7 @@ from dataclasses import dataclass
 from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_runs.importing.table import Column
-from mrd_runs.importing.units import UNITS, find_unit, is_unit
+from mrd_runs.importing.units import UNITS, find_unit, is_unit, looks_like_unit
 from mrd_runs.text import one_line
 
 WORDS: Mapping[str, frozenset[str]] = {
@@ -27,20 +28,59 @@ WORDS: Mapping[str, frozenset[str]] = {
 }
 """Words of column names: English, German, French, Spanish, Portuguese, Italian; without accents."""
 
+_ALL_WORDS = frozenset().union(*WORDS.values())
 _COMPOUNDS = ("zeit", "weg", "hub", "geschwindigkeit", "beschleunigung", "kraft", "strom", "temperatur")  # Kolbenweg
 _COMMANDED = ("set", "setpoint", "soll", "sollwert", "command", "commanded", "cmd", "target", "reference", "ref", "desired")
-_OTHER_UNITS = ("v", "mv", "count", "counts", "digits", "lsb", "%", "bar", "psi", "rad", "deg", "°", "rpm", "hz")
 _OPTIONS = {"current": "--current 0", "time": "--rate HZ"}  # in place of a column
-_BRACKETED = re.compile(r"(.*?)[\s_]*[\[(<]\s*([^\])>]*?)\s*[\])>]", re.DOTALL)
-_APPENDED = re.compile(r"(.+?)(?:\s+in\s+|\s*[/,]\s*|_|\s+)(\S+)", re.DOTALL)
+_BRACKETED = re.compile(r"[\s_]*[\[(<]\s*([^\])>]*?)\s*[\])>]")
+_SEPARATOR = re.compile(r"(?:\s+in\s+|[\s_/,]+|(?<=[a-z])(?=[A-Z]))")
+_REPEATED = re.compile(r" \(\d+\)$")  # what the second column of a name has behind it
+_COUNTERS = (
+    "sample",
+    "samples",
+    "samplenumber",
+    "sampleno",
+    "sampleindex",
+    "index",
+    "counter",
+    "count",
+    "n",
+    "no",
+    "nr",
+    "scan",
+)
+_MOST_TRIALS = 24
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where a quantity comes from: a column, and the unit that its name or the file gives; "" without one."""
+    """Where a quantity comes from: a column, the unit that its name or the file gives, "" without one, and its times."""
 
     name: str
     unit: str
+    time: str = ""
+
+
+class UndecidedError(InputError):
+    """The columns of a file do not tell its quantities.
+
+    Attributes
+    ----------
+    mappings : list of dict of str to str
+        Columns by quantity that might be meant, the most likely first.
+    missing : list of str
+        Quantities that are not told.
+    times : list of str
+        Columns of times, where it is not clear which of them counts.
+    columns : str
+        The names of the columns, for a message.
+    """
+
+    def __init__(
+        self, message: str, mappings: list[dict[str, str]], missing: list[str], times: list[str], columns: str
+    ) -> None:
+        super().__init__(message)
+        self.mappings, self.missing, self.times, self.columns = mappings, missing, times, columns
 
 
 def find_sources(
@@ -62,16 +102,18 @@ def find_sources(
     Returns
     -------
     dict of str to Source
-        By quantity; always with force, and with position or velocity.
+        By quantity; always with force, and with position or velocity; without time where columns have times of their own.
 
     Raises
     ------
     InputError
-        When a column that is named is not there; or when names and units do not tell which column a quantity is. The line
-        then ends with the options that would do.
+        When a column that is named is not there.
+    UndecidedError
+        When names and units do not tell which column a quantity is.
     """
-    named = {column.name: column for column in columns if column.name and not column.text}
-    texts = {column.name: column.text for column in columns if column.name and column.text}
+    columns = [column for column in columns if column.name]
+    named = {column.name: column for column in columns if not column.text}
+    texts = {column.name: column.text for column in columns if column.text}
     for quantity, name in given.items():
         if name in texts:
             raise InputError(f"{where}: --map {quantity}: {name} holds {one_line(texts[name])!r}, expected numbers")
@@ -79,21 +121,77 @@ def find_sources(
             raise InputError(f"{where}: --map {quantity}: unknown column {one_line(unknown_key(name, named))}")
     chosen = dict(given)
     doubtful: dict[str, list[str]] = {}
-    for quantity, names in _candidates([column for name, column in named.items() if name not in given.values()]).items():
+    candidates = _candidates([column for name, column in named.items() if name not in given.values()])
+    times = [given["time"]] if "time" in given else candidates.pop("time", [])
+    for quantity, names in candidates.items():
         if quantity not in given:
             doubtful[quantity] = names
             if len(names) == 1:
                 chosen[quantity] = names[0]
-    unneeded = {"current": current_is_given, "time": rate_is_given}
-    unneeded["position"] = "velocity" in chosen and "position" not in doubtful
-    needed = [quantity for quantity in ("time", "position", "force", "current") if not unneeded.get(quantity)]
+    unneeded = {"current": current_is_given, "position": "velocity" in chosen and "position" not in doubtful}
+    needed = [quantity for quantity in ("position", "force", "current") if not unneeded.get(quantity)]
     missing = [quantity for quantity in needed if quantity not in chosen]
+    used = {quantity: name for quantity, name in chosen.items() if not unneeded.get(quantity) and quantity != "time"}
+    of = {} if rate_is_given else {q: _time_of(q, named[name], list(named.values()), times) for q, name in used.items()}
+    has_times = all(of.values()) if of else bool(times) or any(column.time for column in columns)
+    if not rate_is_given and not has_times:
+        missing = ["time", *missing]
     if missing:
-        question = _question(where, list(named), chosen, doubtful, missing)
-        others = ", ".join(f"{one_line(name)} holds {one_line(text)!r}" for name, text in list(texts.items())[:3])
-        raise InputError(question + (f" (no numbers: {others})" if others else ""))
-    used = {quantity: name for quantity, name in chosen.items() if quantity == "position" or not unneeded.get(quantity)}
-    return {quantity: Source(name, _unit(quantity, named[name])) for quantity, name in used.items()}
+        known = {quantity: name for quantity, name in chosen.items() if quantity not in missing}
+        if len(times) == 1 and not rate_is_given:
+            known = {"time": times[0]} | known
+        raise _undecided(where, list(named), known, doubtful | {"time": times}, missing, texts)
+    sources = {q: Source(name, unit_of(q, named[name]), of.get(q) or "") for q, name in used.items()}
+    if len(set(of.values())) == 1:
+        (name,) = {time for time in of.values() if time}
+        sources["time"] = Source(name, unit_of("time", named[name]), name)
+    return sources
+
+
+def shown_options(option: str, pairs: Mapping[str, str]) -> list[str]:
+    """Return an option of the import with its pairs as arguments; nothing without pairs."""
+    return [option, *(f"{quantity}={shlex.quote(text)}" for quantity, text in pairs.items())] if pairs else []
+
+
+def is_counter(column: Column) -> bool:
+    """Return whether a column numbers the samples, by its name."""
+    return not column.text and re.sub(r"[\W_]", "", column.name.lower()) in _COUNTERS
+
+
+def is_speed(column: Column) -> bool:
+    """Return whether a column holds velocities, by its name or unit."""
+    return list(_candidates([column])) == ["velocity"]
+
+
+def time_unit(column: Column) -> str:
+    """Return the unit of a column of times; "" where neither its name nor the file says."""
+    return unit_of("time", column)
+
+
+def _time_of(quantity: str, column: Column, columns: Sequence[Column], times: Sequence[str]) -> str | None:
+    """Return the column with the times of a column; None where there is none, or where it is not clear."""
+    if column.time or len(times) < 2:
+        return column.time or next(iter(times), None)
+    own = [name for name in times if WORDS[quantity] & set(_words(name))]
+    if len(own) == 1:
+        return own[0]
+    depth = {name: _common_parents(name, column.name) for name in times}
+    times = [name for name in times if depth[name] == max(depth.values())]
+    if len(times) == 1:
+        return times[0]
+    # A pair of time and values stands side by side, and so do the columns of a table, behind their time.
+    order = [other.name for other in columns]
+    places = sorted(order.index(name) for name in times)
+    place = order.index(column.name)
+    before = [time for time in places if time < place]
+    side_by_side = any(later - earlier == 1 for earlier, later in itertools.pairwise(places))
+    return order[before[-1]] if before and not side_by_side else None
+
+
+def _common_parents(name: str, other: str) -> int:
+    """Return how many groups or structures two names have in common."""
+    parents, others = re.split(r"[./]", name)[:-1], re.split(r"[./]", other)[:-1]
+    return sum(1 for _ in itertools.takewhile(lambda pair: pair[0] == pair[1], zip(parents, others, strict=False)))
 
 
 def _candidates(columns: Sequence[Column]) -> dict[str, list[str]]:
@@ -115,18 +213,24 @@ def _candidates(columns: Sequence[Column]) -> dict[str, list[str]]:
 
 
 def _score(quantity: str, column: Column) -> int:
-    """Return how well a name fits a quantity: 4 for a word alone, 3 for a word among others, 2 for a letter among others."""
+    """Return how well a name fits a quantity: 4 for a word alone, 3 for a word among others, 2 for a letter among others.
+
+    A column in a unit that cannot be converted fits least.
+    """
     base, bracketed, appended = _split(column.name)
     unit = column.unit or bracketed
     if unit and is_unit(unit) and not find_unit(quantity, unit):
         return 0
-    if not unit and find_unit(quantity, appended):
-        appended, words = "", _words(base)
-    else:
-        words = _words(f"{base} {appended}")
+    is_unit_of_it = find_unit(quantity, appended) is not None
+    text = base if bracketed or is_unit_of_it or _is_other(appended) else column.name
+    # The last part of a path tells more than those before it, where it tells anything.
+    last = _words(re.split(r"[./]", text)[-1])
+    words = last if set(last) & _ALL_WORDS else _words(text)
     known = [word for word in words if word in WORDS[quantity] or _is_compound(word, quantity)]
     if not known:
         return 0
+    if (unit and not find_unit(quantity, unit)) or (not unit and _is_other(appended)):
+        return 1
     return 4 if len(words) == 1 else 3 if any(len(word) > 1 for word in known) else 2
 
 
@@ -134,19 +238,32 @@ def _is_compound(word: str, quantity: str) -> bool:
     return any(word.endswith(end) for end in _COMPOUNDS if end in WORDS[quantity])
 
 
-def _unit(quantity: str, column: Column) -> str:
+def _is_other(text: str) -> bool:
+    """Return whether a text names a unit that is of no quantity of a recording, or is not known."""
+    return looks_like_unit(text) and not is_unit(text)
+
+
+def unit_of(quantity: str, column: Column) -> str:
     """Return the unit of a column of a known quantity."""
     _, bracketed, appended = _split(column.name)
-    return column.unit or bracketed or (appended if find_unit(quantity, appended) else "")
+    return column.unit or bracketed or (appended if find_unit(quantity, appended) or _is_other(appended) else "")
 
 
 def _split(name: str) -> tuple[str, str, str]:
-    """Return a name without unit, a unit in brackets after it, and a last word that may be a unit; "" for none."""
-    match = _BRACKETED.fullmatch(name)
-    if match and (is_unit(match[2]) or match[2].lower() in _OTHER_UNITS):
-        return match[1], match[2], ""
-    match = _APPENDED.fullmatch(name)
-    return (match[1], "", match[2]) if match else (name, "", "")
+    """Return a name without unit, what stands in brackets as a unit does, and the end of the name that may be a unit.
+
+    Either is "" where there is none. A number in brackets is that of a column.
+    """
+    name = _REPEATED.sub("", name)
+    brackets = [match for match in _BRACKETED.finditer(name) if not match[1].isdigit() and match.start() > 0]
+    if brackets:
+        match = next((match for match in brackets if looks_like_unit(match[1])), brackets[-1])
+        return f"{name[: match.start()]} {name[match.end() :]}".strip(), match[1], ""
+    ends = [(match.start(), match.end()) for match in _SEPARATOR.finditer(name) if match.start() > 0]
+    for begin, end in ends:
+        if looks_like_unit(name[end:]):
+            return name[:begin], "", name[end:]
+    return (name[: ends[-1][0]], "", name[ends[-1][1] :]) if ends else (name, "", "")
 
 
 def _words(name: str) -> list[str]:
@@ -155,65 +272,63 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", plain)]
 
 
-def propose_topics(where: str, ranges: Mapping[str, float], *, current_is_given: bool) -> str:
-    """Return the line that asks which numbers of a bag to take, with a proposal that would do.
+def topic_mappings(ranges: Mapping[str, float], *, current_is_given: bool) -> list[dict[str, str]]:
+    """Return which numbers of a bag may be which quantity, the most likely mapping first.
 
     Parameters
     ----------
-    where : str
-        Path of the bag.
     ranges : mapping of str to float
         How far each number in its messages moves, by its address.
     current_is_given : bool
         Whether no current is needed.
     """
-    candidates = _candidates([Column(address) for address in ranges])
-    proposed: dict[str, str] = {}
-    for quantity in ("position", "velocity", "force", "current"):
-        if (quantity == "velocity" and "position" in proposed) or (quantity == "current" and current_is_given):
-            continue
-        free = [address for address in candidates.get(quantity, ()) if address not in proposed.values()]
-        if quantity == "force" and not free:
-            free = [address for address in ranges if address not in proposed.values()]
-        if free:
-            proposed[quantity] = max(free, key=ranges.__getitem__)
-    options = [f"{quantity}={shlex.quote(address)}" for quantity, address in proposed.items()]
-    options += [] if current_is_given or "current" in proposed else ["--current 0"]
-    # The mapping comes first: a line is cut where it is long.
-    return (
-        f"{where}: is a bag of another bench; say which numbers to take with what is right of: "
-        f"--topics {' '.join(options)} (numbers in it: {_listed(ranges)})"
-    )
+    # The index of an element stands in brackets, as units do elsewhere.
+    address_of = {re.sub(r"[\[\]]", ".", address): address for address in ranges}
+    found = _candidates([Column(name) for name in address_of])
+    candidates = {quantity: [address_of[name] for name in names] for quantity, names in found.items()}
+    moving = sorted((address for address in ranges if ranges[address] > 0), key=ranges.__getitem__)
+    motion = "velocity" if "velocity" in candidates and "position" not in candidates else "position"
+    pools: dict[str, list[str]] = {}
+    for quantity in (motion, "force", *([] if current_is_given else ["current"])):
+        named = sorted(candidates.get(quantity, ()), key=ranges.__getitem__, reverse=True)
+        pools[quantity] = named or (moving if quantity == motion else moving[::-1] if quantity == "force" else [])
+    pools = {quantity: pool for quantity, pool in pools.items() if pool or quantity != "current"}
+    chosen = (dict(zip(pools, addresses, strict=True)) for addresses in itertools.product(*pools.values()))
+    different = (mapping for mapping in chosen if len(set(mapping.values())) == len(mapping))
+    return list(itertools.islice(different, _MOST_TRIALS))
 
 
-def _question(
+def _undecided(
     where: str,
     names: Sequence[str],
     chosen: Mapping[str, str],
     doubtful: Mapping[str, Sequence[str]],
-    missing: Sequence[str],
-) -> str:
-    """Return the line that asks for a mapping, with one that would do."""
+    missing: list[str],
+    texts: Mapping[str, str],
+) -> UndecidedError:
+    """Return the error about quantities that the columns do not tell, with the mappings that might be meant."""
     free = [name for name in names if name not in chosen.values()]
-    proposed, others = dict(chosen), []
+    pools = []
     for quantity in missing:
-        pool = [name for name in doubtful.get(quantity, ()) if name in free] or (free if quantity != "current" else [])
-        if pool:
-            proposed[quantity] = pool[0]
-            free.remove(pool[0])
-        elif quantity in _OPTIONS:
-            others.append(_OPTIONS[quantity])
-        else:
-            expected = "expected time, position or velocity, and force"
-            return f"{where}: no column is left for the {quantity}, {expected} (columns: {_listed(names)})"
-    columns = " ".join(f"{quantity}={shlex.quote(name)}" for quantity, name in proposed.items())
-    # The mapping comes first: a line is cut where it is long.
-    return (
-        f"{where}: the columns do not tell the {' and the '.join(missing)}; say so with what is right of: "
-        f"{' '.join([f'--map {columns}', *others])} (columns: {_listed(names)})"
-    )
+        pool = [name for name in doubtful.get(quantity, ()) if name in free]
+        pool += [name for name in free if quantity not in _OPTIONS or quantity == "time"] if not pool else []
+        pools.append([*pool, ""] if quantity in _OPTIONS else pool)
+    mappings: list[dict[str, str]] = []
+    for names_of in itertools.product(*pools):
+        used = [name for name in names_of if name]
+        if len(set(used)) == len(used) and len(mappings) < _MOST_TRIALS:
+            mappings.append(dict(chosen) | {q: name for q, name in zip(missing, names_of, strict=True) if name})
+    known = f"columns: {listed(names)}"
+    if texts:
+        shown = (f"{one_line(name)} holds {one_line(text)!r}" for name, text in list(texts.items())[:3])
+        known += f"; no numbers: {', '.join(shown)}"
+    if not mappings:
+        message = f"no column is left for the {' and the '.join(missing)}, expected time, position or velocity, and force"
+    else:
+        message = f"the columns do not tell the {' and the '.join(missing)}"
+    return UndecidedError(f"{where}: {message} ({known})", mappings, missing, list(doubtful.get("time", ())), known)
 
 
-def _listed(names: Collection[str]) -> str:
+def listed(names: Collection[str]) -> str:
     """Return the first names of columns or topics, on one line."""
     return (", ".join(map(one_line, list(names)[:20])) or "none") + (", ..." if len(names) > 20 else "")

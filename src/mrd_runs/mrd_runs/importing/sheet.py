@@ -4,7 +4,8 @@ import datetime
 import zipfile
 from array import array
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from dataclasses import replace
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.importing.extras import load_extra
+from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, locate_table
+from mrd_runs.importing.time_of_day import clock_seconds, has_date
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
@@ -52,6 +55,8 @@ def read_sheet_table(path: Path) -> Table:
         lambda names: _read_columns(workbook[name], table, names, path),
         f"sheet {one_line(name)}, numbers from row {table.first + 1}",
         lambda index: f"row {next(islice(_numbered(workbook[name], table), index, None))[0]}",
+        stated_rate(_facts(workbook[name], table.first)),
+        ragged=True,
     )
 
 
@@ -62,10 +67,38 @@ def _rows(sheet: Any) -> Iterator[list[Cell]]:
 
 
 def _locate(sheet: Any) -> Located | None:
-    rows = list(islice(_rows(sheet), LONGEST_HEAD))
+    sheet.reset_dimensions()
+    raw = [list(row) for row in islice(sheet.iter_rows(max_col=_MOST_COLUMNS, values_only=True), LONGEST_HEAD)]
+    rows = [[_cell(value) for value in row] for row in raw]
     width = max((len(row) for row in rows), default=0)
     rows = [row + [None] * (width - len(row)) for row in rows]
-    return locate_table(rows, lambda index, _: rows[index])
+    found = locate_table(rows, lambda index, _: rows[index])
+    if found is None:
+        return None
+    first = raw[found.first]
+    columns = [
+        replace(column, unit="s", of_day=not _has_date(value)) if _is_clock(value) else column
+        for column, value in zip(found.columns, [*first, *[None] * len(found.columns)], strict=False)
+    ]
+    return replace(found, columns=tuple(columns))
+
+
+def _is_clock(value: object) -> bool:
+    """Return whether a cell holds a time of day, a date or a duration."""
+    kinds = (datetime.datetime, datetime.time, datetime.timedelta)
+    return isinstance(value, kinds) or (isinstance(value, str) and clock_seconds(value.strip()) is not None)
+
+
+def _has_date(value: object) -> bool:
+    return isinstance(value, datetime.datetime | datetime.timedelta) or (isinstance(value, str) and has_date(value.strip()))
+
+
+def _facts(sheet: Any, first: int) -> Iterator[tuple[str, str]]:
+    """Yield each text above the table with what stands right of it."""
+    for row in islice(_rows(sheet), first):
+        for left, right in pairwise(cell for cell in row if cell is not None):
+            if isinstance(left, str):
+                yield left, str(right)
 
 
 def _numbered(sheet: Any, table: Located) -> Iterator[tuple[int, list[Cell]]]:
@@ -77,16 +110,19 @@ def _numbered(sheet: Any, table: Located) -> Iterator[tuple[int, list[Cell]]]:
 
 def _read_columns(sheet: Any, table: Located, names: Sequence[str], path: Path) -> dict[str, Array]:
     indices = [[column.name for column in table.columns].index(name) for name in names]
-    values = array("d")
+    series = {name: array("d") for name in names}
+    ended: dict[str, int] = {}
     for number, row in _numbered(sheet, table):
         for name, index in zip(names, indices, strict=True):
             cell = row[index] if index < len(row) else None
-            if not isinstance(cell, float):
-                found = "nothing" if cell is None else one_line(repr(cell))
-                raise InputError(f"{path}: row {number}: {one_line(name)} is {found}, expected a number")
-            values.append(cell)
-    numbers = np.frombuffer(values).reshape(-1, len(names))
-    return {name: numbers[:, i].copy() for i, name in enumerate(names)}
+            if cell is None:
+                ended.setdefault(name, number)
+            elif isinstance(cell, float) and name not in ended:
+                series[name].append(cell)
+            else:
+                line, found = (ended[name], "nothing") if name in ended else (number, one_line(repr(cell)))
+                raise InputError(f"{path}: row {line}: {one_line(name)} is {found}, expected a number")
+    return {name: np.array(values) for name, values in series.items()}
 
 
 def _cell(value: object) -> Cell:
@@ -101,4 +137,6 @@ def _cell(value: object) -> Cell:
         return value.replace(tzinfo=datetime.UTC).timestamp()
     if isinstance(value, datetime.time):
         return value.hour * 3600 + value.minute * 60 + value.second + 1e-6 * value.microsecond
-    return str(value).strip() or None
+    text = str(value).strip()
+    seconds = clock_seconds(text)
+    return (text or None) if seconds is None else seconds

@@ -1,6 +1,6 @@
 """Series that were recorded each on its own time, put onto one."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from mrd_base import InputError
 Array = NDArray[np.float64]
 Series = tuple[Array, Array]
 
-_MOTION = ("position", "velocity", "acceleration", "force")
+MOTION = ("position", "velocity", "acceleration", "force")
 _SLOW = 3.0
 """Intervals of the common time within one of a series, from which that series is held: it is that of a command."""
 _MOST_SAMPLES = 10**7
@@ -46,12 +46,12 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
         When the series have no time in common.
     """
     intervals = {name: float(np.median(np.diff(time))) if len(time) > 1 else np.inf for name, (time, _) in series.items()}
-    slowest = max((name for name in _MOTION if name in series), key=intervals.__getitem__)
-    moving = [series[name][0] for name in _MOTION if name in series]
+    slowest = max((name for name in MOTION if name in series), key=intervals.__getitem__)
+    moving = [series[name][0] for name in MOTION if name in series]
     begin, end = max(time[0] for time in moving), min(time[-1] for time in moving)
     if not begin < end:
         spans = ", ".join(f"{name} {time[0] - begin:.6g} to {time[-1] - begin:.6g} s" for name, (time, _) in series.items())
-        raise InputError(f"{where}: the topics have no time in common ({spans}); expected one recording of all")
+        raise InputError(f"{where}: the series have no time in common ({spans}); expected one recording of all")
     if rate is not None:
         if (end - begin) * rate > _MOST_SAMPLES:
             raise InputError(f"{where}: {end - begin:.6g} s at {rate:g} Hz are more than {_MOST_SAMPLES} samples")
@@ -62,15 +62,16 @@ def synchronise(series: Mapping[str, Series], rate: float | None, where: str) ->
         common = common[(common >= begin) & (common <= end)]
         origin = f"those of the {slowest}, {1 / intervals[slowest]:.4g} Hz, the slowest of motion and force"
     if len(common) < 2:
-        raise InputError(f"{where}: the topics have {len(common)} samples in common; expected one recording of all")
+        raise InputError(f"{where}: the series have {len(common)} samples in common; expected one recording of all")
     step = float(np.median(np.diff(common)))
     columns, notes = {"time": common - common[0]}, []
     done: dict[str, list[str]] = {}
     for name, (time, values) in series.items():
-        if len(time) == len(common) and np.array_equal(time, common):
-            columns[name] = values
+        place = np.minimum(np.searchsorted(time, common), len(time) - 1)
+        if np.array_equal(time[place], common) and 1.5 * intervals[name] > step:
+            columns[name] = values[place]
             continue
-        if name not in _MOTION and intervals[name] > _SLOW * step:
+        if name not in MOTION and intervals[name] > _SLOW * step:
             columns[name], how = _held(time, values, common), "keeps its last value"
         elif intervals[name] < step / 1.5:
             columns[name], how = _averaged(time, values, common), "is averaged between them"
@@ -98,13 +99,3 @@ def _averaged(time: Array, values: Array, common: Array) -> Array:
     slope = (values[index + 1] - values[index]) / (time[index + 1] - time[index])
     at_edges = integral[index] + since * (values[index] + 0.5 * slope * since)
     return np.asarray(np.diff(at_edges) / np.diff(edges))
-
-
-def increasing(time: Array, values: Sequence[float] | Array) -> tuple[Array, Array, int]:
-    """Sort a series by its time and drop samples of equal time; return how many were out of order or dropped, as well."""
-    values = np.asarray(values, np.float64)
-    wrong = int(np.count_nonzero(np.diff(time) <= 0))
-    if wrong:
-        time, first = np.unique(time, return_index=True)
-        values = values[first]
-    return time, values, wrong

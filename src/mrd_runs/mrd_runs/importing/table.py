@@ -1,14 +1,13 @@
 """Tables of other programs: named columns of numbers, and where a table begins among rows of cells."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import groupby
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_runs.importing.units import is_unit
+from mrd_runs.importing.units import is_unit, looks_like_unit
 
 Array = NDArray[np.float64]
 Cell = str | float | None
@@ -17,6 +16,9 @@ LONGEST_HEAD = 1000
 """Rows in which the beginning of a table is looked for."""
 MOST_VALUES = 5 * 10**7
 """Numbers that are read of a file: five columns of nearly three hours at 1 kHz, 400 MB."""
+
+_USUAL = 0.9
+"""Share of rows with a number in a column, from which the first row of the table has one there, too."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,20 @@ class Column:
         "" where the file does not say.
     text : str
         What stands in the first row of a column that holds no numbers; "" for numbers.
+    time : str
+        Name of the column that holds its times, where the file says so.
+    of_day : bool
+        Whether it holds times of day, which begin again at midnight.
+    problem : str
+        What of it is not understood, so that its numbers cannot be taken as they are; "" where nothing is.
     """
 
     name: str
     unit: str = ""
     text: str = ""
+    time: str = ""
+    of_day: bool = False
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -51,12 +62,52 @@ class Table:
         How the file was understood, for a note; "" where there is nothing to say.
     place : callable
         Returns how an error message names the sample of an index.
+    rate : float or None
+        Sample rate in Hz that the file states.
+    ragged : bool
+        Whether columns of one table may end early, because the file is cut or its last rows are not complete.
+    one_clock : bool
+        Whether columns with the same times have them from one clock, as in one file; that of two files may be two.
+    remarks : list of str
+        What was noticed while columns were read; `read` appends to it.
     """
 
     columns: tuple[Column, ...]
     read: Callable[[Sequence[str]], dict[str, Array]]
     layout: str = ""
     place: Callable[[int], str] = "sample {}".format
+    rate: float | None = None
+    ragged: bool = False
+    one_clock: bool = True
+    remarks: list[str] = field(default_factory=list)
+
+
+def join_tables(tables: Mapping[str, Table]) -> Table | None:
+    """Return the channels of several files as one table; None where a file is more than a channel over its time.
+
+    Parameters
+    ----------
+    tables : mapping of str to Table
+        By a name of the file, which stands before those of its columns.
+    """
+    columns: list[Column] = []
+    for name, table in tables.items():
+        numbers = [column for column in table.columns if column.name and not column.text]
+        if len(numbers) != 2:
+            return None
+        time, values = (f"{name}: {column.name}" for column in numbers)
+        columns += [replace(numbers[0], name=time), replace(numbers[1], name=values, time=time)]
+
+    def read(names: Sequence[str]) -> dict[str, Array]:
+        series: dict[str, Array] = {}
+        for name, table in tables.items():
+            of_file = {f"{name}: {column.name}": column.name for column in table.columns}
+            if wanted := [of_file[each] for each in names if each in of_file]:
+                series |= {f"{name}: {column}": values for column, values in table.read(wanted).items()}
+        return series
+
+    layout = f"{len(tables)} files of one channel each are one recording; expected that all times count from one instant"
+    return Table(tuple(columns), read, layout, one_clock=False)
 
 
 @dataclass(frozen=True)
@@ -69,7 +120,7 @@ class Located:
 
 
 def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Sequence[Cell]]) -> Located | None:
-    """Find the longest run of rows that look alike and hold at least two numbers, and the names above it.
+    """Find the longest run of rows with numbers in the same columns, at least two, and the names above it.
 
     Parameters
     ----------
@@ -83,27 +134,29 @@ def locate_table(rows: Sequence[Sequence[Cell]], header: Callable[[int, int], Se
     Located or None
         None without such rows.
     """
-    filled = [index for index, row in enumerate(rows) if any(cell is not None for cell in row)]
+    numbers = [{i for i, cell in enumerate(row) if isinstance(cell, float)} for row in rows]
     run: list[int] = []
-    for _, group in groupby(filled, lambda index: _kind(rows[index])):
-        members = list(group)
-        numbers = sum(isinstance(cell, float) for cell in rows[members[0]])
-        if numbers >= 2 and len(members) > len(run):
+    members: list[int] = []
+    for index in (index for index, row in enumerate(rows) if any(cell is not None for cell in row)):
+        before = numbers[members[-1]] if members else set()
+        together = len(numbers[index] & before) >= max(2, 0.5 * max(len(numbers[index]), len(before)))
+        members = [*members, index] if together else [index]
+        if len(numbers[index]) >= 2 and len(members) > len(run):
             run = members
+    counts = Counter(i for index in run for i in numbers[index])
+    core = {i for i, count in counts.items() if count >= _USUAL * len(run)}
+    run = run[next((k for k, index in enumerate(run) if core <= numbers[index]), 0) :]
     if not run:
         return None
-    width = len(rows[run[0]])
-    above = [index for index in filled if index < run[0]]
+    width = max(len(rows[index]) for index in run)
+    above = [index for index in range(run[0]) if any(cell is not None for cell in rows[index])]
     names, units = _header([header(index, width) for index in above[-2:]], width)
-    used = {i for index in run for i, cell in enumerate(rows[index]) if cell is not None}
-    texts = [cell if isinstance(cell, str) else "" for cell in rows[run[0]]]
-    columns = [Column(names[i] if i in used else "", units[i], texts[i]) for i in range(width)]
+    columns = []
+    for i in range(width):
+        cells = [rows[index][i] for index in run if i < len(rows[index]) and rows[index][i] is not None]
+        text = next((cell for cell in cells if isinstance(cell, str)), "") if 2 * counts[i] < len(cells) else ""
+        columns.append(Column(names[i] if cells else "", units[i], text))
     return Located(tuple(columns), run[0], len(run))
-
-
-def _kind(row: Sequence[Cell]) -> tuple[int, tuple[int, ...]]:
-    """Return what rows of one table share: their width, and which of their cells are texts."""
-    return len(row), tuple(i for i, cell in enumerate(row) if isinstance(cell, str))
 
 
 def _header(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], list[str]]:
@@ -112,14 +165,21 @@ def _header(above: Sequence[Sequence[Cell]], width: int) -> tuple[list[str], lis
     fitting = [row[:width] if len(row) >= width and any(row) and not any(map(_is_number, row)) else None for row in texts]
     units = [""] * width
     names = fitting[-1] if fitting else None
-    if names and len(fitting) > 1 and fitting[-2] and all(not cell or is_unit(cell.strip("[]() ")) for cell in names):
-        names, units = fitting[-2], [cell.strip("[]() ") for cell in names]
+    if names and len(fitting) > 1 and fitting[-2] and _are_units(names) and not _are_units(fitting[-2]):
+        names, units = fitting[-2], [cell.strip("[]()<> -") for cell in names]
     names = [name or f"column {i + 1}" for i, name in enumerate(names or [""] * width)]
     seen: Counter[str] = Counter()
     for i, name in enumerate(names):
         seen[name] += 1
         names[i] = name if seen[name] == 1 else f"{name} ({seen[name]})"
     return names, units
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    """Return whether most cells of a row name units."""
+    texts = [text for cell in cells if (text := cell.strip("[]()<> -"))]
+    known = sum(map(is_unit, texts))
+    return known > 0 and 2 * sum(map(looks_like_unit, texts)) > len(texts)
 
 
 def _is_number(text: str) -> bool:

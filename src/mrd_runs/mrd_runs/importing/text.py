@@ -1,11 +1,11 @@
 """Tables in text files of any dialect: delimiter, decimal sign, encoding, and what stands above the numbers."""
 
 import csv
-import datetime
 import itertools
 import re
+from array import array
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_runs.formats.csv_file import LONGEST_LINE, check_bounds
+from mrd_runs.importing.rates import facts_of_lines, stated_rate
 from mrd_runs.importing.table import LONGEST_HEAD, Cell, Located, Table, locate_table
+from mrd_runs.importing.time_of_day import clock_seconds, has_date
 from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
@@ -26,11 +28,6 @@ _NUMBERS = {
     ".": re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE | re.ASCII),
     ",": re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE | re.ASCII),
 }
-# A time of day, maybe with a date; its seconds are a number.
-_CLOCK = re.compile(
-    r"(?:(\d{4})-(\d\d)-(\d\d)[T ]\s*|(\d\d)\.(\d\d)\.(\d{4})\s+)?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)Z?", re.ASCII
-)
-_FIRST_DAY = datetime.date(2000, 1, 1).toordinal()  # the nearer to now, the more digits are left for the seconds
 _COMMENT = re.compile(r"^\s*(#|%|//)+\s?")
 
 
@@ -79,8 +76,13 @@ def guess_dialect(lines: Sequence[str]) -> Dialect | None:
         whole = sum(isinstance(cell, float) for cell in first) - sum(isinstance(cell, str) for cell in first)
         if (located.rows, whole) > most:
             cells = split_line(lines[located.first], delimiter)
-            clocks = tuple(index for index, cell in enumerate(cells) if _clock_seconds(cell) is not None)
-            best, most = Dialect(delimiter, decimal, located, clocks), (located.rows, whole)
+            clocks = tuple(index for index, cell in enumerate(cells) if clock_seconds(cell) is not None)
+            columns = tuple(
+                replace(column, unit="s", of_day=not has_date(cells[index])) if index in clocks else column
+                for index, column in enumerate(located.columns)
+            )
+            best = Dialect(delimiter, decimal, replace(located, columns=columns), clocks)
+            most = (located.rows, whole)
     return best
 
 
@@ -128,11 +130,15 @@ def read_text_table(path: Path) -> Table:
         f"{_DELIMITERS[dialect.delimiter]} between the columns, decimal {'comma' if dialect.decimal == ',' else 'point'}"
     )
     above = sum(bool(line.strip()) for line in lines[: found.first])
+    remarks: list[str] = []
     return Table(
         found.columns,
-        lambda names: _read_columns(path, encoding, dialect, names),
+        lambda names: _read_columns(path, encoding, dialect, names, remarks),
         f"{layout}, numbers from line {found.first + 1} ({above} lines above)" if above != 1 else layout,
         lambda index: f"line {next(islice(_rows(path, encoding, dialect), index, None))[0]}",
+        stated_rate(facts_of_lines(_COMMENT.sub("", line) for line in lines[: found.first])),
+        ragged=True,
+        remarks=remarks,
     )
 
 
@@ -159,7 +165,7 @@ def _rows(path: Path, encoding: str, dialect: Dialect) -> Iterator[tuple[int, st
                 yield number, line
 
 
-def _read_columns(path: Path, encoding: str, dialect: Dialect, names: Sequence[str]) -> dict[str, Array]:
+def _read_columns(path: Path, encoding: str, dialect: Dialect, names: Sequence[str], remarks: list[str]) -> dict[str, Array]:
     indices = [[column.name for column in dialect.located.columns].index(name) for name in names]
     rows = (line for _, line in _rows(path, encoding, dialect))
     delimiter: str | None = dialect.delimiter or None
@@ -179,22 +185,47 @@ def _read_columns(path: Path, encoding: str, dialect: Dialect, names: Sequence[s
             ndmin=2,
             quotechar='"',
         )
-    except ValueError as error:
-        raise _first_bad_cell(path, encoding, dialect, indices) or InputError(
-            f"{path}: cannot be read ({one_line(error)})"
-        ) from None
+    except ValueError:
+        return _read_cells(path, encoding, dialect, names, indices, remarks)
     return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)}
 
 
-def _first_bad_cell(path: Path, encoding: str, dialect: Dialect, indices: Sequence[int]) -> InputError | None:
+def _read_cells(
+    path: Path, encoding: str, dialect: Dialect, names: Sequence[str], indices: Sequence[int], remarks: list[str]
+) -> dict[str, Array]:
+    """Read columns cell by cell: they may end early, and lines without numbers may stand between blocks of rows."""
+    series = {name: array("d") for name in names}
+    ended: dict[str, int] = {}
+    between = 0
     for number, line in _rows(path, encoding, dialect):
         cells = dialect.cells(line)
-        for index in indices:
-            if index >= len(cells) or not isinstance(cells[index], float):
-                name = dialect.located.columns[index].name
-                found = repr(cells[index]) if index < len(cells) and cells[index] is not None else "nothing"
-                return InputError(f"{path}: line {number}: {one_line(name)} is {one_line(found)}, expected a number")
-    return None
+        if sum(isinstance(cell, float) for cell in cells) < 2:
+            _check_header(path, number, line, dialect)
+            between += 1
+            ended.clear()
+            continue
+        for name, index in zip(names, indices, strict=True):
+            cell = cells[index] if index < len(cells) else None
+            if cell is None:
+                ended.setdefault(name, number)
+            elif isinstance(cell, float) and name not in ended:
+                series[name].append(cell)
+            else:
+                line_of, found = (ended[name], "nothing") if name in ended else (number, one_line(repr(cell)))
+                raise InputError(f"{path}: line {line_of}: {one_line(name)} is {found}, expected a number")
+    if between:
+        remarks.append(f"{between} lines of text between the rows were skipped")
+    if ended:
+        remarks.append(f"{' and '.join(map(one_line, ended))} {'ends' if len(ended) == 1 else 'end'} early")
+    return {name: np.array(values) for name, values in series.items()}
+
+
+def _check_header(path: Path, number: int, line: str, dialect: Dialect) -> None:
+    """Refuse a line between rows that names the columns in another order than the one above the table."""
+    known = [column.name for column in dialect.located.columns]
+    names = [str(cell) for cell in dialect.cells(line)]
+    if set(names) & set(known) and [name for name in names if name in known] != [name for name in known if name in names]:
+        raise InputError(f"{path}: line {number}: begins a table with other columns; split the file there")
 
 
 def _cell(text: str, decimal: str) -> Cell:
@@ -202,27 +233,11 @@ def _cell(text: str, decimal: str) -> Cell:
         return None
     if _NUMBERS[decimal].fullmatch(text):
         return float(text.replace(",", "."))
-    seconds = _clock_seconds(text)
+    seconds = clock_seconds(text)
     return text if seconds is None else seconds
-
-
-def _clock_seconds(text: str) -> float | None:
-    """Return the seconds of a time of day, counted from the year 2000 where it has a date; None for another text."""
-    match = _CLOCK.fullmatch(text)
-    if match is None:
-        return None
-    year, month, day, other_day, other_month, other_year, hour, minute, second = match.groups()
-    day_seconds = 3600 * int(hour) + 60 * int(minute) + float(second.replace(",", "."))
-    if not (year or other_year):
-        return day_seconds
-    try:
-        date = datetime.date(int(year or other_year), int(month or other_month), int(day or other_day))
-    except ValueError:
-        return None
-    return 86400.0 * (date.toordinal() - _FIRST_DAY) + day_seconds
 
 
 def _number(text: str) -> float:
     """Return the number of a cell of a line in which points stand for decimal commas."""
-    seconds = _clock_seconds(text.strip().strip('"'))
+    seconds = clock_seconds(text.strip().strip('"'))
     return float(text) if seconds is None else seconds

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_runs.bag import Bag, read_bag
-from mrd_runs.importing.synchronise import Series, increasing
+from mrd_runs.importing.clocks import find_passes
+from mrd_runs.importing.stamps import Topic, align_topics
+from mrd_runs.importing.synchronise import MOTION, Series
 from mrd_runs.text import one_line
 
-Stamps = NDArray[np.int64]
+Array = NDArray[np.float64]
 
 _ADDRESS = re.compile(r"(?P<topic>[^.\[\]\s]+)\.(?P<field>[\w.]+)(\[(?P<index>[^\[\]]+)\])?")
-_MOST_ELEMENTS = 12  # of an array that is listed
+_MOST_ELEMENTS = 64  # of an array that is listed
 _LISTED_MESSAGES = 50
 _NO_SERIES = ("rosout", "parameter_events", "clock")
 
@@ -46,6 +48,14 @@ class Address:
         return f"{self.topic}.{self.field}" + (f"[{self.index}]" if self.index else "")
 
 
+@dataclass(frozen=True)
+class Pass:
+    """Numbers of a bag on one clock: times in s and values, and what the times are of, by quantity."""
+
+    series: Mapping[str, Series]
+    clocks: Mapping[str, str]
+
+
 def parse_address(text: str, option: str) -> Address:
     """Parse ``/topic.field`` or ``/topic.field[index]``; raise InputError for another text."""
     match = _ADDRESS.fullmatch(text)
@@ -54,57 +64,79 @@ def parse_address(text: str, option: str) -> Address:
     return Address(match["topic"], match["field"], match["index"] or "")
 
 
-def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[dict[str, Series], list[str]]:
-    """Read numbers from the messages of a bag, with the times of their headers or else of their recording.
+def read_topics(path: Path, addresses: Mapping[str, Address]) -> tuple[list[Pass], list[str]]:
+    """Read numbers from the messages of a bag, on one clock.
 
     Parameters
     ----------
     path : Path
         Bag folder, ``.mcap`` or ``.db3`` file.
     addresses : mapping of str to Address
-        By quantity.
+        By quantity; ``time`` where the messages of a single topic hold a time of their own.
 
     Returns
     -------
-    series : dict of str to (ndarray (n,), ndarray (n,))
-        Times in s, increasing from near 0, and values, by quantity.
-    notes : list of str
+    passes : list of Pass
+        One of each time that the clock ran.
+    told : list of str
+        Clauses about the clocks.
 
     Raises
     ------
     InputError
-        When the bag cannot be read, or a topic, a field or an element is not there.
+        When the bag cannot be read, a topic, a field or an element is not there, or the clocks cannot be put onto one.
     """
-    bag = read_bag(path, {address.topic.rsplit("/", 1)[-1] for address in addresses.values()})
-    notes: list[str] = []
-    values: dict[str, list[float]] = {}
-    stamps: dict[str, Stamps] = {}
+    names = {address.topic.rsplit("/", 1)[-1] for address in addresses.values()}
+    bag = read_bag(path, names, as_written=True)
+    values: dict[str, Array] = {}
+    topics: dict[str, Topic] = {}
     for topic in dict.fromkeys(address.topic for address in addresses.values()):
         wanted = {quantity: address for quantity, address in addresses.items() if address.topic == topic}
-        of_topic, has_headers, found = _read_topic(bag, topic, wanted, path)
+        topics[topic], found = _read_topic(bag, topic, wanted, path)
         values |= found
-        stamps |= dict.fromkeys(wanted, of_topic)
-        if not has_headers:
-            notes.append(f"{topic}: the times are those of the recording, because its messages have no stamps")
-    start = min(of_topic.min() for of_topic in stamps.values())
-    series = {}
-    for quantity, of_topic in stamps.items():
-        time, ordered, wrong = increasing(1e-9 * (of_topic - start), values[quantity])
-        series[quantity] = (time, ordered)
-        if wrong:
-            notes.append(f"{quantity}: {wrong} messages were out of order or had the time of another one")
-    return series, notes
+    if "time" in addresses:
+        return _timed_by_a_number(path, addresses, values)
+    of = {quantity: address.topic for quantity, address in addresses.items()}
+    passes, told = align_topics(topics, list(dict.fromkeys(of[name] for name in MOTION if name in of)), str(path))
+    return [
+        Pass(
+            {quantity: (one[topic].time, values[quantity][one[topic].index]) for quantity, topic in of.items()},
+            {quantity: one[topic].clock for quantity, topic in of.items()},
+        )
+        for one in passes
+    ], told
 
 
-def _read_topic(
-    bag: Bag, topic: str, wanted: Mapping[str, Address], path: Path
-) -> tuple[Stamps, bool, dict[str, list[float]]]:
-    """Return the times of the messages of a topic in ns, whether their headers have them, and the values by quantity."""
+def _timed_by_a_number(
+    path: Path, addresses: Mapping[str, Address], values: Mapping[str, Array]
+) -> tuple[list[Pass], list[str]]:
+    """Return passes of messages of one topic that hold their own time."""
+    if len({address.topic for address in addresses.values()}) > 1:
+        raise InputError(
+            f"{path}: --topics names a time of {addresses['time'].topic}, expected one only where all numbers are of this "
+            "topic; leave it out"
+        )
+    time = values["time"]
+    if not np.isfinite(time).all():
+        raise InputError(f"{path}: --topics: {addresses['time']} is not finite everywhere, expected times")
+    order = find_passes(time).unrepeated(time)
+    told = [*order.told, *(f"{addresses['time']} jumps back by {jump:.4g} s" for jump in order.jumps)]
+    others = [quantity for quantity in values if quantity != "time"]
+    clock = str(addresses["time"])
+    return [
+        Pass({q: (time[piece], values[q][piece]) for q in others}, dict.fromkeys(others, clock)) for piece in order.pieces
+    ], told
+
+
+def _read_topic(bag: Bag, topic: str, wanted: Mapping[str, Address], path: Path) -> tuple[Topic, dict[str, Array]]:
+    """Return when the messages of a topic were received and stamped, and the values by quantity."""
     if topic not in bag.topics:
         raise InputError(f"{path}: --topics: unknown topic {one_line(unknown_key(topic, sorted(bag.topics)))}")
     entry = bag.topics[topic]
     if not entry.messages:
         raise InputError(f"{path}: {topic} has no messages; expected a recording")
+    if entry.message_type not in bag.types.fielddefs:
+        raise InputError(f"{path}: {_undefined({topic: entry.message_type})}")
     getters: dict[str, Callable[[Any], float]] = {}
     values: dict[str, list[float]] = {quantity: [] for quantity in wanted}
     headers: list[int] = []
@@ -123,8 +155,17 @@ def _read_topic(
                 raise InputError(
                     f"{path}: message {number} of {topic} has no {wanted[quantity]}; expected it in each"
                 ) from None
-    has_headers = all(headers)
-    return np.array(headers if has_headers else entry.stamps, np.int64), has_headers, values
+    stamps = np.array(headers, np.int64) if any(headers) else None
+    return Topic(np.array(entry.stamps, np.int64), stamps), {name: np.array(of) for name, of in values.items()}
+
+
+def _undefined(types: Mapping[str, str]) -> str:
+    """Return a clause about message types, by topic, that nobody can read."""
+    shown = ", ".join(f"{one_line(name)} ({one_line(topic)})" for topic, name in types.items())
+    return (
+        f"no definition of this type in the bag: {shown}; record into MCAP, or convert the bag where the package of the "
+        "type is installed, so that the file has the definition"
+    )
 
 
 def _getter(message: Any, address: Address, path: Path) -> Callable[[Any], float]:
@@ -150,19 +191,31 @@ def _getter(message: Any, address: Address, path: Path) -> Callable[[Any], float
     return lambda message: field(message)[int(address.index)]
 
 
-def list_numbers(path: Path) -> dict[str, float]:
-    """Return the addresses of all numbers in the messages of a bag, with their range in the first messages of each topic."""
+def list_numbers(path: Path) -> tuple[dict[str, float], str]:
+    """Return what numbers the messages of a bag hold.
+
+    Returns
+    -------
+    ranges : dict of str to float
+        How far each number moves in the first messages of its topic, by its address.
+    problem : str
+        Which topics cannot be read, and why; "" where all can.
+    """
     bag = read_bag(path, most=_LISTED_MESSAGES)
     ranges: dict[str, list[float]] = {}
-    for topic in bag.topics:
+    undefined: dict[str, str] = {}
+    for topic, entry in bag.topics.items():
         if topic.rsplit("/", 1)[-1] in _NO_SERIES:
             continue
-        # A type that is not known has no numbers to name; rosbags raises many kinds of errors for it.
+        if entry.message_type not in bag.types.fielddefs:
+            undefined[topic] = entry.message_type
+            continue
+        # A message that is damaged has no numbers to name; rosbags raises many kinds of errors for it.
         with suppress(Exception):
             for message in bag.decode(topic):
                 for address, value in _numbers(message, topic):
                     ranges.setdefault(str(address), []).append(value)
-    return {address: float(np.ptp(values)) for address, values in ranges.items()}
+    return {address: float(np.ptp(values)) for address, values in ranges.items()}, _undefined(undefined) if undefined else ""
 
 
 def _numbers(content: Any, topic: str, prefix: str = "") -> Iterator[tuple[Address, float]]:

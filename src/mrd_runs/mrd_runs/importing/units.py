@@ -1,6 +1,7 @@
 """Quantities of a recording, and the units in which other programs write them."""
 
 import re
+import unicodedata
 from collections.abc import Mapping
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError
 from mrd_base.config import unknown_key
+from mrd_runs.text import one_line
 
 Array = NDArray[np.float64]
 
@@ -23,18 +25,70 @@ COLUMNS: Mapping[str, str] = {
 """The column of a `Run` that each quantity becomes."""
 
 _G = 9.80665  # m/s²
+_LBF = 0.45359237 * _G
+_LENGTHS: Mapping[str, float] = {
+    **{"m": 1, "mm": 1e-3, "cm": 1e-2, "dm": 0.1, "km": 1e3, "µm": 1e-6, "nm": 1e-9},
+    **{"in": 0.0254, "ft": 0.3048, "mil": 2.54e-5, "thou": 2.54e-5, "mi": 1609.344},
+}
+_TIMES: Mapping[str, float] = {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60, "h": 3600}
 UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "ns": 1e-9, "sec": 1, "seconds": 1, "min": 60, "h": 3600},
-    "position": {"m": 1, "mm": 1e-3, "cm": 1e-2, "µm": 1e-6, "um": 1e-6, "in": 0.0254, "inch": 0.0254},
-    "velocity": {"m/s": 1, "mps": 1, "mm/s": 1e-3, "cm/s": 1e-2, "in/s": 0.0254},
-    "acceleration": {"m/s2": 1, "mps2": 1, "mm/s2": 1e-3, "g": _G},
-    "force": {"N": 1, "kN": 1e3, "mN": 1e-3, "MN": 1e6, "daN": 10, "lbf": 0.45359237 * _G, "kgf": _G},
-    "current": {"A": 1, "mA": 1e-3, "µA": 1e-6, "uA": 1e-6},
-    "temperature": {"°C": 1, "C": 1, "degC": 1, "K": 1, "°F": 5 / 9, "degF": 5 / 9},
+    "time": _TIMES,
+    "position": _LENGTHS,
+    "velocity": {f"{length}/{time}": a / b for length, a in _LENGTHS.items() for time, b in _TIMES.items() if b >= 1},
+    "acceleration": {f"{length}/s2": factor for length, factor in _LENGTHS.items()}
+    | {"g": _G, "mg": 1e-3 * _G, "gal": 0.01},
+    "force": {
+        **{"N": 1, "kN": 1e3, "mN": 1e-3, "MN": 1e6, "daN": 10, "µN": 1e-6, "dyn": 1e-5},
+        **{"lbf": _LBF, "klbf": 1e3 * _LBF, "ozf": _LBF / 16, "kgf": _G, "gf": 1e-3 * _G, "tf": 1e3 * _G},
+    },
+    "current": {"A": 1, "mA": 1e-3, "µA": 1e-6, "kA": 1e3},
+    "temperature": {"°C": 1, "K": 1, "°F": 5 / 9},
 }
 """Factor from each unit to the unit of the column; the first of each quantity is that unit."""
 
-_ZEROS = {"K": 273.15, "°F": 32.0, "degF": 32.0}  # what 0 °C reads
+_ZEROS = {"K": 273.15, "°F": 32.0}  # what 0 °C reads
+
+_SYNONYMS: Mapping[str, Mapping[str, str]] = {
+    "time": {
+        **{"s": "sec secs second seconds", "ms": "msec msecs millisecond milliseconds", "ns": "nsec nanosecond nanoseconds"},
+        **{"µs": "usec µsec microsecond microseconds", "min": "mins minute minutes", "h": "hr hrs hour hours"},
+    },
+    "position": {
+        **{"m": "meter meters metre metres", "mm": "millimeter millimeters millimetre millimetres"},
+        **{"cm": "centimeter centimeters centimetre centimetres", "µm": "micron microns micrometer micrometers micrometre"},
+        **{"in": 'inch inches " ″', "ft": "foot feet", "mil": "mils", "mi": "mile miles"},
+    },
+    "velocity": {
+        "in/s": "ips",
+        "ft/s": "fps",
+        "mi/h": "mph",
+        "km/h": "kph kmh kmph",
+        "mm/s": "mmps",
+        "m/s": "mps",
+        "in/min": "ipm",
+    },
+    "acceleration": {"m/s2": "mps2 mpss", "mm/s2": "mmps2", "g": "gn g's gs", "gal": "gals"},
+    "force": {
+        **{
+            "N": "newton newtons",
+            "kN": "kilonewton kilonewtons",
+            "lbf": "lb lbs lbsf pound pounds pound-force",
+            "ozf": "oz",
+        },
+        **{"klbf": "kip kips klb klbs kipf", "kgf": "kg kp kilogram kilograms", "tf": "tonnef", "dyn": "dyne dynes"},
+    },
+    "current": {"A": "amp amps ampere amperes", "mA": "milliamp milliamps milliampere milliamperes"},
+    "temperature": {"°C": "c degc deg_c celsius", "K": "kelvin", "°F": "f degf deg_f fahrenheit"},
+}
+"""Other ways to write a unit, in lower case."""
+
+_OTHER_WORDS = (
+    "v mv µv kv volt volts mv/v v/v count counts digit digits lsb adc bit bits % percent bar mbar psi pa kpa mpa "
+    "rad deg ° degree degrees rpm rev/min rad/s deg/s hz khz w kw nm n·m n*m ohm ω n/mm n/m n·s/m µe strain"
+)
+_OTHERS = frozenset(_OTHER_WORDS.split())
+"""Units of other quantities, in lower case."""
+_RATIO = re.compile(r"[^\s/]+(/|_per_)(s|sec|ms|min|h|hr|m|mm|rev|v)\^?[23]?", re.IGNORECASE)
 
 
 def si_unit(quantity: str) -> str:
@@ -44,15 +98,33 @@ def si_unit(quantity: str) -> str:
 
 def find_unit(quantity: str, text: str) -> str | None:
     """Return the unit of a quantity that a text names, however it is written; None where it names none."""
-    known = UNITS[quantity]
-    plain = re.sub(r"[\s·*^]", "", text).replace("²", "2").replace("μ", "µ").replace("m/s/s", "m/s2").replace("s-1", "/s")
-    same = [unit for unit in known if unit == plain] or [unit for unit in known if unit.lower() == plain.lower()]
-    return same[0] if same else None
+    plain = re.sub(r"[\s·*^.]", "", unicodedata.normalize("NFKC", text)).replace("μ", "µ").replace("−", "-")
+    plain = re.sub(r"_?per_?|_", "/", plain, flags=re.IGNORECASE) if quantity in ("velocity", "acceleration") else plain
+    plain = re.sub(r"/?s(?:ec)?-([12])$|/s(?:ec)?/s(?:ec)?$|/sec(?=2?$)", lambda m: _rate(m[1], m[0]), plain)
+    plain = plain.replace("/hr", "/h")
+    forms = [plain, re.sub(r"^u(?=[A-Za-z])", "µ", plain)]
+    spoken = {form: unit for unit, words in _SYNONYMS[quantity].items() for form in words.split()}
+    known = {unit: unit for unit in UNITS[quantity]}
+    lower = {unit.lower(): unit for unit in reversed(list(UNITS[quantity]))}
+    of_form = (table.get(form) for table in (known, spoken) for form in forms)
+    of_lower = (table.get(form.lower()) for table in (lower, spoken) for form in forms)
+    return next((unit for unit in (*of_form, *of_lower) if unit), None)
+
+
+def _rate(power: str | None, text: str) -> str:
+    """Return ``/s`` or ``/s2`` for what stands for it."""
+    return "/s2" if power == "2" or text.count("/s") == 2 else "/s"
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text names a unit of any quantity."""
+    """Return whether a text names a unit of any quantity of a recording."""
     return any(find_unit(quantity, text) for quantity in UNITS)
+
+
+def looks_like_unit(text: str) -> bool:
+    """Return whether a text names a unit of any kind, known or not."""
+    plain = unicodedata.normalize("NFKC", text).strip().replace("μ", "µ")
+    return is_unit(plain) or plain.lower() in _OTHERS or bool(_RATIO.fullmatch(plain))
 
 
 def to_si(quantity: str, values: Array, unit: str, where: str) -> Array:
@@ -80,8 +152,9 @@ def to_si(quantity: str, values: Array, unit: str, where: str) -> Array:
         found = None
     if found is None:
         raise InputError(
-            f"{where}: the {quantity} is in {unit or 'no unit'}, expected {', '.join(UNITS[quantity])}; name its unit with "
-            f'--units {quantity}=UNIT, or what one unit of the file means with --units {quantity}="NUMBER UNIT"'
+            f"{where}: the {quantity} is in {one_line(unit) or 'no unit'}, expected {', '.join(list(UNITS[quantity])[:9])}; "
+            f"name its unit with --units {quantity}=UNIT, or what one unit of the file means with "
+            f'--units {quantity}="NUMBER UNIT"'
         )
     factor = scale * UNITS[quantity][found]
     zero = _ZEROS.get(found, 0.0)

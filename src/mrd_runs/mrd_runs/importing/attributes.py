@@ -1,0 +1,49 @@
+"""Attributes of channels in files that describe themselves: units, and scales that change what the numbers mean."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+_SCALING = re.compile(r"scal|gain|offset|slope|factor|intercept|calib|multipl|sensitiv|coeff|polynom", re.IGNORECASE)
+_UNIT = re.compile(r"(phys\w*[\s_]?)?(unit|units|einheit|unit_?string|uom|unite|unidad|unita)", re.IGNORECASE)
+
+
+def text_of(value: object) -> str:
+    """Return an attribute as text; "" where it is none."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]
+    if isinstance(value, bytes):
+        return value.decode(errors="replace").strip("\0 ")
+    return value.strip() if isinstance(value, str) else ""
+
+
+def unit_attribute(attributes: Mapping[str, Any]) -> str:
+    """Return the unit that attributes name; "" without one."""
+    units = (text_of(value) for name, value in attributes.items() if _UNIT.fullmatch(name))
+    return re.sub(r"\s+since\s.*", "", next(filter(None, units), ""))
+
+
+def scaling_problem(attributes: Mapping[str, Any], known: tuple[str, ...] = ()) -> str:
+    """Return what attributes say of a scale that nobody applies; "" where they say nothing, or that it is neutral.
+
+    Parameters
+    ----------
+    attributes : mapping
+        Of a channel.
+    known : tuple of str
+        Names of attributes that are applied, or mean something else.
+    """
+    for name, value in attributes.items():
+        if name in known or not _SCALING.search(name) or name.lower().startswith(("ni_", "matlab_")):
+            continue
+        try:
+            numbers = np.atleast_1d(np.asarray(value, np.float64))
+        except (TypeError, ValueError):
+            continue
+        is_sum = re.search(r"offset|intercept", name, re.IGNORECASE)
+        if numbers.size and not np.all(numbers == (0.0 if is_sum else 1.0)):
+            shown = ", ".join(f"{number:g}" for number in numbers[:4])
+            return f"has the attribute {name} = {shown}, which is not applied because nothing tells how"
+    return ""

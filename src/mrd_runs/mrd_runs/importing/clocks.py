@@ -1,0 +1,152 @@
+"""The times of one series: which of them are wrong, where its clock was set back, and how often it repeats a time."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, median_filter
+
+from mrd_runs.validation import FEWEST_SAMPLES
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_WINDOW = 7
+"""Times whose median tells where each belongs: up to three wrong ones in a row stand out."""
+_FAR, _FAR_FROM_RECEIPT = 10.0, 1.0
+"""Distance from where a time belongs, in sampling intervals and in s, from which it is wrong rather than out of order."""
+_FAR_END = 100.0
+"""Distance of the first or last times from all others, relative to how long these last, from which they are wrong."""
+_JITTER = 20.0
+"""Jump back in terms of the median deviation of a time from where it belongs, from which the clock was set back."""
+MOST_REPEATS = 0.05
+"""Share of times that repeat another one, above which a clock is too coarse to tell the times of the samples."""
+
+
+@dataclass(frozen=True)
+class Passes:
+    """What the times of a series tell.
+
+    Attributes
+    ----------
+    pieces : list of ndarray of int
+        Indices of the samples of each pass in the order of their times. A clock that was set back begins another pass.
+    jumps : list of float
+        How far the clock went back before each pass but the first, in s.
+    told : list of str
+        Clauses about samples that are in no pass, or out of order.
+    repeats : float
+        Share of the samples that have the time of another one.
+    """
+
+    pieces: list[Indices]
+    jumps: list[float]
+    told: list[str]
+    repeats: float
+
+    def unrepeated(self, time: Array) -> "Passes":
+        """Return the passes without the later ones of samples of equal time."""
+        pieces = [piece[np.diff(time[piece], prepend=-np.inf) > 0] for piece in self.pieces]
+        dropped = sum(map(len, self.pieces)) - sum(map(len, pieces))
+        told = [f"{dropped} with the time of another one {'was' if dropped == 1 else 'were'} dropped"] if dropped else []
+        return Passes(pieces, self.jumps, self.told + told, self.repeats)
+
+
+def find_passes(time: Array, receipt: Array | None = None, *, any_order: bool = False, unset: float = 0.0) -> Passes:
+    """Find the passes of a clock in the times of a series.
+
+    Parameters
+    ----------
+    time : ndarray (n,)
+        Finite times in s, in the order in which the samples were written.
+    receipt : ndarray (n,), optional
+        Times in s of another clock, which is known to run steadily: it shows a wrong time at once.
+    any_order : bool
+        Whether whole parts may have been written in any order, so that a jump back is no pass of its own as long as no two
+        parts cover the same time, and only what is far from nearly all others is wrong.
+    unset : float
+        Value of a time that nobody has set.
+    """
+    wrong = _find_far(time) if any_order else _find_wrong(time, receipt, unset)
+    kept = np.flatnonzero(~wrong)
+    ordered = time[kept]
+    cuts = _find_resets(ordered, any_order)
+    jumps = [float(ordered[cut - 1] - ordered[cut]) for cut in cuts]
+    pieces = [kept[begin:end] for begin, end in pairwise([0, *cuts, len(kept)])]
+    told = []
+    if wrong.any():
+        count, value = int(wrong.sum()), float(time[wrong][0])
+        shown = "it was never set" if value == unset else f"{abs(value - float(np.median(time))):.4g} s away"
+        has = "has a time" if count == 1 else "have times"
+        told.append(
+            f"{count} of {len(time)} {has} far from all others ({shown}) and {'was' if count == 1 else 'were'} dropped"
+        )
+    if len(pieces) > 1 and any(len(piece) >= FEWEST_SAMPLES for piece in pieces):
+        short = [len(piece) for piece in pieces if len(piece) < FEWEST_SAMPLES]
+        if short:
+            told.append(f"{len(short)} passes of fewer than {FEWEST_SAMPLES} samples were dropped")
+        jumps = [jump for jump, piece in zip(jumps, pieces[1:], strict=True) if len(piece) >= FEWEST_SAMPLES]
+        pieces = [piece for piece in pieces if len(piece) >= FEWEST_SAMPLES]
+        jumps = jumps[-(len(pieces) - 1) :] if len(pieces) > 1 else []
+    late = sum(int(np.count_nonzero(np.diff(time[piece]) < 0)) for piece in pieces)
+    if late:
+        told.append(f"{late} came out of order and {'was' if late == 1 else 'were'} sorted")
+    pieces = [piece[np.argsort(time[piece], kind="stable")] for piece in pieces]
+    equal = sum(int(np.count_nonzero(np.diff(time[piece]) == 0)) for piece in pieces)
+    return Passes(pieces, jumps, told, equal / max(1, len(kept)))
+
+
+def usual_step(time: Array) -> float:
+    """Return the usual interval between times, in s; infinite where they do not advance."""
+    steps = np.diff(time)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
+
+
+def _find_far(time: Array) -> NDArray[np.bool_]:
+    """Return which times lie far from nearly all others, whatever their order."""
+    low, middle, high = np.percentile(time, (5, 50, 95))
+    return np.asarray(np.abs(time - middle) > max(_FAR_END * (high - low), _FAR_FROM_RECEIPT))
+
+
+def _find_wrong(time: Array, receipt: Array | None, unset: float) -> NDArray[np.bool_]:
+    """Return which times lie far from where their neighbours are."""
+    if len(time) < _WINDOW:
+        return np.zeros(len(time), bool)
+    step = usual_step(time)
+    distance = np.abs(time - median_filter(time, _WINDOW, mode="mirror"))
+    goes_back = np.zeros(len(time), bool)
+    goes_back[1:] = np.diff(time) < 0
+    near = binary_dilation(goes_back, np.ones(_WINDOW, bool))
+    wrong = near & (distance > _FAR * step)
+    if receipt is not None:
+        offset = time - receipt
+        late = np.abs(offset - median_filter(offset, _WINDOW, mode="mirror"))
+        return np.asarray(wrong | (late > max(_FAR * step, _FAR_FROM_RECEIPT)))
+    side = _WINDOW // 2
+    inner = float(np.ptp(time[side:-side]))
+    at_end = np.ones(len(time), bool)
+    at_end[side:-side] = False
+    return np.asarray(wrong | (at_end & (distance > _FAR * step) & ((distance > _FAR_END * inner) | (time == unset))))
+
+
+def _find_resets(time: Array, any_order: bool) -> list[int]:
+    """Return the indices from which the clock runs through times again that it had already, or stays before them."""
+    backward = np.flatnonzero(np.diff(time) < 0) + 1
+    if not len(backward):
+        return []
+    step = usual_step(time)
+    latest = np.maximum.accumulate(time)[backward - 1]
+    every = np.sort(time)
+    # What jitters goes back often, but not far.
+    jitter = float(np.median(np.abs(time - median_filter(time, _WINDOW, mode="nearest"))))
+    covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, time[backward], "left")
+    back = latest - time[backward]
+    again = (covered > 1.5 * (back / step + 1) + 1) & (back > _JITTER * jitter)
+    resets = []
+    last = 0
+    for cut, end, is_again in zip(backward, [*backward[1:], len(time)], again, strict=True):
+        if is_again or (not any_order and time[cut:end].max() < time[last:cut].min()):
+            resets.append(int(cut))
+            last = int(cut)
+    return resets

@@ -1,0 +1,117 @@
+"""What a user says about a file, and the last steps from its series to a recording in SI units."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_runs.formats import Recording
+from mrd_runs.importing.integration import integrate_velocity
+from mrd_runs.importing.quantities import Source
+from mrd_runs.importing.units import COLUMNS, si_unit, to_si
+from mrd_runs.text import one_line
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """What a user says about a file.
+
+    Attributes
+    ----------
+    columns, topics : mapping of str to str
+        Column of the file, or number of a topic, of a quantity.
+    units : mapping of str to str
+        Unit of a quantity, in place of the one that the file names.
+    flip : tuple of str
+        Quantities whose sign is turned.
+    current : float, optional
+        Constant current in A.
+    rate : float, optional
+        Sample rate in Hz of a file without time; or to which the series of a bag are resampled.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    topics: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    flip: tuple[str, ...] = ()
+    current: float | None = None
+    rate: float | None = None
+
+
+def times_note(clauses: Sequence[str], clocks: Mapping[str, str]) -> list[str]:
+    """Return what was done with the times, and whether their clocks are known to agree, as a list of one note at most."""
+    of: dict[str, list[str]] = {}
+    for quantity, clock in clocks.items():
+        of.setdefault(clock, []).append(quantity)
+    unsure = "; ".join(f"{' and '.join(quantities)} by the {clock}" for clock, quantities in of.items())
+    all_clauses = [*clauses, *([f"not known to be of one clock: {unsure}"] if len(of) > 1 else [])]
+    return [f"times: {'; '.join(all_clauses)}"] if all_clauses else []
+
+
+def finish(
+    path: Path,
+    series: Mapping[str, Array],
+    sources: Mapping[str, Source],
+    mapped: Mapped,
+    notes: list[str],
+    clocks: Mapping[str, str],
+    place: Callable[[int], str] = "sample {}".format,
+) -> Recording:
+    """Convert series to SI units, and add what the file lacks.
+
+    Parameters
+    ----------
+    path : Path
+    series : mapping of str to ndarray (n,)
+        By quantity, on one time; ``time`` itself is in s.
+    sources : mapping of str to Source
+        Where each quantity is from.
+    mapped : Mapped
+    notes : list of str
+        What has been done before.
+    clocks : mapping of str to str
+        What the times of each quantity were of, before they were put onto one.
+    place : callable
+        Returns how an error message names the sample of an index.
+    """
+    absent = [quantity for quantity in (*mapped.units, *mapped.flip) if quantity not in series]
+    if absent:
+        raise InputError(f"{path}: --units or --flip names the {absent[0]}, which is not read; expected {', '.join(series)}")
+    columns, told, notes = {}, [], list(notes)
+    for quantity, values in series.items():
+        source = sources.get(quantity)
+        unit = mapped.units.get(quantity) or (source.unit if source else "")
+        is_time = quantity == "time"
+        columns[quantity] = values if is_time else to_si(quantity, values, unit or si_unit(quantity), str(path))
+        if source:
+            told.append(f"{quantity} is {one_line(source.name)} in {unit or f'{si_unit(quantity)} (no unit given)'}")
+        elif quantity in mapped.units:
+            told.append(f"{quantity} is in {unit}")
+    if told:
+        notes.append("; ".join(told))
+    for quantity in mapped.flip:
+        columns[quantity] = -columns[quantity]
+        notes.append(f"the sign of the {quantity} was turned")
+    if mapped.current is not None:
+        columns["current"] = np.full(len(columns["time"]), mapped.current)
+        notes.append(f"current of {mapped.current:g} A as given")
+    if "position" not in columns:
+        time = columns["time"]
+        if len(time) < 2 or not (np.isfinite(columns["velocity"]).all() and np.all(np.diff(time) > 0)):
+            raise InputError(
+                f"{path}: holds no position, and its velocity or time cannot be integrated; expected rising times"
+            )
+        columns["position"], note = integrate_velocity(time, columns["velocity"])
+        # The mean error of the velocity is out of the position; the velocity is computed from it again.
+        del columns["velocity"]
+        notes.append(note)
+        clocks = {("position" if quantity == "velocity" else quantity): clock for quantity, clock in clocks.items()}
+    info = {"format": path.suffix.lstrip(".") or "text", "notes": notes, "lost": 0, "recovered": False}
+    if len(set(clocks.values())) > 1:
+        info["clocks"] = dict(clocks)
+    return Recording({COLUMNS[quantity]: columns[quantity] for quantity in COLUMNS if quantity in columns}, info, place)
