@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,10 @@ from mrd_runs.signals.current import current_noise, steady_current
 from mrd_runs.signals.motion import Motion, remeasured_motion, smooth_motion
 
 Array = NDArray[np.float64]
+
+CURRENT_DRAWS = 12
+"""Draws of the error of a current without sensor noise. With a few draws only, the variance at many a sample would come out
+far too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +35,18 @@ class SmoothedRun:
     run: Run
     motion: Motion
     current: Array
+
+    @cached_property
+    def current_errors(self) -> Array:
+        """Draws (draws, n) of the error in A of ``current`` that the noise of the sensor leaves.
+
+        They are the same whenever they are asked for, and kept, because removing the noise takes longer than a model.
+        """
+        rng = np.random.default_rng(0)
+        errors = rng.normal(0.0, current_noise(self.run.current), (CURRENT_DRAWS, len(self.run)))
+        if not errors.any():
+            return errors
+        return np.array([steady_current(self.current + error) - self.current for error in errors])
 
 
 def smooth_run(run: Run) -> SmoothedRun:
