@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from mrd_identification.recording import Recording
-from mrd_runs.signals.current import current_noise
+from mrd_runs.signals.current import current_noise, draw_current_noise
 from mrd_runs.signals.motion import motion_between_samples, motion_errors, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 from mrd_sim.models import DamperModel
@@ -103,7 +103,7 @@ def _error_factor(smoothed: SmoothedRun) -> Array:
 def _current_errors(smoothed: SmoothedRun, averaged: bool, rng: np.random.Generator, draws: int) -> Array:
     """Draw errors in A (draws, n) of a measured current; where it is ``averaged``, of the steady current."""
     if not averaged:
-        return rng.normal(0.0, current_noise(smoothed.run.current), (draws, len(smoothed.run)))
+        return draw_current_noise(smoothed.run.current, rng, draws)
     errors = smoothed.current_errors
     return np.asarray(errors[np.arange(draws) % len(errors)] * rng.choice([-1.0, 1.0], draws)[:, None])
 

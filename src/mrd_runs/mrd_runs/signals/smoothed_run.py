@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs.run import Run
-from mrd_runs.signals.current import current_noise, steady_current
+from mrd_runs.signals.current import draw_current_noise, steady_current
 from mrd_runs.signals.motion import Motion, remeasured_motion, smooth_motion
 
 Array = NDArray[np.float64]
@@ -42,8 +42,7 @@ class SmoothedRun:
 
         They are the same whenever they are asked for, and kept, because removing the noise takes longer than a model.
         """
-        rng = np.random.default_rng(0)
-        errors = rng.normal(0.0, current_noise(self.run.current), (CURRENT_DRAWS, len(self.run)))
+        errors = draw_current_noise(self.run.current, np.random.default_rng(0), CURRENT_DRAWS)
         if not errors.any():
             return errors
         return np.array([steady_current(self.current + error) - self.current for error in errors])
@@ -67,7 +66,7 @@ def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
         position=position,
         velocity=motion.velocity,
         acceleration=acceleration,
-        current=smoothed.current + rng.normal(0.0, current_noise(run.current), len(run)),
+        current=smoothed.current + draw_current_noise(run.current, rng, 1)[0],
     )
     return SmoothedRun(measured, motion, steady_current(measured.current))
 
