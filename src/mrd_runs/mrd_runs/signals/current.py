@@ -31,18 +31,16 @@ _LARGEST_OUTLIER_SHARE = 0.01
 _NORMAL_MEDIAN_MAGNITUDE = 0.6745
 
 
-# Of a noise behind a filter, correlations of neighbouring samples up to the second are seen, from the first on.
+# Correlations of neighbouring samples that are told from none, and the largest of a noise that is uncorrelated beyond.
 _LEAST_CORRELATION, _LARGEST_CORRELATION = 0.05, 0.35
-# Above this ratio of the variances of fourth differences over six and over four samples, the current itself is a wave in them.
-_LARGEST_RATIO = 1.15
 
 
 def noise_correlation(current: Array) -> float:
     """Return the correlation of the noise of neighbouring samples of a measured current (n,).
 
     An anti-alias filter leaves some, which averages over many samples do not remove. Of fourth differences over one sampling
-    interval the noise has the variance 70 - 112 r, over two and more only 70. Where a current varies too fast to tell, the
-    noise counts as white.
+    interval the noise has the variance 70 - 112 r, over two and more 70. Where a current varies too fast to tell, the noise
+    counts as white.
     """
     variances = []
     for stride in (1, 2, 3):
@@ -51,9 +49,11 @@ def noise_correlation(current: Array) -> float:
         if len(current) <= len(taps):
             return 0.0
         variances.append(normal_deviation(np.convolve(current, taps, "valid")) ** 2)
-    if not 0.0 < variances[2] <= _LARGEST_RATIO * variances[1]:
+    one, two, three = variances
+    if not two > 0.0:
         return 0.0
-    correlation = (1.0 - variances[0] / variances[1]) * 70.0 / 112.0
+    # Steps and waves of the current itself add to the variance, and more so over three intervals than over two.
+    correlation = (1.0 - one * max(two, three) / two**2) * 70.0 / 112.0
     return min(correlation, _LARGEST_CORRELATION) if correlation >= _LEAST_CORRELATION else 0.0
 
 
