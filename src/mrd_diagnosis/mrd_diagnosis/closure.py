@@ -16,6 +16,7 @@ from mrd_diagnosis.weighting import error_of_run
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording
+from mrd_identification.run_start import estimate_starts
 from mrd_runs.scales import scales_of
 
 Array = NDArray[np.float64]
@@ -130,7 +131,7 @@ def _exceeds(recording: Recording, others: Sequence[Recording]) -> str:
     """Return in which respect a run exceeds others; empty where it does not."""
 
     def ranges(of_recording: Recording) -> dict[str, float]:
-        path = of_recording.path
+        path = of_recording.path.recorded
         return {
             "stroke": float(np.ptp(path.position)),
             "speed": float(np.quantile(np.abs(path.velocity), 0.995)),
@@ -222,7 +223,7 @@ def _run_residual(
 ) -> RunResidual:
     problem, recording = best.problem, best.problem.recordings[run]
     modelled = problem.modelled(best.theta, run) + problem.remainder_of_run(best.coefficients, run)
-    gain, offset = problem.whitenings[run].run_errors @ (recording.force - modelled)
+    gain, offset, *_ = problem.whitenings[run].run_errors @ (recording.force - modelled)
     return RunResidual(
         recording, noise, before, after, float(offset), float(gain), extrapolates=extrapolates, by_folds=by_folds
     )
@@ -233,6 +234,7 @@ def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: 
     if not held_out:
         return []
     base, best, weighting = comparison.base, comparison.best, comparison.weighting
+    held_out = estimate_starts(best.problem.model, best.theta, [*weighting.recordings, *held_out])[-len(held_out) :]
     noise = estimate_noise(held_out, best.problem.model, best.theta, rng)
     extended = replace(weighting, recordings=[*weighting.recordings, *held_out], noise=[*weighting.noise, *noise])
     fits = [replace(fit, problem=extended.problem(fit.problem.model, fit.theta)) for fit in (base, best)]

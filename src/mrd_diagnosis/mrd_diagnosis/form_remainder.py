@@ -48,8 +48,8 @@ ROUNDS = 3
 
 def form_columns(recordings: Sequence[Recording]) -> Array:
     """Return the functions of motion and current (counted samples, columns), of rms one and orthogonal to each other."""
-    top = max(float(np.quantile(np.abs(recording.path.velocity), 0.995)) for recording in recordings)
-    largest = max(float(np.quantile(np.abs(recording.path.current), 0.995)) for recording in recordings)
+    top = max(float(np.quantile(np.abs(recording.path.recorded.velocity), 0.995)) for recording in recordings)
+    largest = max(float(np.quantile(np.abs(recording.path.recorded.current), 0.995)) for recording in recordings)
     stroke = scales_of([recording.run for recording in recordings]).stroke
     parts = [_functions(recording, top, largest, stroke) for recording in recordings]
     return orthogonal(np.concatenate(parts))

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from mrd_identification.recording import Recording
-from mrd_runs import Run
-from mrd_runs.signals.current import current_noise, steady_current
+from mrd_runs.signals.current import current_noise, draw_current_noise
 from mrd_runs.signals.motion import motion_between_samples, motion_errors, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
 from mrd_sim.models import DamperModel
@@ -21,11 +20,6 @@ Indices = NDArray[np.intp]
 
 HIGHEST_RATE = 250.0
 """Rate in Hz up to which errors between the samples are drawn; what happens between faster samples does not matter."""
-
-AVERAGED_DRAWS = 3
-"""Draws of the current that are averaged. They serve for all draws of the motion, because averaging takes longer than the
-model.
-"""
 
 ERROR_AT_CORNERS = 2.5
 """Standard deviations by which the velocity was wrong at corners of the motion in simulated runs, for each standard
@@ -57,7 +51,7 @@ def propagated_variance(
     error_time, places = subdivide(run.time, coarse), subdivided_indices(len(run), parts)
     used = recording.path.current[recording.path.samples]
     switches = _switches(smoothed.current, current_noise(run.current))
-    current_errors = _current_errors(run, smoothed.current, not np.array_equal(used, run.current), rng, draws)
+    current_errors = _current_errors(smoothed, not np.array_equal(used, run.current), rng, draws)
     expected = model.force(theta, recording.path)
     squares, factor = np.zeros(len(run)), subdivide(_error_factor(smoothed), parts)
     for *drawn, error in zip(*motion_errors(run.time, recording.motion, rng, draws, coarse), current_errors, strict=True):
@@ -66,7 +60,7 @@ def propagated_variance(
         )
         current, instants = _subdivided_current(used + error, switches, parts, rng)
         path = _switched_path(time, (position, velocity, acceleration), current, instants, rng)
-        path = replace(path, samples=path.samples[places], mains=recording.path.mains)
+        path = replace(path, samples=path.samples[places], mains=recording.path.mains).led_in(recording.path.lead_in)
         squares += recording.as_recorded(model.force(theta, path) - expected) ** 2
     return squares[recording.counted] / draws
 
@@ -106,14 +100,12 @@ def _error_factor(smoothed: SmoothedRun) -> Array:
     return np.where(is_corner, np.maximum(ERROR_AT_CORNERS * peak, 1.0), 1.0)
 
 
-def _current_errors(run: Run, steady: Array, averaged: bool, rng: np.random.Generator, draws: int) -> Array:
+def _current_errors(smoothed: SmoothedRun, averaged: bool, rng: np.random.Generator, draws: int) -> Array:
     """Draw errors in A (draws, n) of a measured current; where it is ``averaged``, of the steady current."""
-    errors = rng.normal(0.0, current_noise(run.current), (draws, len(run)))
-    if not averaged or not errors.any():
-        return errors
-    few = np.array([steady_current(steady + error) - steady for error in errors[:AVERAGED_DRAWS]])
-    signs = rng.choice([-1.0, 1.0], draws)
-    return np.asarray(few[np.arange(draws) % len(few)] * signs[:, None])
+    if not averaged:
+        return draw_current_noise(smoothed.run.current, rng, draws)
+    errors = smoothed.current_errors
+    return np.asarray(errors[np.arange(draws) % len(errors)] * rng.choice([-1.0, 1.0], draws)[:, None])
 
 
 def _switches(current: Array, noise: float) -> Indices:

@@ -163,7 +163,7 @@ def estimate_run_scatter(refitted: Refit) -> RunScatter:
     known = []
     for index, block in enumerate(problem.blocks):
         whitening = problem.whitenings[index]
-        columns = np.stack([whitening.reference, np.ones_like(whitening.reference)], axis=1) * whitening.weight[:, None]
+        columns = whitening.nuisance[:, :2] * whitening.weight[:, None]
         error = (problem.modelled(refitted.theta, index) - problem.force[block]) * whitening.weight
         # A gap is not noise: the larger it is, the less certain are offset and gain of the run.
         known.append((columns.T @ columns, columns.T @ error, max(1.0, float(np.mean(error**2)))))

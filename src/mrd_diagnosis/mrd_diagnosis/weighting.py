@@ -12,6 +12,7 @@ from mrd_diagnosis.diagnosis import RunNoise
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, consecutive_forces
 from mrd_identification.residual_correlation import correlation_length
+from mrd_identification.run_start import estimate_starts
 from mrd_runs.scales import Scales
 from mrd_sim.models import DamperModel
 
@@ -52,50 +53,60 @@ def usual_run_scatter(scales: Scales) -> RunScatter:
 class Whitening:
     """Linear map that makes the errors of a run white with variance one if they are noise and run scatter.
 
-    The errors have the covariance diag(sigma²) + B diag(gain², offset²) Bᵀ, where the columns of B are the run's force and
-    one. The symmetric inverse root of the covariance is a weight and a correction of rank two.
+    The errors have the covariance diag(sigma²) + B Bᵀ. The columns of B are the run's force times the scatter of the gain,
+    the scatter of the offset, and what other starts of the run would change. The symmetric inverse root of the covariance is
+    a weight and a correction of low rank.
 
     Attributes
     ----------
     weight : ndarray (n,)
         1 / sigma.
-    basis : ndarray (n, 2)
-        Orthonormal basis of what gain and offset can change.
-    damping : ndarray (2,)
+    basis : ndarray (n, columns)
+        Orthonormal basis of what gain, offset and start can change.
+    damping : ndarray (columns,)
         Share that is removed along each basis vector.
-    run_errors : ndarray (2, n)
-        Matrix that gives gain error and offset of the run from its errors.
-    reference : ndarray (n,)
-        Force in N that the gain multiplies.
+    run_errors : ndarray (columns, n)
+        Matrix that gives gain error, offset in N and start of the run from its errors.
+    nuisance : ndarray (n, columns)
+        What these sizes multiply: force in N for the gain, ones for the offset, and what other starts would change in N.
     """
 
     weight: Array
     basis: Array
     damping: Array
     run_errors: Array
-    reference: Array
+    nuisance: Array
 
     def __call__(self, errors: Array) -> Array:
         """Return the white errors (n,) or (n, columns)."""
         white = (errors.T * self.weight).T
         return np.asarray(white - self.basis @ ((self.basis.T @ white).T * self.damping).T)
 
+    def without_run_errors(self, errors: Array) -> Array:
+        """Return errors (n,) in N without what is particular to the run: gain error, offset and start."""
+        return np.asarray(errors - self.nuisance @ (self.run_errors @ errors))
+
     def without_weight(self) -> "Whitening":
         """Return a map that gives the run no weight."""
         return replace(self, weight=np.zeros_like(self.weight), basis=np.zeros_like(self.basis))
 
 
-def whitening(sigma: Array, force: Array, scatter: RunScatter) -> Whitening:
-    """Make the whitening of a run from its noise ``sigma`` (n,) in N, its modelled ``force`` (n,) and the run scatter."""
+def whitening(sigma: Array, force: Array, scatter: RunScatter, other_starts: Array | None = None) -> Whitening:
+    """Make the whitening of a run from its noise ``sigma`` (n,) in N, its modelled ``force`` (n,) and the run scatter.
+
+    ``other_starts`` (n, k) in N is what other states at the first sample would change; any share of each may occur.
+    """
     weight = 1.0 / sigma
-    nuisance = np.stack([scatter.gain * force, np.full_like(force, scatter.offset)], axis=1)
-    scaled = nuisance * weight[:, None]
+    others = np.empty((len(force), 0)) if other_starts is None else other_starts
+    nuisance = np.column_stack([force, np.ones_like(force), others])
+    deviations = np.concatenate([[scatter.gain, scatter.offset], np.ones(others.shape[1])])
+    scaled = nuisance * deviations * weight[:, None]
     values, vectors = np.linalg.eigh(scaled.T @ scaled)
     values = np.maximum(values, 1e-12)
     basis = scaled @ vectors / np.sqrt(values)
-    run_errors = np.asarray(np.linalg.solve(scaled.T @ scaled + np.eye(2), scaled.T * weight), np.float64)
-    run_errors *= np.array([[scatter.gain], [scatter.offset]])
-    return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), run_errors, force)
+    run_errors = np.asarray(np.linalg.solve(scaled.T @ scaled + np.eye(len(values)), scaled.T * weight), np.float64)
+    run_errors *= deviations[:, None]
+    return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), run_errors, nuisance)
 
 
 @dataclass(frozen=True)
@@ -167,7 +178,7 @@ class WeightedProblem(Problem):
 
 
 def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients: Array | None = None) -> tuple[Array, Array]:
-    """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset and gain error.
+    """Return modelled minus measured force (n,) of a run: white, and in N without the run's offset, gain error and start.
 
     ``coefficients`` are those of the remainder, which belongs to the modelled force; without them it is left out.
     """
@@ -175,8 +186,7 @@ def error_of_run(problem: WeightedProblem, theta: Array, run: int, coefficients:
     if coefficients is not None:
         error = error + problem.remainder_of_run(coefficients, run)
     whitening_of_run = problem.whitenings[run]
-    gain, offset = whitening_of_run.run_errors @ error
-    return whitening_of_run(error), error - gain * whitening_of_run.reference - offset
+    return whitening_of_run(error), whitening_of_run.without_run_errors(error)
 
 
 def sum_of_squares(errors: Array) -> float:
@@ -236,31 +246,44 @@ class Weighting:
         kept = [i for i, p in enumerate(model.parameters) if not (p.free or p.name in freed or p.name in self.fixed)]
         kept += [i for i in plain.free if i not in free]
         base[kept] = theta[kept].real
-        root = np.sqrt(self.error_correlation)
-        scatter = RunScatter(self.scatter.gain / root, self.scatter.offset / root)
         sigmas = tuple(noise.sigma for noise in self.noise)
-        whitenings = tuple(
-            whitening(np.sqrt(sigma**2 + self.discrepancy**2), force, scatter)
-            for sigma, force in zip(sigmas, consecutive_forces(model, theta, self.recordings), strict=True)
-        )
+        whitenings = self._whitenings(consecutive_forces(model, theta, self.recordings))
         return WeightedProblem(
             plain.model, plain.recordings, free, base, whitenings=whitenings, sigmas=sigmas, remainder=self.remainder
         )
 
+    def _whitenings(self, forces: Sequence[Array]) -> tuple[Whitening, ...]:
+        """Return the whitening of each run from its modelled force (n,)."""
+        root = np.sqrt(self.error_correlation)
+        scatter = RunScatter(self.scatter.gain / root, self.scatter.offset / root)
+        return tuple(
+            whitening(np.sqrt(noise.sigma**2 + self.discrepancy**2), force, scatter, recording.other_starts)
+            for noise, force, recording in zip(self.noise, forces, self.recordings, strict=True)
+        )
+
     def updated(self, model: DamperModel, theta: Array, coefficients: Array | None = None) -> "Weighting":
-        """Return the weighting with the discrepancy of another best model and its remainder."""
-        remainders = []
-        if coefficients is None or not self.remainder:
-            columns, coefficients = tuple(np.empty((len(r.force), 0)) for r in self.recordings), np.empty(0)
-        else:
-            columns = self.remainder
-        for recording, noise, force, of_run in zip(
-            self.recordings, self.noise, consecutive_forces(model, theta, self.recordings), columns, strict=True
-        ):
-            error = force - recording.force + of_run @ coefficients
-            gain, offset = whitening(noise.sigma, force, self.scatter).run_errors @ error
-            remainders.append(error - gain * force - offset)
-        error, sigma = np.concatenate(remainders), np.concatenate([noise.sigma for noise in self.noise])
+        """Return the weighting with the starts of the runs and the discrepancy of another best model and its remainder."""
+        known = coefficients is not None and len(self.remainder) > 0
+        added = [of_run @ coefficients for of_run in self.remainder] if known else [0.0] * len(self.recordings)
+        plain = replace(self, recordings=[replace(r, other_starts=None) for r in self.recordings])
+        first = plain._with_discrepancy(model, theta, added)
+        recordings = estimate_starts(
+            model,
+            theta,
+            first.recordings,
+            [recording.force - of_run for recording, of_run in zip(first.recordings, added, strict=True)],
+            first._whitenings(consecutive_forces(model, theta, first.recordings)),
+        )
+        return replace(first, recordings=recordings)._with_discrepancy(model, theta, added)
+
+    def _with_discrepancy(self, model: DamperModel, theta: Array, added: Sequence[Array | float]) -> "Weighting":
+        """Return the weighting with the discrepancy that a model leaves beside what is ``added`` to the force of each run."""
+        remaining = []
+        forces = consecutive_forces(model, theta, self.recordings)
+        for recording, noise, force, of_run in zip(self.recordings, self.noise, forces, added, strict=True):
+            of_noise = whitening(noise.sigma, force, self.scatter, recording.other_starts)
+            remaining.append(of_noise.without_run_errors(force - recording.force + of_run))
+        error, sigma = np.concatenate(remaining), np.concatenate([noise.sigma for noise in self.noise])
         discrepancy = float(np.sqrt(max(float(np.mean(error**2 - sigma**2)), 0.0)))
         white = error / np.sqrt(sigma**2 + discrepancy**2)
         share = discrepancy**2 / (discrepancy**2 + float(np.mean(sigma**2)))

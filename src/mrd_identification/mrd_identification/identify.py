@@ -21,6 +21,7 @@ from mrd_identification.metrics import nrmse
 from mrd_identification.nsga2 import Front, search
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording, run_weights
+from mrd_identification.run_start import estimate_starts
 from mrd_identification.uncertainty import Uncertainty, uncertainty
 from mrd_runs import Run
 from mrd_runs.scales import Scales, scales_of
@@ -235,11 +236,12 @@ def select(
     began = time.monotonic()
     recordings = _prepare(runs, method)
     stride = -(-sum(len(recording.force) for recording in recordings) // MOST_SELECTION_SAMPLES)
-    thinned = [replace(r, counted=slice(r.counted.start, r.counted.stop, stride)) for r in recordings]
     scales = scales_of(runs)
     problem, _ = _pose(recordings, model, method, scales)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
-
+    recordings = estimate_starts(problem.model, best.theta, recordings)
+    thinned = [replace(r, counted=slice(r.counted.start, r.counted.stop, stride)) for r in recordings]
+    problem = replace(problem, recordings=recordings)
     loss_scale = with_loss_scale(problem, best.front).loss_scale
 
     def pose(effects: Sequence[str]) -> Problem:
@@ -274,13 +276,16 @@ def assess(
     problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
     theta = best.theta
-    if method.least_squares and problem.loss != "linear":
-        # The losses of the searches differ in scale; their common scale moves the optimum a little.
+    recordings = estimate_starts(problem.model, theta, recordings)
+    problem = replace(problem, recordings=recordings)
+    if method.least_squares:
+        # The searches knew the starts of the runs less well, and the scales of their losses differ.
         theta, _ = fit_least_squares(problem, theta)
     fitted = evaluate_model(problem.model, theta, recordings)
     if held_out:
         # In the order of recording, so that a state such as heat is carried over from the fitted runs.
         every = [*recordings, *map(prepare_recording, held_out)]
+        every[len(recordings) :] = estimate_starts(problem.model, theta, every)[len(recordings) :]
         predicted, held_out_by = evaluate_model(problem.model, theta, every)[len(recordings) :], "runs"
     elif len(runs) > 1 and method.least_squares:
         predicted, warnings = _leave_one_out(

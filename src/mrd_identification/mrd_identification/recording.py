@@ -14,14 +14,15 @@ from mrd_identification.low_pass import known_force_filter
 from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
+from mrd_sim.lead_in import usual_lead_in
 from mrd_sim.models import DamperModel, SeriesSolutions
 from mrd_sim.path import Path, run_path
 
 Array = NDArray[np.float64]
 Weights = Literal["samples", "runs", "force"]
 
-FORGETTING_STROKE = 1e-3
-"""m. The hysteretic state at the start of a recording is unknown. After this stroke, which is several usual yield travels,
+FORGETTING_STROKE = 0.05
+"""Share of a run's stroke. The state of the damper at the start of a recording is known least. After this travel most of
 its influence on the force has decayed."""
 
 CURRENT_DEVIATION = 0.025
@@ -52,6 +53,9 @@ class Recording:
         Factor of the squared residuals of the run.
     without_effects : bool
         Whether the effects of a model do not act in the run: it was recorded before something changed.
+    other_starts : ndarray (counted samples, k) or None
+        Changes in N of the modelled force if the damper had been through something else before the first sample; None
+        before the start is estimated (`mrd_identification.run_start`).
     """
 
     smoothed: SmoothedRun
@@ -59,6 +63,7 @@ class Recording:
     counted: slice
     weight: float = 1.0
     without_effects: bool = False
+    other_starts: Array | None = None
 
     @property
     def run(self) -> Run:
@@ -90,7 +95,12 @@ class Recording:
         """The same recording with all samples counted, see `thinned`."""
         if self.step == 1:
             return self
-        return replace(self, counted=slice(self.counted.start, self.counted.stop), path=run_path(self.smoothed))
+        return replace(
+            self,
+            counted=slice(self.counted.start, self.counted.stop),
+            path=run_path(self.smoothed).led_in(self.path.lead_in),
+            other_starts=None,
+        )
 
     def as_recorded(self, force: NDArray[Any]) -> NDArray[Any]:
         """Return a modelled force (n, ...) at every sample behind the filter that the force of the run has passed.
@@ -107,7 +117,7 @@ class Recording:
         return low_pass.filtered(force, self.run.rate)
 
     def modelled(self, model: DamperModel, theta: Array) -> Array:
-        """Return the modelled force in N at the counted samples of a damper that starts at rest and unloaded."""
+        """Return the modelled force in N at the counted samples."""
         return consecutive_forces(model, theta, [self])[0]
 
 
@@ -116,8 +126,8 @@ def prepare_recording(run: Run, weight: float = 1.0) -> Recording:
     smoothed = smooth_run(run)
     position = smoothed.motion.position
     stroke = np.maximum.accumulate(position) - np.minimum.accumulate(position)
-    start = int(np.argmax(stroke >= min(FORGETTING_STROKE, 0.25 * stroke[-1])))
-    return Recording(smoothed, run_path(smoothed), slice(start, len(run)), weight)
+    start = int(np.argmax(stroke >= FORGETTING_STROKE * stroke[-1]))
+    return Recording(smoothed, run_path(smoothed).led_in(usual_lead_in(smoothed.motion)), slice(start, len(run)), weight)
 
 
 def thinned(recordings: Sequence[Recording], most_samples: int) -> list[Recording]:
@@ -138,7 +148,7 @@ def _every(recording: Recording, step: int) -> Recording:
     if step == 1:
         return recording
     counted = slice(recording.counted.start, recording.counted.stop, step)
-    return replace(recording, counted=counted, path=recording.path.coarse(counted))
+    return replace(recording, counted=counted, path=recording.path.coarse(counted), other_starts=None)
 
 
 def consecutive_modelled_forces(

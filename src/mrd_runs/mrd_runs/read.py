@@ -53,17 +53,23 @@ def read_run(path: str | Path) -> Run:
     return make_run(name, recording.columns, info, where=str(path), place=recording.place)
 
 
-def read_runs(paths: Iterable[str | Path]) -> list[Run]:
+def read_runs(paths: Iterable[str | Path], skip: float = 0.0) -> list[Run]:
     """Read recordings and give each a unique name: those that share one are told apart by their folders.
+
+    Parameters
+    ----------
+    paths : iterable of path
+    skip : float
+        s that are left out at the start of every run.
 
     Raises
     ------
     InputError
-        As `read_run`; also when two paths hold the same recording.
+        As `read_run`; also when two paths hold the same recording, or when nothing is left of one.
     """
     runs: list[Run] = []
     for path in paths:
-        run = read_run(path)
+        run = read_run(path).without_start(skip)
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
                 raise InputError(
@@ -98,9 +104,11 @@ def describe_runs(runs: Sequence[Run]) -> str:
 
 
 def run_arguments(runs: Sequence[Run]) -> str:
-    """Return runs as arguments of a tool; ``RUN...`` where they were not read from files."""
+    """Return runs as arguments of a tool, with what was skipped; ``RUN...`` where they were not read from files."""
     sources = [str(run.info.get("source", "")) for run in runs]
-    return shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN..."
+    skipped = max((float(run.info.get("skipped_s", 0.0)) for run in runs), default=0.0)
+    skip = f" --skip {skipped:g}" if skipped else ""
+    return (shlex.join(sources) if all(sources) and "live samples" not in sources else "RUN...") + skip
 
 
 def unique_name(name: str, path: str | Path, used: set[str]) -> str:

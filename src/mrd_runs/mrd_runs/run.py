@@ -1,13 +1,18 @@
 """The run: one recording from any source."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base import InputError
+
 Array = NDArray[np.float64]
+
+LEAST_LEFT = 0.1
+"""s, the least that is left of a run; what can be learned from so little, the checks of a recording say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,3 +78,28 @@ class Run:
     def duration(self) -> float:
         """Time from the first to the last sample, in s."""
         return float(self.time[-1] - self.time[0])
+
+    def without_start(self, seconds: float) -> "Run":
+        """Return the run without its first ``seconds``; the time begins at 0 again.
+
+        Raises
+        ------
+        InputError
+            When less than a tenth of a second would be left.
+        """
+        if seconds == 0.0:
+            return self
+        if not 0.0 < seconds < self.duration - LEAST_LEFT:
+            raise InputError(f"{self.name}: skip is {seconds:g} s, expected from 0 to less than its {self.duration:.3g} s")
+        first = int(np.searchsorted(self.time, self.time[0] + seconds))
+
+        def rest(series: Array | None) -> Array | None:
+            return None if series is None else series[first:]
+
+        names = ("position", "velocity", "current", "force", "acceleration", "temperature")
+        return replace(
+            self,
+            time=self.time[first:] - self.time[first],
+            **{name: rest(getattr(self, name)) for name in names},
+            info={**self.info, "skipped_s": seconds},
+        )

@@ -11,6 +11,7 @@ from mrd_runs import Run
 from mrd_runs.signals.mains import MAINS_LINES, Line, mains_lines
 from mrd_runs.signals.motion import motion_between_samples, subdivide, subdivided_indices
 from mrd_runs.signals.smoothed_run import SmoothedRun
+from mrd_sim.lead_in import LeadIn
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,8 @@ class Path:
         Recorded run along which the path leads.
     kept : slice or None
         Samples that are vertices, where not all are; the index of any other sample is that of the last vertex before it.
+    lead_in : LeadIn or None
+        Motion before the first sample, whose vertices come first; without one, a model begins at rest and unloaded.
     """
 
     dt: Array
@@ -58,6 +61,37 @@ class Path:
     mains: Sequence[Line] = tuple(map(Line, MAINS_LINES))
     smoothed: SmoothedRun | None = None
     kept: slice | None = None
+    lead_in: LeadIn | None = None
+    _bare: "Path | None" = None
+
+    @property
+    def recorded(self) -> "Path":
+        """The path without its lead-in."""
+        return self._bare or self
+
+    @property
+    def lead(self) -> int:
+        """Number of vertices of the lead-in."""
+        return 0 if self.lead_in is None else len(self.lead_in.before)
+
+    def led_in(self, lead_in: LeadIn | None) -> "Path":
+        """Return the path with another lead-in, at the current of its first vertex."""
+        bare = self.recorded
+        if lead_in is None:
+            return bare
+        before = lead_in.before
+
+        return replace(
+            bare,
+            dt=np.concatenate([[0.0], -np.diff(before, append=0.0), bare.dt[1:]]),
+            position=np.concatenate([bare.position[0] + lead_in.position, bare.position]),
+            velocity=np.concatenate([lead_in.velocity, bare.velocity]),
+            acceleration=np.concatenate([lead_in.acceleration, bare.acceleration]),
+            current=np.concatenate([np.full(len(before), bare.current[0]), bare.current]),
+            samples=bare.samples + len(before),
+            lead_in=lead_in,
+            _bare=bare,
+        )
 
     @property
     def fine(self) -> "Path":
@@ -68,6 +102,8 @@ class Path:
     @cached_property
     def _fine(self) -> "Path":
         assert self.smoothed is not None
+        if self._bare is not None:
+            return self._bare.fine.led_in(self.lead_in)
         path = replace(_along(self.smoothed, pieces(self.smoothed.run)), mains=self.mains, smoothed=self.smoothed)
         return path if self.kept is None else path.coarse(self.kept)
 
@@ -78,6 +114,8 @@ class Path:
         between them. Only a path along a recorded run can become coarse.
         """
         assert self.smoothed is not None
+        if self._bare is not None:
+            return self._bare.coarse(kept).led_in(self.lead_in)
         run = self.smoothed.run
         force = np.interp(np.cumsum(self.dt), run.time - run.time[0], run.force)
         keep = np.ones(len(self.dt), dtype=bool)

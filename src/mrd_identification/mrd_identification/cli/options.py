@@ -30,6 +30,14 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs not fitted, for the prediction error")
     parser.add_argument(
+        "--skip",
+        type=float,
+        default=0.0,
+        metavar="SECONDS",
+        help="leave out the start of every run, such as a transient of the rig (default: nothing; the state of the damper at "
+        "the first sample is estimated)",
+    )
+    parser.add_argument(
         "--force-filter",
         action="append",
         default=[],
@@ -134,7 +142,7 @@ def read_method(arguments: argparse.Namespace) -> Method:
 def read_arguments_runs(arguments: argparse.Namespace, *others: str) -> list[list[Run]]:
     """Read the runs to fit, the held-out runs, whose names are distinct, and the runs of ``others`` of the arguments."""
     groups = [[*arguments.runs, *arguments.held_out], *(getattr(arguments, name) for name in others)]
-    runs = [run for files in groups if files for run in read_runs(files)]
+    runs = [run for files in groups if files for run in read_runs(files, arguments.skip)]
     filtered = iter(with_force_filters(runs, arguments.force_filter))
     sizes = [len(arguments.runs), len(arguments.held_out), *map(len, groups[1:])]
     return [list(itertools.islice(filtered, size)) for size in sizes]

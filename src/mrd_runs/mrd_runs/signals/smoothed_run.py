@@ -2,15 +2,20 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_runs.run import Run
-from mrd_runs.signals.current import current_noise, steady_current
+from mrd_runs.signals.current import draw_current_noise, steady_current
 from mrd_runs.signals.motion import Motion, remeasured_motion, smooth_motion
 
 Array = NDArray[np.float64]
+
+CURRENT_DRAWS = 12
+"""Draws of the error of a current without sensor noise. With a few draws only, the variance at many a sample would come out
+far too small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +36,17 @@ class SmoothedRun:
     motion: Motion
     current: Array
 
+    @cached_property
+    def current_errors(self) -> Array:
+        """Draws (draws, n) of the error in A of ``current`` that the noise of the sensor leaves.
+
+        They are the same whenever they are asked for, and kept, because removing the noise takes longer than a model.
+        """
+        errors = draw_current_noise(self.run.current, np.random.default_rng(0), CURRENT_DRAWS)
+        if not errors.any():
+            return errors
+        return np.array([steady_current(self.current + error) - self.current for error in errors])
+
 
 def smooth_run(run: Run) -> SmoothedRun:
     """Smooth the motion and the current of a run."""
@@ -50,7 +66,7 @@ def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
         position=position,
         velocity=motion.velocity,
         acceleration=acceleration,
-        current=smoothed.current + rng.normal(0.0, current_noise(run.current), len(run)),
+        current=smoothed.current + draw_current_noise(run.current, rng, 1)[0],
     )
     return SmoothedRun(measured, motion, steady_current(measured.current))
 

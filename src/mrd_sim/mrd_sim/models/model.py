@@ -302,7 +302,7 @@ class DamperModel:
         force = np.zeros(len(x), theta.dtype)
         if self.effects:  # effects change the signals in place
             x, v, a, current = (series.astype(theta.dtype) for series in (x, v, a, current))
-        self._act(("drive", "magnetics"), theta, path.dt, (x, v, a, current, force), state)
+        self._act(("drive", "magnetics"), theta, path, (x, v, a, current, force), state)
         lag = theta[len(self._model_parameters) - 1]
         if lag == 0.0 and len(current):
             current = current.astype(theta.dtype, copy=False)
@@ -316,11 +316,11 @@ class DamperModel:
             self._run_in_series(theta, path, start, (elongations, rows.T, inner, path.dt, x, v, a, force), solutions)
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
-        self._act(("fluid", "structure"), theta, path.dt, (x, v, a, current, force), state)
+        self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
         on_rod = force[path.samples]
         if not any(effect.stage == "sensing" for effect in self.effects):
             return on_rod, on_rod
-        self._act(("sensing",), theta, path.dt, (x, v, a, current, force), state)
+        self._act(("sensing",), theta, path, (x, v, a, current, force), state)
         return on_rod, force[path.samples]
 
     def _run_in_series(
@@ -373,13 +373,20 @@ class DamperModel:
         edges = np.cumsum([len(self._model_parameters), *(len(effect.parameters) for effect in self.effects)]).tolist()
         return [slice(edges[i], edges[i + 1]) for i in (self.effects.index(effect) for effect in effects)]
 
-    def _act(self, stages: Sequence[Stage], theta: Array, dt: Array, signals: tuple[Array, ...], state: Array) -> None:
-        """Let the effects of some stages change the signals in place."""
+    def _act(self, stages: Sequence[Stage], theta: Array, path: Path, signals: tuple[Array, ...], state: Array) -> None:
+        """Let the effects of some stages change the signals in place.
+
+        What outlasts runs or counts from the first sample, such as heat or a hum, does not act in a lead-in.
+        """
         for stage in stages:
             for effect, states in zip(self.effects, self.effect_states, strict=True):
                 if effect.stage == stage and effect.kernel is not None:
                     (parameters,) = self._effect_parameters([effect])
-                    effect.kernel(theta[parameters], state[states], dt, *signals)
+                    if path.lead and (effect.outlasts_run or effect.begin):
+                        acting = (path.recorded.dt, *(series[path.lead :] for series in signals))
+                    else:
+                        acting = path.dt, *signals
+                    effect.kernel(theta[parameters], state[states], *acting)
 
     def regressors(self, theta: Array, path: Path) -> tuple[Array, Array]:
         """Return the force's linear part and the rest: ``force = columns @ theta[linear] + rest``.
