@@ -187,17 +187,9 @@ def gap_making_limitations(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(finding for finding in findings if finding.severity == "limitation" and finding.kind in TIMING_FINDINGS)
 
 
-def clocks_agree(run: Run) -> bool:
-    """Whether the channels of a run are known to have one clock.
-
-    A table has one column of times, and the bench samples all channels together; only an import can know better.
-    """
-    return bool(run.info.get("clocks_agree", True))
-
-
 def clock_finding(runs: Sequence[Run]) -> Finding | None:
     """Return the finding that the clocks of the channels of some runs are not known to agree."""
-    doubtful = [run.name for run in runs if not clocks_agree(run)]
+    doubtful = [run.name for run in runs if not run.clocks_agree()]
     if not doubtful:
         return None
     text = (

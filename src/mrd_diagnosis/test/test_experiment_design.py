@@ -110,7 +110,9 @@ def experiments():
 @pytest.fixture(autouse=True)
 def planned_once(experiments, monkeypatch):
     """Plan the library of the shipped bench once for all tests."""
-    monkeypatch.setattr(advice_module, "library", lambda bench: experiments if bench == BENCH else library(bench))
+    monkeypatch.setattr(
+        advice_module, "library", lambda bench, sizes: experiments if bench == BENCH else library(bench, sizes)
+    )
 
 
 def test_the_library_keeps_within_the_limits_and_names_each_experiment(experiments):

@@ -19,11 +19,11 @@ class ForceEnvelope:
     The defaults were fitted to measured dampers of the RD-8040-1 class at 0 to 1 A.
     """
 
-    offset: float = quantity(50.0, "N", "gas preload", lower=0, upper=1e4)
-    yield_force: float = quantity(112.0, "N", "at 0 A", lower=0, upper=1e5)
-    yield_slope: float = quantity(1051.0, "N/A", "rise of the yield force with the current", lower=1, upper=1e6)
-    viscosity: float = quantity(883.0, "N s/m", "rise of the force with the speed, at 0 A", lower=1, upper=1e6)
-    viscosity_slope: float = quantity(4304.0, "N s/m/A", "rise of the viscosity with the current", lower=0, upper=1e6)
+    offset: float = quantity(50.0, "N", "gas preload", lower=0, upper=1e7)
+    yield_force: float = quantity(112.0, "N", "at 0 A", lower=0, upper=1e7)
+    yield_slope: float = quantity(1051.0, "N/A", "rise of the yield force with the current", lower=1e-3, upper=1e9)
+    viscosity: float = quantity(883.0, "N s/m", "rise of the force with the speed, at 0 A", lower=1e-3, upper=1e9)
+    viscosity_slope: float = quantity(4304.0, "N s/m/A", "rise of the viscosity with the current", lower=0, upper=1e9)
 
     def force(self, speed: T, current: T) -> T:
         """Return the largest force in N at speeds in m/s and currents in A, both ≥ 0."""

@@ -14,12 +14,12 @@ class Limits:
 
     stroke: float = quantity(0.055, "mm", "travel of the damper, end to end (LORD RD-8040-1: 55 mm)", lower=1e-3, upper=1)
     margin: float = quantity(0.0015, "mm", "kept free at both ends of the stroke", lower=0, upper=0.1)
-    speed: float = quantity(0.2, "mm/s", "of the rod", lower=1e-3, upper=2)
+    speed: float = quantity(0.2, "mm/s", "of the rod", lower=1e-4, upper=10)
     acceleration: float = quantity(10.0, "m/s2", "of the rod", lower=0.01, upper=200)
     jerk: float = quantity(1000.0, "m/s3", "of the rod", lower=0.1, upper=1e6)
-    force: float = quantity(800.0, "N", "on the load cell (100 kg cell: 981 N at rated load)", lower=1, upper=1e5)
-    current_min: float = quantity(0.0, "A", "of the coil", lower=-5, upper=0)
-    current_max: float = quantity(1.0, "A", "of the coil, continuous", lower=0.01, upper=5)
+    force: float = quantity(800.0, "N", "on the load cell (100 kg cell: 981 N at rated load)", lower=0.1, upper=2e6)
+    current_min: float = quantity(0.0, "A", "of the coil", lower=-50, upper=0)
+    current_max: float = quantity(1.0, "A", "of the coil, continuous", lower=1e-3, upper=50)
 
     @property
     def reach(self) -> float:

@@ -13,12 +13,13 @@ import numpy as np
 
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.effect_names import effect_name, effect_names
-from mrd_diagnosis.experiment_design.experiment_library import RATE, library
+from mrd_diagnosis.experiment_design.experiment_library import RATE, library, sizes_of, usual_bench
 from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
 from mrd_identification.parallel import in_threads
+from mrd_runs.scales import scales_of
 from mrd_sim.effects import EFFECTS, STAGES
 from mrd_trajectory.experiment import format_experiment
 from mrd_trajectory.plan import Plan
@@ -81,7 +82,8 @@ def advise(
         The model without what the explanations explain the gap by. With it, an experiment must separate the explanations by
         more than the error of their formulas, see `mrd_diagnosis.statistics.certainty`.
     bench : GeneratorSettings, optional
-        Limits that no experiment exceeds; by default, those of the shipped bench.
+        Limits that no experiment exceeds; by default, those of the shipped bench, enlarged or reduced to a damper of another
+        size.
     progress : callable
         Called with the fraction of the work that is done.
 
@@ -94,8 +96,9 @@ def advise(
     """
     if len(explanations) < 2:
         return None
-    rng, bench = rng or np.random.default_rng(0), bench or GeneratorSettings()
-    plans, completed = library(bench), itertools.count(1)
+    sizes = sizes_of(scales_of([recording.run for recording in weighting.recordings]))
+    rng, bench = rng or np.random.default_rng(0), bench or usual_bench(sizes)
+    plans, completed = library(bench, sizes), itertools.count(1)
     predictor = Predictor.from_refits(explanations, weighting, rng, without)
 
     def separate(item: tuple[Plan, np.random.Generator]) -> dict[Pair, Separation] | None:
