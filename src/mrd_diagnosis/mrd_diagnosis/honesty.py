@@ -206,3 +206,9 @@ def clock_finding(runs: Sequence[Run]) -> Finding | None:
         "difference of the clocks when you import the recording."
     )
     return Finding("clock", "limitation", text, doubtful[0] if len(doubtful) == 1 else "", "time")
+
+
+def markdown_table() -> str:
+    """Return the rules as the table that stands in `docs/diagnosis.md`."""
+    rows = ["| rule | an effect is not named because |", "|---|---|"]
+    return "\n".join([*rows, *(f"| `{rule.id}` | {rule.sentence} |" for rule in RULES)]) + "\n"
