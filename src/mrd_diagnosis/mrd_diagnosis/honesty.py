@@ -149,7 +149,6 @@ RULES = (
     ),
     Rule("undetermined", "these runs do not determine its size", _is_undetermined),
     Rule("neutral", "the interval of its size contains the value at which it is absent", _may_be_absent),
-    Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
         "other_model",
         "another damper model explains as much without any effect",

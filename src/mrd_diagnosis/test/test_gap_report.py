@@ -281,6 +281,11 @@ def test_what_is_seen_and_not_determined_has_no_probability_and_nothing_to_apply
     assert corrected_label(diagnosis) == "with the nearest effect"
     assert "a wider range" in next_step(diagnosis)
     assert next_command(diagnosis) == ""
+    # Where it does not close the whole gap either, it is what the headline says all the same.
+    nearest = with_sentence(diagnosis, verdict="unknown_effect", gap=replace(diagnosis.gap, closed_fraction=about(0.6)))
+    assert nearest.sentence.startswith("Seen, not determined: the force channel is late by 12")
+    assert "It would remove 60 % of the explainable gap" in nearest.sentence
+    assert "a wider range" in next_step(nearest)
 
 
 def test_a_cause_below_one_half_is_offered_as_not_proven():

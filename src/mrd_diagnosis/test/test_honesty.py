@@ -183,10 +183,11 @@ def test_a_delay_is_not_named_where_the_clocks_are_not_known_to_agree():
 
 
 def test_a_size_beyond_its_range_is_seen_and_not_named(monkeypatch):
+    runs = recorded({"channel_delay": {"delay": 0.012}})
     delay = EFFECTS["channel_delay"]
     narrow = replace(delay, parameters=(replace(delay.parameters[0], upper=0.011),))
     monkeypatch.setitem(EFFECTS, "channel_delay", narrow)
-    diagnosis = diagnose(recorded({"channel_delay": {"delay": 0.012}}), "bouc_wen", effects=("channel_delay", "gas_spring"))
+    diagnosis = diagnose(runs, "bouc_wen", effects=("channel_delay", "gas_spring"))
     assert (diagnosis.verdict, diagnosis.causes) == ("ambiguous", ())
     assert (diagnosis.rejected[0].effect, diagnosis.rejected[0].rule) == ("channel_delay", "on_bound")
     assert diagnosis.sentence.startswith("Seen, not determined: the force channel is late by 11")
