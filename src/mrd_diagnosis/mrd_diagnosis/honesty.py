@@ -144,6 +144,7 @@ RULES = (
         "the clocks of the channels are not known to agree, and two clocks imitate it",
         lambda claim: claim.effect in DELAYS and not claim.clocks_agree,
     ),
+    Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
         "on_bound", "its size stands at the limit of the plausible range, so that something else may be meant", _is_on_bound
     ),
