@@ -144,12 +144,12 @@ RULES = (
         "the clocks of the channels are not known to agree, and two clocks imitate it",
         lambda claim: claim.effect in DELAYS and not claim.clocks_agree,
     ),
+    Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
         "on_bound", "its size stands at the limit of the plausible range, so that something else may be meant", _is_on_bound
     ),
     Rule("undetermined", "these runs do not determine its size", _is_undetermined),
     Rule("neutral", "the interval of its size contains the value at which it is absent", _may_be_absent),
-    Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
         "other_model",
         "another damper model explains as much without any effect",
@@ -198,3 +198,9 @@ def clock_finding(runs: Sequence[Run]) -> Finding | None:
         "difference of the clocks when you import the recording."
     )
     return Finding("clock", "limitation", text, doubtful[0] if len(doubtful) == 1 else "", "time")
+
+
+def markdown_table() -> str:
+    """Return the rules as the table that stands in `docs/diagnosis.md`."""
+    rows = ["| rule | an effect is not named because |", "|---|---|"]
+    return "\n".join([*rows, *(f"| `{rule.id}` | {rule.sentence} |" for rule in RULES)]) + "\n"

@@ -8,7 +8,7 @@ from mrd_base.tool import command, has_workspace
 from mrd_diagnosis.closed_loop import review_commands
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
-from mrd_diagnosis.honesty import gap_making_limitations
+from mrd_diagnosis.honesty import SEEN, gap_making_limitations
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs.read import run_arguments
@@ -138,8 +138,8 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 
 def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
-    """Return the verdict that effects close the gap, but with sizes that the recordings do not determine."""
-    seen = [entry for entry in diagnosis.rejected if entry.seen]
+    """Return the verdict that effects close the gap or come nearest, but with sizes that the recordings do not determine."""
+    seen = [entry for entry in diagnosis.rejected if entry.seen and entry.rule in SEEN]
     sentences = [f"Seen, not determined: {join_words([effect_clause(entry.effect, entry.parameters) for entry in seen])}."]
     sentences += [f"{capitalised(effect_name(entry.effect))} is not named as a cause: {entry.why}." for entry in seen]
     if math.isfinite(gap.closed_fraction.value):
@@ -155,6 +155,11 @@ def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
             f"{effect_clause(first.effect, first.parameters)} (removes {format_share(first.closed_fraction.value)})."
         )
     return " ".join(sentences)
+
+
+def is_seen(diagnosis: Diagnosis) -> bool:
+    """Whether an effect comes nearest to the gap that is not named because its size is not determined."""
+    return any(entry.seen and entry.rule in SEEN for entry in diagnosis.rejected)
 
 
 def limited_effects(diagnosis: Diagnosis) -> list[Rejected]:
@@ -234,11 +239,13 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     if limiting := gap_making_limitations(diagnosis.findings):
         sentences.insert(0, _limitation_headline(limiting))
         return " ".join(filter(None, [*sentences, where_sentence(diagnosis)]))
+    if is_seen(diagnosis):
+        sentences = [_seen_sentence(diagnosis, gap)]
     if in_form > MOST:
         sentences.insert(0, _form_headline(diagnosis, in_form))
     if where := where_sentence(diagnosis):
         sentences.append(where)
-    if in_form > MOST:
+    if in_form > MOST or is_seen(diagnosis):
         return " ".join(sentences)
     if model:
         share = format_share(model.closed_fraction.value)
@@ -322,6 +329,8 @@ def next_step(diagnosis: Diagnosis) -> str:
         return f"{_remedies(diagnosis)} Or leave these runs out. Then diagnose again."
     if model := notable_model(diagnosis):
         return f"Try the model {model.name}."
+    if is_seen(diagnosis):
+        return _step_to_determine(diagnosis)
     text = ""
     if diagnosis.alternative_models:
         best = diagnosis.alternative_models[0]

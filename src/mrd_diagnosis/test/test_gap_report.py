@@ -19,6 +19,7 @@ from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.closed_loop import closed_loop_notes
 from mrd_diagnosis.detectability import clause_of_size
 from mrd_diagnosis.diagnosis import (
+    ON_BOUND,
     Advice,
     Alternative,
     AlternativeModel,
@@ -31,6 +32,7 @@ from mrd_diagnosis.diagnosis import (
     Interval,
     ParameterEstimate,
     Region,
+    Rejected,
     RunNoise,
     RunResidual,
     UntestableEffect,
@@ -201,6 +203,11 @@ def diagnosed(verdict):
         corrected=CorrectedSimulator(chosen, parameters),
         where=where,
         causes=causes,
+        rejected=tuple(
+            Rejected(candidate.effects[0], "little", "it closes next to nothing of the gap", False, 0.001, 0.4, about(0.01))
+            for candidate in candidates
+            if candidate.effects[0] not in named
+        ),
         alternatives=alternatives,
         nearest=nearest,
         candidates=candidates,
@@ -249,6 +256,71 @@ def test_every_verdict_is_a_file_and_a_page_that_needs_no_network(verdict, tmp_p
     assert "<footer>" in markup
     if verdict != "data_fault":
         assert re.search(r'aria-label="Chart of held-out error \(NRMSE\): .*parameters refitted 0\.', markup)
+
+
+def seen_only():
+    """Return a diagnosis in which the effect that closes the gap stands at the limit of its range."""
+    diagnosis = diagnosed("ambiguous")
+    (cause,) = diagnosis.causes
+    parameters = {name: replace(estimate, remark=ON_BOUND) for name, estimate in cause.parameters.items()}
+    why = "its size stands at the limit of the plausible range"
+    seen = Rejected(cause.effect, "on_bound", why, True, 0.999, 0.005, cause.closed_fraction, parameters)
+    changes = {"causes": (), "rejected": (seen,), "alternatives": (), "next_experiment": None}
+    return with_sentence(diagnosis, nearest=diagnosis.candidates[0], **changes)
+
+
+def test_what_is_seen_and_not_determined_has_no_probability_and_nothing_to_apply(tmp_path):
+    diagnosis = seen_only()
+    page = markup_of(write_gap_report(diagnosis, tmp_path))
+    content = read_gap_report(tmp_path / "gap_report.json")
+    assert (content["causes"], content["rejected"][0]["rule"]) == ([], "on_bound")
+    assert diagnosis.sentence.startswith("Seen, not determined: the force channel is late by 12")
+    assert "is not named as a cause: its size stands at the limit of the plausible range." in diagnosis.sentence
+    assert "99 %" not in diagnosis.sentence + page
+    assert "Seen, but not named as a cause" in page
+    assert corrected_label(diagnosis) == "with the nearest effect"
+    assert "a wider range" in next_step(diagnosis)
+    assert next_command(diagnosis) == ""
+    # Where it does not close the whole gap either, it is what the headline says all the same.
+    nearest = with_sentence(diagnosis, verdict="unknown_effect", gap=replace(diagnosis.gap, closed_fraction=about(0.6)))
+    assert nearest.sentence.startswith("Seen, not determined: the force channel is late by 12")
+    assert "It would remove 60 % of the explainable gap" in nearest.sentence
+    assert "a wider range" in next_step(nearest)
+
+
+def test_a_cause_below_one_half_is_offered_as_not_proven():
+    diagnosis = diagnosed("partly_explained")
+    doubtful = replace(diagnosis, causes=(replace(diagnosis.causes[0], probability=0.42),))
+    assert next_command(doubtful).splitlines()[-1].endswith("--anyway")
+    assert "not proven" in next_step(replace(doubtful, alternative_models=(), findings=()))
+    assert "--anyway" not in next_command(diagnosis)
+
+
+def test_the_form_comes_first_where_it_is_most_of_the_gap():
+    diagnosis = diagnosed("partly_explained")
+    model = AlternativeModel("modified_dahl", 0.01, about(0.9))
+    weak = replace(diagnosis.nearest, closed_fraction=about(0.02))
+    gap = replace(diagnosis.gap, closed_fraction=about(0.02), form_fraction=0.93)
+    headline = "Most of the gap (93 %) lies in the form of the damper model"
+    for verdict, causes in (("partly_explained", diagnosis.causes), ("unknown_effect", ())):
+        changed = with_sentence(
+            diagnosis, verdict=verdict, causes=causes, gap=gap, nearest=weak, alternative_models=(model,)
+        )
+        assert changed.sentence.startswith(headline)
+        assert "Use the model modified_dahl first: it removes 90 %" in changed.sentence
+    assert not diagnosis.sentence.startswith("Most of the gap")
+
+
+def test_a_limitation_that_makes_a_gap_comes_before_an_unknown_effect():
+    held = Finding(
+        "clock", "limitation", "the position is refreshed at 50 Hz only. Raise the rate of the sensor.", "a", "position"
+    )
+    diagnosis = with_sentence(diagnosed("unknown_effect"), findings=(held,))
+    assert diagnosis.sentence.startswith(
+        "A limitation of the recordings makes a gap by itself (run a): the position is refreshed at 50 Hz only."
+    )
+    assert next_step(diagnosis).startswith("Raise the rate of the sensor.")
+    assert next_command(diagnosis) == ""
 
 
 def test_the_file_says_what_the_contract_says():
@@ -470,7 +542,7 @@ def test_the_sentence_on_a_part_of_the_gap():
     )
     # Causes and form are judged on different folds; together they are never more than the gap.
     more = with_sentence(diagnosis, gap=replace(diagnosis.gap, form_fraction=0.9))
-    assert "Another 74 % lies in the form" in more.sentence
+    assert more.sentence.startswith("Most of the gap (74 %) lies in the form")
     little = with_sentence(diagnosis, gap=replace(diagnosis.gap, form_fraction=0.03), where=(), alternatives=())
     assert little.sentence.endswith("of the explainable gap.")
 
@@ -587,7 +659,12 @@ def test_the_sentence_on_an_unknown_effect_points_only_at_significant_regions():
     assert "None of the effects that these runs can test (15) explains the gap; 2 more cannot be tested" in text
     model = AlternativeModel("modified_dahl", 0.01, Interval(1.0))
     text = with_sentence(diagnosis, where=(), alternative_models=(model,)).sentence
-    assert text.endswith("The model modified_dahl removes 100 %: try it next.")
+    assert text.startswith("Most of the gap (100 %) lies in the form of the damper model")
+    assert "Use the model modified_dahl first: it removes 100 %" in text
+    less = replace(model, closed_fraction=Interval(0.4))
+    nearest = replace(diagnosis.nearest, closed_fraction=Interval(0.1))
+    text = with_sentence(diagnosis, where=(), nearest=nearest, alternative_models=(less,)).sentence
+    assert text.endswith("The model modified_dahl removes 40 %: try it next.")
 
 
 def test_an_oscillation_is_named_in_place_of_bands_of_frequencies():

@@ -1,0 +1,247 @@
+"""What speaks against a cause is known by a rule, and the verdict obeys it."""
+
+import importlib
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from textwrap import dedent
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrd_base import InputError
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.base_fit import BaseFit
+from mrd_diagnosis.correction import correction_of_report
+from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, ParameterEstimate
+from mrd_diagnosis.effect_search import refit_with_effects
+from mrd_diagnosis.honesty import RULES, Claim, clock_finding, imitating_limitations, markdown_table, rejecting_rule
+from mrd_diagnosis.report.gap_file import to_json
+from mrd_diagnosis.sentences import next_command, next_step
+from mrd_runs.validation import make_run
+from mrd_sim.damper import Damper
+from mrd_sim.effects import EFFECTS
+from mrd_sim.simulate import measure_plans
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import plan
+from mrd_trajectory.settings import read_settings
+
+EXPERIMENTS = {
+    "multisine": """
+        rod: {waveform: multisine, amplitude_mm: 14, lowest_hz: 0.3, highest_hz: 6, period_s: 10, rolloff: 1.2, seed: 0}
+        coil: {waveform: aprbs, low_mA: 0, high_mA: 300, shortest_s: 0.05, longest_s: 0.3, count: 8, seed: 1}""",
+    "triangle": """
+        rod: {waveform: triangle, amplitude_mm: 12, slope_mm_per_s: 40}
+        coil: {waveform: sine, offset_mA: 200, amplitude_mA: 150, frequency_hz: 0.8}""",
+    "sine": """
+        rod: {waveform: sine, amplitude_mm: 5, frequency_hz: 3}
+        coil: {waveform: constant, level_mA: 200}""",
+    "slow": """
+        rod: {waveform: sine, amplitude_mm: 20, frequency_hz: 0.25}
+        coil: {waveform: constant, level_mA: 150}""",
+}
+DAMPER = {"yield_force": 60.0, "yield_force_per_A": 800.0, "yield_travel": 1.5e-4, "viscous": 800.0, "coil_lag": 0.0}
+FEW = ("gas_spring", "moving_mass", "force_sensor_lag", "channel_delay", "rate_dependent_hysteresis")
+DOCUMENT = Path(__file__).parents[3] / "docs" / "diagnosis.md"
+
+
+def recorded(effects=None, seed=0, rate=250):
+    limits = read_settings(None)
+    plans = [
+        plan(
+            parse_experiment(f"name: {name}\nduration_s: 8\nrate_hz: {rate}\n{dedent(text)}", name),
+            limits.limits,
+            limits.force_envelope,
+        )
+        for name, text in EXPERIMENTS.items()
+    ]
+    return measure_plans(plans, Damper("bouc_wen", DAMPER, effects=effects), np.random.default_rng(seed))
+
+
+def held(run, channel, samples):
+    """Return a run in which each reading of a channel stays the same for so many samples."""
+    columns = {"time_s": run.time, "position_m": run.position, "current_A": run.current, "force_N": run.force}
+    columns[channel] = columns[channel][np.arange(len(run)) // samples * samples]
+    return make_run(run.name, columns, {})
+
+
+# ---- The rules
+
+
+def claim(effect="moving_mass", value=1.0, lower=0.9, upper=1.1, remark="", **more):
+    name = EFFECTS[effect].parameters[0].name
+    parameters = {f"{effect}.{name}": ParameterEstimate(Interval(value, lower, upper), "", remark)}
+    return Claim(effect, **({"parameters": parameters, "closed_fraction": Interval(0.9), "open_fraction": 0.1} | more))
+
+
+HELD = Finding("clock", "limitation", "the position is refreshed at 50 Hz only", "a", "position")
+
+
+@pytest.mark.parametrize(
+    ("rule", "claimed"),
+    [
+        (None, claim()),
+        (None, claim("gas_spring", closed_fraction=Interval(0.02), open_fraction=0.01)),
+        ("noise", claim(has_gap=False)),
+        ("limitation", claim(limitations=(HELD,))),
+        ("clocks", claim("channel_delay", clocks_agree=False)),
+        (None, claim("gas_spring", clocks_agree=False)),
+        ("on_bound", claim(value=-0.5, lower=-0.5, upper=-0.43, remark=ON_BOUND)),
+        ("undetermined", claim("rate_dependent_hysteresis", 507.0, 0.0, 5000.0, UNDETERMINED)),
+        ("neutral", claim("force_sensor_lag", 1e-7, 0.0, 24e-6)),
+        ("neutral", claim("moving_mass", -0.2, -0.5, 0.1)),
+        ("little", claim(closed_fraction=Interval(0.01), open_fraction=0.99)),
+        ("little", claim(closed_fraction=Interval(-0.3), open_fraction=1.0)),
+        ("other_model", claim(other_model=0.93)),
+        (None, claim(other_model=0.4)),
+        ("other_effect", claim(chosen=False)),
+    ],
+)
+def test_the_first_rule_that_holds_rejects(rule, claimed):
+    found = rejecting_rule(claimed)
+    assert (found and found.id) == rule
+
+
+def test_one_of_two_sizes_that_act_by_themselves_is_enough():
+    sizes = {
+        "channel_crosstalk.from_position": ParameterEstimate(Interval(10.0, -500.0, 500.0), "N/m"),
+        "channel_crosstalk.from_current": ParameterEstimate(Interval(40.0, 35.0, 45.0), "N/A"),
+    }
+    assert rejecting_rule(Claim("channel_crosstalk", sizes, closed_fraction=Interval(0.9))) is None
+    absent = sizes | {"channel_crosstalk.from_current": ParameterEstimate(Interval(1.0, -5.0, 8.0), "N/A")}
+    assert rejecting_rule(Claim("channel_crosstalk", absent, closed_fraction=Interval(0.9))).id == "neutral"
+
+
+@given(
+    st.sampled_from(list(EFFECTS)),
+    st.sampled_from(["clock", "lag", "filter", "clipping", "hum", "coverage", "aliasing"]),
+    st.sampled_from(["limitation", "remark"]),
+    st.sampled_from(["position", "force", "current"]),
+)
+def test_only_limitations_of_their_kind_imitate_an_effect(effect, kind, severity, channel):
+    found = imitating_limitations(effect, [Finding(kind, severity, "-", "a", channel)])
+    if severity == "remark" or kind in ("hum", "coverage", "aliasing"):
+        assert found == ()
+    if effect in ("channel_delay", "moving_mass", "series_compliance", "joint_play") and severity == "limitation":
+        assert bool(found) == (
+            kind in ("clock", "lag", "filter") or (effect, kind, channel) == ("joint_play", "clipping", "position")
+        )
+    if effect in ("gas_spring", "thermal_fade"):
+        assert found == ()
+
+
+def test_the_documentation_has_the_rules():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert markdown_table() in text
+    assert len({rule.id for rule in RULES}) == len(RULES)
+
+
+# ---- Limitations stand before effects
+
+
+@pytest.mark.parametrize(
+    ("channel", "rate", "samples", "limited"),
+    [
+        ("position_m", 250, 5, (0, 1, 2, 3)),
+        ("force_N", 250, 5, (0, 1, 2, 3)),
+        ("force_N", 500, 5, (0, 2)),
+        ("current_A", 250, 5, (1,)),
+    ],
+)
+def test_readings_that_are_held_are_the_answer_and_no_cause(channel, rate, samples, limited):
+    runs = [held(run, channel, samples if number in limited else 1) for number, run in enumerate(recorded(rate=rate))]
+    diagnosis = diagnose(runs, "bouc_wen", effects=("moving_mass", "channel_delay"))
+    assert (diagnosis.causes, next_command(diagnosis)) == ((), "")
+    assert "is refreshed at" in diagnosis.sentence or diagnosis.verdict == "no_gap"
+    if diagnosis.verdict == "data_fault":
+        assert {entry.rule for entry in diagnosis.rejected} == {"limitation"}
+        with pytest.raises(InputError, match="recordings are faulty"):
+            correction_of_report(to_json(diagnosis), "gap.json")
+
+
+def test_what_the_runs_without_a_limitation_show_as_well_is_named():
+    runs = recorded({"channel_delay": {"delay": 0.012}})
+    runs[3] = held(runs[3], "position_m", 2)
+    diagnosis = diagnose(runs, "bouc_wen", effects=FEW)
+    assert any("is refreshed at" in finding.text for finding in diagnosis.findings)
+    assert [cause.effect for cause in diagnosis.causes] == ["channel_delay"]
+
+
+def test_a_delay_is_not_named_where_the_clocks_are_not_known_to_agree():
+    runs = recorded({"channel_delay": {"delay": 0.012}})
+    assert clock_finding(runs) is None
+    doubtful = [replace(run, info={**run.info, "clocks_agree": False}) for run in runs]
+    diagnosis = diagnose(doubtful, "bouc_wen", effects=FEW)
+    assert (diagnosis.verdict, diagnosis.causes) == ("data_fault", ())
+    assert "clocks that are not known to agree" in diagnosis.sentence
+    assert [(entry.effect, entry.rule) for entry in diagnosis.rejected] == [("channel_delay", "clocks")]
+
+
+# ---- Seen, not determined
+
+
+def test_a_size_beyond_its_range_is_seen_and_not_named(monkeypatch):
+    runs = recorded({"channel_delay": {"delay": 0.012}})
+    delay = EFFECTS["channel_delay"]
+    narrow = replace(delay, parameters=(replace(delay.parameters[0], upper=0.011),))
+    monkeypatch.setitem(EFFECTS, "channel_delay", narrow)
+    diagnosis = diagnose(runs, "bouc_wen", effects=("channel_delay", "gas_spring"))
+    assert (diagnosis.verdict, diagnosis.causes) == ("ambiguous", ())
+    assert (diagnosis.rejected[0].effect, diagnosis.rejected[0].rule) == ("channel_delay", "on_bound")
+    assert diagnosis.sentence.startswith("Seen, not determined: the force channel is late by 11")
+    assert "above 99 %" not in diagnosis.sentence
+    assert "wider range" in next_step(diagnosis)
+    assert "apply" not in next_command(diagnosis)
+    with pytest.raises(InputError, match="--anyway"):
+        correction_of_report(to_json(diagnosis), "gap.json")
+    assert "channel_delay" in correction_of_report(to_json(diagnosis), "gap.json", anyway=True).effects
+
+
+def test_an_effect_that_closes_the_gap_with_any_size_is_seen_and_not_named(monkeypatch):
+    runs = recorded({"channel_delay": {"delay": 0.012}})
+    statistics = importlib.import_module("mrd_diagnosis.explanation")
+    estimate = statistics.effect_parameters
+
+    def undetermined(refitted):
+        return {name: replace(value, remark=UNDETERMINED) for name, value in estimate(refitted).items()}
+
+    monkeypatch.setattr(statistics, "effect_parameters", undetermined)
+    diagnosis = diagnose(runs, "bouc_wen", effects=(*FEW[:2], "channel_delay"))
+    assert (diagnosis.verdict, diagnosis.causes) == ("ambiguous", ())
+    assert diagnosis.sentence.startswith("Seen, not determined: the force channel is late by")
+    assert "99 %" not in diagnosis.sentence.partition("It would remove")[0]
+    assert "Record runs" in next_step(diagnosis)
+    assert diagnosis.nearest.effects == ("channel_delay",)
+
+
+def test_every_effect_that_was_tried_is_named_or_rejected():
+    diagnosis = diagnose(recorded({"channel_delay": {"delay": 0.012}}), "bouc_wen", effects=FEW)
+    named, rejected = ([entry.effect for entry in entries] for entries in (diagnosis.causes, diagnosis.rejected))
+    tried = [candidate.effects[0] for candidate in diagnosis.candidates if len(candidate.effects) == 1]
+    assert named == ["channel_delay"]
+    assert sorted(named + rejected) == sorted(tried)
+    assert {entry.rule for entry in diagnosis.rejected} <= {rule.id for rule in RULES}
+
+
+# ---- Other damper models
+
+
+def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monkeypatch):
+    """Noise explains what the effect leaves, so that nothing else asks for another model."""
+    module = importlib.import_module("mrd_diagnosis.diagnose")
+    asked = []
+
+    def as_good(effect, weighting, base, _enough, _rng):
+        asked.append(effect)
+        (fit,) = refit_with_effects(weighting, BaseFit.linearise(weighting, base), [effect], 1)
+        return {"modified_lugre": fit.refit}
+
+    monkeypatch.setattr(module, "fit_alternative_models", partial(as_good, "channel_delay"))
+    runs = recorded({"channel_delay": {"delay": 0.012}})
+    diagnosis = diagnose(runs, "bouc_wen", effects=("channel_delay", "gas_spring"))
+    assert asked == ["channel_delay"]
+    assert diagnosis.verdict in ("ambiguous", "unknown_effect")
+    monkeypatch.setattr(module, "fit_alternative_models", partial(as_good, "gas_spring"))
+    assert diagnose(runs, "bouc_wen", effects=("channel_delay", "gas_spring")).verdict == "explained"
