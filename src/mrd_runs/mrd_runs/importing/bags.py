@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from mrd_runs.importing.topics import Address, list_numbers, parse_address, read
 from mrd_runs.importing.units import COLUMNS, si_unit, to_si
 from mrd_runs.validation import check_values
 
-_MOST_TRIALS = 12
+_MOST_TRIALS, _MOST_TIMES = 24, 3
 
 
 def bag_recordings(path: Path, mapped: Mapped) -> list[Recording]:
@@ -71,15 +71,21 @@ def _source(quantity: str, address: Address) -> Source:
 
 def _question(path: Path, mapped: Mapped) -> InputError:
     """Return the error that asks which numbers of a bag to take, with options that were tried."""
-    ranges, problem = list_numbers(path)
-    if not ranges:
+    numbers, problem = list_numbers(path)
+    if not numbers:
         return InputError(f"{path}: {problem or 'is a bag without numbers; expected the messages of a bench'}")
     problem = f"; {problem}" if problem else ""
-    known = f"numbers in it: {listed(ranges)}{problem}"
-    for mapping in islice(topic_mappings(ranges, current_is_given=mapped.current is not None), _MOST_TRIALS):
+    known = f"numbers in it: {listed(numbers)}{problem}"
+    rising = [address for address, number in numbers.items() if number.rises]
+    ranges = {address: number.range for address, number in numbers.items()}
+    mappings = topic_mappings(ranges, current_is_given=mapped.current is not None)
+    for mapping, time in islice(product(mappings, ["", *rising[:_MOST_TIMES]]), _MOST_TRIALS):
+        if time in mapping.values():
+            continue
         without_current = mapped.current is None and "current" not in mapping
-        if _is_usable(path, replace(mapped, topics=mapping, current=0.0 if without_current else mapped.current)):
-            options = shown_options("--topics", mapping) + ["--current 0"] * without_current
+        topics = {"time": time} | mapping if time else mapping
+        if _is_usable(path, replace(mapped, topics=topics, current=0.0 if without_current else mapped.current)):
+            options = shown_options("--topics", topics) + ["--current 0"] * without_current
             # The mapping comes first: a line is cut where it is long.
             return InputError(
                 f"{path}: is a bag of another bench; say which numbers to take with what is right of: "

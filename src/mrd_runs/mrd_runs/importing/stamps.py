@@ -62,11 +62,15 @@ class Timed:
 
 @dataclass(frozen=True)
 class _Clocks:
-    """Times of receipt of a topic and, where there are, of its headers, in s, and the passes of the latter."""
+    """Times of receipt of a topic and, where there are, of its headers, in s, and the passes of the latter.
+
+    Headers count from ``origin`` on, in s on the clock from whose beginning receipts count.
+    """
 
     receipt: Array
     header: Array | None
     order: Passes
+    origin: float
 
     @property
     def problem(self) -> str:
@@ -179,7 +183,9 @@ def _clocks(topics: Mapping[str, Topic]) -> dict[str, _Clocks]:
         receipt = _seconds(topic.receipt, origin)
         header = None if topic.header is None else _seconds(topic.header, unset)
         order = find_passes(receipt, any_order=True) if header is None else find_passes(header, receipt, unset=-1e-9 * unset)
-        clocks[name] = _Clocks(receipt, header, order.unrepeated(receipt if header is None else header))
+        clocks[name] = _Clocks(
+            receipt, header, order.unrepeated(receipt if header is None else header), 1e-9 * (unset - origin)
+        )
     return clocks
 
 
@@ -190,7 +196,7 @@ def _delays(clocks: Mapping[str, _Clocks], name: str, other: str) -> Array:
     kept = np.sort(np.concatenate(of.order.pieces))
     begin, end = max(of.receipt[0], to.receipt[0]), min(of.receipt[-1], to.receipt[-1])
     part = np.floor(_WINDOWS * (of.receipt[kept] - begin) / max(end - begin, 1e-9)).clip(-1, _WINDOWS)
-    delay = of.receipt[kept] - of.header[kept]
+    delay = of.receipt[kept] - of.header[kept] - of.origin
     return np.array(
         [np.percentile(delay[part == number], _FASTEST) if (part == number).any() else np.nan for number in range(_WINDOWS)]
     )
@@ -201,8 +207,13 @@ def _has_same_stamps(clocks: Mapping[str, _Clocks], name: str, other: str) -> bo
     of, to = clocks[name], clocks[other]
     if name == other or of.header is None or to.header is None:
         return name == other
-    dropped = sum(len(one.receipt) - sum(map(len, one.order.pieces)) for one in (of, to))
-    return len(np.setxor1d(of.header, to.header)) <= 2 * dropped
+    headers = ((of.header, of.order), (to.header, to.order))
+    kept = [header[np.concatenate(order.pieces)] for header, order in headers]
+    dropped = [len(one.receipt) - len(times) for one, times in zip((of, to), kept, strict=True)]
+    if max(dropped) > MOST_REPEATS * min(map(len, kept)):
+        return False
+    absent = [len(np.setdiff1d(times, other)) for times, other in (kept, reversed(kept))]
+    return absent[0] <= dropped[1] and absent[1] <= dropped[0]
 
 
 def _compared(clocks: Mapping[str, _Clocks], first: str, name: str) -> tuple[Array, float] | None:

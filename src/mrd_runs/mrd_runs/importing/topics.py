@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,13 @@ class Address:
 
     def __str__(self) -> str:
         return f"{self.topic}.{self.field}" + (f"[{self.index}]" if self.index else "")
+
+
+class Number(NamedTuple):
+    """How far a number of a bag moves, and whether it only rises, as a time does."""
+
+    range: float
+    rises: bool
 
 
 @dataclass(frozen=True)
@@ -191,18 +198,18 @@ def _getter(message: Any, address: Address, path: Path) -> Callable[[Any], float
     return lambda message: field(message)[int(address.index)]
 
 
-def list_numbers(path: Path) -> tuple[dict[str, float], str]:
+def list_numbers(path: Path) -> tuple[dict[str, Number], str]:
     """Return what numbers the messages of a bag hold.
 
     Returns
     -------
-    ranges : dict of str to float
-        How far each number moves in the first messages of its topic, by its address.
+    numbers : dict of str to Number
+        By address, from the first messages of each topic.
     problem : str
         Which topics cannot be read, and why; "" where all can.
     """
     bag = read_bag(path, most=_LISTED_MESSAGES)
-    ranges: dict[str, list[float]] = {}
+    series: dict[str, list[float]] = {}
     undefined: dict[str, str] = {}
     for topic, entry in bag.topics.items():
         if topic.rsplit("/", 1)[-1] in _NO_SERIES:
@@ -214,8 +221,12 @@ def list_numbers(path: Path) -> tuple[dict[str, float], str]:
         with suppress(Exception):
             for message in bag.decode(topic):
                 for address, value in _numbers(message, topic):
-                    ranges.setdefault(str(address), []).append(value)
-    return {address: float(np.ptp(values)) for address, values in ranges.items()}, _undefined(undefined) if undefined else ""
+                    series.setdefault(str(address), []).append(value)
+    numbers = {
+        address: Number(float(np.ptp(values)), len(values) > 2 and bool(np.all(np.diff(values) > 0)))
+        for address, values in series.items()
+    }
+    return numbers, _undefined(undefined) if undefined else ""
 
 
 def _numbers(content: Any, topic: str, prefix: str = "") -> Iterator[tuple[Address, float]]:
