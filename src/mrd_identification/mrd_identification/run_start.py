@@ -80,13 +80,7 @@ def _states_before(model: DamperModel, theta: Array, recordings: Sequence[Record
 
 
 def _most_likely(
-    model: DamperModel,
-    theta: Array,
-    recording: Recording,
-    state: Array | None,
-    force: Array,
-    whiten: Whiten,
-    stroke: float,
+    model: DamperModel, theta: Array, recording: Recording, state: Array | None, force: Array, whiten: Whiten, stroke: float
 ) -> Recording:
     """Return a recording with its most likely lead-in."""
     if recording.without_effects:
@@ -114,7 +108,9 @@ def _most_likely(
         family, reach = tried[order[0]]
         step = np.log(REACHES[0] / REACHES[1])
         found = minimize_scalar(
-            lambda shift: cost(modelled(family(reach * np.exp(shift)))), bounds=(-step, step), method="bounded",
+            lambda shift: cost(modelled(family(reach * np.exp(shift)))),
+            bounds=(-step, step),
+            method="bounded",
             options={"xatol": 0.03, "maxiter": 12},
         )
         if found.fun < costs[order[0]]:

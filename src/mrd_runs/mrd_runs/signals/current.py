@@ -118,7 +118,9 @@ def steady_current(current: Array) -> Array:
     return estimate
 
 
-def _polynomials(series: Array, noise: float, slow_noise: float, length: int) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
+def _polynomials(
+    series: Array, noise: float, slow_noise: float, length: int
+) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
     """Yield the constants, the lines, then the parabolas, of the windows of a length in which they fit.
 
     Each item is (starts (windows,), orthonormal polynomials (length, terms), their coefficients (windows, terms)).
