@@ -277,7 +277,7 @@ class Weighting:
         return replace(first, recordings=recordings)._with_discrepancy(model, theta, added)
 
     def _with_discrepancy(self, model: DamperModel, theta: Array, added: Sequence[Array | float]) -> "Weighting":
-        """Return the weighting with the discrepancy that a model leaves beside what is ``added`` to the force of each run."""
+        """Return the weighting with the discrepancy that a model leaves beside what is ``added`` to its force."""
         remaining = []
         forces = consecutive_forces(model, theta, self.recordings)
         for recording, noise, force, of_run in zip(self.recordings, self.noise, forces, added, strict=True):

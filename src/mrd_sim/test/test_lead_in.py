@@ -28,11 +28,9 @@ def motion(current: float, phase: float) -> tuple[np.ndarray, ...]:
 
 
 def cut_while_moving(v: np.ndarray, first: int) -> int:
-    """The first sample from ``first`` on at which the rod has moved in one direction for a while."""
-    same = np.sign(v[first:]) * np.minimum.reduce(
-        [np.sign(v[first - lag : len(v) - lag]) * np.sign(v[first:]) for lag in (20, 50)]
-    )
-    return first + int(np.argmax((np.abs(v[first:]) > 0.4 * np.abs(v).max()) & (same * np.sign(v[first:]) > 0)))
+    """Return the first sample from ``first`` on at which the rod is fast and has been for 100 ms."""
+    slow = np.abs(v) < 0.3 * np.abs(v).max()
+    return next(k for k in range(first, len(v)) if not slow[k - 50 : k].any())
 
 
 @pytest.mark.parametrize(
@@ -56,25 +54,26 @@ def test_a_cut_recording_gives_the_force_of_the_uncut_one(model: str, effect: st
     # What a dashpot in series has let through over a minute is an offset of the run, which every fit allows for.
     led_in, from_rest = (error - error[len(error) // 2 :].mean() for error in (led_in, from_rest))
     rms = [float(np.sqrt(np.mean(error**2))) for error in (from_rest, led_in)]
-    assert np.abs(led_in[25:]).max() < 0.03 * np.std(uncut)
-    assert rms[1] < 0.02 * np.std(uncut) or rms[1] < 0.2 * rms[0]
+    assert np.sqrt(np.mean(led_in[25:] ** 2)) < 0.01 * np.std(uncut)  # after 50 ms
+    assert rms[1] < 0.01 * np.std(uncut) or rms[1] < 0.2 * rms[0]
 
 
 @given(st.floats(-0.5, 0.5).filter(lambda v: abs(v) > 1e-3), st.floats(1e-6, 0.1), st.floats(1e-4, 0.1))
 def test_a_moving_lead_in_arrives_with_the_motion_of_the_first_sample(velocity: float, reach: float, approach: float):
     lead_in = moving_lead_in(velocity, reach, approach)
-    assert (np.diff(lead_in.before) < 0).all() and lead_in.before[-1] > 0
+    assert (np.diff(lead_in.before) < 0).all()
+    assert lead_in.before[-1] > 0
     last = -lead_in.before[-1]
     assert lead_in.position[-1] - lead_in.acceleration[-1] * last**2 / 2 == pytest.approx(velocity * last, rel=1e-6)
     assert lead_in.velocity[-1] == pytest.approx(velocity + lead_in.acceleration[-1] * last, rel=1e-6)
-    reversal = np.flatnonzero(lead_in.velocity == 0)
-    assert len(reversal) == 1 and lead_in.position[reversal[0]] == pytest.approx(-np.sign(velocity) * reach)
+    assert np.min(np.sign(velocity) * lead_in.position) == pytest.approx(-reach)
 
 
 @given(st.floats(-0.05, 0.05).filter(lambda r: abs(r) > 1e-6), st.floats(1e-4, 0.1), st.floats(1e-3, 0.5))
 def test_a_resting_lead_in_ends_at_rest_where_the_recording_begins(reach: float, approach: float, speed: float):
     lead_in = resting_lead_in(reach, approach, speed)
-    assert (np.diff(lead_in.before) < 0).all() and lead_in.before[-1] > 0
+    assert (np.diff(lead_in.before) < 0).all()
+    assert lead_in.before[-1] > 0
     assert lead_in.position[-1] == lead_in.velocity[-1] == 0.0
     assert np.abs(lead_in.velocity).max() <= 1.0001 * speed * max(1.0, np.sqrt(abs(reach) / approach))
     assert lead_in.position.min() == pytest.approx(min(0.0, -reach, -reach + np.sign(reach) * approach))
@@ -84,7 +83,10 @@ def test_a_resting_lead_in_ends_at_rest_where_the_recording_begins(reach: float,
 def test_a_path_takes_another_lead_in_and_gives_it_back():
     path = make_path(*motion(0.3, 1.0))
     led = path.led_in(moving_lead_in(0.1, 1e-3, 5e-3)).led_in(resting_lead_in(1e-3, 5e-3, 0.05))
-    assert led.recorded is path and led.led_in(None) is path and path.recorded is path
-    assert led.dt[0] == 0.0 and led.dt.sum() == pytest.approx(path.dt.sum() + led.lead_in.before[0])
+    assert led.recorded is path
+    assert led.led_in(None) is path
+    assert path.recorded is path
+    assert led.dt[0] == 0.0
+    assert led.dt.sum() == pytest.approx(path.dt.sum() + led.lead_in.before[0])
     assert np.array_equal(led.position[led.samples], path.position[path.samples])
     assert replace(led, mains=path.mains).lead == led.lead

@@ -34,8 +34,8 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="SECONDS",
-        help="leave out the start of every run, such as a transient of the rig (default: nothing; the state of the damper at "
-        "the first sample is estimated)",
+        help="leave out the start of every run, such as a transient of the rig (default: nothing; what the damper had been "
+        "through before is estimated)",
     )
     parser.add_argument(
         "--force-filter",

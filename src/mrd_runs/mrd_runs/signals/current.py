@@ -1,9 +1,9 @@
 """A measured coil current without the noise of its sensor, with its steps still sharp.
 
-The noise of the sensor is white, or nearly so behind a filter. The current itself has constant levels with steps between them, ramps, or slow waves. Each
-sample is therefore estimated by a line or a parabola through a window around it (adaptive local polynomials: Katkovnik,
-Egiazarian and Astola 2006). Of all windows in which a line or parabola fits up to the noise, the one with the least variance
-of the estimate is taken. Next to a step, this window lies on one side of it.
+The noise of the sensor is white, or nearly so behind a filter. The current itself has constant levels with steps between
+them, ramps, or slow waves. Each sample is therefore estimated by a constant, a line or a parabola through a window around it
+(adaptive local polynomials: Katkovnik, Egiazarian and Astola 2006). Of all windows in which such a polynomial fits up to the
+noise, the one with the least variance of the estimate is taken. Next to a step, this window lies on one side of it.
 """
 
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 _FOURTH_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 # Lengths of the windows in samples. Short ones start at every sample, long ones this many times in their length.
-_SHORT, _LONG, _STARTS_PER_LENGTH = (3, 5, 7, 11, 15), (31, 63, 127, 255), 8
+_SHORT, _LONG, _STARTS_PER_LENGTH = (3, 5, 7, 11, 15), (31, 63, 127, 255, 511, 1023), 8
 # Probability that the test of the residual accepts a window in which the current is a line or parabola. A larger value would
 # round curves more.
 _ACCEPTED = 0.9
@@ -108,16 +108,20 @@ def steady_current(current: Array) -> Array:
     if noise <= 1e-6 * float(np.abs(current).max(initial=0.0)):
         return current.copy()
     readings = _without_outliers(current, noise)
+    # What averages over many samples keep of a noise whose neighbours are correlated.
+    slow_noise = noise * np.sqrt(1.0 + 2.0 * noise_correlation(current))
     estimate, variance = readings.copy(), np.ones(len(current))
     for length in _SHORT + _LONG:
         if length <= len(readings):
-            for starts, basis, coefficients in _polynomials(readings, noise, length):
+            for starts, basis, coefficients in _polynomials(readings, noise, slow_noise, length):
                 _improve(starts, basis, coefficients, np.sum(basis**2, axis=1), estimate, variance)
     return estimate
 
 
-def _polynomials(series: Array, noise: float, length: int) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
-    """Yield the lines, then the parabolas, of the windows of a length in which they fit.
+def _polynomials(
+    series: Array, noise: float, slow_noise: float, length: int
+) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
+    """Yield the constants, the lines, then the parabolas, of the windows of a length in which they fit.
 
     Each item is (starts (windows,), orthonormal polynomials (length, terms), their coefficients (windows, terms)).
     """
@@ -128,14 +132,14 @@ def _polynomials(series: Array, noise: float, length: int) -> Iterator[tuple[NDA
     basis = np.linalg.qr(powers)[0]
     coefficients = windows @ basis
     squares = np.einsum("ij,ij->i", windows, windows)
-    for terms in (2, 3):
+    for terms in (1, 2, 3):
         if terms == length:
             continue
         residual = squares - np.sum(coefficients[:, :terms] ** 2, axis=1)
         fits = residual <= noise**2 * chdtri(length - terms, 1.0 - _ACCEPTED)
         if length in _LONG:
             higher = np.sum(coefficients[:, terms : terms + _HIGHER_TERMS] ** 2, axis=1)
-            fits &= higher <= noise**2 * chdtri(_HIGHER_TERMS, 1.0 - _ACCEPTED_LONG)
+            fits &= higher <= slow_noise**2 * chdtri(_HIGHER_TERMS, 1.0 - _ACCEPTED_LONG)
         yield starts[fits], np.ascontiguousarray(basis[:, :terms]), coefficients[fits, :terms]
 
 
