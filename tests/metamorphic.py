@@ -375,9 +375,10 @@ def line(change: Change, outcome: Outcome, unchanged: Outcome, stroke: float) ->
             sizes.append(f"{name} {over}{'' if lower <= must <= upper else '!'}")
         else:
             sizes.append(f"{name} {value:.3g} {unit} (new)")
+    error = f"error x{outcome.error / expected_error(change, unchanged):.4f}" if outcome.fitted else ""
     return (
         f"{'ok  ' if is_right else 'DIFF'} {change!s:48} {outcome.verdict:16} {' + '.join(outcome.causes) or '-':30} "
-        f"error x{outcome.error / expected_error(change, unchanged):.4f}  {outcome.seconds:4.0f} s  {', '.join(sizes)}"
+        f"{error:14} {outcome.seconds:4.0f} s  {', '.join(sizes)}"
     )
 
 
