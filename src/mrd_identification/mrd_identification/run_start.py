@@ -34,8 +34,8 @@ def estimate_starts(
 ) -> list[Recording]:
     """Return recordings with the lead-ins that make the measured forces most likely.
 
-    Histories of one kind are tried (`mrd_sim.lead_in`), and where the rod rests, also none: at rest and unloaded. What the
-    next most likely ones would change is left in `Recording.other_starts`.
+    Histories of one kind are tried (`mrd_sim.lead_in`), and also none: at rest and unloaded, as a
+    simulation begins. What the next most likely ones would change is left in `Recording.other_starts`.
 
     Parameters
     ----------
@@ -96,9 +96,7 @@ def _most_likely(
 
     families = _families(recording.motion, stroke)
     tried = [(family, stroke * share) for family in families for share in REACHES]
-    lead_ins = [family(reach) for family, reach in tried]
-    if abs(recording.motion.velocity[0]) <= SURELY_MOVES * np.abs(recording.motion.velocity).max():
-        lead_ins.append(None)
+    lead_ins: list[LeadIn | None] = [*(family(reach) for family, reach in tried), None]
     candidates = [modelled(lead_in) for lead_in in lead_ins]
     costs = np.array([cost(candidate) for candidate in candidates])
     costs[~np.isfinite(costs)] = np.inf

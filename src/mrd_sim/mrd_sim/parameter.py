@@ -1,5 +1,6 @@
 """A number on which a model or an effect depends."""
 
+import math
 from dataclasses import dataclass, replace
 
 from mrd_runs.scales import Scales, extremes, rule
@@ -13,7 +14,7 @@ class Parameter:
     scales, by the unit: a play in m with the stroke, a viscous coefficient in N s/m with force, time and stroke. A number
     that is ``absolute`` stays, for the reason given there. ``log`` asks for a logarithmic scale between the bounds. A
     parameter that is not ``free`` keeps its default unless it is set or freed by name. One whose bounds are its default is a
-    constant of the equation, to which other parameters refer; it is never searched.
+    constant of the equation, to which other parameters refer; it is never searched, and grows by powers of ten.
     """
 
     name: str
@@ -49,4 +50,8 @@ class Parameter:
 
     def factor(self, scales: Scales) -> float:
         """Return by how much the parameter is larger for a damper of these scales than for the reference damper."""
-        return 1.0 if self.absolute else scales.factor(self.unit)
+        if self.absolute:
+            return 1.0
+        factor = scales.factor(self.unit)
+        # Parameters that refer to a constant can be compared only where it is the same: it keeps its leading digits.
+        return 10.0 ** round(math.log10(factor)) if self.is_constant else factor

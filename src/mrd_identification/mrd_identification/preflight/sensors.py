@@ -8,7 +8,7 @@ from scipy import signal
 
 from mrd_identification.preflight.alignment import cross_correlation, overlap
 from mrd_identification.preflight.channels import FEW_STROKES, CheckedRun, milli
-from mrd_identification.preflight.finding import Finding
+from mrd_identification.preflight.finding import Finding, Severity
 from mrd_runs.faults import relative_work
 
 Array = NDArray[np.float64]
@@ -19,8 +19,8 @@ LARGEST_CURRENT = 30.0
 """Current in A that no coil of a damper takes: it is recorded in mA."""
 LARGEST_FORCE = 2e6
 """Span of the force in N that no damper on a bench has: it is recorded in mN."""
-FEW_NEWTONS = 30.0
-"""Span of the force in N of all runs below which it is either that of a very small damper, or in kN; both exist."""
+VERY_FEW_NEWTONS, FEW_NEWTONS = 5.0, 30.0
+"""Spans of the force in N of all runs below which it is rather in kN than that of a damper, and below which it may be."""
 SWING = 0.02
 """Share of half the span of all forces, from which on a force swings."""
 UNRELATED_CORRELATION = 0.1
@@ -69,7 +69,8 @@ def check_small_forces(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
             f"the force spans at most {max(spans):.3g} N, as that of a very small damper does. If it is in kN or V, convert "
             "it to N: all forces in this report are then too small by that factor, and nothing else changes."
         )
-        yield Finding("rig", "remark", text, channel="force")
+        severity: Severity = "limitation" if max(spans) < VERY_FEW_NEWTONS else "remark"
+        yield Finding("rig", severity, text, channel="force")
 
 
 def check_dead_channels(checked: CheckedRun) -> Iterator[Finding]:

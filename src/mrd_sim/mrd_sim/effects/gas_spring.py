@@ -14,7 +14,7 @@ _LEAST_VOLUME = 0.1
 
 PARAMETERS = (
     Parameter("stiffness", "N/m", 0.0, 0.0, 6000.0, "slope of the force over position at mid-stroke, k"),
-    Parameter("curvature", "1/m", 12.0, 3.0, 30.0, "relative decrease of that slope per metre of extension, b"),
+    Parameter("curvature", "1/m", 12.0, 1.0, 30.0, "relative decrease of that slope per metre of extension, b"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
