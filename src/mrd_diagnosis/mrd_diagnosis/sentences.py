@@ -173,7 +173,8 @@ def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names causes although they do not explain the whole gap, and describes the rest."""
     form = share_of_form(gap)
     form_first = form > MOST
-    sentences = [_form_headline(diagnosis, form)] if form_first else []
+    model = notable_model(diagnosis)
+    sentences = [_form_headline(form), *([_model_to_try(model)] if model else [])] if form_first else []
     beside = "Beside that, " if form_first else ""
     clauses = _clauses(diagnosis.causes)
     sentences.append(
@@ -204,16 +205,15 @@ def _limitation_headline(limiting: Sequence[Finding]) -> str:
     return f"A limitation of the recordings makes a gap by itself{where}: {limiting[0].text.rstrip('.')}."
 
 
-def _form_headline(diagnosis: Diagnosis, form: float) -> str:
-    """Return that most of a gap lies in the form of the damper model, and which model to use."""
-    text = (
-        f"Most of the gap ({format_share(form)}) lies in the form of the damper model: in how its force depends on {FORM}."
+def _form_headline(share: float) -> str:
+    """Return that most of a gap lies in the form of the damper model."""
+    return (
+        f"Most of the gap ({format_share(share)}) lies in the form of the damper model: in how its force depends on {FORM}."
     )
-    if model := notable_model(diagnosis):
-        text += (
-            f" Use the model {model.name} first: it removes {format_share(model.closed_fraction.value)} without any effect."
-        )
-    return text
+
+
+def _model_to_try(model: AlternativeModel) -> str:
+    return f"The model {model.name} removes {format_share(model.closed_fraction.value)}: try it next."
 
 
 def open_share(gap: Gap) -> float:
@@ -242,14 +242,13 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     if is_seen(diagnosis):
         sentences = [_seen_sentence(diagnosis, gap)]
     if in_form > MOST:
-        sentences.insert(0, _form_headline(diagnosis, in_form))
+        sentences.insert(0, _form_headline(in_form))
     if where := where_sentence(diagnosis):
         sentences.append(where)
+    if model:
+        return " ".join([*sentences, _model_to_try(model)])
     if in_form > MOST or is_seen(diagnosis):
         return " ".join(sentences)
-    if model:
-        share = format_share(model.closed_fraction.value)
-        return " ".join([*sentences, f"The model {model.name} removes {share}: try it next."])
     if nearest is not None and nearest.closed_fraction.value > THRESHOLDS.notable_alternative_model:
         verb = "comes" if len(nearest.effects) == 1 else "come"
         share = format_share(nearest.closed_fraction.value)
