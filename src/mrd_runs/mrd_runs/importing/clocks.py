@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, median_filter
+from scipy.ndimage import binary_dilation, maximum_filter1d, median_filter
 
 from mrd_runs.validation import FEWEST_SAMPLES
 
@@ -136,17 +136,21 @@ def _find_resets(time: Array, any_order: bool) -> list[int]:
     if not len(backward):
         return []
     step = usual_step(time)
-    latest = np.maximum.accumulate(time)[backward - 1]
-    every = np.sort(time)
     # What jitters goes back often, but not far.
     jitter = float(np.median(np.abs(time - median_filter(time, _WINDOW, mode="nearest"))))
+    latest = maximum_filter1d(time, _WINDOW, origin=_WINDOW // 2)[backward - 1]
+    every = np.sort(time)
     covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, time[backward], "left")
     back = latest - time[backward]
     again = (covered > 1.5 * (back / step + 1) + 1) & (back > _JITTER * jitter)
+    begins = np.concatenate([[0], backward])
+    lowest, highest = np.minimum.reduceat(time, begins), np.maximum.reduceat(time, begins)
     resets = []
-    last = 0
-    for cut, end, is_again in zip(backward, [*backward[1:], len(time)], again, strict=True):
-        if is_again or (not any_order and time[cut:end].max() < time[last:cut].min()):
+    low = float(lowest[0])
+    for cut, is_again, least, most in zip(backward, again, lowest[1:], highest[1:], strict=True):
+        if is_again or (not any_order and most < low):
             resets.append(int(cut))
-            last = int(cut)
+            low = float(least)
+        else:
+            low = min(low, float(least))
     return resets
