@@ -20,6 +20,8 @@ _FAR_END = 100.0
 """Distance of the first or last times from all others, relative to how long these last, from which they are wrong."""
 _JITTER = 20.0
 """Jump back in terms of the median deviation of a time from where it belongs, from which the clock was set back."""
+_LATE = 20
+"""Samples in a row that may have been written late, and are no pass of their own."""
 MOST_REPEATS = 0.05
 """Share of times that repeat another one, above which a clock is too coarse to tell the times of the samples."""
 
@@ -127,7 +129,9 @@ def _find_wrong(time: Array, receipt: Array | None, unset: float) -> NDArray[np.
     inner = float(np.ptp(time[side:-side]))
     at_end = np.ones(len(time), bool)
     at_end[side:-side] = False
-    return np.asarray(wrong | (at_end & (distance > _FAR * step) & ((distance > _FAR_END * inner) | (time == unset))))
+    gaps = np.abs(np.diff(time))
+    alone = np.minimum(np.append(gaps, np.inf), np.insert(gaps, 0, np.inf)) > _FAR * step
+    return np.asarray(wrong | (at_end & ((distance > _FAR_END * inner) | (alone & (time == unset)))))
 
 
 def _find_resets(time: Array, any_order: bool) -> list[int]:
@@ -139,12 +143,14 @@ def _find_resets(time: Array, any_order: bool) -> list[int]:
     # What jitters goes back often, but not far.
     jitter = float(np.median(np.abs(time - median_filter(time, _WINDOW, mode="nearest"))))
     latest = maximum_filter1d(time, _WINDOW, origin=_WINDOW // 2)[backward - 1]
-    every = np.sort(time)
-    covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, time[backward], "left")
-    back = latest - time[backward]
-    again = (covered > 1.5 * (back / step + 1) + 1) & (back > _JITTER * jitter)
     begins = np.concatenate([[0], backward])
     lowest, highest = np.minimum.reduceat(time, begins), np.maximum.reduceat(time, begins)
+    # Where two passes cover the same time, it has twice as many samples.
+    every, lower = np.sort(time), np.maximum(time[backward], lowest[:-1])
+    covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, lower, "left")
+    again = (covered > 1.5 * ((latest - lower) / step + 1) + 1) & (latest - time[backward] > _JITTER * jitter)
+    if not any_order:  # a part that was written late goes on after what is there already
+        again |= (highest[1:] < latest) & (np.diff(begins, append=len(time))[1:] > _LATE)
     resets = []
     low = float(lowest[0])
     for cut, is_again, least, most in zip(backward, again, lowest[1:], highest[1:], strict=True):
