@@ -129,8 +129,10 @@ def _find_wrong(time: Array, receipt: Array | None, unset: float) -> NDArray[np.
     inner = float(np.ptp(time[side:-side]))
     at_end = np.ones(len(time), bool)
     at_end[side:-side] = False
-    gaps = np.abs(np.diff(time))
-    alone = np.minimum(np.append(gaps, np.inf), np.insert(gaps, 0, np.inf)) > _FAR * step
+    kept = np.flatnonzero(~wrong)
+    gaps = np.abs(np.diff(time[kept]))
+    alone = np.zeros(len(time), bool)
+    alone[kept] = np.minimum(np.append(gaps, np.inf), np.insert(gaps, 0, np.inf)) > _FAR * step
     return np.asarray(wrong | (at_end & ((distance > _FAR_END * inner) | (alone & (time == unset)))))
 
 
