@@ -46,6 +46,10 @@ def write_files(folder: Path) -> None:
     (folder / "rig.txt").write_text(head + rows(1e3 * time, 1e3 * position, 1e-3 * force), encoding="cp1252")
     time, position, force = series(1, 0.0)
     (folder / "channels.txt").write_text("Zeit;Kanal 1;Kanal 2\n" + rows(time, 1e3 * position, force / 200))
+    time, position, force = series(3, 0.0)
+    for number, values in ((1, 1e3 * position), (2, force)):
+        lines = (f"{t:.6f},{value:.6f}\n" for t, value in zip(time, values, strict=True))
+        (folder / f"scope_CH{number}.csv").write_text(f"Model,TBS1000\nTIME,CH{number}\n" + "".join(lines))
     time, position, force = series(2, 0.2)
     types = STORE.types
     kinds = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped", "std_msgs/msg/Float64")
@@ -84,7 +88,7 @@ def run(monkeypatch, capsys, tmp_path):
 
 def test_files_of_other_programs_are_imported_and_fitted_as_the_page_says(run, tmp_path):
     imports = [line for line in COMMANDS if line.startswith(("mrd import", "mrd info"))]
-    assert len(imports) == 5
+    assert len(imports) == 6
     printed = "".join(run(line) for line in imports)
     shown = re.search(r"\n    bags/rig: .*?\n\n", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
     for line in shown.split("\n"):

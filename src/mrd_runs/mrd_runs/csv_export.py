@@ -1,6 +1,6 @@
 """Exporting: the samples of a recording, and what was commanded meanwhile, become CSV files."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ _COLUMNS = {
 }
 
 
-def export_csv(source: Path, target: Path) -> dict[Path, int]:
+def export_csv(source: Path, target: Path, tell: Callable[[str], object] = lambda _: None) -> dict[Path, int]:
     """Write the samples of a recording as a CSV file, and its setpoints and servo states into files beside it.
 
     `read_run` reads the samples again bit by bit. The other files have their own rows, on the same time.
@@ -37,6 +37,8 @@ def export_csv(source: Path, target: Path) -> dict[Path, int]:
         A recording in any format.
     target : Path
         The CSV file; those beside it are called ``NAME.setpoint.csv`` and ``NAME.servo_state.csv``.
+    tell : callable, optional
+        Takes a line about what a CSV file cannot say.
 
     Returns
     -------
@@ -50,6 +52,8 @@ def export_csv(source: Path, target: Path) -> dict[Path, int]:
     """
     kind = file_format(source)
     recording = kind.read(source)
+    if "clocks" in recording.info:
+        tell(f"{target}: does not say that the clocks of its channels are not known to agree; the bag does")
     tables = {target: recording.columns}
     if kind is BAG:
         bag = read_bag(source, set(_OTHER_TOPICS))

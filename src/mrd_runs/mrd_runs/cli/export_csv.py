@@ -1,6 +1,8 @@
 """Write the samples of a bag as a CSV file, and its setpoints and servo states into files beside it."""
 
 import argparse
+import sys
+from functools import partial
 from pathlib import Path
 
 from mrd_base import run_tool
@@ -17,5 +19,6 @@ def main() -> None:
 
 def _export(bag: Path, output: Path | None) -> None:
     name = bag.resolve().name if bag.is_dir() else bag.stem
-    for path, rows in export_csv(bag, output or bag.resolve().parent / f"{name}.csv").items():
+    target = output or bag.resolve().parent / f"{name}.csv"
+    for path, rows in export_csv(bag, target, partial(print, file=sys.stderr)).items():
         print(f"{path}: {rows} rows")

@@ -101,15 +101,18 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__,
-        epilog="Delimiter, decimal sign, lines above the table, names and units of columns are found where the "
-        "file tells them; else the answer is a mapping to start from. docs/own_data.md explains more.",
+        epilog="Delimiter, decimal sign, lines above the table, names and units of columns are found where the file tells "
+        "them; else the answer is a mapping to start from, which was tried. Channels keep their own times until these have "
+        "been compared; then they are put onto one time, or refused, and one line says what was done. A clock that was set "
+        "back makes a bag of each pass. docs/own_data.md explains more.",
     )
     parser.add_argument(
         "files",
         nargs="+",
         type=Path,
         metavar="FILE",
-        help="text of any dialect, .xlsx, .mat, .h5, .tdms; a bag folder, .mcap or .db3",
+        help="text of any dialect, .xlsx, .mat, .h5, .tdms; a bag folder, .mcap or .db3; a folder or pattern of these; "
+        "files of one channel each are one recording",
     )
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder for the bags")
     parser.add_argument(

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, median_filter
+from scipy.ndimage import binary_dilation, maximum_filter1d, median_filter
 
 from mrd_runs.validation import FEWEST_SAMPLES
 
@@ -20,6 +20,8 @@ _FAR_END = 100.0
 """Distance of the first or last times from all others, relative to how long these last, from which they are wrong."""
 _JITTER = 20.0
 """Jump back in terms of the median deviation of a time from where it belongs, from which the clock was set back."""
+_LATE = 20
+"""Samples in a row that may have been written late, and are no pass of their own."""
 MOST_REPEATS = 0.05
 """Share of times that repeat another one, above which a clock is too coarse to tell the times of the samples."""
 
@@ -127,7 +129,11 @@ def _find_wrong(time: Array, receipt: Array | None, unset: float) -> NDArray[np.
     inner = float(np.ptp(time[side:-side]))
     at_end = np.ones(len(time), bool)
     at_end[side:-side] = False
-    return np.asarray(wrong | (at_end & (distance > _FAR * step) & ((distance > _FAR_END * inner) | (time == unset))))
+    kept = np.flatnonzero(~wrong)
+    gaps = np.abs(np.diff(time[kept]))
+    alone = np.zeros(len(time), bool)
+    alone[kept] = np.minimum(np.append(gaps, np.inf), np.insert(gaps, 0, np.inf)) > _FAR * step
+    return np.asarray(wrong | (at_end & ((distance > _FAR_END * inner) | (alone & (time == unset)))))
 
 
 def _find_resets(time: Array, any_order: bool) -> list[int]:
@@ -136,17 +142,23 @@ def _find_resets(time: Array, any_order: bool) -> list[int]:
     if not len(backward):
         return []
     step = usual_step(time)
-    latest = np.maximum.accumulate(time)[backward - 1]
-    every = np.sort(time)
     # What jitters goes back often, but not far.
     jitter = float(np.median(np.abs(time - median_filter(time, _WINDOW, mode="nearest"))))
-    covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, time[backward], "left")
-    back = latest - time[backward]
-    again = (covered > 1.5 * (back / step + 1) + 1) & (back > _JITTER * jitter)
+    latest = maximum_filter1d(time, _WINDOW, origin=_WINDOW // 2)[backward - 1]
+    begins = np.concatenate([[0], backward])
+    lowest, highest = np.minimum.reduceat(time, begins), np.maximum.reduceat(time, begins)
+    # Where two passes cover the same time, it has twice as many samples.
+    every, lower = np.sort(time), np.maximum(time[backward], lowest[:-1])
+    covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, lower, "left")
+    again = (covered > 1.5 * ((latest - lower) / step + 1) + 1) & (latest - time[backward] > _JITTER * jitter)
+    if not any_order:  # a part that was written late goes on after what is there already
+        again |= (highest[1:] < latest) & (np.diff(begins, append=len(time))[1:] > _LATE)
     resets = []
-    last = 0
-    for cut, end, is_again in zip(backward, [*backward[1:], len(time)], again, strict=True):
-        if is_again or (not any_order and time[cut:end].max() < time[last:cut].min()):
+    low = float(lowest[0])
+    for cut, is_again, least, most in zip(backward, again, lowest[1:], highest[1:], strict=True):
+        if is_again or (not any_order and most < low):
             resets.append(int(cut))
-            last = int(cut)
+            low = float(least)
+        else:
+            low = min(low, float(least))
     return resets
