@@ -263,8 +263,9 @@ class Weighting:
 
     def updated(self, model: DamperModel, theta: Array, coefficients: Array | None = None) -> "Weighting":
         """Return the weighting with the starts of the runs and the discrepancy of another best model and its remainder."""
-        known = coefficients is not None and len(self.remainder) > 0
-        added = [of_run @ coefficients for of_run in self.remainder] if known else [0.0] * len(self.recordings)
+        added: list[Array | float] = [0.0] * len(self.recordings)
+        if coefficients is not None and self.remainder:
+            added = [of_run @ coefficients for of_run in self.remainder]
         plain = replace(self, recordings=[replace(r, other_starts=None) for r in self.recordings])
         first = plain._with_discrepancy(model, theta, added)
         recordings = estimate_starts(

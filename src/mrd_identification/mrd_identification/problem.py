@@ -191,10 +191,10 @@ class Problem:
     @cached_property
     def _constant_current(self) -> Array:
         """Coil current in A at every counted sample, where each run has a constant one; otherwise empty."""
-        currents = [recording.path.current for recording in self.recordings]
+        currents = [recording.path.recorded.current for recording in self.recordings]
         if any(np.ptp(current) > CONSTANT * np.abs(current).max() for current in currents):
             return np.empty(0)
-        return np.concatenate([np.full(len(r.force), r.path.current[0]) for r in self.recordings])
+        return np.concatenate([np.full(len(r.force), r.path.recorded.current[0]) for r in self.recordings])
 
     @cached_property
     def _values_of_slopes(self) -> dict[int, int]:

@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording
 from mrd_runs.signals.motion import Motion
-from mrd_sim.lead_in import APPROACH, MAY_MOVE, SURELY_MOVES, LeadIn, moving_lead_in, resting_lead_in
+from mrd_sim.lead_in import APPROACH, MAY_MOVE, SURELY_MOVES, LeadIn, moving_lead_in, resting_lead_in, still_lead_in
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -116,7 +116,29 @@ def _most_likely(
             best = modelled(lead_in)
     # The differences from coarse candidates, which are far enough apart to span what a little more or less would change.
     others = np.stack([candidates[i] - best for i in order[1 : 1 + NEIGHBOURS]], axis=1)
+    if model.remembers_current and not recording.without_effects:
+        lead_in, best, others = _magnetised(lead_in, best, others, recording, modelled, cost)
     return replace(recording, path=recording.path.led_in(lead_in), other_starts=others)
+
+
+def _magnetised(
+    lead_in: LeadIn | None,
+    best: Array,
+    others: Array,
+    recording: Recording,
+    modelled: Callable[[LeadIn | None], Array],
+    cost: Callable[[Array], float],
+) -> tuple[LeadIn | None, Array, Array]:
+    """Return the lead-in with the most likely current before, its force, and what other starts would change.
+
+    A larger or a smaller current than the first one may have flowed before, or what the run before has left is there still.
+    """
+    largest = float(np.abs(recording.path.recorded.current).max())
+    magnetised = [replace(lead_in or still_lead_in(), current=current) for current in (largest, -largest)]
+    lead_ins, forces = [lead_in, *magnetised], [best, *map(modelled, magnetised)]
+    chosen = int(np.argmin([cost(force) for force in forces]))
+    changes = [force - forces[chosen] for place, force in enumerate(forces) if place != chosen]
+    return lead_ins[chosen], forces[chosen], np.column_stack([others, *changes])
 
 
 def _families(motion: Motion, stroke: float) -> list[Family]:

@@ -93,13 +93,14 @@ class Run:
             raise InputError(f"{self.name}: skip is {seconds:g} s, expected from 0 to less than its {self.duration:.3g} s")
         first = int(np.searchsorted(self.time, self.time[0] + seconds))
 
-        def rest(series: Array | None) -> Array | None:
-            return None if series is None else series[first:]
-
-        names = ("position", "velocity", "current", "force", "acceleration", "temperature")
         return replace(
             self,
             time=self.time[first:] - self.time[first],
-            **{name: rest(getattr(self, name)) for name in names},
+            position=self.position[first:],
+            velocity=self.velocity[first:],
+            current=self.current[first:],
+            force=self.force[first:],
+            acceleration=None if self.acceleration is None else self.acceleration[first:],
+            temperature=None if self.temperature is None else self.temperature[first:],
             info={**self.info, "skipped_s": seconds},
         )

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_runs.signals.current import current_noise, steady_current
+from mrd_runs.signals.current import current_noise, draw_current_noise, noise_correlation, steady_current
 
 RATE = 500
 T = np.arange(7500) / RATE
@@ -93,3 +93,19 @@ def test_noise_is_estimated_in_spite_of_steps(sigma: float, size: float, seed: i
 def test_short_series(count: int) -> None:
     current = np.random.default_rng(3).normal(0.5, 0.01, count)
     assert steady_current(current).shape == (count,)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("frequency", [0.0, 0.5])
+def test_noise_behind_a_filter_is_seen_and_removed_like_white_noise(share: float, frequency: float) -> None:
+    rng, n = np.random.default_rng(7), 8000
+    white = rng.normal(0.0, SIGMA, n + 1)
+    noise = (white[1:] + share * white[:-1]) / np.sqrt(1.0 + share**2)
+    true = 0.3 + 0.1 * np.sin(2 * np.pi * frequency * np.arange(n) / 500.0)
+    assert noise_correlation(true + noise) == pytest.approx(share / (1.0 + share**2), abs=0.05)
+    assert current_noise(true + noise) == pytest.approx(SIGMA, rel=0.08)
+    if not frequency:
+        assert np.std(steady_current(true + noise) - true) < 0.12 * SIGMA
+    drawn = draw_current_noise(true + noise, rng, 3)
+    assert np.std(drawn) == pytest.approx(SIGMA, rel=0.08)
+    assert np.mean(drawn[:, 1:] * drawn[:, :-1]) / np.var(drawn) == pytest.approx(share / (1.0 + share**2), abs=0.06)

@@ -41,12 +41,15 @@ class LeadIn:
         m from the position of the first sample.
     velocity, acceleration : ndarray (m,)
         m/s, m/s².
+    current : float
+        A at the first vertex beyond that of the first sample, which flows from the second vertex on. It magnetises.
     """
 
     before: Array
     position: Array
     velocity: Array
     acceleration: Array
+    current: float = 0.0
 
 
 def usual_lead_in(motion: Motion) -> LeadIn | None:
@@ -56,6 +59,12 @@ def usual_lead_in(motion: Motion) -> LeadIn | None:
         return None
     approach = APPROACH * float(np.ptp(motion.position))
     return moving_lead_in(speed, approach, approach)
+
+
+def still_lead_in() -> LeadIn:
+    """Return a lead-in without motion: the damper begins at rest and unloaded."""
+    still = np.zeros(2)
+    return LeadIn(np.array([2.0 * REST, REST]), still, still, still)
 
 
 def moving_lead_in(velocity: float, reach: float, approach: float) -> LeadIn:
@@ -104,7 +113,8 @@ def resting_lead_in(reach: float, approach: float, speed: float) -> LeadIn:
     first = _move(-direction * approach, approach, speed, -direction * abs(reach), last[0][0] if reach else REST)
     still = np.zeros_like(rest)
     pieces = [first, *([last] if reach else []), (rest, still, still, still)]
-    return LeadIn(*(np.concatenate(series) for series in zip(*pieces, strict=True)))
+    before, position, velocity, acceleration = (np.concatenate(series) for series in zip(*pieces, strict=True))
+    return LeadIn(before, position, velocity, acceleration)
 
 
 def _move(travel: float, approach: float, speed: float, end: float, before: float) -> tuple[Array, Array, Array, Array]:

@@ -81,13 +81,15 @@ class Path:
             return bare
         before = lead_in.before
 
+        current = np.concatenate([np.full(len(before), bare.current[0]), bare.current])
+        current[0] += lead_in.current
         return replace(
             bare,
             dt=np.concatenate([[0.0], -np.diff(before, append=0.0), bare.dt[1:]]),
             position=np.concatenate([bare.position[0] + lead_in.position, bare.position]),
             velocity=np.concatenate([lead_in.velocity, bare.velocity]),
             acceleration=np.concatenate([lead_in.acceleration, bare.acceleration]),
-            current=np.concatenate([np.full(len(before), bare.current[0]), bare.current]),
+            current=current,
             samples=bare.samples + len(before),
             lead_in=lead_in,
             _bare=bare,

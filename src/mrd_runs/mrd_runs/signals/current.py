@@ -6,6 +6,7 @@ them, ramps, or slow waves. Each sample is therefore estimated by a constant, a 
 noise, the one with the least variance of the estimate is taken. Next to a step, this window lies on one side of it.
 """
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -76,13 +77,14 @@ def current_noise(current: Array) -> float:
     if len(current) < len(_FOURTH_DIFFERENCE):
         return 0.0
     fourth = np.convolve(current, _FOURTH_DIFFERENCE, "valid")
-    noise = normal_deviation(fourth) / np.sqrt(70.0 - 112.0 * noise_correlation(current))
+    correlation = noise_correlation(current)
+    noise = normal_deviation(fourth) / math.sqrt(70.0 - 112.0 * correlation)
     changes = np.abs(np.diff(current))
     # At least a quarter of the changes are assumed to be noise.
     deviation = float(np.quantile(changes, 0.25))
     for _ in range(10 if deviation > 0.0 else 0):
         deviation = normal_deviation(changes[changes <= 4.0 * deviation])
-    return min(noise, deviation / np.sqrt(2.0 - 2.0 * noise_correlation(current))) if deviation > 0.0 else noise
+    return min(noise, deviation / math.sqrt(2.0 - 2.0 * correlation)) if deviation > 0.0 else noise
 
 
 def normal_deviation(values: Array) -> float:

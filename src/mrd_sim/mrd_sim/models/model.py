@@ -265,6 +265,11 @@ class DamperModel:
                 following[part] = state[part]
         return following
 
+    @cached_property
+    def remembers_current(self) -> bool:
+        """Whether effects remember a current that has flowed before a run."""
+        return any(effect.stage == "magnetics" and effect.outlasts_run for effect in self.effects)
+
     def without_effects(self, theta: Array) -> Array:
         """Return parameters (parameters,) with which the effects change nothing."""
         own = len(self._model_parameters)
@@ -376,13 +381,14 @@ class DamperModel:
     def _act(self, stages: Sequence[Stage], theta: Array, path: Path, signals: tuple[Array, ...], state: Array) -> None:
         """Let the effects of some stages change the signals in place.
 
-        What outlasts runs or counts from the first sample, such as heat or a hum, does not act in a lead-in.
+        What outlasts runs or counts from the first sample, such as heat or a hum, does not act in a lead-in; but remanence
+        does, because a lead-in has the current of the first sample or another that magnetises.
         """
         for stage in stages:
             for effect, states in zip(self.effects, self.effect_states, strict=True):
                 if effect.stage == stage and effect.kernel is not None:
                     (parameters,) = self._effect_parameters([effect])
-                    if path.lead and (effect.outlasts_run or effect.begin):
+                    if path.lead and stage != "magnetics" and (effect.outlasts_run or effect.begin):
                         acting = (path.recorded.dt, *(series[path.lead :] for series in signals))
                     else:
                         acting = path.dt, *signals
