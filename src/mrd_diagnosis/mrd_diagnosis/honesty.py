@@ -132,8 +132,10 @@ def _may_be_absent(claim: Claim) -> bool:
 
 
 def _closes_little(claim: Claim) -> bool:
+    # What holds beside a wrong form may be small beside it: it is a cause, though no headline.
     closed = claim.closed_fraction.value
-    return closed < THRESHOLDS.notable_alternative_model * (max(closed, 0.0) + claim.open_fraction)
+    least = 0.0 if claim.chosen else THRESHOLDS.notable_alternative_model * (max(closed, 0.0) + claim.open_fraction)
+    return closed <= least
 
 
 RULES = (

@@ -172,10 +172,11 @@ def limited_effects(diagnosis: Diagnosis) -> list[Rejected]:
 def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     """Return the verdict that names causes although they do not explain the whole gap, and describes the rest."""
     form = share_of_form(gap)
-    form_first = form > MOST
-    model = notable_model(diagnosis)
+    form_first, model = form > MOST, notable_model(diagnosis)
     sentences = [_form_headline(form), *([_model_to_try(model)] if model else [])] if form_first else []
-    beside = "Beside that, " if form_first else ""
+    if not form_first and gap.closed_fraction.value < THRESHOLDS.least_share_first:
+        sentences = [f"Most of the {_gap_name(diagnosis)} ({format_share(open_share(gap))}) is not explained."]
+    beside = "Beside that, " if sentences else ""
     clauses = _clauses(diagnosis.causes)
     sentences.append(
         f"{beside}{clauses if beside else capitalised(clauses)} ({_certainty(diagnosis)}).{_removal(diagnosis, gap)}"
