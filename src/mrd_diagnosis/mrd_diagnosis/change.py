@@ -31,7 +31,7 @@ Progress = Callable[[float], None]
 FOURIER_FEATURES = 120
 """Random Fourier features in the common remainder."""
 
-RUN_SCATTER = RunScatter(1e-3, 2.5e-4)
+RUN_SCATTER = RunScatter(1e-3, 2e-4)
 """Scatter of the runs that is taken from their errors: a change may be one of gain or offset, so hardly any; the offset is
 a share of half the span of the force."""
 

@@ -21,7 +21,7 @@ from mrd_runs.scales import scales_of
 
 Array = NDArray[np.float64]
 
-NO_DIFFERENCE = {"stroke": 0.005, "speed": 0.01, "current": 0.04}
+NO_DIFFERENCE = {"stroke": 0.005, "speed": 0.01, "current": 0.03}
 """Differences, in the scales of the recordings, that do not count as extrapolation."""
 
 LEAST_RUNS_TO_RESAMPLE = 4

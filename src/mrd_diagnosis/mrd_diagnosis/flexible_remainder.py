@@ -32,7 +32,7 @@ TRAVELS = (0.005, 0.025, 0.1, 0.5)
 TIMES = (3e-3, 12e-3, 50e-3)
 """Times in s, those of coils, particles and amplifiers, over which the memories of current and force fade."""
 
-CURRENTS = (0.2, 0.8)
+CURRENTS = (0.15, 0.6)
 """Changes of current, over the largest one, over which the memory of the current's direction fades."""
 
 SLOW = 0.1

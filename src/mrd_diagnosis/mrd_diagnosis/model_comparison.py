@@ -18,7 +18,7 @@ from mrd_sim.effects import EFFECTS
 MOST_ALTERNATIVES = 4
 """Effects that are fitted in the place of each cause, besides those that look like it."""
 
-LEAST_RUN_SCATTER, LARGEST_RUN_SCATTER = RunScatter(1e-3, 1.25e-4), RunScatter(0.04, 0.025)
+LEAST_RUN_SCATTER, LARGEST_RUN_SCATTER = RunScatter(1e-3, 1e-4), RunScatter(0.04, 0.02)
 """Least scatter of the runs of any bench, and the largest that is still attributed to the bench and not to physics; offsets
 are shares of half the span of the force."""
 

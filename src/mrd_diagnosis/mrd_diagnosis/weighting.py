@@ -46,7 +46,7 @@ class RunScatter:
 
 def usual_run_scatter(scales: Scales) -> RunScatter:
     """Return the scatter of the runs of one bench that is assumed before it is estimated."""
-    return RunScatter(0.01, 0.0025 * scales.force)
+    return RunScatter(0.01, 0.002 * scales.force)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def test_kilonewtons_are_named(tool, recorded, tmp_path):
     write_csv(replace(run, force=1e-3 * run.force), str(tmp_path / "kilo.csv"))
     code, _, error = tool(identify, str(tmp_path / "kilo.csv"), "--model", "bingham")
     assert code == 0
-    assert "limitation: the force spans at most " in error
+    assert "limitation: force: the force spans at most " in error
     assert "If it is in kN or V, convert it to N" in error
 
 

@@ -77,7 +77,7 @@ class Scales:
         return float(np.prod([ratio**power for ratio, power in zip(ratios, exponents(unit), strict=True)]))
 
 
-REFERENCE = Scales(force=800.0, stroke=0.02, speed=0.1, current=0.5)
+REFERENCE = Scales(force=1200.0, stroke=0.02, speed=0.1, current=1.0)
 """Scales of the reference damper, for which ranges and start values are stated: a LORD RD-8040-1 in usual recordings."""
 
 

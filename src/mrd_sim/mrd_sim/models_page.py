@@ -125,7 +125,7 @@ may be given another (`identify RUN... --law LAW` for all, `--law COEFFICIENT=LA
 $laws
 
 p0 is the value at 0 A and p1 the slope there, whatever the law. A coefficient in which the force is not linear stays at
-its lower bound where its law would take it below.
+the least value that any damper may have where its law would take it below.
 
 {RANGES}$sections
 ## Your own

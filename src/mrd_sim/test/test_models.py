@@ -490,7 +490,7 @@ def test_wrong_names_and_values_are_one_line():
         find_model("bouc_wenn")
     with pytest.raises(InputError, match="unknown parameter alpha"):
         find_model("bouc_wen").vector({"alpha": 1.0})
-    with pytest.raises(InputError, match=r"yield_force is -5 N, expected 0 to 3.75e"):
+    with pytest.raises(InputError, match=r"yield_force is -5 N, expected 0 to 2.5e"):
         find_model("bouc_wen").vector({"yield_force": -5.0})
     with pytest.raises(InputError, match=r"exponent is 0\.5, expected 1 to 5"):
         find_model("bouc_wen").vector({"exponent": 0.5})

@@ -10,8 +10,8 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("drift", "N/s", 0.0, -0.2, 0.2, "change d of the zero over time"),
-    Parameter("offset", "N", 0.0, -50.0, 50.0, "zero b at the start of the first recording"),
+    Parameter("drift", "N/s", 0.0, -0.6, 0.6, "change d of the zero over time"),
+    Parameter("offset", "N", 0.0, -150.0, 150.0, "zero b at the start of the first recording"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 

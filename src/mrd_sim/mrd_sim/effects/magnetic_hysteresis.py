@@ -11,7 +11,7 @@ _WIDEST = (0.113, 0.382, 0.742, 1.289, 2.474)
 _DOMAINS = len(_WIDEST)
 
 PARAMETERS = (
-    Parameter("half_width", "A", 0.0, 0.0, 0.12, "half width r of the loop over current"),
+    Parameter("half_width", "A", 0.0, 0.0, 0.4, "half width r of the loop over current"),
     Parameter("spread", "", 0.5, 0.0, 1.0, "relative spread of the domains' widths, s: how round the loop is"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)

@@ -9,7 +9,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("coulomb", "N", 0.0, 0.0, 120.0, "friction at high speed, F_c"),
+    Parameter("coulomb", "N", 0.0, 0.0, 400.0, "friction at high speed, F_c"),
     Parameter("stiction", "", 0.3, 0.0, 1.5, "relative excess at rest, s = F_s / F_c - 1"),
     Parameter("stribeck_speed", "m/s", 3e-3, 5e-4, 2e-2, "speed over which the excess vanishes, v_s", log=True),
     Parameter("presliding", "m", 3e-5, 5e-6, 2e-4, "travel over which the seal gives before it slides, x_p", log=True),

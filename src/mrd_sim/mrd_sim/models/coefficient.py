@@ -27,7 +27,7 @@ class Coefficient:
     multiplies : str
         What it multiplies, where the force is linear in it: position ``x``, velocity ``v``, one ``1``, or ``term``, a term
         that only the kernel knows. Empty for a coefficient in which the force is not linear; whatever its law, such a
-        coefficient never falls below ``lower``.
+        coefficient never falls below the least value that any damper may have.
     absolute : str
         See `Parameter`.
     law : str

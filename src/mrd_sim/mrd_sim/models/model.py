@@ -160,8 +160,12 @@ class DamperModel:
     @cached_property
     def _model_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the model without effects; the coil lag is the last."""
-        declared = (*(p for coefficient in self.coefficients for p in coefficient.parameters()), COIL_LAG)
-        return tuple(parameter.scaled(self.scales) for parameter in declared)
+        return tuple(parameter.scaled(self.scales) for parameter in self._declared)
+
+    @cached_property
+    def _declared(self) -> tuple[Parameter, ...]:
+        """The same parameters with the ranges of the reference damper."""
+        return (*(p for coefficient in self.coefficients for p in coefficient.parameters()), COIL_LAG)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -191,10 +195,10 @@ class DamperModel:
 
     @cached_property
     def floors(self) -> Array:
-        """Least value of each coefficient on the vertices."""
+        """Least value of each coefficient on the vertices, the same for dampers of all scales."""
         return np.array(
             [
-                NO_FLOOR if coefficient.multiplies else self._model_parameters[column].lower
+                NO_FLOOR if coefficient.multiplies else self._declared[column].limits[0]
                 for coefficient, column in zip(self.coefficients, self.law_columns[:, 0], strict=True)
             ]
         )

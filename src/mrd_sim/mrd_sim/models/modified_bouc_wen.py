@@ -41,7 +41,7 @@ COEFFICIENTS = (
     EXPONENT,
     Coefficient("viscous", "c0", "N s/m", "viscous coefficient at high speed", 1500.0, 0.0, 2e4, (3000.0, 0.0, 2e4)),
     Coefficient(
-        "series_viscous", "c1", "N s/m", "dashpot in series, roll-off at low speed", 3e4, 1e3, 3e5, (6e4, 0.0, 4e5), log=True
+        "series_viscous", "c1", "N s/m", "dashpot in series, roll-off at low speed", 3e4, 3e2, 6e5, (6e4, 0.0, 8e5), log=True
     ),
     Coefficient("stiffness", "k0", "N/m", "stiffness in parallel with the element", 500.0, 0.0, 1e4),
     replace(STIFFNESS, name="accumulator_stiffness", symbol="k1", meaning="stiffness of the accumulator", default=1000.0),

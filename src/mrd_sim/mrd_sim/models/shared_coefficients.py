@@ -6,7 +6,7 @@ from mrd_sim.models.coefficient import Coefficient
 
 YIELD_FORCE = Coefficient("yield_force", "F_y", "N", "yield force alpha z0", 80.0, 0.0, 1500.0, (900.0, 0.0, 3000.0))
 YIELD_TRAVEL = Coefficient(
-    "yield_travel", "x_y", "m", "travel to yield 1/rho = z0/A", 125e-6, 2e-6, 2e-3, (0.0, 0.0, 2e-3), log=True
+    "yield_travel", "x_y", "m", "travel to yield 1/rho = z0/A", 125e-6, 2e-6, 4e-3, (0.0, 0.0, 4e-3), log=True
 )
 SHAPE = Coefficient("shape", "sigma", "", "gamma / (beta + gamma), gamma multiplying |x'|", 0.8, 0.5, 1.5)
 EXPONENT = Coefficient("exponent", "n", "", "sharpness of the transition", 2.0, 1.0, 5.0, free=False)
