@@ -63,16 +63,13 @@ class Scales:
         return self.stroke / self.speed
 
     def factor(self, unit: str) -> float:
-        """Return by how much a quantity of this SI unit is larger here than with the reference damper.
-
-        Times only grow: a recording of slow motions shows slow processes, but a damper that is moved fast has those as well.
-        """
+        """Return by how much a quantity of this SI unit is larger here than with the reference damper."""
         reference = REFERENCE
         ratios = (
             self.force / reference.force,
             self.stroke / reference.stroke,
             self.current / reference.current,
-            max(1.0, self.time / reference.time),
+            self.time / reference.time,
         )
         return float(np.prod([ratio**power for ratio, power in zip(ratios, exponents(unit), strict=True)]))
 
@@ -84,8 +81,8 @@ REFERENCE = Scales(force=1200.0, stroke=0.02, speed=0.1, current=1.0)
 SMALLEST = Scales(force=1.0, stroke=2e-4, speed=1e-3, current=5e-3)
 LARGEST = Scales(force=2e6, stroke=1.0, speed=10.0, current=50.0)
 """Scales beyond those of any damper on a bench."""
-SLOWEST = 1e3
-"""Times of the slowest recordings over those of the reference damper."""
+FASTEST, SLOWEST = 1e-3, 1e3
+"""Times of the fastest and of the slowest recordings over those of the reference damper."""
 
 
 def extremes(unit: str) -> tuple[float, float]:
@@ -95,7 +92,7 @@ def extremes(unit: str) -> tuple[float, float]:
         (getattr(SMALLEST, name) / getattr(REFERENCE, name), getattr(LARGEST, name) / getattr(REFERENCE, name))
         for name in _NAMES[:3]
     ]
-    for (low, high), power in zip([*ends, (1.0, SLOWEST)], exponents(unit), strict=True):
+    for (low, high), power in zip([*ends, (FASTEST, SLOWEST)], exponents(unit), strict=True):
         least *= min(low**power, high**power)
         most *= max(low**power, high**power)
     return least, most
