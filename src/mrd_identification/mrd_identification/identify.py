@@ -35,6 +35,10 @@ Progress = Callable[[int, float], None]
 """Called with the number of finished generations, over all searches, and the smallest NRMSE so far. A selection of effects
 counts as `SELECTION_SEARCHES` searches."""
 
+ROUNDS, CONVERGED = 4, 0.98
+"""Rounds, at most, in which the starts of the runs and the parameters are fitted to each other, and the share of the cost that
+a round has to leave less of."""
+
 MOST_SELECTION_SAMPLES = 6000
 """Samples of all runs together that count in the selection of effects. Models are integrated along all samples even so."""
 
@@ -276,11 +280,16 @@ def assess(
     problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
     theta = best.theta
-    recordings = estimate_starts(problem.model, theta, recordings)
-    problem = replace(problem, recordings=recordings)
-    if method.least_squares:
-        # The searches knew the starts of the runs less well, and the scales of their losses differ.
-        theta, _ = fit_least_squares(problem, theta)
+    # The searches knew the starts of the runs less well, and the scales of their losses differ.
+    for _ in range(ROUNDS):
+        recordings = estimate_starts(problem.model, theta, recordings)
+        problem = replace(problem, recordings=recordings)
+        before = problem.cost(theta)
+        if not method.least_squares:
+            break
+        theta, cost = fit_least_squares(problem, theta)
+        if cost > CONVERGED * before:
+            break
     fitted = evaluate_model(problem.model, theta, recordings)
     if held_out:
         # In the order of recording, so that a state such as heat is carried over from the fitted runs.
