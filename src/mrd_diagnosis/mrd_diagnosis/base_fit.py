@@ -13,7 +13,7 @@ from mrd_diagnosis.weighting import Weighting, usual_run_scatter
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording
-from mrd_identification.run_start import estimate_starts
+from mrd_identification.run_start import fit_with_starts
 from mrd_sim.effects import find_effects
 from mrd_sim.models import DamperModel
 
@@ -87,8 +87,8 @@ def fit_base(
     fixed = {} if parameters is not None and parameters[model.names.index("coil_lag")] > 0.0 else {"coil_lag": 0.0}
     plain, notes = make_problem(model, recordings, fixed=fixed)
     theta = global_fit(plain, parameters, rng)
-    recordings = estimate_starts(model, theta, recordings)
-    theta, _ = fit_least_squares(replace(plain, recordings=recordings), theta)
+    plain, theta = fit_with_starts(plain, theta)
+    recordings = plain.recordings
     noise = estimate_noise(recordings, model, theta, rng)
     weighting = Weighting(recordings, noise, usual_run_scatter(model.scales), fixed).updated(model, theta)
     problem = weighting.problem(model, theta)

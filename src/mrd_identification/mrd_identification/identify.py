@@ -21,7 +21,7 @@ from mrd_identification.metrics import nrmse
 from mrd_identification.nsga2 import Front, search
 from mrd_identification.problem import Problem, make_problem
 from mrd_identification.recording import Recording, prepare_recording, run_weights
-from mrd_identification.run_start import estimate_starts
+from mrd_identification.run_start import estimate_starts, fit_with_starts
 from mrd_identification.uncertainty import Uncertainty, uncertainty
 from mrd_runs import Run
 from mrd_runs.scales import Scales, scales_of
@@ -34,10 +34,6 @@ Watch = Callable[[Array], None]
 Progress = Callable[[int, float], None]
 """Called with the number of finished generations, over all searches, and the smallest NRMSE so far. A selection of effects
 counts as `SELECTION_SEARCHES` searches."""
-
-ROUNDS, CONVERGED = 4, 0.98
-"""Rounds, at most, in which the starts of the runs and the parameters are fitted to each other, and the share of the cost that
-a round has to leave less of."""
 
 MOST_SELECTION_SAMPLES = 6000
 """Samples of all runs together that count in the selection of effects. Models are integrated along all samples even so."""
@@ -280,20 +276,16 @@ def assess(
     problem = with_loss_scale(problem, solutions[0].front)
     best = min(solutions, key=lambda solution: problem.cost(solution.theta))
     theta = best.theta
-    # The searches knew the starts of the runs less well, and the scales of their losses differ.
-    for _ in range(ROUNDS):
-        recordings = estimate_starts(problem.model, theta, recordings)
-        problem = replace(problem, recordings=recordings)
-        before = problem.cost(theta)
-        if not method.least_squares:
-            break
-        theta, cost = fit_least_squares(problem, theta)
-        if cost > CONVERGED * before:
-            break
+    if method.least_squares:
+        # The searches did not know the starts of the runs, and the scales of their losses differ.
+        problem, theta = fit_with_starts(problem, theta)
+        recordings = list(problem.recordings)
     fitted = evaluate_model(problem.model, theta, recordings)
     if held_out:
         # In the order of recording, so that a state such as heat is carried over from the fitted runs.
-        every = [*recordings, *map(prepare_recording, held_out)]
+        # Their starts do not depend on the fit, so that none of the possible ones misleads it.
+        others = [replace(r, path=r.path.led_in(None)) for r in map(prepare_recording, held_out)]
+        every = [*recordings, *others]
         every[len(recordings) :] = estimate_starts(problem.model, theta, every)[len(recordings) :]
         predicted, held_out_by = evaluate_model(problem.model, theta, every)[len(recordings) :], "runs"
     elif len(runs) > 1 and method.least_squares:

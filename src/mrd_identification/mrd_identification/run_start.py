@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.parallel import in_threads
+from mrd_identification.problem import Problem
 from mrd_identification.recording import Recording
 from mrd_runs.signals.motion import Motion
 from mrd_sim.lead_in import APPROACH, MAY_MOVE, SURELY_MOVES, LeadIn, moving_lead_in, resting_lead_in, still_lead_in
@@ -22,6 +24,9 @@ REACHES = APPROACH * 3.0 ** -np.arange(9.0)
 NEIGHBOURS = 2
 """Histories beside the most likely one, whose difference from it any fit may add to the modelled force."""
 
+ROUNDS, CONVERGED = 6, 0.99
+"""Most times that starts and parameters are fitted in turn, and the ratio of costs at which it ends."""
+
 Family = Callable[[float], LeadIn]
 
 
@@ -34,8 +39,8 @@ def estimate_starts(
 ) -> list[Recording]:
     """Return recordings with the lead-ins that make the measured forces most likely.
 
-    Histories of one kind are tried (`mrd_sim.lead_in`), and also none: at rest and unloaded, as a
-    simulation begins. What the next most likely ones would change is left in `Recording.other_starts`.
+    Histories of one kind are tried (`mrd_sim.lead_in`), and where the rod rests or there is none yet, also none: the damper
+    begins at rest and unloaded. What the next most likely ones would change is left in `Recording.other_starts`.
 
     Parameters
     ----------
@@ -57,6 +62,24 @@ def estimate_starts(
     return in_threads(
         lambda item: _most_likely(model, theta, *item, stroke), list(zip(recordings, states, forces, whiten, strict=True))
     )
+
+
+def fit_with_starts(problem: Problem, theta: Array) -> tuple[Problem, Array]:
+    """Fit the starts of the runs and the parameters (parameters,) in turn, from parameters found with usual starts.
+
+    A simulation may begin unloaded though the rod moves. If all runs do, that is found by a fit of its own: a wrong start
+    and wrong parameters can support each other.
+    """
+    unloaded = replace(problem, recordings=[replace(r, path=r.path.led_in(None)) for r in problem.recordings])
+    of_unloaded, least = fit_least_squares(unloaded, theta)
+    before = np.inf
+    for _ in range(ROUNDS):
+        problem = replace(problem, recordings=estimate_starts(problem.model, theta, problem.recordings))
+        theta, cost = fit_least_squares(problem, theta)
+        if cost > CONVERGED * before:
+            break
+        before = cost
+    return (unloaded, of_unloaded) if least < cost else (problem, theta)
 
 
 def _without_mean(errors: Array) -> Array:
@@ -96,7 +119,9 @@ def _most_likely(
 
     families = _families(recording.motion, stroke)
     tried = [(family, stroke * share) for family in families for share in REACHES]
-    lead_ins: list[LeadIn | None] = [*(family(reach) for family, reach in tried), None]
+    lead_ins: list[LeadIn | None] = [family(reach) for family, reach in tried]
+    if recording.path.lead_in is None or not _surely_moves(recording.motion):
+        lead_ins.append(None)
     candidates = [modelled(lead_in) for lead_in in lead_ins]
     costs = np.array([cost(candidate) for candidate in candidates])
     costs[~np.isfinite(costs)] = np.inf
@@ -141,13 +166,18 @@ def _magnetised(
     return lead_ins[chosen], forces[chosen], np.column_stack([others, *changes])
 
 
+def _surely_moves(motion: Motion) -> bool:
+    """Whether the rod moves at the first sample, beyond any error."""
+    return bool(abs(motion.velocity[0]) > SURELY_MOVES * np.abs(motion.velocity).max())
+
+
 def _families(motion: Motion, stroke: float) -> list[Family]:
     """Return the kinds of histories that may have led to the first sample of a motion, as functions of the reach in m."""
     first, largest = float(motion.velocity[0]), float(np.abs(motion.velocity).max())
     families: list[Family] = []
     if abs(first) > MAY_MOVE * largest:
         families.append(lambda reach: moving_lead_in(first, reach, APPROACH * stroke))
-    if abs(first) <= SURELY_MOVES * largest:
+    if not _surely_moves(motion):
         speed = float(np.sqrt(np.mean(motion.velocity**2)))
         families.append(lambda reach: resting_lead_in(reach, APPROACH * stroke, speed))
         families.append(lambda reach: resting_lead_in(-reach, APPROACH * stroke, speed))

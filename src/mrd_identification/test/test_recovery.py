@@ -520,7 +520,7 @@ def test_searches_that_ended_in_a_worse_optimum_are_counted():
         "1 of 3 searches from different seeds ended in a worse local optimum",
     )
     # The objectives of two nearly exact fits have a large ratio, which does not matter.
-    exact, _ = make_problem(model, [prepare_recording(simulate_experiment(model, best, 1))])
+    exact, _ = make_problem(model, [prepare_recording(with_noise(simulate_experiment(model, best, 1), 3e-4, 3))])
     near = best * (1 + 1e-6)
     assert exact.cost(near) > 1.02 * exact.cost(best)
     warnings = fit_warnings(exact, best, uncertainty(exact, best), [best, near], "runs")

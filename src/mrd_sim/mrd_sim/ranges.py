@@ -10,8 +10,8 @@ Bounds and start values are written here for the reference damper. Its recording
 ±{1e3 * REFERENCE.stroke:g} mm, with fast strokes of {REFERENCE.speed:g} m/s and up to {REFERENCE.current:g} A.
 In a fit and in a diagnosis, ranges grow with the scales of the recordings, as the last column says. A range that grows
 with `force / stroke` is a hundred times as wide for a damper of ±{0.1 * REFERENCE.force:g} kN on the same stroke.
-The time is that of half a stroke at the speed of fast strokes. A range that stays says why. A constant belongs to the equation and is never
-searched; it grows by powers of ten, so that fits of similar dampers can be compared.
+The time is that of half a stroke at the speed of fast strokes. A range that stays says why. A constant belongs to the
+equation and is never searched; it grows by powers of ten, so that fits of similar dampers can be compared.
 Values that you give, for example in a plant file, may lie outside of the ranges.
 
 """
