@@ -118,7 +118,7 @@ def test_known_parameters_are_recovered_with_noise(name):
             assert deviation < 0.05 * (estimate.parameter.upper - estimate.parameter.lower), estimate.parameter.name
 
 
-@pytest.mark.parametrize(("name", "seed"), [("sigmoid", 5), ("modified_bouc_wen", 3)])
+@pytest.mark.parametrize(("name", "seed"), [("hyperbolic_tangent", 7), ("modified_bouc_wen", 3)])
 def test_the_search_finds_the_optimum_that_least_squares_alone_misses(name, seed):
     model = MODELS[name]
     problem = unit_box(model)
