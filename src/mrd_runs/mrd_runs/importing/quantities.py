@@ -168,11 +168,6 @@ def is_time(column: Column) -> bool:
     return list(_candidates([column])) == ["time"]
 
 
-def time_unit(column: Column) -> str:
-    """Return the unit of a column of times; "" where neither its name nor the file says."""
-    return unit_of("time", column)
-
-
 def _time_of(quantity: str, column: Column, columns: Sequence[Column], times: Sequence[str]) -> str | None:
     """Return the column with the times of a column; None where there is none, or where it is not clear."""
     if column.time or len(times) < 2:

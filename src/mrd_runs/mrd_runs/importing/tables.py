@@ -69,7 +69,7 @@ def _recordings(path: Path, table: Table, mapped: Mapped) -> list[Recording]:
     raw, told = _equally_long(path, table, wanted, raw)
     clocks: dict[str, Array] = {}
     for name in times:
-        unit = mapped.units.get("time") or time_unit(named[name])
+        unit = mapped.units.get("time") or unit_of("time", named[name])
         time, clause = unwrap(raw[name], of_day=named[name].of_day)
         clocks[name] = to_si("time", time, unit or si_unit("time"), str(path))
         told += [clause] if clause else []
