@@ -13,15 +13,7 @@ from mrd_base import InputError
 from mrd_runs.formats import Recording
 from mrd_runs.importing.clocks import MOST_REPEATS, Indices, Passes, find_passes, usual_step
 from mrd_runs.importing.finish import Mapped, finish, times_note
-from mrd_runs.importing.quantities import (
-    Source,
-    UndecidedError,
-    find_sources,
-    is_counter,
-    is_speed,
-    shown_options,
-    time_unit,
-)
+from mrd_runs.importing.quantities import Source, UndecidedError, find_sources, is_counter, is_speed, shown_options, unit_of
 from mrd_runs.importing.synchronise import MOTION, Series, synchronise
 from mrd_runs.importing.table import Table
 from mrd_runs.importing.units import si_unit, to_si
