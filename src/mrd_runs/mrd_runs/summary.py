@@ -31,6 +31,9 @@ def summarise(run: Run) -> dict[str, str]:
         "force": f"{run.force.min():.2f} to {run.force.max():.2f} N",
         "current": f"{run.current.min() * 1e3:.1f} to {run.current.max() * 1e3:.1f} mA",
         "position noise": f"{motion.position_noise * 1e6:.3g} µm",
+        "clocks": ""
+        if run.clocks_agree()
+        else "not known to agree: " + ", ".join(f"{q} {c}" for q, c in run.clocks.items()),
         "calibration": _calibration(info.get("calibration") or {}),
         "closed": "no: recovered" if info.get("recovered") else "yes",
         "notes": "\n".join(info.get("notes", ())),

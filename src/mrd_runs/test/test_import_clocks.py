@@ -377,7 +377,7 @@ def clocks(draw: Any) -> Clock:
     return Clock(draw(st.integers(0, 40)), draw(st.integers(0, 40)), phase, tuple(draw(st.lists(wrong, max_size=2))))
 
 
-DOUBTS = ("of the recording", "differs by that", "start", "jump", "set back")
+DOUBTS = ("of the recording", "differs by that", "start", "times of their own", "jump", "set back")
 
 
 def rod(instant: np.ndarray) -> np.ndarray:
@@ -391,7 +391,10 @@ def cell(instant: np.ndarray) -> np.ndarray:
 
 
 def judge(read_it: Any) -> str:
-    """Check that channels are aligned within a sample where their clocks are known to agree, and else that it is said."""
+    """Check that channels are aligned within a sample where their clocks are known to agree, and else that it is said.
+
+    Two clocks that make the same step one after the other are apart in between; that is not seen in so few samples.
+    """
     try:
         runs = read_it()
     except InputError:
@@ -399,7 +402,7 @@ def judge(read_it: Any) -> str:
     said = "aligned"
     for run in runs:
         instants = run.position / 0.01, run.force / 100.0
-        late = float(np.quantile(np.abs(instants[0] - instants[1]), 0.98))
+        late = float(np.quantile(np.abs(instants[0] - instants[1]), 0.95))
         if late > 1.02 * STEP:
             assert not run.clocks_agree("position", "force"), (late, run.info["notes"])
             assert any(doubt in times_of(run) for doubt in DOUBTS), (late, run.info["notes"])

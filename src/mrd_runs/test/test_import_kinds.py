@@ -466,6 +466,65 @@ def test_a_wrong_time_is_dropped_with_a_word(imported: Any, tmp_path: Path) -> N
         assert run.duration < 3.0
 
 
+# Formats of programs
+
+MTS = "MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A\n\nData Acquisition: 1\t\t\tTime:\t3.0\tSec\n"
+LVM = "LabVIEW Measurement\nX_Columns\t{}\n***End_of_Header***\t\nDelta_X\t0.005\t0.005\n***End_of_Header***\t\t\n"
+
+
+def test_files_of_labview_and_of_test_machines(imported: Any, tmp_path: Path) -> None:
+    x, F = 1e3 * position(TIME), force(TIME)
+    names = ["X_Value", "Position (mm)", "X_Value", "Force (N)", "Comment"]
+    table(
+        tmp_path / "a.lvm",
+        "\t".join(names),
+        TIME[20:],
+        x[20:],
+        TIME[16:-4],
+        F[16:-4],
+        above=LVM.format("Multi"),
+        delimiter="\t",
+    )
+    empty = [""] * COUNT
+    table(
+        tmp_path / "b.lvm", "X_Value\tPosition (mm)\tForce (N)\tComment", empty, x, F, above=LVM.format("No"), delimiter="\t"
+    )
+    index = [str(number) for number in range(COUNT)]
+    table(tmp_path / "c.csv", "Index,Time,Position,Force\n-,s,mm,N", index, TIME, x, F)
+    for name in ("a.lvm", "b.lvm", "c.csv"):
+        run = only(imported(f"{name} --current 0"))
+        assert abs(delay(run)) < 1e-3
+        assert len(run) >= COUNT - 24
+
+
+def test_blocks_of_one_running_clock_are_passes_where_it_has_a_gap(imported: Any, tmp_path: Path) -> None:
+    names = "Time\tAxial Displacement\tAxial Force\nSec\tmm\tkN\n"
+    blocks = []
+    for start, factor in ((0.0, 1.0), (20.0, 1.1)):
+        rows = (f"{t + start:.6f}\t{1e3 * factor * position(t):.6f}\t{1e-3 * force(t):.6f}" for t in TIME[:300])
+        blocks.append(MTS + names + "\n".join(rows))
+    (tmp_path / "a.dat").write_text("\n\n".join(blocks) + "\n")
+    runs = imported("a.dat --current 0")
+    assert isinstance(runs, list)
+    assert [len(run) for run in runs] == [300, 300]
+    assert any("the times jump on by 18.5 s: 2 passes" in note for note in runs[0].info["notes"])
+
+
+def test_columns_that_attributes_name_are_called_so(imported: Any, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["rig/data"] = np.column_stack([TIME, 1e3 * position(TIME), force(TIME)])
+        file["rig/data"].attrs.update({"columns": ["time", "position", "force"], "units": ["s", "mm", "N"]})
+    check(only(imported("a.h5 --current 0")))
+
+
+def test_a_unit_that_is_not_told_is_asked_for_with_its_option(imported: Any, tmp_path: Path) -> None:
+    table(tmp_path / "a.csv", "time,disp,load", TIME, 1e3 * position(TIME), force(TIME))
+    error = imported("a.csv --current 0")
+    assert isinstance(error, str)
+    assert error.endswith("is it in mm? Say so with --units QUANTITY=UNIT\n")
+    check(only(imported("a.csv --current 0 --units position=mm")))
+
+
 # Several times in a table
 
 FIRST, SECOND = TIME[20:], TIME[16:-4]  # of the same length, 20 ms apart

@@ -66,6 +66,8 @@ def at(index: int, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("current_A", at(7, np.inf), "line 9: current_A is inf"),
         ("time_s", at(500, 0.1), "line 502: time_s is 0.1 after 0.499, expected increasing"),
         ("time_s", at(500, 0.499), "line 502: time_s is 0.499 after 0.499"),
+        ("time_s", at(999, 3.4e8), "line 1001: time_s is 340000000 after 0.998, .* is it a wrong stamp"),
+        ("time_s", at(0, -1.7e9), "line 3: time_s is 0.001 after -1.7e[+]09, .* is it a wrong stamp"),
         ("time_s", lambda t: t * 1e3, "advances by 1 a sample.*is it in ms"),
         ("time_s", lambda t: t / 3600, "is it in minutes or hours"),
         ("position_m", lambda x: x * 1e3, "position_m spans 20.*is it in mm"),

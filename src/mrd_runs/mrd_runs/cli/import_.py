@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from mrd_base import InputError, run_tool
-from mrd_runs import make_run
+from mrd_runs import Run, make_run
 from mrd_runs.bag_import import bag_folder, write_bag
 from mrd_runs.faults import find_faults
 from mrd_runs.formats import Recording
@@ -61,7 +61,7 @@ def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[P
             if digest in known:
                 raise InputError(f"{file}: is the same recording as {known[digest]}; give each recording once")
             name = unique_name(f"{stem}-{number}" if len(recordings) > 1 else stem, file, names)
-            run = make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
+            run = _make_run(name, recording, file)
             path = bag_folder(name, output)
             written.append(path)
             facts = {name: run.info[name] for name in ("started", "experiment", "clocks") if name in run.info}
@@ -73,6 +73,15 @@ def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[P
                 print(f"  {note}")
             for fault in find_faults([run]):
                 print(f"warning: {fault}", file=sys.stderr)
+
+
+def _make_run(name: str, recording: Recording, file: Path) -> Run:
+    try:
+        return make_run(name, recording.columns, recording.info, where=str(file), place=recording.place)
+    except InputError as error:
+        if "; is it in " in str(error):
+            raise InputError(f"{error} Say so with --units QUANTITY=UNIT") from None
+        raise
 
 
 def _read_all(files: Sequence[Path], mapped: Mapped) -> Iterator[tuple[Path, list[Recording]]]:

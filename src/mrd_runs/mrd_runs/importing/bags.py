@@ -12,7 +12,7 @@ from mrd_runs.bag import read_bag
 from mrd_runs.definitions import SAMPLES_TYPE
 from mrd_runs.formats import BAG, Recording
 from mrd_runs.importing.finish import Mapped, finish, times_note
-from mrd_runs.importing.quantities import Source, listed, shown_options, time_unit, topic_mappings, unit_of
+from mrd_runs.importing.quantities import Source, listed, shown_options, topic_mappings, unit_of
 from mrd_runs.importing.synchronise import synchronise
 from mrd_runs.importing.table import Column
 from mrd_runs.importing.topics import Address, list_numbers, parse_address, read_topics
@@ -66,7 +66,7 @@ def _recordings(path: Path, mapped: Mapped) -> list[Recording]:
 
 def _source(quantity: str, address: Address) -> Source:
     column = Column(f"{address.topic}.{address.field}")
-    return Source(str(address), time_unit(column) if quantity == "time" else unit_of(quantity, column))
+    return Source(str(address), unit_of(quantity, column))
 
 
 def _question(path: Path, mapped: Mapped) -> InputError:

@@ -1,5 +1,6 @@
 """The times of one series: which of them are wrong, where its clock was set back, and how often it repeats a time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -20,6 +21,8 @@ _FAR_END = 100.0
 """Distance of the first or last times from all others, relative to how long these last, from which they are wrong."""
 _JITTER = 20.0
 """Jump back in terms of the median deviation of a time from where it belongs, from which the clock was set back."""
+_GAP = 5.0
+"""Gap between two blocks of a file in usual steps, from which they are two passes."""
 _LATE = 20
 """Samples in a row that may have been written late, and are no pass of their own."""
 MOST_REPEATS = 0.05
@@ -35,7 +38,7 @@ class Passes:
     pieces : list of ndarray of int
         Indices of the samples of each pass in the order of their times. A clock that was set back begins another pass.
     jumps : list of float
-        How far the clock went back before each pass but the first, in s.
+        How far the clock went back before each pass but the first, in s; negative where it went on.
     told : list of str
         Clauses about samples that are in no pass, or out of order.
     repeats : float
@@ -55,7 +58,9 @@ class Passes:
         return Passes(pieces, self.jumps, self.told + told, self.repeats)
 
 
-def find_passes(time: Array, receipt: Array | None = None, *, any_order: bool = False, unset: float = 0.0) -> Passes:
+def find_passes(
+    time: Array, receipt: Array | None = None, *, any_order: bool = False, unset: float = 0.0, blocks: Sequence[int] = ()
+) -> Passes:
     """Find the passes of a clock in the times of a series.
 
     Parameters
@@ -69,11 +74,17 @@ def find_passes(time: Array, receipt: Array | None = None, *, any_order: bool = 
         parts cover the same time, and only what is far from nearly all others is wrong.
     unset : float
         Value of a time that nobody has set.
+    blocks : sequence of int
+        Indices at which a block of the file begins: a gap there parts two passes.
     """
     wrong = _find_far(time) if any_order else _find_wrong(time, receipt, unset)
     kept = np.flatnonzero(~wrong)
     ordered = time[kept]
-    cuts = _find_resets(ordered, any_order)
+    begins = np.searchsorted(kept, blocks)
+    gaps = np.diff(ordered, prepend=ordered[:1])
+    cuts = sorted(
+        {*_find_resets(ordered, any_order), *(int(k) for k in begins if k and gaps[k] > _GAP * usual_step(ordered))}
+    )
     jumps = [float(ordered[cut - 1] - ordered[cut]) for cut in cuts]
     pieces = [kept[begin:end] for begin, end in pairwise([0, *cuts, len(kept)])]
     told = []
@@ -124,7 +135,12 @@ def _find_wrong(time: Array, receipt: Array | None, unset: float) -> NDArray[np.
     if receipt is not None:
         offset = time - receipt
         late = np.abs(offset - median_filter(offset, _WINDOW, mode="mirror"))
-        return np.asarray(wrong | (late > max(_FAR * step, _FAR_FROM_RECEIPT)))
+        least = max(_FAR * step, _FAR_FROM_RECEIPT)
+        away = np.abs(offset - np.median(offset))
+        # Many that lie far away are another pass, few are not.
+        far = away > max(least, float(np.ptp(receipt)))
+        far &= np.count_nonzero(far) <= MOST_REPEATS * len(time)
+        return np.asarray(wrong | far | ((time == unset) & (away > least)) | (late > least))
     side = _WINDOW // 2
     inner = float(np.ptp(time[side:-side]))
     at_end = np.ones(len(time), bool)
@@ -150,7 +166,8 @@ def _find_resets(time: Array, any_order: bool) -> list[int]:
     # Where two passes cover the same time, it has twice as many samples.
     every, lower = np.sort(time), np.maximum(time[backward], lowest[:-1])
     covered = np.searchsorted(every, latest, "right") - np.searchsorted(every, lower, "left")
-    again = (covered > 1.5 * ((latest - lower) / step + 1) + 1) & (latest - time[backward] > _JITTER * jitter)
+    least = max(_JITTER * jitter, _FAR * step if any_order else 0.0)
+    again = (covered > 1.5 * ((latest - lower) / step + 1) + 1) & (latest - time[backward] > least)
     if not any_order:  # a part that was written late goes on after what is there already
         again |= (highest[1:] < latest) & (np.diff(begins, append=len(time))[1:] > _LATE)
     resets = []

@@ -163,9 +163,9 @@ def is_speed(column: Column) -> bool:
     return list(_candidates([column])) == ["velocity"]
 
 
-def time_unit(column: Column) -> str:
-    """Return the unit of a column of times; "" where neither its name nor the file says."""
-    return unit_of("time", column)
+def is_time(column: Column) -> bool:
+    """Return whether a column holds times, by its name or unit."""
+    return list(_candidates([column])) == ["time"]
 
 
 def _time_of(quantity: str, column: Column, columns: Sequence[Column], times: Sequence[str]) -> str | None:
@@ -217,15 +217,17 @@ def _score(quantity: str, column: Column) -> int:
 
     A column in a unit that cannot be converted fits least.
     """
+    if re.sub(r"[\W_]", "", _REPEATED.sub("", column.name)).lower() == "xvalue":  # as LabVIEW calls it
+        return 4 if quantity == "time" else 0
     base, bracketed, appended = _split(column.name)
     unit = column.unit or bracketed
     if unit and is_unit(unit) and not find_unit(quantity, unit):
         return 0
     is_unit_of_it = find_unit(quantity, appended) is not None
     text = base if bracketed or is_unit_of_it or _is_other(appended) else column.name
-    # The last part of a path tells more than those before it, where it tells anything.
+    # The last part of a path tells more than those before it, where it is more than a letter.
     last = _words(re.split(r"[./]", text)[-1])
-    words = last if set(last) & _ALL_WORDS else _words(text)
+    words = last if any(len(word) > 1 for word in set(last) & _ALL_WORDS) else _words(text)
     known = [word for word in words if word in WORDS[quantity] or _is_compound(word, quantity)]
     if not known:
         return 0

@@ -277,9 +277,9 @@ def _of_receipt(name: str, clocks: _Clocks, where: str, reason: str) -> Timed:
     if header is not None and not clocks.problem and len(clocks.order.pieces) == 1 and len(header) >= _FEWEST:
         index, time = clocks.of_pass(0)
         line = np.polynomial.Polynomial.fit(time, receipt[index], 1)
-        rest = [float(np.median(part)) for part in np.array_split(receipt[index] - line(time), _WINDOWS)]
-        if np.ptp(rest) < usual_step(time):
-            return Timed(index, np.asarray(line(time)), f"receipt of {name}")
+        rest = receipt[index] - line(time)
+        if np.ptp([float(np.median(part)) for part in np.array_split(rest, _WINDOWS)]) < usual_step(time):
+            return Timed(index, np.asarray(line(time) + np.percentile(rest, _FASTEST)), f"receipt of {name}")
     index = np.flatnonzero(np.diff(receipt, prepend=-np.inf) > 0)
     repeats = 1 - len(index) / len(receipt)
     if repeats > MOST_REPEATS:

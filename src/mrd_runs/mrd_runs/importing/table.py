@@ -70,6 +70,8 @@ class Table:
         Whether columns with the same times have them from one clock, as in one file; that of two files may be two.
     remarks : list of str
         What was noticed while columns were read; `read` appends to it.
+    blocks : list of int
+        Indices of the rows with which blocks of the file begin; `read` appends to it.
     """
 
     columns: tuple[Column, ...]
@@ -80,6 +82,7 @@ class Table:
     ragged: bool = False
     one_clock: bool = True
     remarks: list[str] = field(default_factory=list)
+    blocks: list[int] = field(default_factory=list)
 
 
 def join_tables(tables: Mapping[str, Table]) -> Table | None:

@@ -13,15 +13,7 @@ from mrd_base import InputError
 from mrd_runs.formats import Recording
 from mrd_runs.importing.clocks import MOST_REPEATS, Indices, Passes, find_passes, usual_step
 from mrd_runs.importing.finish import Mapped, finish, times_note
-from mrd_runs.importing.quantities import (
-    Source,
-    UndecidedError,
-    find_sources,
-    is_counter,
-    is_speed,
-    shown_options,
-    time_unit,
-)
+from mrd_runs.importing.quantities import Source, UndecidedError, find_sources, is_counter, is_speed, shown_options, unit_of
 from mrd_runs.importing.synchronise import MOTION, Series, synchronise
 from mrd_runs.importing.table import Table
 from mrd_runs.importing.units import si_unit, to_si
@@ -69,7 +61,7 @@ def _recordings(path: Path, table: Table, mapped: Mapped) -> list[Recording]:
     raw, told = _equally_long(path, table, wanted, raw)
     clocks: dict[str, Array] = {}
     for name in times:
-        unit = mapped.units.get("time") or time_unit(named[name])
+        unit = mapped.units.get("time") or unit_of("time", named[name])
         time, clause = unwrap(raw[name], of_day=named[name].of_day)
         clocks[name] = to_si("time", time, unit or si_unit("time"), str(path))
         told += [clause] if clause else []
@@ -81,7 +73,10 @@ def _recordings(path: Path, table: Table, mapped: Mapped) -> list[Recording]:
     coarse = [name for name, time in clocks.items() if name and find_passes(time).repeats > MOST_REPEATS]
     if coarse:
         return _without_times(path, table, mapped, coarse[0], clocks[coarse[0]])
-    orders = {name: find_passes(time).unrepeated(time) for name, time in clocks.items()}
+    orders = {
+        name: find_passes(time, blocks=sorted({k for k in table.blocks if k < len(time)})).unrepeated(time)
+        for name, time in clocks.items()
+    }
     told += [clause for order in orders.values() for clause in order.told]
     notes = _layout_notes(table, sources, raw)
     if rate and mapped.rate is None:
@@ -157,7 +152,7 @@ def _without_times(path: Path, table: Table, mapped: Mapped, name: str, time: Ar
 
 
 def _layout_notes(table: Table, sources: Mapping[str, Source], read: Mapping[str, Array]) -> list[str]:
-    notes = [*([table.layout] if table.layout else []), *table.remarks]
+    notes = [*([table.layout] if table.layout else []), *dict.fromkeys(table.remarks)]
     unused = [column for column in table.columns if column.name and column.name not in read]
     if unused:
         shown = [f"{one_line(column.name)}{' (text)' if column.text else ''}" for column in unused[:20]]
@@ -189,10 +184,10 @@ def _each_pass(
     if other is not None:
         name, jump = next((name, order.jumps[0]) for name, order in orders.items() if order.jumps)
         raise InputError(
-            f"{path}: {one_line(name)} jumps back by {jump:.4g} s, and {one_line(other if name == first else first)} does "
+            f"{path}: {one_line(name)} jumps by {-jump:.4g} s, and {one_line(other if name == first else first)} does "
             "not; expected one clock for all: split the file there"
         )
-    passes = [f"the times jump back by {jump:.4g} s" for jump in orders[first].jumps]
+    passes = [f"the times jump {'back' if jump > 0 else 'on'} by {abs(jump):.4g} s" for jump in orders[first].jumps]
     told = [f"{'; '.join(passes[:5])}: {len(passes) + 1} passes"] if passes else []
     # Times that are the same in one file are those of one clock.
     same = {name: next(o for o in clocks if o == name or (table.one_clock and _equal(clocks, o, name))) for name in clocks}
@@ -213,12 +208,8 @@ def _each_pass(
             starts = {name: clocks[name][pieces[name][0]] for name in clocks}
             apart = max(starts.values()) - min(starts.values())
             columns, done = synchronise(parts, None, str(path))
-            yield (
-                columns,
-                of,
-                [*told, f"columns that start {apart:.6g} s apart were put onto one time", *done],
-                "sample {}".format,
-            )
+            begin = f" that start {apart:.6g} s apart" if apart else " with times of their own"
+            yield columns, of, [*told, f"columns{begin} were put onto one time", *done], "sample {}".format
 
 
 def _check_durations(path: Path, wanted: Mapping[str, Source], parts: Mapping[str, Series]) -> None:
@@ -301,8 +292,8 @@ def _no_time_series(table: Table) -> str:
         rows = len(table.read([numbers[0].name])[numbers[0].name])
         if rows < FEWEST_SAMPLES:
             return f"is a table of {rows} rows without times"
-        if speeds and all(values.min() >= 0 for values in table.read(speeds).values()):
-            return f"is a table over {one_line(speeds[0])}, whose values are all positive, without times"
+        if speeds and all(values.min() >= 0 or np.all(np.diff(values) >= 0) for values in table.read(speeds).values()):
+            return f"is a table over {one_line(speeds[0])}, which never turns, without times"
     except InputError:
         return ""
     return ""

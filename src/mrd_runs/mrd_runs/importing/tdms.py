@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.importing.attributes import scaling_problem
 from mrd_runs.importing.extras import load_extra
+from mrd_runs.importing.quantities import is_time
 from mrd_runs.importing.rates import stated_rate
 from mrd_runs.importing.table import MOST_VALUES, Column, Table
 from mrd_runs.text import one_line
@@ -56,14 +57,14 @@ def read_tdms_table(path: Path) -> Table:
             counts = {(group.name, channel.name): len(channel) for group in groups for channel in group.channels()}
             for group in groups:
                 prefix = f"{group.name}/" if len(groups) > 1 else ""
-                own = {channel.name for channel in group.channels()}
+                has_time = any(is_time(Column(channel.name)) for channel in group.channels())
                 for channel in group.channels():
                     name, properties = f"{prefix}{channel.name}", dict(channel.properties)
                     if channel.dtype.kind not in "fiuM":
                         columns.append(Column(name, text=_TEXT))
                         continue
                     time = ""
-                    if "wf_increment" in properties and "time" not in own:
+                    if "wf_increment" in properties and not has_time:
                         wave = _wave(prefix, properties)
                         is_first = not any(known.prefix == prefix for known in waves)
                         time = waves.setdefault(wave, f"{prefix}time" if is_first else f"{prefix}time of {channel.name}")

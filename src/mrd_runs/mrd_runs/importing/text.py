@@ -131,14 +131,16 @@ def read_text_table(path: Path) -> Table:
     )
     above = sum(bool(line.strip()) for line in lines[: found.first])
     remarks: list[str] = []
+    blocks: list[int] = []
     return Table(
         found.columns,
-        lambda names: _read_columns(path, encoding, dialect, names, remarks),
+        lambda names: _read_columns(path, encoding, dialect, names, remarks, blocks),
         f"{layout}, numbers from line {found.first + 1} ({above} lines above)" if above != 1 else layout,
         lambda index: f"line {next(islice(_rows(path, encoding, dialect), index, None))[0]}",
         stated_rate(facts_of_lines(_COMMENT.sub("", line) for line in lines[: found.first])),
         ragged=True,
         remarks=remarks,
+        blocks=blocks,
     )
 
 
@@ -165,7 +167,9 @@ def _rows(path: Path, encoding: str, dialect: Dialect) -> Iterator[tuple[int, st
                 yield number, line
 
 
-def _read_columns(path: Path, encoding: str, dialect: Dialect, names: Sequence[str], remarks: list[str]) -> dict[str, Array]:
+def _read_columns(
+    path: Path, encoding: str, dialect: Dialect, names: Sequence[str], remarks: list[str], blocks: list[int]
+) -> dict[str, Array]:
     indices = [[column.name for column in dialect.located.columns].index(name) for name in names]
     rows = (line for _, line in _rows(path, encoding, dialect))
     delimiter: str | None = dialect.delimiter or None
@@ -186,12 +190,18 @@ def _read_columns(path: Path, encoding: str, dialect: Dialect, names: Sequence[s
             quotechar='"',
         )
     except ValueError:
-        return _read_cells(path, encoding, dialect, names, indices, remarks)
+        return _read_cells(path, encoding, dialect, names, indices, remarks, blocks)
     return {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)}
 
 
 def _read_cells(
-    path: Path, encoding: str, dialect: Dialect, names: Sequence[str], indices: Sequence[int], remarks: list[str]
+    path: Path,
+    encoding: str,
+    dialect: Dialect,
+    names: Sequence[str],
+    indices: Sequence[int],
+    remarks: list[str],
+    blocks: list[int],
 ) -> dict[str, Array]:
     """Read columns cell by cell: they may end early, and lines without numbers may stand between blocks of rows."""
     series = {name: array("d") for name in names}
@@ -203,6 +213,7 @@ def _read_cells(
             _check_header(path, number, line, dialect)
             between += 1
             ended.clear()
+            blocks.append(len(series[names[0]]))
             continue
         for name, index in zip(names, indices, strict=True):
             cell = cells[index] if index < len(cells) else None
