@@ -18,7 +18,7 @@ from mrd_diagnosis.model_comparison import NO_EFFECT, compare_models, compare_on
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains
 from mrd_diagnosis.refit import refit, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
-from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, RunScatter, Weighting, sum_of_squares, whitening
+from mrd_diagnosis.weighting import RunScatter, Weighting, sum_of_squares, whitening
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
@@ -44,6 +44,9 @@ def run(seed, gain=0.0, offset=0.0, model=BASE, theta=THETA, rate=250.0, seconds
     still = Run(f"run{seed}", t, x, np.gradient(x, t), current, np.zeros_like(t))
     force = model.force(theta, run_path(smooth_run(still)))
     return Run(still.name, t, x, still.velocity, current, (1 + gain) * force + offset + rng.normal(0, FORCE_NOISE, len(t)))
+
+
+INITIAL_RUN_SCATTER = RunScatter(0.01, 2.0)
 
 
 def weighting_of(runs, scatter=INITIAL_RUN_SCATTER):
