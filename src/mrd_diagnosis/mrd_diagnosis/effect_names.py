@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from mrd_diagnosis.diagnosis import Candidate, Interval, ParameterEstimate
+from mrd_diagnosis.diagnosis import UNDETERMINED, Candidate, Interval, ParameterEstimate
 from mrd_diagnosis.quantities import format_quantity, join_words
 from mrd_sim.effects import EFFECTS
 from mrd_sim.parameter import Parameter
@@ -74,6 +74,5 @@ def _formattable(parameter: Parameter, known: Mapping[str, ParameterEstimate]) -
     if parameter.name in known:
         estimate = known[parameter.name]
         interval = estimate.value
-        undetermined = interval.lower <= parameter.lower and interval.upper >= parameter.upper
-        return _Formattable(interval, estimate.unit or parameter.unit, undetermined)
+        return _Formattable(interval, estimate.unit or parameter.unit, estimate.remark == UNDETERMINED)
     return _Formattable(Interval(parameter.default), parameter.unit)

@@ -11,6 +11,7 @@ from mrd_diagnosis.refit import Refit, scaled_inverse
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.least_squares import BOUND_TOLERANCE
 from mrd_identification.residual_correlation import correlation_length
+from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
@@ -107,8 +108,9 @@ def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
             remark = UNDETERMINED
         interval = Interval(float(refitted.theta[index]), float(lower), float(upper))
         estimates[parameter.name] = ParameterEstimate(interval, parameter.unit, remark)
+    usual = {f"{effect}.{p.name}": p.default for effect in refitted.effects for p in EFFECTS[effect].parameters}
     for parameter, value in zip(problem.model.parameters, refitted.theta, strict=True):
-        if "." in parameter.name and not parameter.free and value != parameter.default:
+        if "." in parameter.name and not parameter.free and value != usual[parameter.name]:
             estimates[parameter.name] = ParameterEstimate(Interval(float(value)), parameter.unit)
     return estimates
 
