@@ -129,7 +129,7 @@ def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
     assert diagnosis.verdict == "unknown_effect"
     assert not diagnosis.causes
     assert diagnosis.where
-    assert "These runs cannot test any of the effects (2) that may explain the gap" in diagnosis.sentence
+    assert "1 more cannot be tested with them" in diagnosis.sentence
     assert {model.name for model in diagnosis.alternative_models} >= {"sigmoid", "bouc_wen with exponent fitted too"}
 
 

@@ -222,7 +222,7 @@ def test_advice_keeps_within_the_limits_of_the_users_bench(alike, experiments, m
     weighting, refits = alike
     weak = replace(BENCH, limits=replace(BENCH.limits, force=100.0))
     benches = []
-    monkeypatch.setattr(advice_module, "library", lambda bench: benches.append(bench) or experiments[:2])
+    monkeypatch.setattr(advice_module, "library", lambda bench, _sizes: benches.append(bench) or experiments[:2])
     alternatives = {"channel_delay": refits | {"": refits["force_sensor_lag"]}}
     comparison = ModelComparison(
         weighting, refits["force_sensor_lag"], (refits["channel_delay"],), ("channel_delay",), alternatives

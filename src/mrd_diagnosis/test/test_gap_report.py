@@ -20,6 +20,7 @@ from mrd_diagnosis.closed_loop import closed_loop_notes
 from mrd_diagnosis.detectability import clause_of_size
 from mrd_diagnosis.diagnosis import (
     ON_BOUND,
+    UNDETERMINED,
     Advice,
     Alternative,
     AlternativeModel,
@@ -822,13 +823,13 @@ def test_every_effect_has_a_phrase(effect):
 
 
 def test_a_size_that_may_be_any_is_called_undetermined():
-    viscous, exponent, _ = EFFECTS["shear_thinning"].parameters
+    viscous, exponent, *_ = EFFECTS["shear_thinning"].parameters
     sizes = {
-        "viscous": ParameterEstimate(Interval(viscous.upper, viscous.lower, viscous.upper), viscous.unit),
+        "viscous": ParameterEstimate(Interval(viscous.upper, viscous.lower, viscous.upper), viscous.unit, UNDETERMINED),
         "exponent": ParameterEstimate(Interval(0.9, exponent.lower, 0.95), exponent.unit),
     }
     clause = effect_clause("shear_thinning", sizes)
-    assert "5000 N·s/m (not determined) of its viscosity" in clause
+    assert "10 kN·s/m (not determined) of its viscosity" in clause
     assert "the exponent 0.9 (0.3 to " in clause
 
 

@@ -173,7 +173,9 @@ def test_what_the_runs_without_a_limitation_show_as_well_is_named():
 def test_a_delay_is_not_named_where_the_clocks_are_not_known_to_agree():
     runs = recorded({"channel_delay": {"delay": 0.012}})
     assert clock_finding(runs) is None
-    doubtful = [replace(run, info={**run.info, "clocks_agree": False}) for run in runs]
+    doubtful = [
+        replace(run, info={**run.info, "clocks": {"position": "stamps of a", "force": "stamps of b"}}) for run in runs
+    ]
     diagnosis = diagnose(doubtful, "bouc_wen", effects=FEW)
     assert (diagnosis.verdict, diagnosis.causes) == ("data_fault", ())
     assert "clocks that are not known to agree" in diagnosis.sentence

@@ -13,7 +13,7 @@ import numpy as np
 
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.effect_names import effect_name, effect_names
-from mrd_diagnosis.experiment_design.experiment_library import RATE, library, sizes_of, usual_bench
+from mrd_diagnosis.experiment_design.experiment_library import RATE, library, sizes_of, sizes_of_bench, usual_bench
 from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
 from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -96,7 +96,7 @@ def advise(
     """
     if len(explanations) < 2:
         return None
-    sizes = sizes_of(scales_of([recording.run for recording in weighting.recordings]))
+    sizes = sizes_of_bench(bench) if bench else sizes_of(scales_of([recording.run for recording in weighting.recordings]))
     rng, bench = rng or np.random.default_rng(0), bench or usual_bench(sizes)
     plans, completed = library(bench, sizes), itertools.count(1)
     predictor = Predictor.from_refits(explanations, weighting, rng, without)

@@ -24,8 +24,8 @@ RATE = 500.0
 DURATION = 12.0
 """Duration in s of an experiment without its repeats."""
 
-LIKE_REFERENCE = 2.0
-"""Ratio of a scale of the recordings to that of the reference damper, up to which the shipped bench is the bench."""
+LIKE_SHIPPED = 5.0
+"""Ratio of a size to that of the shipped bench and its damper, up to which it is taken for the same."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,17 @@ class Sizes:
 
 def sizes_of(scales: Scales) -> Sizes:
     """Return the sizes of experiments for a damper of these scales."""
-    ratios = (scales.stroke / REFERENCE.stroke, scales.current / REFERENCE.current, scales.force / REFERENCE.force)
-    return Sizes(*(1.0 if 1.0 / LIKE_REFERENCE <= ratio <= LIKE_REFERENCE else ratio for ratio in ratios))
+    return _rounded(scales.stroke / REFERENCE.stroke, scales.current / REFERENCE.current, scales.force / REFERENCE.force)
+
+
+def sizes_of_bench(bench: GeneratorSettings) -> Sizes:
+    """Return the sizes of experiments for a bench with these limits."""
+    limits, shipped = bench.limits, GeneratorSettings().limits
+    return _rounded(limits.stroke / shipped.stroke, limits.current_max / shipped.current_max, limits.force / shipped.force)
+
+
+def _rounded(*ratios: float) -> Sizes:
+    return Sizes(*(1.0 if 1.0 / LIKE_SHIPPED <= ratio <= LIKE_SHIPPED else ratio for ratio in ratios))
 
 
 def usual_bench(sizes: Sizes) -> GeneratorSettings:

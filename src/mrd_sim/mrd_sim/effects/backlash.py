@@ -11,7 +11,7 @@ from mrd_sim.parameter import Parameter
 from mrd_sim.play import MOST_FILM, offset_in_play
 
 PARAMETERS = (
-    Parameter("play", "m", 0.0, 0.0, 2e-3, "free travel between the two flanks, g"),
+    Parameter("play", "m", 0.0, 0.0, 4e-3, "free travel between the two flanks, g"),
     Parameter("drag", "N", 10.0, 1.0, 240.0, "dry friction that holds the rod within the play, F_d", log=True),
     Parameter("resistance", "N s/m", 300.0, 30.0, 3000.0, "resistance to crossing the play from its middle, c_g", log=True),
     Parameter("film", "", 0.5, 0.02, MOST_FILM, "share by which crossing is slower where a film is squeezed out, m"),

@@ -7,8 +7,8 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("from_position", "N/m", 0.0, -5000.0, 5000.0, "force read for each metre of position"),
-    Parameter("from_current", "N/A", 0.0, -100.0, 100.0, "force read for each ampere of effective coil current"),
+    Parameter("from_position", "N/m", 0.0, -3e4, 3e4, "force read for each metre of position"),
+    Parameter("from_current", "N/A", 0.0, -300.0, 300.0, "force read for each ampere of effective coil current"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 

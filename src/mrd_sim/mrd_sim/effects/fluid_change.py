@@ -8,7 +8,7 @@ from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
     Parameter("gain", "", 0.0, -0.5, 0.5, "relative change of the force, g"),
-    Parameter("viscous", "N s/m", 0.0, -1500.0, 1500.0, "change of the viscous coefficient, c"),
+    Parameter("viscous", "N s/m", 0.0, -6000.0, 6000.0, "change of the viscous coefficient, c"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 

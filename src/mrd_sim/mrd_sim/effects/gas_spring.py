@@ -13,7 +13,7 @@ _LEAST_VOLUME = 0.1
 """Relative. No stroke compresses the gas to so small a volume; it keeps the logarithm finite."""
 
 PARAMETERS = (
-    Parameter("stiffness", "N/m", 0.0, 0.0, 6000.0, "slope of the force over position at mid-stroke, k"),
+    Parameter("stiffness", "N/m", 0.0, 0.0, 3e4, "slope of the force over position at mid-stroke, k"),
     Parameter("curvature", "1/m", 12.0, 1.0, 30.0, "relative decrease of that slope per metre of extension, b"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)

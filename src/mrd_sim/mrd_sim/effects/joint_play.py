@@ -10,7 +10,7 @@ from mrd_sim.parameter import Parameter
 from mrd_sim.play import MOST_FILM, offset_in_play
 
 PARAMETERS = (
-    Parameter("play", "m", 0.0, 0.0, 2e-3, "free travel end to end, g"),
+    Parameter("play", "m", 0.0, 0.0, 4e-3, "free travel end to end, g"),
     Parameter("resistance", "N s/m", 2.5e4, 5e3, 3e5, "resistance to crossing the play from its middle, c_g", log=True),
     Parameter("film", "", 0.5, 0.02, MOST_FILM, "share by which crossing is slower where a film is squeezed out, m"),
 )

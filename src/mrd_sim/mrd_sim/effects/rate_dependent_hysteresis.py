@@ -15,7 +15,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("viscous", "N s/m", 0.0, 0.0, 5000.0, "viscous coefficient that relaxes, at 0 A, c"),
+    Parameter("viscous", "N s/m", 0.0, 0.0, 1e4, "viscous coefficient that relaxes, at 0 A, c"),
     Parameter("relaxation", "s", 0.015, 1e-3, 0.5, "relaxation time, tau", log=True),
     Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of c over current, g"),
 )

@@ -12,7 +12,7 @@ from mrd_sim.parameter import Parameter
 _TURN = 2.0 * math.pi  # rad
 
 PARAMETERS = (
-    Parameter("amplitude", "m", 0.0, 0.0, 6e-5, "amplitude a"),
+    Parameter("amplitude", "m", 0.0, 0.0, 4e-4, "amplitude a"),
     Parameter("phase", "rad", 0.0, 0.0, 2 * _TURN, "phase phi at mid-stroke; two turns, so that a fit can pass any"),
     Parameter("period", "m", 2e-3 * math.pi, 3e-3, 0.05, "travel lambda after which it repeats", log=True, free=False),
 )

@@ -8,7 +8,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("viscous", "N s/m", 0.0, 0.0, 5000.0, "viscous coefficient that becomes a power law, at 0 A, c"),
+    Parameter("viscous", "N s/m", 0.0, 0.0, 1e4, "viscous coefficient that becomes a power law, at 0 A, c"),
     Parameter("exponent", "", 0.7, 0.3, 1.0, "exponent of the speed, m"),
     Parameter("growth", "1/A", 0.0, 0.0, 6.0, "relative growth of c over current, g"),
     Parameter("reference_speed", "m/s", 0.1, 0.1, 0.1, "speed v_r at which the viscous force keeps its value", free=False),

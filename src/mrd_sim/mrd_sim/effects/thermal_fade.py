@@ -11,7 +11,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("fade", "1/J", 0.0, 0.0, 2e-4, "share of the force that a unit of heat removes, b"),
+    Parameter("fade", "1/J", 0.0, 0.0, 1e-3, "share of the force that a unit of heat removes, b"),
     Parameter("cooling_time", "s", 400.0, 30.0, 3000.0, "time constant of cooling, t_c", log=True, absolute="thermal"),
     Parameter("coil_resistance", "Ohm", 5.0, 5.0, 5.0, "R; 5 Ohm of a RD-8040-1 at room temperature", free=False),
 )
