@@ -83,7 +83,7 @@ def test_a_change_is_named_although_the_model_has_another_form(change, effect, m
 
 @pytest.mark.parametrize(
     ("yielded", "viscous", "verdicts"),
-    [(0.85, 1.2, {"explained"}), (1.15, 1.0, {"explained", "ambiguous"})],
+    [(0.85, 1.2, {"explained"}), (1.25, 1.0, {"explained", "ambiguous"})],
     ids=["weaker and thicker", "stronger"],
 )
 def test_another_fluid_is_not_taken_for_an_error_of_a_sensor(yielded, viscous, verdicts):

@@ -140,13 +140,16 @@ def sines(play, seed=3, rate=250.0, fine=8):
     return recorded
 
 
-@pytest.mark.parametrize(("play", "named"), [(6e-4, ["joint_play"]), (0.0, [])])
+@pytest.mark.parametrize(("play", "named"), [(6e-4, True), (0.0, False)])
 def test_at_one_speed_a_cause_is_named_beside_a_wrong_form(play, named):
+    """A play, of a joint or of the drive: these sines do not tell which."""
     diagnosis = diagnose(sines(play), "bouc_wen", effects=(*CANDIDATES, "channel_delay", "joint_play", "backlash"))
-    assert [cause.effect for cause in diagnosis.causes] == named
+    assert len(diagnosis.causes) == named
     if named:
+        (cause,) = diagnosis.causes
         assert diagnosis.verdict == "partly_explained"
-        assert diagnosis.causes[0].parameters["joint_play.play"].value.value == pytest.approx(play, rel=0.1)
+        assert cause.effect in ("joint_play", "backlash")
+        assert cause.parameters[f"{cause.effect}.play"].value.value == pytest.approx(play, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +208,7 @@ def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
     weighting, base, _, _ = fit_base(BOUC_WEN, None, recorded, np.random.default_rng(0))
     complete = with_effects(weighting, base, both, typical)
     thinning = with_effects(weighting, base, ["shear_thinning"], typical)
-    leaking = replace(thinning, held_out_costs=0.9 * thinning.held_out_costs)
+    leaking = replace(thinning, held_out_costs=0.97 * thinning.held_out_costs)
     monkeypatch.setattr(form_causes, "contains", lambda _model, effect: effect == "bypass_flow")
     beside = []
     monkeypatch.setattr(

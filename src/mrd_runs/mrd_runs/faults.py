@@ -17,7 +17,7 @@ _WRONG_SIGN_WORK = -0.2
 delay, and near zero for a spring."""
 _TURNED = -0.3
 """Correlation of the velocity with the differences of the position, below which one of them is turned; noise lowers it."""
-_LARGEST_FORCE = 2e6
+_LARGEST_FORCE = 1.5e6
 """Span of the force in N that no damper on a bench has."""
 _SEGMENTS = 200
 

@@ -95,7 +95,7 @@ def test_units_that_are_not_told_are_asked_for(import_tool, tmp_path: Path) -> N
     assert "the force is in V, expected N, kN" in error
     assert '--units force="NUMBER UNIT"' in error
     code, _, error = import_tool('a.txt --current 0 --units force="1000 N" --output bags')
-    assert "position_m spans 20, expected at most 0.5 m peak to peak; is it in mm?" in error
+    assert "position_m spans 20, expected at most 2 m peak to peak; is it in mm?" in error
     assert import_tool('a.txt --current 0.5 --units force="1000 N" position=mm --output bags')[0] == 0
     check(tmp_path / "bags/a")
 

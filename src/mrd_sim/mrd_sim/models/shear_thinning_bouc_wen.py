@@ -30,7 +30,7 @@ from mrd_sim.root import next_iterate
 
 CREEP = 1e-3
 """Share of the reference speed. Below it the power law gives way to a straight line, so that its slope stays finite."""
-TOLERANCE = 1e-4
+TOLERANCE = 2e-5
 """Share of the speed and of the yield travel. Newton's last step leaves an error of its square."""
 LONG = 3.0
 """Yield travels, or relaxation times of the element, within which the travel of a step is of fourth order."""
