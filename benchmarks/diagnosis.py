@@ -17,7 +17,7 @@ from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
 from mrd_diagnosis.effect_search import score_effect
 from mrd_diagnosis.noise_model import estimate_noise
 from mrd_diagnosis.refit import refit
-from mrd_diagnosis.weighting import INITIAL_RUN_SCATTER, Weighting
+from mrd_diagnosis.weighting import Weighting, usual_run_scatter
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording
@@ -64,7 +64,7 @@ def candidates(runs: list[Run]) -> Table:
     problem, _ = make_problem(base, recordings, fixed={"coil_lag": 0.0})
     theta = global_fit(problem, None, np.random.default_rng(0))
     noise = estimate_noise(recordings, base, theta, np.random.default_rng(0))
-    weighting = Weighting(recordings, noise, INITIAL_RUN_SCATTER, {"coil_lag": 0.0}).updated(base, theta)
+    weighting = Weighting(recordings, noise, usual_run_scatter(base.scales), {"coil_lag": 0.0}).updated(base, theta)
     base_fit = BaseFit.linearise(weighting, refit(weighting.problem(base, theta), theta, weighting.folds))
     table = Table("candidate", box=None)
     for title in ("score", "refit and folds left out", "scipy, refit only", "ratio"):

@@ -7,7 +7,7 @@ from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
 PARAMETERS = (
-    Parameter("offset", "A", 0.0, -0.3, 0.3, "reading without current, b"),
+    Parameter("offset", "A", 0.0, -0.2, 0.2, "reading without current, b"),
     Parameter("gain", "", 0.0, -0.1, 0.1, "relative excess of the reading, g"),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
