@@ -6,7 +6,7 @@ from mrd_sim.effects.effect import Array, Effect
 from mrd_sim.named import named, tuple_type
 from mrd_sim.parameter import Parameter
 
-PARAMETERS = (Parameter("mass", "kg", 0.0, -100.0, 100.0, "moving mass and inertance, m"),)
+PARAMETERS = (Parameter("mass", "kg", 0.0, -40.0, 40.0, "moving mass and inertance, m"),)
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
 
