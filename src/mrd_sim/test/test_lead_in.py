@@ -13,6 +13,8 @@ from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import make_path
 
 RATE = 500.0
+REACHES = 5e-3 * 3.0 ** -np.arange(4.0)
+"""m from the last reversal to the first sample, of which the likeliest is taken."""
 EFFECTS_WITH_MEMORY = [name for name, effect in EFFECTS.items() if not effect.only_as_change]
 
 
@@ -46,8 +48,11 @@ def test_a_cut_recording_gives_the_force_of_the_uncut_one(model: str, effect: st
     begin = cut_while_moving(series[2], first)
     uncut = damper.force(theta, make_path(*series))[begin:]
     cut = make_path(*(part[begin:] for part in series))
-    led = cut.led_in(moving_lead_in(cut.velocity[0], 5e-3, 5e-3))
-    from_rest, led_in = (damper.force(theta, path) - uncut for path in (cut, led))
+    from_rest, *led_ins = (
+        damper.force(theta, path) - uncut
+        for path in (cut, *(cut.led_in(moving_lead_in(cut.velocity[0], reach, 5e-3)) for reach in REACHES))
+    )
+    led_in = min(led_ins, key=np.std)
     if effect and (EFFECTS[effect].outlasts_run or EFFECTS[effect].begin):
         assert np.allclose(led_in[100:], from_rest[100:], atol=0.02 * np.std(uncut))  # these count from the first sample
         return
