@@ -66,6 +66,10 @@ class Detectability:
         return "even the largest plausible size would not show"
 
 
+DIVERGED = 1e100
+"""White residual beyond which a model has diverged. The square of it is still a number."""
+
+
 def simulate_base_fit(
     plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, instruments: Instruments | None = None
 ) -> tuple[Weighting, BaseFit]:
@@ -139,7 +143,8 @@ def _detectability(weighting: Weighting, base_fit: BaseFit, effect: Effect, need
         theta = neutral.copy()
         for name, value in scaled_effect(effect, np.exp(log_share) * largest).items():
             theta[model.names.index(f"{effect.id}.{name}")] = value
-        change = problem.residuals(theta) - base_fit.residual
+        # At its largest size, an effect may let the model diverge.
+        change = np.clip(np.nan_to_num(problem.residuals(theta), nan=np.inf), -DIVERGED, DIVERGED) - base_fit.residual
         unabsorbed = base_fit.unabsorbed(change)
         return unabsorbed, float(np.linalg.norm(unabsorbed) / np.linalg.norm(change)) if change.any() else 1.0
 

@@ -108,3 +108,12 @@ def test_from_the_smallest_size_on_a_diagnosis_names_an_effect(base_fit_of_plans
         values = scaled_effect(EFFECTS[effect], factor * detectability.smallest_size)
         runs = measure_plans(PLANS, Damper("bouc_wen", PARAMETERS, effects={effect: values}), np.random.default_rng(5))
         assert [cause.effect for cause in diagnose(runs, "bouc_wen").causes] == named, factor
+
+
+def test_an_effect_with_which_the_model_diverges_shows(base_fit_of_plans, monkeypatch):
+    effect = EFFECTS["moving_mass"]
+    huge = replace(effect, parameters=(replace(effect.parameters[0], upper=1e200),))
+    monkeypatch.setitem(EFFECTS, "moving_mass", huge)
+    (detectability,) = detectable_sizes(*base_fit_of_plans, ["moving_mass"])
+    assert detectability.remark == ""
+    assert detectability.information.sum() == pytest.approx(1.0)
