@@ -15,6 +15,7 @@ from mrd_sim.models import DamperModel
 Array = NDArray[np.float64]
 Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "partly_explained", "unknown_effect"]
 Axis = Literal["run", "time", "position", "velocity", "acceleration", "current", "frequency", "reversal", "sign"]
+Level = Literal["effect", "class", "stage", "undecided"]
 HeldOutBy = Literal["runs", "leave-one-run-out", "blocks"]
 
 
@@ -138,14 +139,55 @@ class UntestableEffect:
 
 
 @dataclass(frozen=True)
+class Member:
+    """An effect that may be a cause, among others that look alike in these recordings.
+
+    Attributes
+    ----------
+    effect : str
+    probability : float
+    imitation : float
+        Share (R²) of what the most probable effect changes that this one, fitted in its place, changes alike.
+    parameters : mapping
+        Its parameters, fitted in that place.
+    """
+
+    effect: str
+    probability: float
+    imitation: float
+    parameters: Mapping[str, ParameterEstimate]
+
+
+@dataclass(frozen=True)
 class Cause:
-    """A named effect, with the share of the gap that it closes after the effects before it."""
+    """A named effect, with the share of the gap that it closes after the effects before it.
+
+    Attributes
+    ----------
+    effect : str
+        The most probable one.
+    probability, p_value : float
+    closed_fraction : Interval
+    parameters : mapping
+    level : {"effect", "class", "stage", "undecided"}
+        What the recordings determine: the effect itself, the class of effects that look alike in them, only the stage of the
+        bench in which it acts, or nothing. What is undecided is not named.
+    members : tuple of Member
+        The class: this effect and those that imitate it, the most probable first; only this one where it is determined.
+    """
 
     effect: str
     probability: float
     p_value: float
     closed_fraction: Interval
     parameters: Mapping[str, ParameterEstimate]
+    level: Level = "effect"
+    members: tuple[Member, ...] = ()
+
+    @property
+    def class_probability(self) -> float:
+        """Probability that the cause is one of the class."""
+        return min(1.0, sum(member.probability for member in self.members)) if self.members else self.probability
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,15 @@ from mrd_diagnosis.quantities import format_quantity, join_words
 from mrd_sim.effects import EFFECTS
 from mrd_sim.parameter import Parameter
 
+STAGE_NAMES: Mapping[str, str] = {
+    "drive": "drive",
+    "magnetics": "coil and magnetic circuit",
+    "fluid": "damper fluid",
+    "structure": "mechanical structure",
+    "sensing": "force measurement",
+}
+"""Where an effect of each stage sits."""
+
 
 def effect_name(explanation: str) -> str:
     """Return the name of an explanation within a sentence: an effect, another damper model, or "" for no effect at all."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.base_fit import BaseFit
+from mrd_diagnosis.cause_class import class_of, level_of
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.decision import Probabilities
 from mrd_diagnosis.detectability import clause_of_size, detectable_sizes
@@ -17,6 +18,7 @@ from mrd_diagnosis.diagnosis import (
     Candidate,
     Cause,
     Interval,
+    Member,
     UntestableEffect,
     Verdict,
 )
@@ -55,6 +57,8 @@ class Explanation:
         Shares of the gap that effects close beside a freer form of the damper.
     form_fraction : float
         Share of the gap that a freer form of the damper would close beside the effects; nan where that was not asked.
+    classes : mapping
+        For effects that were judged beside a freer form, the class of each, see `mrd_diagnosis.cause_class.class_of`.
     """
 
     verdict: Verdict
@@ -63,6 +67,7 @@ class Explanation:
     p_values: Mapping[str, float]
     closed_fractions: Mapping[str, Interval] = field(default_factory=dict)
     form_fraction: float = float("nan")
+    classes: Mapping[str, tuple[Member, ...]] = field(default_factory=dict)
 
 
 def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Generator) -> Probabilities:
@@ -89,17 +94,21 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
     comparison, chances = explanation.comparison, explanation.probabilities
     steps = [comparison.base, *comparison.chain]
     parameters = effect_parameters(comparison.best)
-    causes = [
-        Cause(
-            effect,
-            float(chances[effect][effect]),
-            explanation.p_values[effect],
-            explanation.closed_fractions.get(effect)
-            or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
-            {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
+    causes = []
+    for index, effect in enumerate(comparison.effects):
+        members = explanation.classes.get(effect) or class_of(effect, comparison.alternatives[effect], chances[effect])
+        causes.append(
+            Cause(
+                effect,
+                float(chances[effect][effect]),
+                explanation.p_values[effect],
+                explanation.closed_fractions.get(effect)
+                or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
+                {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
+                level_of(effect, members, chances[effect]),
+                members,
+            )
         )
-        for index, effect in enumerate(comparison.effects)
-    ]
     return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.base_fit import BaseFit
+from mrd_diagnosis.cause_class import class_of
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.effect_search import ROUGHLY_CONVERGED, refit_with_effects
 from mrd_diagnosis.held_cause import HeldCause, holds, holds_in_halves, leads, probabilities_in_place, with_effects
@@ -79,12 +80,12 @@ def _held_cause(
     alike = [name for name in EFFECTS[effect].confused_with if name in candidates and name not in fitted.effects]
     refits = {effect: fitted, NO_EFFECT: without} | refit_in_its_place(weighting, without, alike)
     chances = probabilities_in_place(refits, support, rng)
-    if not leads(effect, chances):
+    members = class_of(effect, refits, chances)
+    if not leads(effect, chances, members):
         return None
     gain = float(without.held_out_cost - fitted.held_out_cost)
-    return HeldCause(
-        chances, null_gains.p_value(gain, fitted.problem), closed_fraction_between(without, fitted, comparison, rng)
-    )
+    closed = closed_fraction_between(without, fitted, comparison, rng)
+    return HeldCause(chances, null_gains.p_value(gain, fitted.problem), closed, members)
 
 
 def _form_chain(

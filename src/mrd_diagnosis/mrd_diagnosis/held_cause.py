@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.base_fit import with_effect
-from mrd_diagnosis.diagnosis import Interval
+from mrd_diagnosis.diagnosis import Interval, Member
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import NO_EFFECT
 from mrd_diagnosis.refit import Refit, held_out_errors, refit, without_each
@@ -30,11 +30,14 @@ class HeldCause:
         Probability of its improvement in noise alone.
     closed_fraction : Interval
         Share of the gap that it closes beside the others and a freer form of the damper.
+    members : tuple of Member
+        The class of effects to which it belongs.
     """
 
     probabilities: dict[str, float]
     p_value: float
     closed_fraction: Interval
+    members: tuple[Member, ...]
 
 
 def holds(probability: float, without: Refit, with_effect: Refit) -> bool:
@@ -53,9 +56,10 @@ def probabilities_in_place(refits: Mapping[str, Refit], support: float, rng: np.
     return {name: support * share for name, share in zip(refits, shares, strict=True) if name != NO_EFFECT}
 
 
-def leads(effect: str, chances: Mapping[str, float]) -> bool:
-    """Whether an effect is the most probable one in its place, and not only one of many."""
-    return max(chances, key=chances.__getitem__) == effect and chances[effect] >= THRESHOLDS.leading_probability
+def leads(effect: str, chances: Mapping[str, float], members: Sequence[Member]) -> bool:
+    """Whether an effect is the most probable one in its place, and it or its class more likely than not."""
+    of_class = sum(member.probability for member in members)
+    return max(chances, key=chances.__getitem__) == effect and of_class >= THRESHOLDS.named_support
 
 
 def holds_in_halves(without: Refit, with_effect: Refit) -> bool:

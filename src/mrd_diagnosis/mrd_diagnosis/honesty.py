@@ -6,7 +6,7 @@ Each rule is data: an id, the reason in words, and a test of a claim. The first 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, ParameterEstimate
+from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, Level, ParameterEstimate
 from mrd_diagnosis.effect_names import parameters_of_effect
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs import Run
@@ -70,6 +70,8 @@ class Claim:
     other_model : float
         Share of the gap that another damper model closes without any effect; nan where none was tried, or where the effect
         was judged around other damper models as well.
+    level : {"effect", "class", "stage", "undecided"}
+        What the recordings determine of it; see `mrd_diagnosis.diagnosis.Cause`.
     """
 
     effect: str
@@ -83,6 +85,7 @@ class Claim:
     limitations: tuple[Finding, ...] = ()
     clocks_agree: bool = True
     other_model: float = float("nan")
+    level: Level = "effect"
 
     @property
     def sizes(self) -> list[tuple[ParameterEstimate, float]]:
@@ -157,11 +160,16 @@ RULES = (
         "another damper model explains as much without any effect",
         lambda claim: claim.other_model >= claim.closed_fraction.value,
     ),
+    Rule(
+        "undecided",
+        "other explanations are together as likely, and they have nothing in common with it",
+        lambda claim: claim.level == "undecided",
+    ),
     Rule("other_effect", "something else explains the gap better", lambda claim: not claim.chosen),
 )
 """The rules in their order."""
 
-SEEN = ("on_bound", "undetermined", "neutral")
+SEEN = ("on_bound", "undetermined", "neutral", "undecided")
 """Rules after which an effect is seen, but not determined."""
 
 

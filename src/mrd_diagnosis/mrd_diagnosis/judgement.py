@@ -80,6 +80,7 @@ def judge(
             open_fraction,
             limitations=limitations,
             clocks_agree=of_clocks is None,
+            level=cause.level,
         )
         if rule := rejecting_rule(claim):
             rejected.append(_rejected(claim, rule))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_diagnosis.cause_class import class_of
 from mrd_diagnosis.closure import closed_fraction_between
 from mrd_diagnosis.effect_search import search_effects
 from mrd_diagnosis.explanation import Explanation
@@ -125,6 +126,7 @@ def explain_in_part(
         | {effect: cause.p_value for effect, cause in causes.items()},
         {effect: cause.closed_fraction for effect, cause in causes.items()},
         form_fraction,
+        {effect: cause.members for effect, cause in causes.items()},
     )
 
 
@@ -201,10 +203,11 @@ def _search_beside_remainder(
         if not holds(support, others[NO_EFFECT], others[effect]):
             continue
         chances = probabilities_in_place(others, support, rng)
-        if not leads(effect, chances):  # something is missing there, but which effect is not known
+        members = class_of(effect, others, chances)
+        if not leads(effect, chances, members):  # something is missing there, but what is not known
             continue
         closed = closed_fraction_between(others[NO_EFFECT], others[effect], comparison, rng)
-        causes[effect] = HeldCause(chances, p_values[effect], closed)
+        causes[effect] = HeldCause(chances, p_values[effect], closed, members)
     return _BesideRemainder(weighting, of_form, causes, compared.best.values, null_gains)
 
 

@@ -5,13 +5,15 @@ import shlex
 from collections.abc import Sequence
 
 from mrd_base.tool import command, has_workspace
+from mrd_diagnosis.cause_class import class_name
 from mrd_diagnosis.closed_loop import review_commands
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
-from mrd_diagnosis.effect_names import effect_clause, effect_name, effect_names
+from mrd_diagnosis.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.honesty import SEEN, gap_making_limitations
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs.read import run_arguments
+from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 from mrd_sim.own import folder_arguments, model_arguments
 
@@ -130,11 +132,21 @@ def _ambiguous_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     clauses = [effect_clause(option.effect, option.parameters) for option in options.values()]
     likely = [format_probability(option.probability) for option in options.values()]
     whether = f"these runs do not show whether {join_words(clauses, 'or')} (probabilities {join_words(likely)})."
+    if len(uncertain) == 1 and (common := _in_common(uncertain[0])):
+        whether = f"{common}: {whether}"
     text = f"{capitalised(_clauses(certain))}. Beyond that, {whether}" if certain else capitalised(whether)
     if math.isfinite(gap.closed_fraction.value):
         share = format_share(gap.closed_fraction.value)
         text += f" The most likely explanation removes {share} of the {_gap_name(diagnosis, 'explainable gap')}."
     return text
+
+
+def _in_common(cause: Cause) -> str:
+    """Return what is known of a cause that is not known itself, as a clause; empty where that is nothing."""
+    if cause.level == "stage":
+        return f"the cause acts in the {STAGE_NAMES[EFFECTS[cause.effect].stage]}"
+    name = class_name([member.effect for member in cause.members]) if cause.level == "class" else ""
+    return f"{name} (probability {format_probability(cause.class_probability)})" if name else ""
 
 
 def _seen_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
@@ -187,7 +199,10 @@ def _partly_explained_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
         if entry.seen
     ]
     for cause in diagnosis.causes:
-        others = [other for other in diagnosis.alternatives if other.instead_of == cause.effect]
+        members = [member.effect for member in cause.members] if cause.level == "class" else []
+        others = [
+            other for other in diagnosis.alternatives if other.instead_of == cause.effect and other.effect not in members
+        ]
         likely = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in others]
         if likely:
             sentences.append(f"In place of {effect_name(cause.effect)}, the cause may be {join_words(likely, 'or')}.")
@@ -418,7 +433,21 @@ def corrected_label(diagnosis: Diagnosis) -> str:
 
 
 def _clauses(causes: Sequence[Cause]) -> str:
-    return join_words([effect_clause(cause.effect, cause.parameters) for cause in causes])
+    return join_words([cause_clause(cause) for cause in causes])
+
+
+def cause_clause(cause: Cause) -> str:
+    """Return a cause as a clause: the effect, or what is known of it with the effects among which nothing decides."""
+    clause = effect_clause(cause.effect, cause.parameters)
+    if cause.level == "stage":
+        return f"{_in_common(cause)}, most likely as {effect_name(cause.effect)} ({clause})"
+    if cause.level != "class":
+        return clause
+    others = [effect_clause(member.effect, member.parameters) for member in cause.members[1:]]
+    likely = [format_probability(member.probability) for member in cause.members]
+    either = join_words([f"{text} ({chance})" for text, chance in zip([clause, *others], likely, strict=True)], "or")
+    name = _in_common(cause)
+    return f"{name}, which is either that {either}" if name else f"either {either}"
 
 
 def _effects_tried(diagnosis: Diagnosis) -> int:
@@ -427,11 +456,16 @@ def _effects_tried(diagnosis: Diagnosis) -> int:
 
 def _certainty(diagnosis: Diagnosis) -> str:
     """Return the probability of the least certain cause in words."""
-    least = min((cause.probability for cause in diagnosis.causes), default=math.nan)
+    least = min((_probability(cause) for cause in diagnosis.causes), default=math.nan)
     bound = "above " if least > 0.99 else "at least " if len(diagnosis.causes) > 1 else ""
     tried = _effects_tried(diagnosis)
     among = f"among the {tried} effects that were tried" if tried > 1 else "no other effect was tried"
     return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)} {among}"
+
+
+def _probability(cause: Cause) -> float:
+    """Return the probability of what is named: an effect, or a class of them."""
+    return cause.class_probability if cause.level == "class" else cause.probability
 
 
 def _removal(diagnosis: Diagnosis, gap: Gap) -> str:

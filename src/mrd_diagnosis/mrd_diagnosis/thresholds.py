@@ -84,11 +84,11 @@ class Thresholds:
         "probability of an effect, averaged over the damper models that count, from which it is named beside a wrong form",
         "measured recordings with known errors, seed 53",
     )
-    leading_probability: float = threshold(
-        0.3,
-        "",
-        "probability from which the most probable effect is named beside a wrong form",
-        "measured recordings with known errors, seed 63",
+    least_imitation: float = threshold(
+        0.5,
+        "of what an effect changes",
+        "share that another effect, fitted in its place, changes alike, from which the two may belong to one class",
+        "convention",
     )
     least_information: float = threshold(
         0.01,

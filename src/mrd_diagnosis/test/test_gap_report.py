@@ -915,9 +915,9 @@ def test_an_unreadable_report_is_refused_in_one_line(tmp_path):
         read_gap_report(file)
     for text, message in (
         ("{", "is not JSON"),
-        ("[1]", "its schema is None, expected a gap_report.json of mrd-gap/4"),
+        ("[1]", "its schema is None, expected a gap_report.json of mrd-gap/5"),
         ('{"schema": "mrd-fit/3"}', "its schema is mrd-fit/3, expected"),
-        ('{"schema": "mrd-gap/4"}', "'sentence' is a required property; expected a gap_report.json"),
+        ('{"schema": "mrd-gap/5"}', "'sentence' is a required property; expected a gap_report.json"),
     ):
         file.write_text(text)
         with pytest.raises(InputError, match=message) as refused:

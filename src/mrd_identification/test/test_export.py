@@ -125,7 +125,7 @@ def test_what_cannot_be_exported_is_refused(path, tmp_path):
 
 
 GAP = {
-    "schema": "mrd-gap/4",
+    "schema": "mrd-gap/5",
     "verdict": "explained",
     "model": "bingham",
     "laws": {},

@@ -105,6 +105,10 @@ class Explanation:
         Value and interval of each parameter, by EFFECT.PARAMETER.
     indistinguishable : tuple of str
         Effects that, according to the diagnosis, these runs cannot tell from this one.
+    level : str
+        What is claimed: the effect, its class, or its stage; see `mrd_diagnosis.Cause`.
+    members : tuple of str
+        The class; empty where the effect is alone in it.
     """
 
     effects: tuple[str, ...]
@@ -112,6 +116,8 @@ class Explanation:
     closed_fraction: IntervalEnds
     sizes: Mapping[str, IntervalEnds] = field(default_factory=dict)
     indistinguishable: tuple[str, ...] = ()
+    level: str = "effect"
+    members: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

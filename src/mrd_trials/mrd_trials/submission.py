@@ -131,6 +131,8 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
             indistinguishable=tuple(
                 alternative.effect for alternative in diagnosis.alternatives if alternative.instead_of == cause.effect
             ),
+            level=cause.level,
+            members=tuple(member.effect for member in cause.members) if cause.level != "effect" else (),
         )
         for cause in diagnosis.causes
     )

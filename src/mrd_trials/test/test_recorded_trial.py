@@ -281,3 +281,27 @@ def test_a_name_without_a_change_is_wrong_in_a_comparison():
     assert found[BEFORE_AFTER].detectable == Rate(1, 1)
     assert found[BEFORE_AFTER].calibration.count == 2
     assert found[BEFORE_AFTER].not_counted == 0
+
+
+def test_a_class_counts_as_right_where_it_holds_the_cause():
+    nan = (float("nan"),) * 3
+    late = Explanation(("force_sensor_lag",), 0.5, nan, level="class", members=("force_sensor_lag", "channel_delay"))
+    truths = [
+        truth_of("n", "null"),
+        truth_of("a", "single", "channel_delay"),
+        truth_of("b", "single", "joint_play"),
+        truth_of("c", "pair", "channel_delay", "joint_play"),
+        truth_of("d", "absent"),
+    ]
+    submissions = [
+        submit("n", "unknown_effect"),
+        Submission("a", "ambiguous", causes=(late,)),
+        Submission("b", "ambiguous", causes=(late,)),
+        Submission("c", "ambiguous", causes=(late, Explanation(("joint_play",), 0.9, nan))),
+        submit("d", "unknown_effect"),
+    ]
+    records = ({record.plant: record for record in records} for records in (truths, submissions))
+    rates = score_trial(*records, {}).altered[SEMIREAL].classes
+    assert (rates.right, rates.both, rates.wrong) == (Rate(1, 2), Rate(1, 1), Rate(1, 4))
+    assert (rates.effect, rates.undivided) == (Rate(1, 1), Rate(3, 4))
+    assert rates.members.values == (2.0, 2.0, 2.0, 1.0)

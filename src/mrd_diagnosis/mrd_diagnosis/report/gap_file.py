@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_diagnosis.cause_class import class_name
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
@@ -29,7 +30,7 @@ from mrd_sim.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-SCHEMA = "mrd-gap/4"
+SCHEMA = "mrd-gap/5"
 
 
 def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -147,6 +148,17 @@ def _cause(cause: Cause) -> dict[str, Any]:
         "effect": cause.effect,
         "probability": finite_or_none(cause.probability),
         "stage": EFFECTS[cause.effect].stage if cause.effect in EFFECTS else None,
+        "level": cause.level,
+        "class": class_name([member.effect for member in cause.members]) or None,
+        "members": [
+            {
+                "effect": member.effect,
+                "probability": finite_or_none(member.probability),
+                "imitation": finite_or_none(member.imitation),
+                "parameters": _parameters(parameters_of_effect(member.effect, member.parameters)),
+            }
+            for member in cause.members
+        ],
         "parameters": _parameters(parameters_of_effect(cause.effect, cause.parameters)),
         **_closed_fraction(cause.closed_fraction),
         "p_value": finite_or_none(cause.p_value),

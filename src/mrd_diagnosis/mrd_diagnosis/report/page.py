@@ -18,7 +18,7 @@ from mrd_diagnosis.diagnosis import (
     Region,
     RunResidual,
 )
-from mrd_diagnosis.effect_names import candidate_title, effect_clause, effect_name, parameters_of_effect
+from mrd_diagnosis.effect_names import STAGE_NAMES, candidate_title, effect_clause, effect_name, parameters_of_effect
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.candidate_text import (
@@ -71,15 +71,6 @@ _NOISE_SOURCES = {
     "residual": "the high frequencies of the residual",
 }
 _SEVERITIES = ("fault", "limitation", "remark")
-_STAGES = {
-    "drive": "drive",
-    "magnetics": "coil and magnetic circuit",
-    "fluid": "damper fluid",
-    "structure": "mechanical structure",
-    "sensing": "force measurement",
-}
-"""Where an effect of each stage sits."""
-
 GLOSSARY = {
     "gap": "The part of the model's error that noise does not explain, after all parameters of the model were refitted. It "
     "is also called the explainable gap.",
@@ -372,6 +363,9 @@ def _cause_facts(diagnosis: Diagnosis, cause: Cause, gap: Gap) -> str:
         certainty = "the model does not contain this effect at all"
     else:
         certainty = f"probability {format_probability(cause.probability)}"
+    if cause.level == "class":
+        chances = [f"{effect_name(other.effect)} ({format_probability(other.probability)})" for other in cause.members[1:]]
+        certainty += f" · these runs do not tell it from {join_words(chances, 'or')}"
     # The only cause removes what is said at the top of the page; the part of one of several causes is known by segments.
     single = diagnosis.corrected is not None and diagnosis.corrected.effects == (cause.effect,)
     share = format_share(gap.closed_fraction) if single else f"{format_share(cause.closed_fraction)} (by segments)"
@@ -400,7 +394,7 @@ def _effect_card(
     return {
         "id": effect,
         "clause": f"If this is the cause: {clause}" if doubtful else capitalised(clause),
-        "stage": _STAGES[catalogued.stage] if catalogued else "",
+        "stage": STAGE_NAMES[catalogued.stage] if catalogued else "",
         "equation": catalogued.equation if catalogued else "",
         "facts": facts,
         "parameters": [

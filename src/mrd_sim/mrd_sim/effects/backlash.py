@@ -36,6 +36,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"play": 2e-4, "drag": 10.0, "resistance": 300.0, "film": 0.5},
     starts=lambda _force: [2e-4, 8e-4, 6e-5, 2e-5],
+    symptom="something between motor and damper gives",
     signature="the force stays near zero while the drive crosses the play, whenever the force changes sign",
     confused_with=("joint_play", "series_compliance", "cavitation", "seal_friction", "channel_delay"),
     separated_by="position of the rod compared with that of the motor; a preload that keeps the force from changing sign",

@@ -31,6 +31,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"conductance": 2e-5, "preload": 0.0},
     starts=lambda _force: [2e-5, 4e-6, 1e-4],
+    symptom="the force develops in another way after a reversal",
     signature="the force falls off at low speed, by less the lower the current",
     confused_with=("shear_thinning", "rate_dependent_hysteresis", "series_compliance", "cavitation"),
     separated_by="strokes so slow that the damper does not yield, at several currents",

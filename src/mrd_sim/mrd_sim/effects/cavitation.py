@@ -44,6 +44,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"inverse_cap": 1.5e-3, "opening": 0.3, "preload": 50.0, "stiffness": 1000.0},
     starts=lambda force: [1.0 / (share * max(-float(force.min()), 1.0)) for share in (0.9, 0.75, 0.5)],
+    symptom="extension and compression differ",
     signature="the force in compression is capped, the more so the more current; the rebound after it comes late",
     confused_with=("backlash", "flow_asymmetry", "current_saturation", "bypass_flow"),
     separated_by="rising current at one speed; another gas pressure",

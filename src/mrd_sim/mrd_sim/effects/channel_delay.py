@@ -60,6 +60,7 @@ EFFECT = Effect(
     source="multiplexed scans 2.5-50 µs; channels read one after the other by software 5-40 ms",
     parameters=PARAMETERS,
     typical={"delay": 0.0085},
+    symptom="the measured force is late",
     signature="force loops that open in proportion to the rate of force; a phase proportional to frequency",
     confused_with=("force_sensor_lag", "series_compliance", "moving_mass", "coil_lag", "rate_dependent_hysteresis"),
     separated_by="one event that all channels show; a chirp (phase over frequency); steps of current during fast motion",

@@ -40,6 +40,7 @@ EFFECT = Effect(
     source="Spencer et al. (1997): 5.3 ms; Koo, Goncalves & Ahmadian (2006)",
     parameters=PARAMETERS,
     typical={"lag": 0.015, "falling": 0.3},
+    symptom="the force depends on the current of a moment before",
     signature="the force follows a change of current late, at any speed of the rod",
     confused_with=("magnetic_hysteresis", "channel_delay", "force_sensor_lag"),
     separated_by="steps of current at several constant speeds",

@@ -40,6 +40,7 @@ EFFECT = Effect(
     source="Carlson: yield stress over field is a tanh; Fröhlich (1881): flux of a circuit over current; I_s of 1 to 2.5 A",
     parameters=PARAMETERS,
     typical={"inverse_current": 0.8, "circuit": 0.3},
+    symptom="the force grows in another way with the current",
     signature="the force grows less and less with current, at any speed",
     confused_with=("magnetic_hysteresis", "current_sensor_error", "cavitation", "thermal_fade"),
     separated_by="a short staircase of current up to 2 A",

@@ -29,6 +29,7 @@ EFFECT = Effect(
     source="Allegro ACS714: ±1.5 %, zero ±30 mA",
     parameters=PARAMETERS,
     typical={"offset": 0.03, "gain": 0.03},
+    symptom="the force grows in another way with the current",
     signature="the force of another current, most visible where the force grows fastest with current",
     confused_with=("magnetic_hysteresis", "current_saturation", "load_cell_gain", "seal_friction"),
     separated_by="a recording without current; a reading of the current by a shunt",

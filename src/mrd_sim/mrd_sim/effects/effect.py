@@ -61,6 +61,9 @@ class Effect:
         Ids of effects that look alike.
     separated_by : str
         Which measurement tells it from these; a noun phrase.
+    symptom : str, optional
+        What the effect has in common with those that look like it, as a clause. It names several of them together where
+        recordings do not tell them apart.
     phrase : str, optional
         The effect as a cause: a clause with its parameters in braces, ``{lag}``. ``{gain:%}`` is in per cent,
         ``{amplitude:size}`` without sign, ``{inverse_cap:inverse}`` one over the value.
@@ -90,6 +93,7 @@ class Effect:
     outlasts_run: bool = False
     elongation: Callable[[Any, Any, Any, Any, Any], Any] | None = None
     follows_force: bool = False
+    symptom: str = ""
     phrase: str = ""
     structural: bool = False
     coefficient: str = ""

@@ -35,6 +35,7 @@ EFFECT = Effect(
     source="Hunt & Crossley (1975), with a free exponent, without their damping; RD-8040-1: from ± 25 to 27.5 mm",
     parameters=PARAMETERS,
     typical={"stiffness": 5e6, "limit": 0.008, "exponent": 2.0},
+    symptom="a spring acts along the stroke",
     signature="spikes of force near the ends of the stroke only, at any speed and current",
     confused_with=("hardening_spring", "gas_spring", "cavitation", "side_load_friction"),
     separated_by="the same speed on short strokes off the centre",

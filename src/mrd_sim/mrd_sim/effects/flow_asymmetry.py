@@ -30,6 +30,7 @@ EFFECT = Effect(
     source="0-15 % between directions in measured dampers of this class",
     parameters=PARAMETERS,
     typical={"asymmetry": 0.1, "turning": 1.5e-4},
+    symptom="extension and compression differ",
     signature="the force in one direction is larger by the same share at every speed and current",
     confused_with=("cavitation", "load_cell_drift", "gas_spring"),
     separated_by="both directions at several currents and speeds",

@@ -29,6 +29,7 @@ EFFECT = Effect(
     source="yield stress and viscosity grow with the share of particles; the parameters of any damper model hold both",
     parameters=PARAMETERS,
     typical={"gain": 0.1, "viscous": 0.0},
+    symptom="the whole force has another size",
     signature="a force that differs from that of earlier recordings by one factor, and by a viscous force",
     confused_with=("load_cell_gain", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade"),
     separated_by="dead weights on the load cell and a gauge beside the position transducer, before and after",

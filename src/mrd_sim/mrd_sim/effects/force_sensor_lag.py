@@ -33,6 +33,7 @@ EFFECT = Effect(
     source="amplifiers of load cells: 0.2-16 ms",
     parameters=PARAMETERS,
     typical={"lag": 0.005},
+    symptom="the measured force is late",
     signature="force loops that open with frequency; rounded corners of the force",
     confused_with=("channel_delay", "coil_lag", "series_compliance", "moving_mass", "rate_dependent_hysteresis"),
     separated_by="chirp against a stiff spring; steps of current during fast motion",

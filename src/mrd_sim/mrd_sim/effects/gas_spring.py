@@ -39,6 +39,7 @@ EFFECT = Effect(
     source="polytropic accumulator; RD-8040-1: A_r = 78.5 mm², P0 0.6-2.1 MPa, V0 8-30 cm³",
     parameters=PARAMETERS,
     typical={"stiffness": 2000.0, "curvature": 15.0},
+    symptom="a spring acts along the stroke",
     signature="a curved tilt of force over position, the same at every current and speed",
     confused_with=("end_stop", "load_cell_drift", "moving_mass", "side_load_friction"),
     separated_by="slow ramps over the whole stroke at 0 A, by the mean of both directions",

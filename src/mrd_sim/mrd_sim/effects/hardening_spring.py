@@ -32,6 +32,7 @@ EFFECT = Effect(
     source="Duffing (1918), with a free exponent; the linear part is the damper model's stiffness",
     parameters=PARAMETERS,
     typical={"force": 200.0, "exponent": 3.0},
+    symptom="a spring acts along the stroke",
     signature="force over position that bends up evenly on both sides of mid-stroke, at any speed and current",
     confused_with=("end_stop", "gas_spring", "side_load_friction", "lvdt_nonlinearity"),
     separated_by="slow strokes of several lengths, of which the short ones stay clear of any stop",

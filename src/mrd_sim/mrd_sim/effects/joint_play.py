@@ -33,6 +33,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     typical={"play": 3e-4, "resistance": 2.5e4, "film": 0.5},
     starts=lambda _force: [3e-4, 1e-3, 1e-4, 3e-5],
+    symptom="something between motor and damper gives",
     signature="a step or dead zone where the force changes sign, over a travel that does not depend on current",
     confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
     separated_by="small strokes at several currents; a preload that keeps the force from changing sign",

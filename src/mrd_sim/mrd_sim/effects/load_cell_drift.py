@@ -35,6 +35,7 @@ EFFECT = Effect(
     source="load cells of 100 kg: zero ±5 N after mounting, 0.02-0.05 % of full scale over 10 K, ±0.2 N/min",
     parameters=PARAMETERS,
     typical={"drift": 0.02, "offset": 5.0},
+    symptom="the force changes in the course of a run",
     signature="an offset of the force that grows with time, whatever motion and current",
     confused_with=("gas_spring", "thermal_fade", "load_cell_gain", "mains_hum"),
     separated_by="the free rod before and after the runs; dead weights",

@@ -26,6 +26,7 @@ EFFECT = Effect(
     source="2 mV/V ± 10 % uncalibrated, ±2 % calibrated",
     parameters=PARAMETERS,
     typical={"gain": 0.05},
+    symptom="the whole force has another size",
     signature="the force multiplied by one factor, whatever motion and current",
     confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade", "fluid_change"),
     separated_by="dead weights (recordings alone cannot tell it from a stronger damper)",

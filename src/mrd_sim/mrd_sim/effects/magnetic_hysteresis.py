@@ -43,6 +43,7 @@ EFFECT = Effect(
     source="play operators: Krasnosel'skii & Pokrovskii (1989); Prandtl-Ishlinskii; remanent force 10-60 N",
     parameters=PARAMETERS,
     typical={"half_width": 0.04, "spread": 0.5},
+    symptom="the force depends on the current of a moment before",
     signature="a force that depends on whether the current rose or fell to its value; some of it is left at 0 A",
     confused_with=("coil_lag", "current_sensor_error", "current_saturation", "seal_friction", "thermal_fade"),
     separated_by="a staircase of current up and down at constant speed, with demagnetisation afterwards",

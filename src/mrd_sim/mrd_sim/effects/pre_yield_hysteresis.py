@@ -40,6 +40,7 @@ EFFECT = Effect(
     source="Dahl (1968); around a Coulomb force it is Dahl's friction",
     parameters=PARAMETERS,
     typical={"yield_travel": 3e-4, "growth": 0.5},
+    symptom="the force develops in another way after a reversal",
     signature="a force that develops with travel after a reversal: a loop around zero speed, wider with current",
     confused_with=("series_compliance", "joint_play", "backlash", "rate_dependent_hysteresis", "seal_friction"),
     separated_by="small strokes; the same peak speed at different frequencies",

@@ -47,6 +47,7 @@ EFFECT = Effect(
     source="Maxwell element; Gamota & Filisko (1991); loops widening with peak speed: Kwok et al. (2006)",
     parameters=PARAMETERS,
     typical={"viscous": 1000.0, "relaxation": 0.015, "growth": 2.0},
+    symptom="the force develops in another way after a reversal",
     signature="a loop of force over velocity that widens with speed and frequency, while steps of current are not late",
     confused_with=("moving_mass", "force_sensor_lag", "channel_delay", "series_compliance", "bypass_flow"),
     separated_by="the same peak speed at different frequencies and strokes; steps of current",

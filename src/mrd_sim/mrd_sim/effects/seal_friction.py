@@ -35,6 +35,7 @@ EFFECT = Effect(
     source="as Canudas de Wit, Olsson, Åström & Lischinsky (1995), after Dahl (1968) and Stribeck (1902); 20-60 N",
     parameters=PARAMETERS,
     typical={"coulomb": 40.0, "stiction": 0.5, "stribeck_speed": 4e-3, "presliding": 3e-5},
+    symptom="dry friction acts beside the damper",
     signature="a rectangle of force at every current, with a hump at reversals",
     confused_with=("settling", "shear_thinning", "pre_yield_hysteresis", "side_load_friction"),
     separated_by="ramps from 0.1 to 10 mm/s at 0 A",

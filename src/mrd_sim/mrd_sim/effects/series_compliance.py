@@ -27,6 +27,7 @@ EFFECT = Effect(
     source="Guo, Hu & Yi, JIMSS (2013); load cells of 100 kg: 2.5 to 5 MN/m",
     parameters=PARAMETERS,
     typical={"compliance": 4e-7},
+    symptom="something between motor and damper gives",
     signature="rounded reversals, each of which loses a travel of 2 F / k_s",
     confused_with=("joint_play", "backlash", "pre_yield_hysteresis", "channel_delay", "force_sensor_lag", "bypass_flow"),
     separated_by="small strokes at high current; the same peak speed at different frequencies",

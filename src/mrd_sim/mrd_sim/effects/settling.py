@@ -41,6 +41,7 @@ EFFECT = Effect(
     source="7 % over the first four cycles of a measured damper; s0 0.02-0.2, D0 0.1-0.5 m; q = 1 is exponential",
     parameters=PARAMETERS,
     typical={"excess": 0.15, "travel": 0.3, "order": 1.2},
+    symptom="the force changes in the course of a run",
     signature="a higher force in the first cycles after a rest, which falls with travel and not with energy or time",
     confused_with=("thermal_fade", "seal_friction", "load_cell_drift"),
     separated_by="runs after rests of different length; a repetition at the end",

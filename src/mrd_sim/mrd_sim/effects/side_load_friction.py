@@ -32,6 +32,7 @@ EFFECT = Effect(
     source="misaligned clamping: 5-30 N across the stroke of measured dampers; presliding as Dahl (1968)",
     parameters=PARAMETERS,
     typical={"slope": 1500.0, "centre": 0.0, "presliding": 3e-5},
+    symptom="dry friction acts beside the damper",
     signature="a bow tie of force over position: friction that varies along the stroke, at every current",
     confused_with=("gas_spring", "end_stop", "seal_friction", "servo_ripple"),
     separated_by="slow ramps over the whole stroke; the damper clamped again",

@@ -39,6 +39,7 @@ EFFECT = Effect(
     source="Sahin, Cesmeci & Wereley; C 300-600 J/K, loss 0.5-1.5 W/K, 0.1-2.5 % of the force per K",
     parameters=PARAMETERS,
     typical={"fade": 6e-5, "cooling_time": 400.0},
+    symptom="the force changes in the course of a run",
     signature="a force that falls over minutes with the dissipated energy, faster in hard runs",
     confused_with=("settling", "load_cell_drift", "load_cell_gain"),
     separated_by="a reference run repeated hot and cold, with a rest in between",

@@ -8,6 +8,7 @@ from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
 from mrd_trials.records import Evaluation, GroundTruth, Submission
 from mrd_trials.scoring.altered import AlteredScore
 from mrd_trials.scoring.certainty import calibration_of, claims_of_causes, claims_of_first_candidates, coverage_by_effect
+from mrd_trials.scoring.classes import ClassRates
 from mrd_trials.scoring.gap import ExperimentComparison, MapAgreement, fresh_differences, relative_closures
 from mrd_trials.scoring.goals import Goal
 from mrd_trials.scoring.naming import (
@@ -47,6 +48,7 @@ class ExcitationScore:
     maps : MapAgreement
     experiments : ExperimentComparison
     candidate_sets : CandidateSetRates
+    classes : ClassRates
     """
 
     plants: int
@@ -64,6 +66,7 @@ class ExcitationScore:
     maps: MapAgreement
     experiments: ExperimentComparison
     candidate_sets: CandidateSetRates
+    classes: ClassRates
 
     @classmethod
     def from_results(cls, results: PlantResults) -> "ExcitationScore":
@@ -89,6 +92,7 @@ class ExcitationScore:
             maps=MapAgreement.from_results(results),
             experiments=ExperimentComparison.from_results(results),
             candidate_sets=CandidateSetRates.from_results(detectable),
+            classes=ClassRates.from_results(results),
         )
 
 

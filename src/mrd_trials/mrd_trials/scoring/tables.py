@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_trials.scoring.altered import AlteredScore
+from mrd_trials.scoring.classes import ClassRates
 from mrd_trials.scoring.gap import ExperimentComparison
 from mrd_trials.scoring.goals import Figure, Goal
 from mrd_trials.scoring.naming import NamingRates
@@ -25,6 +26,16 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
 
+
+CLASS_FIGURES: Sequence[tuple[str, Callable[[ClassRates], Figure | str]]] = (
+    ("classes, detectable single effects: right class named", lambda rates: rates.right),
+    ("… detectable pairs: both classes named", lambda rates: rates.both),
+    ("… wrong class named", lambda rates: with_bound(rates.wrong)),
+    ("… where one effect is named: right effect", lambda rates: rates.effect),
+    ("… names that end at a class or a stage", lambda rates: rates.undivided),
+    ("… number of effects in what is named", lambda rates: rates.members),
+)
+"""Rows on classes of effects, in both tables."""
 
 FIGURES: Sequence[tuple[str, Callable[[ExcitationScore], Figure | str]]] = (
     ("plants", lambda score: float(score.plants)),
@@ -127,6 +138,10 @@ def _figures(score: TrialScore) -> Table:
     rows = tuple(
         (name, *(text(figure(of_excitation)) for of_excitation in score.by_excitation.values())) for name, figure in FIGURES
     )
+    rows += tuple(
+        (name, *(text(figure(of_excitation.classes)) for of_excitation in score.by_excitation.values()))
+        for name, figure in CLASS_FIGURES
+    )
     seconds = score.seconds
     note = (
         f"Detectable: signal to floor above {DETECTABLE:g}. Named: the causes of any verdict; "
@@ -161,6 +176,7 @@ def _altered(score: TrialScore) -> Table:
     """Return the figures of measured recordings into which effects were put; no rows without any."""
     scores = score.altered
     rows = [(name, *(text(figure(of_tier)) for of_tier in scores.values())) for name, figure in ALTERED_FIGURES]
+    rows += [(name, *(text(figure(of_tier.classes)) for of_tier in scores.values())) for name, figure in CLASS_FIGURES]
     for word, group in (("strength", "by_strength"), ("effect", "by_effect")):
         names = sorted({name for of_tier in scores.values() for name in getattr(of_tier, group)})
         rows += [

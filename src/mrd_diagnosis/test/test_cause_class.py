@@ -1,0 +1,98 @@
+"""Classes of causes: what is named where recordings do not decide between effects that look alike."""
+
+import numpy as np
+import pytest
+
+from mrd_diagnosis import Cause, diagnose
+from mrd_diagnosis.cause_class import class_name, level_of
+from mrd_diagnosis.diagnosis import Interval, Member
+from mrd_diagnosis.sentences import cause_clause
+from mrd_sim.damper import Damper
+from mrd_sim.effects import EFFECTS
+from mrd_sim.simulate import measure_plans
+from mrd_trajectory.experiment import parse_experiment
+from mrd_trajectory.plan import plan
+from mrd_trajectory.settings import read_settings
+
+CANDIDATES = ("channel_delay", "force_sensor_lag", "gas_spring", "seal_friction")
+ONE_SINE = """
+name: sine
+duration_s: 6
+rate_hz: 250
+rod: {waveform: sine, amplitude_mm: 8, frequency_hz: 2}
+coil: {waveform: constant, level_mA: 200}
+"""
+
+
+def late(experiment, **effects):
+    settings = read_settings(None)
+    of_one = plan(parse_experiment(experiment, "sine"), settings.limits, settings.force_envelope)
+    damper = Damper("bouc_wen", {"coil_lag": 0.0, "yield_force": 60.0, "yield_travel": 1.5e-4}, effects=effects)
+    return measure_plans([of_one] * 3, damper, np.random.default_rng(1))
+
+
+@pytest.fixture(scope="module")
+def of_one_sine():
+    return diagnose(late(ONE_SINE, force_sensor_lag={"lag": 0.004}), "bouc_wen", effects=CANDIDATES)
+
+
+def test_one_sine_tells_that_the_force_is_late_and_not_why(of_one_sine):
+    (cause,) = of_one_sine.causes
+    assert cause.level == "class"
+    assert {member.effect for member in cause.members} == {"channel_delay", "force_sensor_lag"}
+    assert all(member.imitation > 0.9 for member in cause.members)
+    assert cause.class_probability > 0.9
+    assert of_one_sine.sentence.startswith("The measured force is late")
+    for member in cause.members:
+        (size,) = (estimate.value.value for estimate in member.parameters.values())
+        assert size == pytest.approx(0.004, rel=0.2)
+
+
+def member(effect, probability):
+    return Member(effect, probability, 0.9, {})
+
+
+@pytest.mark.parametrize(
+    ("chances", "level"),
+    [
+        ({"channel_delay": 0.9, "force_sensor_lag": 0.05}, "effect"),
+        ({"channel_delay": 0.5, "force_sensor_lag": 0.3}, "class"),
+        ({"channel_delay": 0.3, "load_cell_drift": 0.1, "channel_crosstalk": 0.2}, "stage"),
+        ({"channel_delay": 0.3, "joint_play": 0.25, "gas_spring": 0.25}, "undecided"),
+    ],
+)
+def test_the_level_is_what_the_recordings_determine(chances, level):
+    members = tuple(member(name, chances[name]) for name in ("channel_delay", "force_sensor_lag") if name in chances)
+    assert level_of("channel_delay", members, chances) == level
+
+
+@pytest.mark.parametrize(
+    ("level", "effects", "text"),
+    [
+        ("effect", ["channel_delay"], "the force channel is late by 0 ms"),
+        (
+            "class",
+            ["channel_delay", "force_sensor_lag"],
+            "the measured force is late (probability 80 %), which is either that the force channel is late by 0 ms (40 %) "
+            "or the force sensor lags by 0 ms (40 %)",
+        ),
+        (
+            "class",
+            ["channel_delay", "gas_spring"],
+            "either the force channel is late by 0 ms (40 %) or the gas charge acts as a spring of 0 N/mm (40 %)",
+        ),
+        ("stage", ["channel_delay"], "the cause acts in the force measurement, most likely as channel delay"),
+    ],
+)
+def test_a_cause_is_named_as_far_as_it_is_known(level, effects, text):
+    members = tuple(member(effect, 0.4) for effect in effects)
+    cause = Cause(effects[0], 0.4, 0.0, Interval(0.5), {}, level, members)
+    assert cause_clause(cause).startswith(text)
+
+
+def test_effects_that_look_alike_have_a_name_together():
+    assert class_name(["joint_play", "backlash", "series_compliance"]) == "something between motor and damper gives"
+    assert class_name(["joint_play", "gas_spring"]) == ""
+    assert class_name(["joint_play", "an own effect"]) == ""
+    symptoms = [effect.symptom for effect in EFFECTS.values() if effect.symptom]
+    assert all(symptoms.count(symptom) > 1 for symptom in symptoms)
