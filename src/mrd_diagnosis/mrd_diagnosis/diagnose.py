@@ -386,6 +386,7 @@ def _explain_gap(
             explanation,
             list(other_models.values()),
             [] if repeats_one_stroke(runs) else effects,
+            null_gains,
             rng,
             lambda fraction: progress(stage, 0.55 + 0.35 * fraction),
         )

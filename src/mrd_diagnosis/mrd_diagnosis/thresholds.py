@@ -65,6 +65,12 @@ class Thresholds:
         "the first simulated dampers",
     )
     # Causes beside a wrong form of the damper
+    least_share_beside_form: float = threshold(
+        0.05,
+        "of the gap",
+        "share of the gap of the best form that an effect must close to be named beside a wrong form",
+        "measured recordings with known errors, seed 81",
+    )
     form_effect_energy: float = threshold(
         0.05,
         "of the energy",
@@ -154,10 +160,10 @@ class Thresholds:
         "development seeds 7002 and 7003",
     )
     remaining_error: float = threshold(
-        0.1,
+        0.06,
         "of what the best explanation leaves beyond noise",
         "lead that is not decisive (odds of e) where the formulas leave so much",
-        "measured recordings with known errors, seed 63",
+        "measured recordings with known errors, seed 81",
     )
     indistinguishable: float = threshold(
         0.9,
