@@ -14,7 +14,9 @@ from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
 Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "partly_explained", "unknown_effect"]
-Axis = Literal["run", "time", "position", "velocity", "acceleration", "current", "frequency", "reversal", "sign"]
+Axis = Literal[
+    "reversal", "end", "step", "time", "sign", "run", "current", "position", "velocity", "acceleration", "frequency"
+]
 HeldOutBy = Literal["runs", "leave-one-run-out", "blocks"]
 
 

@@ -40,7 +40,7 @@ from mrd_diagnosis.diagnosis import (
 )
 from mrd_diagnosis.effect_names import effect_clause
 from mrd_diagnosis.explanation import list_alternatives
-from mrd_diagnosis.localisation import localise
+from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.null_distribution import REALISATIONS, NullGains
 from mrd_diagnosis.quantities import format_error, format_p_value, format_probability, format_quantity, format_share
 from mrd_diagnosis.report import figures
@@ -183,7 +183,7 @@ def diagnosed(verdict):
         form_fraction={"partly_explained": 0.08, "unknown_effect": 0.31}.get(verdict, float("nan")),
     )
     remaining = after if verdict == "partly_explained" else before
-    where = localise(recordings, noise, remaining, np.random.default_rng(0))
+    where = localise(recordings, noise, remaining)
     named = chosen if verdict in ("explained", "ambiguous", "partly_explained") else ()
     causes = tuple(Cause(name, 0.9, 0.005, about(closed, 0.04), estimates(name, parameters)) for name in named)
     alternatives, advice, models = (), None, ()

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrd_diagnosis.axis_bins import travel_since_reversal
+from mrd_diagnosis.localisation.events import travel_since_reversal
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.excess_maps import maps
-from mrd_diagnosis.localisation import find_oscillation, localise
+from mrd_diagnosis.localisation.excess_maps import maps
+from mrd_diagnosis.localisation.localise import localise
+from mrd_diagnosis.localisation.oscillation import find_oscillation
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
