@@ -63,7 +63,7 @@ class Region:
         Bounds in ``unit``; for the axis ``run`` both are the number of the run, from 1.
     unit : str
     share : Interval
-        Share of all excess squared error; the interval is a bootstrap over runs.
+        Share of all excess squared error; the interval follows from the scatter of the strokes.
     lift : float
         Share of the excess over share of the samples; nan for an oscillation.
     q_value : float

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mrd_diagnosis.localisation.events import travel_since_reversal
 from mrd_diagnosis.diagnosis import RunNoise
+from mrd_diagnosis.localisation.events import travel_since_reversal
 from mrd_diagnosis.localisation.excess_maps import maps
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation

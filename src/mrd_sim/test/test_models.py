@@ -227,7 +227,10 @@ def test_block_by_block_equals_at_once(name, examples, seed):
     for first in range(0, len(time), size):
         part = slice(first, first + size)
         block = Path(steps[part], *(values[part] for values in series), np.arange(len(time[part])))
-        expected, tolerance = at_once[part], 10 * TINY * np.max(np.abs(at_once))  # the last digits of a law depend on the block
+        expected, tolerance = (
+            at_once[part],
+            10 * TINY * np.max(np.abs(at_once)),
+        )  # the last digits of a law depend on the block
         assert np.allclose(model.force(theta, block, state), expected, rtol=0, atol=tolerance)
 
 

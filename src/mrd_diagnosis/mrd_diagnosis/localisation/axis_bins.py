@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis
-from mrd_diagnosis.localisation.events import distance_to_end, time_since_step, travel_since_reversal
+from mrd_diagnosis.localisation.events import distance_to_end, span_of_positions, time_since_step, travel_since_reversal
 from mrd_identification.recording import Recording, current_levels
 from mrd_runs.scales import scales_of
 
@@ -18,19 +18,18 @@ Labels = tuple[str, str, str]
 """Templates of the labels of the first bin, of a bin between others, and of the last bin."""
 
 PLACES: tuple[Axis, ...] = ("reversal", "end", "step", "time", "sign", "run", "current", "position")
-"""Axes on which a place tells where to look at the machine. What lies at some speed, acceleration or frequency of the motion may
-lie anywhere."""
+"""Axes on which a place tells where to look at the machine. Speed, acceleration and frequency of the motion do not."""
 
 NEAREST_REVERSAL, NEAREST_END = 0.01, 0.02
-"""First edge of the travel since a reversal, and of the distance to an end, over half the span of the position: around the usual
-yield travels, and where end stops act."""
+"""First edge of the travel since a reversal, and of the distance to an end, over half the span of the position: around the
+usual yield travels, and where end stops act."""
 
 EDGES_OF_TRAVEL, EDGES_OF_DISTANCE = 5, 4
 """Edges of these axes."""
 
 STEP_EDGES = (0.01, 0.03, 0.1, 0.3)
-"""Edges in s of the time since a step of the current: the coil, its driver and eddy currents settle within tens of ms, whatever
-the size of the damper."""
+"""Edges in s of the time since a step of the current: coil, driver and eddy currents settle within tens of ms, whatever the
+size of the damper."""
 
 NEAR_LABELS: dict[Axis, Labels] = {
     "reversal": ("within {} mm after a reversal", "{} to {} mm after a reversal", "more than {} mm after a reversal"),
@@ -81,7 +80,7 @@ class Bins:
 def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
     """Return the bins of every axis but the frequency, and the bin of every counted sample; -1 is no bin."""
     runs = [recording.run for recording in recordings]
-    scales = scales_of(runs)
+    scales, span = scales_of(runs), span_of_positions(recordings)
     starts = np.cumsum([0.0, *(run.duration for run in runs)])
 
     def joined(series: Iterable[Array]) -> Array:
@@ -92,25 +91,22 @@ def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
     position, velocity = joined(positions), joined(motion.velocity for motion in motions)
     speed, acceleration = np.abs(velocity), np.abs(joined(motion.acceleration for motion in motions))
     time = joined(run.time + start for run, start in zip(runs, starts, strict=False))
-    near = [
+    near: list[tuple[Axis, Iterable[Array], str]] = [
         ("reversal", (travel_since_reversal(of_run.path) for of_run in recordings), "m"),
-        ("end", distance_to_end(positions), "m"),
+        ("end", (distance_to_end(position, span) for position in positions), "m"),
         ("step", (time_since_step(of_run, scales.current) for of_run in recordings), "s"),
     ]
-    edges = {
+    edges: dict[Axis, Array] = {
         "reversal": preferred_numbers(NEAREST_REVERSAL * scales.stroke, EDGES_OF_TRAVEL),
         "end": preferred_numbers(NEAREST_END * scales.stroke, EDGES_OF_DISTANCE),
         "step": np.array(STEP_EDGES),
     }
     return [
-        *(
-            _bins_between(axis, joined(series), unit, 1e3, edges[axis], NEAR_LABELS[axis])
-            for axis, series, unit in near
-        ),
+        *(_bins_between(axis, joined(series), unit, 1e3, edges[axis], NEAR_LABELS[axis]) for axis, series, unit in near),
         _bins_between("time", time, "s", 1.0, _even_edges(time), TIME_LABELS),
         _sign_bins(velocity),
         _run_bins(recordings),
-        _current_bins(joined(run.current for run in runs), current_levels(runs)[0]),
+        _current_bins(joined(of_run.smoothed.current for of_run in recordings), current_levels(runs)[0]),
         _bins_between("position", position, "m", 1e3, _even_edges(position), range_labels("positions", "mm")),
         _bins_between("velocity", speed, "m/s", 1e3, log_edges(speed), range_labels("speeds", "mm/s")),
         _bins_between(

@@ -76,7 +76,12 @@ def time_since_step(recording: Recording, scale: float) -> Array:
     return np.asarray(time - np.maximum.accumulate(at_step))
 
 
-def distance_to_end(positions: Sequence[Array]) -> list[Array]:
-    """Return the distance in m of positions of several runs to the nearer end of the span of all of them."""
-    low, high = np.quantile(np.concatenate(positions), SPAN)
-    return [np.maximum(np.minimum(position - low, high - position), 0.0) for position in positions]
+def span_of_positions(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Return the ends in m between which the rod strokes in all recordings together."""
+    low, high = np.quantile(np.concatenate([recording.motion.position for recording in recordings]), SPAN)
+    return float(low), float(high)
+
+
+def distance_to_end(position: Array, span: tuple[float, float]) -> Array:
+    """Return the distance in m of positions (n,) to the nearer end of a span."""
+    return np.maximum(np.minimum(position - span[0], span[1] - position), 0.0)

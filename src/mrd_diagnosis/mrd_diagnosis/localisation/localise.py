@@ -22,9 +22,7 @@ LEAST_SAMPLES_OF_BIN = 20
 """Samples below which nothing is said about a bin."""
 
 
-def localise(
-    recordings: Sequence[Recording], noise: Sequence[RunNoise], residuals: Sequence[Array]
-) -> tuple[Region, ...]:
+def localise(recordings: Sequence[Recording], noise: Sequence[RunNoise], residuals: Sequence[Array]) -> tuple[Region, ...]:
     """Return the bins of every axis with their share of the excess squared error.
 
     The excess of a bin is the sum of r² - sigma² over its samples. An axis that does not vary in these recordings is left
@@ -50,13 +48,14 @@ def localise(
     -----
     The units are strokes (`mrd_diagnosis.localisation.units`). Of each unit, the excess in the bin is compared with what the
     bin would have if the excess of the unit were spread evenly over its samples. So an error that is large in some strokes
-    or runs is not mistaken for one that is large in what these strokes have more of. Bins of time, run and current hold whole
-    units; there, the excess of all recordings is spread evenly.
+    or runs is not mistaken for one that is large in what these strokes have more of. Bins of time, run and current hold
+    whole units; there, the excess of all recordings is spread evenly.
 
     The test statistic is the sum of these differences over the units, divided by the root of their sum of squares. For
     independent units with symmetric errors, its tails are below those of a normal variable, however unequal the units are
     (Efron 1969). The false-discovery rate over all bins is controlled after Benjamini & Hochberg (1995). Excess within
-    `Thresholds.noise_variance_error` of the noise variance is not counted. Intervals are those of a ratio of sums over units.
+    `Thresholds.noise_variance_error` of the noise variance is not counted. Intervals are those of a ratio of sums over
+    independent units.
     """
     regions: list[Region] = []
     p_values: list[float] = []

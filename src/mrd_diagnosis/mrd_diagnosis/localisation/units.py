@@ -1,8 +1,8 @@
 """Statistical units of the localisation: pieces of the recordings of which each is one observation of the excess error.
 
-A unit is a stroke, from one reversal of the rod to the next: it has samples after the reversal, in mid-stroke and before the
-end, so that the excess of its bins can be compared within it. Strokes are joined until they are longer than the memory of the
-residual, because what is correlated from one to the next is no new observation.
+A unit is a stroke, from one reversal of the rod to the next: it has samples after the reversal, in mid-stroke and before
+the end, so that the excess of its bins can be compared within it. Strokes are joined until they are longer than the memory
+of the residual, because what is correlated from one to the next is no new observation.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis, RunNoise
-from mrd_diagnosis.localisation.events import current_steps, reversals
+from mrd_diagnosis.localisation.events import current_steps, reversals, span_of_positions
 from mrd_identification.recording import Recording
 from mrd_runs.scales import scales_of
 
@@ -26,7 +26,7 @@ LEAST_UNITS = 100
 the residual remembers for longer is a drift, whose place is a time."""
 
 BETWEEN_UNITS: tuple[Axis, ...] = ("run", "time", "current")
-"""Axes whose bins hold whole units, which are compared with each other. On the other axes, bins are compared within units."""
+"""Axes whose bins hold whole units, which are compared with each other. On the others, bins are compared within units."""
 
 
 def units_of_axis(
@@ -34,9 +34,10 @@ def units_of_axis(
 ) -> tuple[Indices, Indices]:
     """Return the unit of every counted sample of all recordings, and the run of every unit.
 
-    Units begin where the rod reverses. The two directions are compared within a stroke there and the next one back. After a
-    step of the current, the unit goes on until the next step. Of the current, a unit is the time at one level: a level that is
-    kept through a run is one observation, however long.
+    Units begin where the rod reverses. The two directions are compared within a stroke there and the next one back. For the
+    nearness to an end, a unit is half a stroke, which passes one end. After a step of the current, the unit goes on until
+    the next step. Of the current, a unit is the time at one level: a level that is kept through a run is one observation,
+    however long. Strokes are divided only for time and runs.
 
     Parameters
     ----------
@@ -47,10 +48,12 @@ def units_of_axis(
     memories : sequence of float
         Least duration in s of a unit of each recording, from `memory`.
     """
+    middle = sum(span_of_positions(recordings)) / 2
     total = sum(recording.run.duration for recording in recordings)
     longest = total / LEAST_UNITS if axis in ("run", "time") else np.inf
     scale = scales_of([recording.run for recording in recordings]).current
-    unit_of_sample, run_of_unit = [], []
+    unit_of_sample: list[Indices] = []
+    run_of_unit: list[int] = []
     for run, (recording, bins, memory_of_run) in enumerate(zip(recordings, bin_of_sample, memories, strict=True)):
         if axis == "current":
             begins = np.flatnonzero(np.diff(bins)) + 1
@@ -58,13 +61,18 @@ def units_of_axis(
             begins = _counted(recording, current_steps(recording.smoothed.current, recording.run.rate, scale))
         else:
             begins = _counted(recording, np.searchsorted(recording.path.samples, reversals(recording.path)))
-            begins = begins[::2] if axis == "sign" else begins
+            if axis == "sign":
+                begins = begins[::2]
+            elif axis == "end":
+                beyond = recording.motion.position[recording.counted] > middle
+                begins = np.union1d(begins, np.flatnonzero(np.diff(beyond)) + 1)
         least = max(2, round(min(memory_of_run, total / LEAST_UNITS) * recording.rate))
         edges = _joined(begins, len(bins), least)
         pieces = np.maximum(np.ceil(np.diff(edges) / (longest * recording.rate)), 1).astype(int)
-        edges = np.unique(np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), edges).astype(int))
-        unit_of_sample.append(len(run_of_unit) + np.repeat(np.arange(len(edges) - 1), np.diff(edges)))
-        run_of_unit += [run] * (len(edges) - 1)
+        divided = np.interp(np.arange(pieces.sum() + 1), np.append(0, np.cumsum(pieces)), edges)
+        sizes = np.diff(np.unique(divided.astype(int)))
+        unit_of_sample.append(len(run_of_unit) + np.repeat(np.arange(len(sizes)), sizes))
+        run_of_unit += [run] * len(sizes)
     return np.concatenate(unit_of_sample), np.array(run_of_unit)
 
 
