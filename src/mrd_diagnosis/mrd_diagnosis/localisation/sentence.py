@@ -16,19 +16,20 @@ NEARLY_ALL = 0.95
 MOST = 0.85
 """Share from which an oscillation is nearly all of the error to a reader."""
 
-FRACTIONS: tuple[tuple[float, str, str], ...] = (
+FRACTIONS = [
     (1 / 3, "a third of", "lies"),
     (1 / 2, "half of", "lies"),
     (2 / 3, "two thirds of", "lie"),
-)
-FRACTIONS += ((3 / 4, "three quarters of", "lie"), (9 / 10, "nine tenths of", "lie"))
+    (3 / 4, "three quarters of", "lie"),
+    (9 / 10, "nine tenths of", "lie"),
+]
 """Fractions that have a name, with the verb after them."""
 
 WIDTH_OF_FRACTION = 0.03
 """Difference from a named fraction up to which a share is called by its name."""
 
-OF_THE_RUN = 0.9
-"""Part of the share of a time that one run has, from which the place is the run: the time is then when it was recorded."""
+AS_DENSE = 0.9
+"""Part of share and lift of a time that one run has, from which the place is the run: the time is then when it was recorded."""
 
 
 def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
@@ -54,7 +55,7 @@ def headline_place(where: Sequence[Region]) -> Region | None:
     first = places[0]
     if first.axis == "time":
         runs = [region for region in places if region.axis == "run"]
-        first = next((run for run in runs if run.share.value > OF_THE_RUN * first.share.value), first)
+        first = next((run for run in runs if _is_as_dense(run, first)), first)
     if first.axis not in NEAR_LABELS:
         return first
     bins = sorted((region for region in where if region.axis == first.axis), key=lambda region: region.lower)
@@ -127,6 +128,10 @@ def _joined(regions: Sequence[Region]) -> Region:
     interval = type(first.share)(share)
     label = near_label(first.axis, last.upper)
     return Region(first.axis, first.lower, last.upper, first.unit, interval, share / samples, first.q_value, label)
+
+
+def _is_as_dense(run: Region, time: Region) -> bool:
+    return run.share.value > AS_DENSE * time.share.value and run.lift > AS_DENSE * time.lift
 
 
 def _is_significant(region: Region) -> bool:
