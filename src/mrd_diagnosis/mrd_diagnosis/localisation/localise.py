@@ -51,7 +51,9 @@ def localise(recordings: Sequence[Recording], noise: Sequence[RunNoise], residua
     or runs is not mistaken for one that is large in what these strokes have more of. Bins of time, run and current hold
     whole units; there, the excess of all recordings is spread evenly.
 
-    The test statistic is the sum of these differences over the units, divided by the root of their sum of squares. For
+    The test statistic is the sum of these differences over the units, divided by the root of their sum of squares. Where
+    bins are compared within units, a unit of much excess counts less than in proportion, so that one stroke does not decide
+    alone: what is expected of a bin within its unit is the same for any excess of the unit. For
     independent units with symmetric errors, its tails are below those of a normal variable, however unequal the units are
     (Efron 1969). The false-discovery rate over all bins is controlled after Benjamini & Hochberg (1995). Excess within
     `Thresholds.noise_variance_error` of the noise variance is not counted. Intervals are those of a ratio of sums over
@@ -102,6 +104,9 @@ def _regions(table: ExcessTable) -> tuple[list[Region], list[float]]:
 def _p_values(table: ExcessTable, uniform: Array) -> Array:
     """Return the one-sided p-value of each bin for more excess than a uniform distribution gives."""
     of_unit, samples = table.excess.sum(axis=1, keepdims=True), table.samples.sum(axis=1, keepdims=True)
-    parts = uniform if table.bins.axis in BETWEEN_UNITS else table.samples / np.maximum(samples, 1.0)
-    above = table.excess - THRESHOLDS.noise_variance_error * table.noise - of_unit * parts
+    parts, weights = uniform, np.ones_like(of_unit)
+    if table.bins.axis not in BETWEEN_UNITS:
+        parts = table.samples / np.maximum(samples, 1.0)
+        weights = 1.0 / (np.abs(of_unit) + np.abs(of_unit).mean())
+    above = weights * (table.excess - THRESHOLDS.noise_variance_error * table.noise - of_unit * parts)
     return np.asarray(ndtr(-above.sum(axis=0) / np.sqrt((above**2).sum(axis=0) + 1e-300)))

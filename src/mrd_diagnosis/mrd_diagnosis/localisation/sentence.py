@@ -29,7 +29,7 @@ WIDTH_OF_FRACTION = 0.03
 """Difference from a named fraction up to which a share is called by its name."""
 
 AS_DENSE = 0.9
-"""Part of share and lift of a time that one run has, from which the place is the run: the time is then when it was recorded."""
+"""Part of share and lift of a time that one run has, from which the place is the run, which was recorded at that time."""
 
 
 def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
