@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from mrd_diagnosis.diagnosis import Axis, RunNoise
 from mrd_diagnosis.localisation.axis_bins import PLACES, preferred_numbers
-from mrd_diagnosis.localisation.events import current_steps, time_since_step, travel_since_reversal
+from mrd_diagnosis.localisation.events import travel_since_reversal
 from mrd_diagnosis.localisation.excess_maps import maps
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
@@ -17,6 +17,7 @@ from mrd_diagnosis.localisation.sentence import headline_place
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
+from mrd_runs.signals.current_steps import time_since_step
 from mrd_sim.path import make_path
 
 RATE = 250.0
@@ -81,7 +82,7 @@ def level(r):
 
 
 def since_step(r):
-    return time_since_step(r, LEVELS[-1])
+    return time_since_step(r.run.time, r.smoothed.current, LEVELS[-1])
 
 
 PLANTED = {
@@ -144,7 +145,7 @@ def test_speed_and_frequency_are_no_place_but_are_shown(campaign):
 
 
 def mostly_in_a_second(r):
-    """Return an error after reversals, half of which one second of one run has: with runs or seconds as units nothing shows."""
+    """Return an error after reversals, half of which one second of one run has: runs or seconds as units show nothing."""
     size = {"run0": 10.0, "run1": 3.0, "run2": 4.0, "run3": 2.0}[r.run.name]
     burst = 1.0 + 5.0 * (r.run.name == "run0") * np.exp(-(((r.run.time - 5.0) / 0.5) ** 2))
     return size * burst * np.exp(-since(r) / 0.2e-3) * np.sign(r.motion.velocity)
@@ -281,21 +282,6 @@ def test_travel_since_reversal_counts_from_the_turning_point_between_samples():
     turn = np.floor((angle - np.pi / 2) / np.pi) * np.pi + np.pi / 2
     expected = np.abs(np.sin(angle) - np.sin(np.maximum(turn, angle[0])))
     np.testing.assert_allclose(travel_since_reversal(path), expected, atol=1e-3)
-
-
-@pytest.mark.parametrize("rate", [100.0, 250.0, 5000.0])
-def test_steps_of_the_current_are_found_where_they_begin(rate):
-    at = np.arange(int(4 * rate)) / rate
-    stepped = np.where(at < 1.0, 0.1, np.where(at < 2.5, 0.8, 0.4))
-    np.testing.assert_allclose(at[current_steps(stepped, rate, 0.8)], [1.0, 2.5], atol=1.5 / rate)
-    assert len(current_steps(0.1 * np.arange(4) / rate, rate, 1.0)) == 0
-
-
-@pytest.mark.parametrize("frequency", [0.1, 1.0, 5.0, 20.0])
-@pytest.mark.parametrize("rate", [100.0, 1000.0])
-def test_a_smooth_current_has_no_steps(frequency, rate):
-    at = np.arange(int(10 * rate)) / rate
-    assert len(current_steps(0.5 + 0.5 * np.sin(2 * np.pi * frequency * at), rate, 1.0)) == 0
 
 
 def test_edges_are_preferred_numbers_of_the_size_of_the_stroke():

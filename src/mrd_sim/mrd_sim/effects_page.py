@@ -116,7 +116,9 @@ Write bounds and typical values for the reference damper ([ranges](#ranges)). Us
 of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs.
 An effect that is not neutral at its parameters' defaults is
 refused. Reports describe the effect with its `phrase`, and compare the place of the error with the places that
-`shows` lists: $places. Without `shows` the effect may show anywhere.
+`shows` lists, which are any of
+$places.
+Without `shows`, the effect may show anywhere.
 
 ```python
 {EXAMPLE}```
@@ -135,7 +137,7 @@ def page() -> str:
         for effect in catalogue()
     )
     sections = "\n".join(section(effect) for effect in catalogue())
-    places = ", ".join(f"`{place}` ({words})" for place, words in PLACES.items())
+    places = ", ".join(f"`{place}`" for place in PLACES)
     return Template(_PAGE).substitute(stages=stages, effects=effects, sections=sections, places=places)
 
 

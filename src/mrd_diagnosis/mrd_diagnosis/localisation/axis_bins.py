@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis
-from mrd_diagnosis.localisation.events import distance_to_end, span_of_positions, time_since_step, travel_since_reversal
+from mrd_diagnosis.localisation.events import distance_to_end, span_of_positions, travel_since_reversal
 from mrd_identification.recording import Recording, current_levels
 from mrd_runs.scales import scales_of
+from mrd_runs.signals.current_steps import time_since_step
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -94,7 +95,7 @@ def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
     near: list[tuple[Axis, Iterable[Array], str]] = [
         ("reversal", (travel_since_reversal(of_run.path) for of_run in recordings), "m"),
         ("end", (distance_to_end(position, span) for position in positions), "m"),
-        ("step", (time_since_step(of_run, scales.current) for of_run in recordings), "s"),
+        ("step", (time_since_step(of_run.run.time, of_run.smoothed.current, scales.current) for of_run in recordings), "s"),
     ]
     edges: dict[Axis, Array] = {
         "reversal": preferred_numbers(NEAREST_REVERSAL * scales.stroke, EDGES_OF_TRAVEL),

@@ -68,9 +68,9 @@ def headline_place(where: Sequence[Region]) -> Region | None:
 
 
 def agreement_sentence(diagnosis: Diagnosis) -> str:
-    """Return whether the error lies where the named causes must show; empty where these may show anywhere.
+    """Return whether the error lies where the named causes and their alternatives must show; empty where these may show anywhere.
 
-    A cause contradicts the place only where there is no more error in any place where it must show than elsewhere.
+    An effect contradicts the place only where there is no more error in any place where it must show than elsewhere.
     """
     headline = headline_place(diagnosis.where)
     if headline is None and diagnosis.oscillation is None:
@@ -78,19 +78,19 @@ def agreement_sentence(diagnosis: Diagnosis) -> str:
     as_it: list[str] = []
     there: list[str] = []
     sentences: list[str] = []
-    for cause in diagnosis.causes:
-        places = EFFECTS[cause.effect].shows if cause.effect in EFFECTS else ()
+    for effect in dict.fromkeys(explanation.effect for explanation in (*diagnosis.causes, *diagnosis.alternatives)):
+        places = EFFECTS[effect].shows if effect in EFFECTS else ()
         near = [region for region in diagnosis.where if region.axis in places and not _is_away(region, diagnosis.where)]
         found = [region for region in near if _is_significant(region)]
         if "frequency" in places and diagnosis.oscillation is not None:
-            as_it.append(cause.effect)
+            as_it.append(effect)
         elif headline is not None and headline.axis in {region.axis for region in found}:
-            there.append(cause.effect)
+            there.append(effect)
         elif found:
             among = _in_words([place for place in places if place in {region.axis for region in found}], "and")
-            sentences.append(f"The error is also larger {among}, where {effect_name(cause.effect)} must show.")
+            sentences.append(f"The error is also larger {among}, where {effect_name(effect)} must show.")
         elif near and all(region.lift <= 1.0 for region in near):
-            name = capitalised(effect_name(cause.effect))
+            name = capitalised(effect_name(effect))
             sentences.append(f"{name} would show {_in_words(places, 'or')}, and the error lies elsewhere.")
     agreeing = [
         f"That is {word} {effect_names(effects)} must show."

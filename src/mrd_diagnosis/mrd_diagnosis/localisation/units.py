@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis, RunNoise
-from mrd_diagnosis.localisation.events import current_steps, reversals, span_of_positions
+from mrd_diagnosis.localisation.events import reversals, span_of_positions
 from mrd_identification.recording import Recording
 from mrd_runs.scales import scales_of
+from mrd_runs.signals.current_steps import current_steps
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
