@@ -597,7 +597,7 @@ def test_the_page_says_what_remains_beside_the_causes(tmp_path):
         "Cause</h2>",
         "What remains</h2>",
         "Other damper models</h2>",
-        "remaining error lies",
+        "Where the remaining error lies</h2>",
     ]
     places = [markup.index(text) for text in order]
     assert places == sorted(places)

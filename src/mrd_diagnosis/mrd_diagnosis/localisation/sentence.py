@@ -68,7 +68,7 @@ def headline_place(where: Sequence[Region]) -> Region | None:
 
 
 def agreement_sentence(diagnosis: Diagnosis) -> str:
-    """Return whether the error lies where the named causes and their alternatives must show; empty where these may show anywhere.
+    """Return whether the error lies where causes and alternatives must show; empty where these may show anywhere.
 
     An effect contradicts the place only where there is no more error in any place where it must show than elsewhere.
     """
@@ -78,7 +78,8 @@ def agreement_sentence(diagnosis: Diagnosis) -> str:
     as_it: list[str] = []
     there: list[str] = []
     sentences: list[str] = []
-    for effect in dict.fromkeys(explanation.effect for explanation in (*diagnosis.causes, *diagnosis.alternatives)):
+    explanations = [cause.effect for cause in diagnosis.causes] + [other.effect for other in diagnosis.alternatives]
+    for effect in dict.fromkeys(explanations):
         places = EFFECTS[effect].shows if effect in EFFECTS else ()
         near = [region for region in diagnosis.where if region.axis in places and not _is_away(region, diagnosis.where)]
         found = [region for region in near if _is_significant(region)]
