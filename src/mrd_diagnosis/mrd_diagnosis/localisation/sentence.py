@@ -28,6 +28,9 @@ FRACTIONS = [
 WIDTH_OF_FRACTION = 0.03
 """Difference from a named fraction up to which a share is called by its name."""
 
+LEAST_DENSITY = 0.5
+"""Lift of a bin over that of the bins before it, from the event on, from which it belongs to one place with them."""
+
 AS_DENSE = 0.9
 """Part of share and lift of a time that one run has, from which the place is the run, which was recorded at that time."""
 
@@ -47,7 +50,7 @@ def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
 def headline_place(where: Sequence[Region]) -> Region | None:
     """Return the place that a headline names: the significant one on the axes of `PLACES` in which the error is densest.
 
-    On an axis that counts from an event, significant bins from the event on are taken together.
+    On an axis that counts from an event, significant bins from the event on are taken together, without a thin tail.
     """
     places = [region for region in where if region.axis in PLACES and _is_significant(region)]
     if not places:
@@ -61,7 +64,7 @@ def headline_place(where: Sequence[Region]) -> Region | None:
     bins = sorted((region for region in where if region.axis == first.axis), key=lambda region: region.lower)
     together: list[Region] = []
     for region in bins[:-1]:
-        if not _is_significant(region):
+        if not _is_significant(region) or (together and region.lift < LEAST_DENSITY * _joined(together).lift):
             break
         together.append(region)
     return _joined(together) if first in together else first
