@@ -43,6 +43,7 @@ def test_bins_from_an_event_on_are_one_place():
 
 def test_speed_and_what_is_not_significant_are_no_place():
     assert where_sentence(located(SPEED, region("run", "run 3", 0.9, 3.0, 0.2))) == ""
+    assert where_sentence(located(region("run", "run 3", 0.3, 1.1))) == ""
     assert where_sentence(located(SPEED, RUN)) == "60 % of the error lies in run 3, which is 30 % of the samples."
 
 

@@ -43,9 +43,9 @@ def localise(recordings: Sequence[Recording], noise: Sequence[RunNoise], residua
     Returns
     -------
     tuple of Region
-        The significant ones first, of these the `PLACES`, then by share x log(lift), with `PREFERENCE`. This is the contribution of the bin to
-        the G statistic of excess against samples, large where a small part of the samples has much of the excess. The
-        frequencies of the motion itself come last. Empty without excess.
+        The significant ones first, of these the `PLACES`, then by share x log(lift). This is the contribution of the bin to
+        the G statistic of excess against samples, large where a small part of the samples has much of the excess. Places
+        that count from an event are preferred. The frequencies of the motion itself come last. Empty without excess.
 
     Notes
     -----

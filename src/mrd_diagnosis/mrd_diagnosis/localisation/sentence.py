@@ -28,6 +28,9 @@ FRACTIONS = [
 WIDTH_OF_FRACTION = 0.03
 """Difference from a named fraction up to which a share is called by its name."""
 
+LEAST_LIFT = 1.3
+"""Lift from which a place is named: what has hardly more of the error than of the samples tells nobody where to look."""
+
 LEAST_DENSITY = 0.5
 """Lift of a bin over that of the bins before it, from the event on, from which it belongs to one place with them."""
 
@@ -52,7 +55,8 @@ def headline_place(where: Sequence[Region]) -> Region | None:
 
     On an axis that counts from an event, significant bins from the event on are taken together, without a thin tail.
     """
-    places = [region for region in where if region.axis in PLACES and _is_significant(region)]
+    significant = [region for region in where if region.axis in PLACES and _is_significant(region)]
+    places = [region for region in significant if region.lift >= LEAST_LIFT]
     if not places:
         return None
     first = places[0]
