@@ -36,7 +36,8 @@ from mrd_diagnosis.explanation import (
 from mrd_diagnosis.flexible_remainder import explainable_fraction
 from mrd_diagnosis.judgement import judge, reject_others
 from mrd_diagnosis.limitations import limitation_notes, untestable_effects
-from mrd_diagnosis.localisation import find_oscillation, localise
+from mrd_diagnosis.localisation.localise import localise
+from mrd_diagnosis.localisation.oscillation import find_oscillation
 from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
 from mrd_diagnosis.null_distribution import NullGains, draw_null_gains
 from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
@@ -400,7 +401,7 @@ def _locate(
     """Return where the gap lies, an oscillation that has most of it, and the share that a flexible function can explain."""
     recordings = [residual.recording for residual in closure.counted]
     noise = [residual.noise for residual in closure.counted]
-    where = localise(recordings, noise, residuals, rng)
+    where = localise(recordings, noise, residuals)
     oscillation = find_oscillation(recordings, noise, residuals)
     return where, oscillation, explainable_fraction(recordings, residuals, [of_run.sigma for of_run in noise], rng)
 

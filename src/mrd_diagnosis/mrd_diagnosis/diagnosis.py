@@ -14,7 +14,9 @@ from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
 Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "partly_explained", "unknown_effect"]
-Axis = Literal["run", "time", "position", "velocity", "acceleration", "current", "frequency", "reversal", "sign"]
+Axis = Literal[
+    "reversal", "end", "step", "time", "sign", "run", "current", "position", "velocity", "acceleration", "frequency"
+]
 Level = Literal["effect", "class", "stage", "undecided"]
 HeldOutBy = Literal["runs", "leave-one-run-out", "blocks"]
 
@@ -62,7 +64,7 @@ class Region:
         Bounds in ``unit``; for the axis ``run`` both are the number of the run, from 1.
     unit : str
     share : Interval
-        Share of all excess squared error; the interval is a bootstrap over runs.
+        Share of all excess squared error; the interval follows from the scatter of the strokes.
     lift : float
         Share of the excess over share of the samples; nan for an oscillation.
     q_value : float

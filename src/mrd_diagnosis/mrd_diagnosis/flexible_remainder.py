@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mrd_diagnosis.axis_bins import travel_since_reversal
+from mrd_diagnosis.localisation.events import travel_since_reversal
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import Recording
 from mrd_runs.scales import scales_of

@@ -80,22 +80,20 @@ def select_effects(
     chosen, singles, weighting = _search(weighting, forms[0], effects, lambda fraction: progress(0.5 * fraction))
     ranked = [fit.effects[0] for fit in sorted(singles, key=lambda fit: fit.refit.held_out_cost)]
     present = list(chosen)
+    values = chosen[present[-1]].values if present else {}
     selected = []
     for place, effect in enumerate(chosen):
         others = [other for other in present if other != effect]
-        values = chosen[present[-1]].values
         bases = [with_effects(weighting, form, others, form.values | values) for form in forms]
         free = [name for name in ranked if name not in others]
         alike = [name for name in free if name in EFFECTS[effect].confused_with]
         asked = list(dict.fromkeys([effect, *free[:MOST_ALTERNATIVES], *alike]))
         found = _judge(effect, fit_table(weighting, bases, asked), rng)
         progress(0.5 + 0.5 * (place + 1) / len(chosen))
-        if found is None:
-            present.remove(effect)
-        else:
+        present = others
+        if found is not None:
             selected.append(found)
-        if not present:
-            break
+            present, values = [*others, found.effect], values | found.fitted.values
     return selected
 
 

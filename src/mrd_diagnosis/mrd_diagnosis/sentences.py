@@ -10,15 +10,13 @@ from mrd_diagnosis.closed_loop import review_commands
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.honesty import SEEN, gap_making_limitations
+from mrd_diagnosis.localisation.sentence import agreement_sentence, where_sentence
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_runs.read import run_arguments
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 from mrd_sim.own import folder_arguments, model_arguments
-
-NEARLY_ALL = 0.85
-"""Share of the error from which a reader calls it nearly all."""
 
 MOST = 0.5
 """Share of the gap from which a reader calls it most of it."""
@@ -54,11 +52,11 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def _gap_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
-    """Return what explains a gap, or a change."""
-    if diagnosis.verdict == "explained":
-        return _explained_sentence(diagnosis, gap)
-    if diagnosis.verdict == "ambiguous":
-        return _ambiguous_sentence(diagnosis, gap)
+    """Return what explains a gap, or a change, and where it lies."""
+    if diagnosis.verdict in ("explained", "ambiguous"):
+        sentence = _explained_sentence if diagnosis.verdict == "explained" else _ambiguous_sentence
+        parts = (sentence(diagnosis, gap), where_sentence(diagnosis), agreement_sentence(diagnosis))
+        return " ".join(filter(None, parts))
     if diagnosis.verdict == "partly_explained":
         return _partly_explained_sentence(diagnosis, gap)
     return _unknown_effect_sentence(diagnosis, gap)
@@ -282,24 +280,6 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
     return " ".join(sentences)
 
 
-def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
-    """Return where most of the error lies; empty where no part of the recordings has significantly more than the others."""
-    oscillation = diagnosis.oscillation
-    significant = [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value]
-    if oscillation is not None:
-        significant = [region for region in significant if region.axis != "frequency"]
-    places = [region for region in significant if region.axis != "run"] or significant
-    place = f"({format_share(places[0].share.value)}) occurs {_at(places[0].label)}" if places else ""
-    if oscillation is not None:
-        share = oscillation.share.value
-        much = f"{'Nearly all' if share > NEARLY_ALL else 'Most'} of {error}"
-        also = f", and most of {error} {place}" if places and places[0].share.value > 0.5 else ""
-        return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
-    if not places:
-        return ""
-    return f"{'Most' if places[0].share.value > 0.5 else 'The largest part'} of {error} {place}."
-
-
 def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
     """Return the best other damper model if it closes notably more of the gap than the nearest effect."""
     models = diagnosis.alternative_models
@@ -479,11 +459,3 @@ def _removal(diagnosis: Diagnosis, gap: Gap) -> str:
 
 def _gap_name(diagnosis: Diagnosis, name: str = "gap") -> str:
     return "change" if diagnosis.reference else name
-
-
-def _at(label: str) -> str:
-    """Return the label of a region after "occurs"."""
-    first = label.partition(" ")[0]
-    if first in ("at", "in", "while", "within", "above", "below", "after", "between", "more", "up"):
-        return label
-    return f"{'in' if first in ('run', 'the') else 'at'} {label}"

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from string import Template
 
-from mrd_sim.effects import EFFECTS, STAGES, Effect
+from mrd_sim.effects import EFFECTS, PLACES, STAGES, Effect
 from mrd_sim.models_page import clauses
 from mrd_sim.parameter import Parameter
 from mrd_sim.ranges import RANGES, grows_with
@@ -56,6 +56,7 @@ EFFECT = Effect(
     signature="a bump on both sides of mid-stroke",
     confused_with=("gas_spring",),
     separated_by="slow ramps across mid-stroke",
+    shows=("position",),
     kernel=_apply,
 )
 '''
@@ -111,10 +112,13 @@ Write one file for each effect and name their folder with `--effects-folder FOLD
 `mrd_sim.effects.load_effects`). The kernel changes the signals of its stage in place, sample by sample: `x`, `v`, `a`
 (drive), `u` (magnetics, the current), `force`. `parameters` are read by name; `state` is carried on from block to
 block; `dt[0] == 0` begins a path.
-Write bounds and typical values for the reference damper ([ranges](#ranges)). ([ranges](#ranges)). Use the functions
+Write bounds and typical values for the reference damper ([ranges](#ranges)). Use the functions
 of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs.
 An effect that is not neutral at its parameters' defaults is
-refused. Reports describe the effect with its `phrase`.
+refused. Reports describe the effect with its `phrase`, and compare the place of the error with the places that
+`shows` lists, which are any of
+$places.
+Without `shows`, the effect may show anywhere.
 
 ```python
 {EXAMPLE}```
@@ -133,7 +137,13 @@ def page() -> str:
         for effect in catalogue()
     )
     sections = "\n".join(section(effect) for effect in catalogue())
-    return Template(_PAGE).substitute(stages=stages, effects=effects, sections=sections)
+    places = ", ".join(f"`{place}`" for place in PLACES)
+    return Template(_PAGE).substitute(stages=stages, effects=effects, sections=sections, places=places)
+
+
+def where(effect: Effect) -> str:
+    """Return where in recordings the effect must show, in words."""
+    return " or ".join(PLACES[place] for place in effect.shows) or "anywhere"
 
 
 def section(effect: Effect) -> str:
@@ -156,6 +166,7 @@ def section(effect: Effect) -> str:
 {rows}
 
 - Shows as: {effect.signature}.
+- Where: {where(effect)}.
 - Looks like: {_links(effect.confused_with)}.
 - Told apart by: {effect.separated_by}.
 - Source: {effect.source}.

@@ -14,7 +14,7 @@ from mrd_runs import Run
 from mrd_runs.signals.mains import Line
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.dual import STEP
-from mrd_sim.effects import EFFECTS, STAGES, find_effects
+from mrd_sim.effects import EFFECTS, PLACES, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import Path, make_path, run_path
 
@@ -150,6 +150,7 @@ def test_declaration(effect):
     for text in (effect.title, effect.equation, effect.source, effect.signature, effect.separated_by):
         assert text
         assert text.isprintable()
+    assert set(effect.shows) <= PLACES.keys()
     assert effect.confused_with
     assert set(effect.confused_with) <= EFFECTS.keys() - {effect.id}
     assert len(set(effect.confused_with)) == len(effect.confused_with)

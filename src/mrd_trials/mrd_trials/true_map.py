@@ -7,12 +7,17 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
+from mrd_runs.signals.current_steps import time_since_step
 from mrd_trials.bench_session import BenchSession, Effects
 from mrd_trials.records import GapBin
 from mrd_trials.reference_fit import ReferenceFit
 from mrd_trials.size import REFERENCE, Size
 
 Array = NDArray[np.float64]
+
+SPAN = (0.002, 0.998)
+"""Quantiles of the position at the ends of the stroke."""
 
 FRAME = 2.0
 """Length in s of the frames of a spectrum: bands of the frequency axis are half a hertz wide or wider."""
@@ -58,6 +63,8 @@ def true_map(
 def axis_series(runs: Sequence[Run], counted: Sequence[slice]) -> dict[str, Array]:
     """Return the value of every axis but frequency at each counted sample, from runs without noise."""
     starts = np.cumsum([0.0, *(run.duration for run in runs)])
+    low, high = np.quantile(np.concatenate([run.position for run in runs]), SPAN)
+    scale = scales_of(runs).current
     columns: dict[str, list[Array]] = {}
     for place, (run, part) in enumerate(zip(runs, counted, strict=True)):
         velocity = np.gradient(run.position, run.time)
@@ -70,6 +77,8 @@ def axis_series(runs: Sequence[Run], counted: Sequence[slice]) -> dict[str, Arra
             "acceleration": np.abs(acceleration),
             "current": run.current,
             "reversal": travel_since_reversal(run.position),
+            "end": np.maximum(np.minimum(run.position - low, high - run.position), 0.0),
+            "step": time_since_step(run.time, run.current, scale),
             "sign": np.sign(velocity),
         }
         for axis, values in of_run.items():

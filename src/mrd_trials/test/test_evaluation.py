@@ -18,7 +18,7 @@ from mrd_trials.baseline_methods import BaselineResult, run_baseline_methods
 from mrd_trials.bench_session import BenchSession, as_run
 from mrd_trials.closure import ClosureMeter
 from mrd_trials.records import GapBin
-from mrd_trials.true_map import shares_of_bins, travel_since_reversal, true_map
+from mrd_trials.true_map import axis_series, shares_of_bins, travel_since_reversal, true_map
 from mrd_trials.truth import BenchCommand, TrueInstruments, TruePlant
 
 EFFECTS = {"moving_mass": {"mass": 3.0, "frequency": 100.0, "damping": 0.3}}
@@ -60,6 +60,17 @@ def test_trials_use_only_the_public_api_of_the_diagnosis():
 def test_travel_since_reversal():
     position = np.array([0.0, 1.0, 3.0, 3.0, 2.0, 0.0, 1.0])
     assert travel_since_reversal(position).tolist() == [0.0, 1.0, 3.0, 0.0, 1.0, 0.0, 1.0]
+
+
+def test_ends_and_steps_of_the_true_map_are_those_of_the_motion_and_the_current():
+    time = np.arange(1000) / 500
+    position, current = 0.01 * np.sin(np.pi * time), np.where(time < 1.0, 0.2, 0.5)
+    run = Run("run", time, position, np.gradient(position, time), current, np.zeros(1000))
+    series = axis_series([run], [slice(0, 1000)])
+    assert series["end"][0] == pytest.approx(0.01, rel=1e-2)
+    assert series["end"][250] == pytest.approx(0.0, abs=1e-6)
+    assert np.all(np.isinf(series["step"][:500]))
+    np.testing.assert_allclose(series["step"][500:], time[500:] - 1.0, atol=2.1e-3)
 
 
 def test_shares_of_bins():

@@ -100,6 +100,7 @@ def test_a_submission_on_a_plant_of_another_size_is_scored_as_on_the_reference_p
     units = {parameter.name: parameter.unit for parameter in model.parameters}
     complete = {parameter.name: parameters.get(parameter.name, parameter.default) for parameter in model.parameters}
     axes = {"position": "m", "velocity": "m/s", "acceleration": "m/s²", "current": "A", "reversal": "m", "frequency": "Hz"}
+    axes |= {"end": "m", "step": "s"}
     closures, maps = [], []
     for (truth, runs, _), size in ((reference, Size()), (scaled, SIZE)):
         given, fresh = runs[:-FRESH_RUNS], runs[-FRESH_RUNS:]

@@ -19,6 +19,7 @@ from mrd_diagnosis.diagnosis import (
     RunResidual,
 )
 from mrd_diagnosis.effect_names import STAGE_NAMES, candidate_title, effect_clause, effect_name, parameters_of_effect
+from mrd_diagnosis.localisation.sentence import where_sentence
 from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.candidate_text import (
@@ -38,7 +39,6 @@ from mrd_diagnosis.sentences import (
     open_share,
     placeholders,
     share_of_form,
-    where_sentence,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.json_file import make_folder

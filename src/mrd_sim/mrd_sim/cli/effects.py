@@ -12,7 +12,7 @@ from mrd_base.console import print_table
 from mrd_base.tool import command
 from mrd_sim.cli.options import add_effects_folder
 from mrd_sim.effects import EFFECTS, Effect, find_effects
-from mrd_sim.effects_page import catalogue, interval, page, section
+from mrd_sim.effects_page import catalogue, interval, page, section, where
 from mrd_sim.models_page import clauses
 
 
@@ -47,6 +47,7 @@ def work() -> None:
     print_table(parameters(chosen))
     for name, text in (
         ("Shows as", chosen.signature),
+        ("Where", where(chosen)),
         ("Looks like", ", ".join(chosen.confused_with)),
         ("Told apart by", chosen.separated_by),
         ("Source", chosen.source),

@@ -40,5 +40,6 @@ EFFECT = Effect(
     signature="the force stays near zero while the drive crosses the play, whenever the force changes sign",
     confused_with=("joint_play", "series_compliance", "cavitation", "seal_friction", "channel_delay"),
     separated_by="position of the rod compared with that of the motor; a preload that keeps the force from changing sign",
+    shows=("reversal",),
     elongation=_elongation,
 )

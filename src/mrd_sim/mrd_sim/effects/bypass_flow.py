@@ -35,6 +35,7 @@ EFFECT = Effect(
     signature="the force falls off at low speed, by less the lower the current",
     confused_with=("shear_thinning", "rate_dependent_hysteresis", "series_compliance", "cavitation"),
     separated_by="strokes so slow that the damper does not yield, at several currents",
+    shows=("reversal", "velocity"),
     elongation=_elongation,
     coefficient="series_viscous",
 )

@@ -48,5 +48,6 @@ EFFECT = Effect(
     signature="the force in compression is capped, the more so the more current; the rebound after it comes late",
     confused_with=("backlash", "flow_asymmetry", "current_saturation", "bypass_flow"),
     separated_by="rising current at one speed; another gas pressure",
+    shows=("reversal", "sign", "current"),
     elongation=_elongation,
 )

@@ -64,6 +64,7 @@ EFFECT = Effect(
     signature="force loops that open in proportion to the rate of force; a phase proportional to frequency",
     confused_with=("force_sensor_lag", "series_compliance", "moving_mass", "coil_lag", "rate_dependent_hysteresis"),
     separated_by="one event that all channels show; a chirp (phase over frequency); steps of current during fast motion",
+    shows=("reversal", "step"),
     kernel=_apply,
     follows_force=True,
     states=_FORCES + _ROOM,

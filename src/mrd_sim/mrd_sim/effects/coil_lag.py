@@ -44,6 +44,7 @@ EFFECT = Effect(
     signature="the force follows a change of current late, at any speed of the rod",
     confused_with=("magnetic_hysteresis", "channel_delay", "force_sensor_lag"),
     separated_by="steps of current at several constant speeds",
+    shows=("step",),
     kernel=_apply,
     states=2,
 )

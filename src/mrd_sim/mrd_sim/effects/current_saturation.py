@@ -44,5 +44,6 @@ EFFECT = Effect(
     signature="the force grows less and less with current, at any speed",
     confused_with=("magnetic_hysteresis", "current_sensor_error", "cavitation", "thermal_fade"),
     separated_by="a short staircase of current up to 2 A",
+    shows=("current",),
     kernel=_apply,
 )

@@ -33,5 +33,6 @@ EFFECT = Effect(
     signature="the force of another current, most visible where the force grows fastest with current",
     confused_with=("magnetic_hysteresis", "current_saturation", "load_cell_gain", "seal_friction"),
     separated_by="a recording without current; a reading of the current by a shunt",
+    shows=("current",),
     kernel=_apply,
 )

@@ -16,6 +16,21 @@ Stage = Literal["drive", "magnetics", "fluid", "structure", "sensing"]
 STAGES: tuple[Stage, ...] = ("drive", "magnetics", "fluid", "structure", "sensing")
 """In the order in which cause becomes reading."""
 
+Place = Literal["reversal", "end", "step", "time", "sign", "current", "position", "velocity", "acceleration", "frequency"]
+PLACES: dict[Place, str] = {
+    "reversal": "after reversals",
+    "end": "near the ends of the stroke",
+    "step": "after steps of the current",
+    "time": "at certain times of the recordings",
+    "sign": "in one direction of the motion",
+    "current": "at certain currents",
+    "position": "at certain positions",
+    "velocity": "at certain speeds",
+    "acceleration": "at high accelerations",
+    "frequency": "as an oscillation",
+}
+"""Places of recordings in which an effect shows, in words. They are axes over which a diagnosis locates the error."""
+
 
 @dataclass(frozen=True, repr=False)
 class Effect:
@@ -73,6 +88,9 @@ class Effect:
         Name of the coefficient of the damper models that include the effect; empty where none does.
     only_as_change : bool
         Whether the parameters of any damper model hold the effect, so that it shows only as a change since other recordings.
+    shows : tuple of str
+        Places, of `PLACES`, in at least one of which the error of a model without the effect must be larger than elsewhere,
+        once its parameters have taken up what they can. Empty where it can be anywhere.
     """
 
     id: str
@@ -98,6 +116,7 @@ class Effect:
     structural: bool = False
     coefficient: str = ""
     only_as_change: bool = False
+    shows: tuple[Place, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Effect {self.id}>"

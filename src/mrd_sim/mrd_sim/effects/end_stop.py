@@ -39,5 +39,6 @@ EFFECT = Effect(
     signature="spikes of force near the ends of the stroke only, at any speed and current",
     confused_with=("hardening_spring", "gas_spring", "cavitation", "side_load_friction"),
     separated_by="the same speed on short strokes off the centre",
+    shows=("end",),
     kernel=_apply,
 )

@@ -33,6 +33,7 @@ EFFECT = Effect(
     signature="a force that differs from that of earlier recordings by one factor, and by a viscous force",
     confused_with=("load_cell_gain", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade"),
     separated_by="dead weights on the load cell and a gauge beside the position transducer, before and after",
+    shows=(),  # a factor on the whole force
     kernel=_apply,
     only_as_change=True,
 )

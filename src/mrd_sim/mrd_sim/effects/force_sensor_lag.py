@@ -37,6 +37,7 @@ EFFECT = Effect(
     signature="force loops that open with frequency; rounded corners of the force",
     confused_with=("channel_delay", "coil_lag", "series_compliance", "moving_mass", "rate_dependent_hysteresis"),
     separated_by="chirp against a stiff spring; steps of current during fast motion",
+    shows=("reversal", "step"),
     kernel=_apply,
     follows_force=True,
     states=2,

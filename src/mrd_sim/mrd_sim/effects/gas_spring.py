@@ -43,5 +43,6 @@ EFFECT = Effect(
     signature="a curved tilt of force over position, the same at every current and speed",
     confused_with=("end_stop", "load_cell_drift", "moving_mass", "side_load_friction"),
     separated_by="slow ramps over the whole stroke at 0 A, by the mean of both directions",
+    shows=("end", "position"),
     kernel=_apply,
 )

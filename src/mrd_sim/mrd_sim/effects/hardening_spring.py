@@ -36,5 +36,6 @@ EFFECT = Effect(
     signature="force over position that bends up evenly on both sides of mid-stroke, at any speed and current",
     confused_with=("end_stop", "gas_spring", "side_load_friction", "lvdt_nonlinearity"),
     separated_by="slow strokes of several lengths, of which the short ones stay clear of any stop",
+    shows=("end", "position"),
     kernel=_apply,
 )

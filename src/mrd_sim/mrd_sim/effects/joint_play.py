@@ -37,5 +37,6 @@ EFFECT = Effect(
     signature="a step or dead zone where the force changes sign, over a travel that does not depend on current",
     confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
     separated_by="small strokes at several currents; a preload that keeps the force from changing sign",
+    shows=("reversal",),
     elongation=_elongation,
 )

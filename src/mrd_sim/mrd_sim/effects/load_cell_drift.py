@@ -39,6 +39,7 @@ EFFECT = Effect(
     signature="an offset of the force that grows with time, whatever motion and current",
     confused_with=("gas_spring", "thermal_fade", "load_cell_gain", "mains_hum"),
     separated_by="the free rod before and after the runs; dead weights",
+    shows=("time",),
     kernel=_apply,
     states=1,
     outlasts_run=True,

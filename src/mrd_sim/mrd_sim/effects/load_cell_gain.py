@@ -30,5 +30,6 @@ EFFECT = Effect(
     signature="the force multiplied by one factor, whatever motion and current",
     confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade", "fluid_change"),
     separated_by="dead weights (recordings alone cannot tell it from a stronger damper)",
+    shows=(),  # a factor on the whole force
     kernel=_apply,
 )

@@ -38,5 +38,6 @@ EFFECT = Effect(
     signature="speed and force multiplied by a factor that depends on the position; odd harmonics of the stroke",
     confused_with=("servo_ripple", "load_cell_gain", "side_load_friction", "end_stop"),
     separated_by="gauge blocks or the encoder; short strokes at several positions",
+    shows=("position",),
     kernel=_apply,
 )

@@ -47,6 +47,7 @@ EFFECT = Effect(
     signature="a force that depends on whether the current rose or fell to its value; some of it is left at 0 A",
     confused_with=("coil_lag", "current_sensor_error", "current_saturation", "seal_friction", "thermal_fade"),
     separated_by="a staircase of current up and down at constant speed, with demagnetisation afterwards",
+    shows=("step", "current"),
     kernel=_apply,
     states=_DOMAINS,
     outlasts_run=True,

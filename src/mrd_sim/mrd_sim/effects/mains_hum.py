@@ -56,6 +56,7 @@ EFFECT = Effect(
     signature="a spectral line at the mains frequency, whatever motion and current",
     confused_with=("servo_ripple", "load_cell_drift"),
     separated_by="a recording at rest, motor on and off; two sampling rates",
+    shows=("frequency",),
     kernel=_apply,
     states=_STATES,
     begin=_begin,

@@ -29,5 +29,6 @@ EFFECT = Effect(
     signature="force in phase with acceleration, growing with the square of frequency",
     confused_with=("gas_spring", "channel_delay", "force_sensor_lag"),
     separated_by="three or more frequencies at one amplitude",
+    shows=("acceleration",),
     kernel=_apply,
 )

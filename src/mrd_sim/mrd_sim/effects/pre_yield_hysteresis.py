@@ -44,6 +44,7 @@ EFFECT = Effect(
     signature="a force that develops with travel after a reversal: a loop around zero speed, wider with current",
     confused_with=("series_compliance", "joint_play", "backlash", "rate_dependent_hysteresis", "seal_friction"),
     separated_by="small strokes; the same peak speed at different frequencies",
+    shows=("reversal", "step"),
     kernel=_apply,
     states=3,
     phrase="the force needs {yield_travel} of travel to develop after a reversal",

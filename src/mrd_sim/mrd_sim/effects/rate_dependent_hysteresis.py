@@ -51,6 +51,7 @@ EFFECT = Effect(
     signature="a loop of force over velocity that widens with speed and frequency, while steps of current are not late",
     confused_with=("moving_mass", "force_sensor_lag", "channel_delay", "series_compliance", "bypass_flow"),
     separated_by="the same peak speed at different frequencies and strokes; steps of current",
+    shows=("reversal", "acceleration"),
     kernel=_apply,
     states=2,
 )

@@ -39,6 +39,7 @@ EFFECT = Effect(
     signature="a rectangle of force at every current, with a hump at reversals",
     confused_with=("settling", "shear_thinning", "pre_yield_hysteresis", "side_load_friction"),
     separated_by="ramps from 0.1 to 10 mm/s at 0 A",
+    shows=("reversal",),
     kernel=_apply,
     states=2,
 )

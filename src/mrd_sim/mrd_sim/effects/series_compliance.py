@@ -31,5 +31,6 @@ EFFECT = Effect(
     signature="rounded reversals, each of which loses a travel of 2 F / k_s",
     confused_with=("joint_play", "backlash", "pre_yield_hysteresis", "channel_delay", "force_sensor_lag", "bypass_flow"),
     separated_by="small strokes at high current; the same peak speed at different frequencies",
+    shows=("reversal", "step"),
     elongation=_elongation,
 )

@@ -44,5 +44,6 @@ EFFECT = Effect(
     signature="a ripple of speed and force that is locked to the position, so that its frequency grows with speed",
     confused_with=("mains_hum", "side_load_friction", "lvdt_nonlinearity"),
     separated_by="several constant speeds, by the frequency that follows the speed",
+    shows=(),  # its period is a small part of any stroke
     kernel=_apply,
 )

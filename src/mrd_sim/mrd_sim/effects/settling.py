@@ -45,6 +45,7 @@ EFFECT = Effect(
     signature="a higher force in the first cycles after a rest, which falls with travel and not with energy or time",
     confused_with=("thermal_fade", "seal_friction", "load_cell_drift"),
     separated_by="runs after rests of different length; a repetition at the end",
+    shows=("time",),
     kernel=_apply,
     states=2,
     outlasts_run=True,

@@ -39,6 +39,7 @@ EFFECT = Effect(
     signature="a force over speed that is concave after yield, in both directions: higher in the middle, lower at top speed",
     confused_with=("seal_friction", "pre_yield_hysteresis", "thermal_fade", "bypass_flow"),
     separated_by="constant speeds from 1 mm/s to top speed, several per decade",
+    shows=("velocity",),
     kernel=_apply,
     coefficient="flow_index",
 )

@@ -36,6 +36,7 @@ EFFECT = Effect(
     signature="a bow tie of force over position: friction that varies along the stroke, at every current",
     confused_with=("gas_spring", "end_stop", "seal_friction", "servo_ripple"),
     separated_by="slow ramps over the whole stroke; the damper clamped again",
+    shows=("end", "position"),
     kernel=_apply,
     states=2,
 )

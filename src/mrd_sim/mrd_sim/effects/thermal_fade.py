@@ -43,6 +43,7 @@ EFFECT = Effect(
     signature="a force that falls over minutes with the dissipated energy, faster in hard runs",
     confused_with=("settling", "load_cell_drift", "load_cell_gain"),
     separated_by="a reference run repeated hot and cold, with a rest in between",
+    shows=("time",),
     kernel=_apply,
     states=1,
     outlasts_run=True,

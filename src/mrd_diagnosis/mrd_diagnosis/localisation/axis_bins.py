@@ -1,25 +1,53 @@
 """Bins of the axes over which the excess error is located: their bounds, their labels, and the bin of every sample."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_diagnosis.diagnosis import Axis
+from mrd_diagnosis.localisation.events import distance_to_end, span_of_positions, travel_since_reversal
 from mrd_identification.recording import Recording, current_levels
-from mrd_runs import Run
 from mrd_runs.scales import scales_of
-from mrd_sim.path import Path
+from mrd_runs.signals.current_steps import time_since_step
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Labels = tuple[str, str, str]
 """Templates of the labels of the first bin, of a bin between others, and of the last bin."""
 
-REVERSAL_EDGES = (0.01, 0.025, 0.05, 0.1, 0.25)
-"""Edges of travel since a reversal, over half the span of the position, around the usual yield travels."""
+PLACES: tuple[Axis, ...] = ("reversal", "end", "step", "time", "sign", "run", "current", "position")
+"""Axes on which a place tells where to look at the machine. Speed, acceleration and frequency of the motion do not."""
+
+NEAREST_REVERSAL, NEAREST_END = 0.01, 0.02
+"""First edge of the travel since a reversal, and of the distance to an end, over half the span of the position: around the
+usual yield travels, and where end stops act."""
+
+EDGES_OF_TRAVEL, EDGES_OF_DISTANCE = 5, 4
+"""Edges of these axes."""
+
+STEP_EDGES = (0.01, 0.03, 0.1, 0.3)
+"""Edges in s of the time since a step of the current: coil, driver and eddy currents settle within tens of ms, whatever the
+size of the damper."""
+
+NEAR_LABELS: dict[Axis, Labels] = {
+    "reversal": ("within {} mm after a reversal", "{} to {} mm after a reversal", "more than {} mm after a reversal"),
+    "end": (
+        "within {} mm of an end of the stroke",
+        "{} to {} mm from an end of the stroke",
+        "more than {} mm from the ends of the stroke",
+    ),
+    "step": (
+        "within {} ms after a step of the current",
+        "{} to {} ms after a step of the current",
+        "away from steps of the current, by more than {} ms",
+    ),
+}
+"""Labels of the axes that count from an event, in mm or ms."""
+
+TIME_LABELS = ("the first {} s of the recordings", "{} to {} s into the recordings", "from {} s of the recordings on")
 
 MOST_LEVELS = 9
 """Levels of the current, at most, that have a bin each; a current with more has even bins."""
@@ -50,50 +78,55 @@ class Bins:
     labels: Sequence[str]
 
 
-def reversal_edges(runs: Sequence[Run]) -> Array:
-    """Return the edges in m of travel since a reversal, rounded to two digits."""
-    return np.array([float(f"{edge * scales_of(runs).stroke:.1e}") for edge in REVERSAL_EDGES])
-
-
 def bins_of_axes(recordings: Sequence[Recording]) -> list[tuple[Bins, Indices]]:
     """Return the bins of every axis but the frequency, and the bin of every counted sample; -1 is no bin."""
     runs = [recording.run for recording in recordings]
-    motions = [recording.motion for recording in recordings]
-
-    def joined(series_of: Callable[[int], Array]) -> Array:
-        return np.concatenate([series_of(k)[recordings[k].counted] for k in range(len(runs))])
-
-    velocity = joined(lambda k: motions[k].velocity)
+    scales, span = scales_of(runs), span_of_positions(recordings)
     starts = np.cumsum([0.0, *(run.duration for run in runs)])
-    time = joined(lambda k: runs[k].time + starts[k])
-    position = joined(lambda k: motions[k].position)
-    acceleration = np.abs(joined(lambda k: motions[k].acceleration))
-    travel = joined(lambda k: travel_since_reversal(recordings[k].path))
-    time_labels = ("the first {} s of the recordings", "{} to {} s into the recordings", "from {} s of the recordings on")
-    travel_labels = ("within {} mm after a reversal", "{} to {} mm after a reversal", "more than {} mm after a reversal")
+
+    def joined(series: Iterable[Array]) -> Array:
+        return np.concatenate([values[of_run.counted] for of_run, values in zip(recordings, series, strict=True)])
+
+    motions = [recording.motion for recording in recordings]
+    positions = [motion.position for motion in motions]
+    position, velocity = joined(positions), joined(motion.velocity for motion in motions)
+    speed, acceleration = np.abs(velocity), np.abs(joined(motion.acceleration for motion in motions))
+    time = joined(run.time + start for run, start in zip(runs, starts, strict=False))
+    near: list[tuple[Axis, Iterable[Array], str]] = [
+        ("reversal", (travel_since_reversal(of_run.path) for of_run in recordings), "m"),
+        ("end", (distance_to_end(position, span) for position in positions), "m"),
+        ("step", (time_since_step(of_run.run.time, of_run.smoothed.current, scales.current) for of_run in recordings), "s"),
+    ]
+    edges: dict[Axis, Array] = {
+        "reversal": preferred_numbers(NEAREST_REVERSAL * scales.stroke, EDGES_OF_TRAVEL),
+        "end": preferred_numbers(NEAREST_END * scales.stroke, EDGES_OF_DISTANCE),
+        "step": np.array(STEP_EDGES),
+    }
     return [
+        *(_bins_between(axis, joined(series), unit, 1e3, edges[axis], NEAR_LABELS[axis]) for axis, series, unit in near),
+        _bins_between("time", time, "s", 1.0, _even_edges(time), TIME_LABELS),
+        _sign_bins(velocity),
         _run_bins(recordings),
-        _bins_between("time", time, "s", 1.0, _even_edges(time), time_labels),
+        _current_bins(joined(of_run.smoothed.current for of_run in recordings), current_levels(runs)[0]),
         _bins_between("position", position, "m", 1e3, _even_edges(position), range_labels("positions", "mm")),
-        _bins_between("velocity", np.abs(velocity), "m/s", 1e3, log_edges(np.abs(velocity)), range_labels("speeds", "mm/s")),
+        _bins_between("velocity", speed, "m/s", 1e3, log_edges(speed), range_labels("speeds", "mm/s")),
         _bins_between(
             "acceleration", acceleration, "m/s²", 1.0, log_edges(acceleration), range_labels("accelerations", "m/s²")
         ),
-        _current_bins(joined(lambda k: runs[k].current), current_levels(runs)[0]),
-        _bins_between("reversal", travel, "m", 1e3, reversal_edges(runs), travel_labels),
-        _sign_bins(velocity),
     ]
 
 
-def travel_since_reversal(path: Path) -> Array:
-    """Return the travel in m since the rod last reversed, or since the recording began, at each sample."""
-    step = np.diff(path.position)
-    moves = np.flatnonzero(step)
-    reversals = moves[1:][step[moves[1:]] * step[moves[:-1]] < 0]
-    travel = np.append(0.0, np.cumsum(np.abs(step)))
-    at_reversal = np.zeros_like(travel)
-    at_reversal[reversals] = travel[reversals]
-    return np.asarray((travel - np.maximum.accumulate(at_reversal))[path.samples])
+def near_label(axis: Axis, upper: float) -> str:
+    """Return where the values of an axis of `NEAR_LABELS` below ``upper``, in SI units, lie."""
+    return NEAR_LABELS[axis][0].format(_number(1e3 * upper))
+
+
+def preferred_numbers(first: float, count: int) -> Array:
+    """Return ``count`` successive numbers of the series 1, 2, 5, 10, beginning with the one nearest to ``first``."""
+    decade = np.floor(np.log10(first))
+    series = np.outer(10.0 ** np.arange(decade, decade + count + 1), (1, 2, 5)).ravel()
+    nearest = int(np.argmin(np.abs(np.log(series[:4] / first))))
+    return np.array([float(f"{number:.1g}") for number in series[nearest : nearest + count]])
 
 
 def labelled_bins(axis: Axis, unit: str, edges: Array, labelled_per_unit: float, labels: Labels) -> Bins:
@@ -111,7 +144,7 @@ def labelled_bins(axis: Axis, unit: str, edges: Array, labelled_per_unit: float,
     if len(bounds) < 2:
         return Bins(axis, unit, [], [])
     first, between, last = labels
-    inner = [_short(edge * labelled_per_unit) for edge in edges[1:-1]]
+    inner = [_number(edge * labelled_per_unit) for edge in edges[1:-1]]
     texts = [first.format(inner[0]), *(between.format(*pair) for pair in itertools.pairwise(inner)), last.format(inner[-1])]
     return Bins(axis, unit, bounds, texts)
 
@@ -146,7 +179,7 @@ def _bins_between(
     axis: Axis, values: Array, unit: str, labelled_per_unit: float, edges: Array, labels: Labels
 ) -> tuple[Bins, Indices]:
     """Return the bins between edges, as far as they lie within the values, and the bin of every value."""
-    low, high = float(values.min()), float(values.max())
+    low, high = float(values.min()), float(np.max(values, where=np.isfinite(values), initial=values.min()))
     inner = edges[(edges > low) & (edges < high)]
     bins = labelled_bins(axis, unit, np.array([low, *inner, high]), labelled_per_unit, labels)
     return bins, np.searchsorted(inner, values, "right")
@@ -185,5 +218,9 @@ def _current_bins(current: Array, levels: int) -> tuple[Bins, Indices]:
     return Bins("current", "A", list(itertools.pairwise(ends)), texts), bin_of_sample
 
 
-def _short(value: float) -> str:
-    return f"{round(value, 2) + 0.0:.4g}".replace("-", "\u2212")
+def _number(value: float) -> str:
+    return f"{value + 0.0:.4g}".replace("-", "\u2212")
+
+
+def _short(current: float) -> str:
+    return _number(round(current, 2))

@@ -1,0 +1,165 @@
+"""Where the error lies in words, and whether the named causes would show there."""
+
+from collections.abc import Sequence
+
+from mrd_diagnosis.diagnosis import Diagnosis, Region
+from mrd_diagnosis.effect_names import effect_name, effect_names
+from mrd_diagnosis.localisation.axis_bins import NEAR_LABELS, PLACES, near_label
+from mrd_diagnosis.quantities import capitalised, format_share, join_words
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_sim.effects import EFFECTS, Place
+from mrd_sim.effects import PLACES as WHERE
+
+NEARLY_ALL = 0.95
+"""Share of the error from which a reader calls it nearly all."""
+
+MOST = 0.85
+"""Share from which an oscillation is nearly all of the error to a reader."""
+
+FRACTIONS = [
+    (1 / 3, "a third of", "lies"),
+    (1 / 2, "half of", "lies"),
+    (2 / 3, "two thirds of", "lie"),
+    (3 / 4, "three quarters of", "lie"),
+    (9 / 10, "nine tenths of", "lie"),
+]
+"""Fractions that have a name, with the verb after them."""
+
+WIDTH_OF_FRACTION = 0.03
+"""Difference from a named fraction up to which a share is called by its name."""
+
+LEAST_LIFT = 1.3
+"""Lift from which a place is named: what has hardly more of the error than of the samples tells nobody where to look."""
+
+LEAST_DENSITY = 0.5
+"""Lift of a bin over that of the bins before it, from the event on, from which it belongs to one place with them."""
+
+AS_DENSE = 0.9
+"""Part of share and lift of a time that one run has, from which the place is the run, which was recorded at that time."""
+
+
+def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
+    """Return where most of the error lies; empty where no place of the recordings has significantly more than the others."""
+    oscillation, place = diagnosis.oscillation, headline_place(diagnosis.where)
+    there = _share_sentence(place, error) if place else ""
+    if oscillation is None:
+        return capitalised(there)
+    share = oscillation.share.value
+    much = f"{'Nearly all' if share > MOST else 'Most'} of {error}"
+    also = f", and {there.removesuffix('.')}" if place and place.share.value > 0.5 else ""
+    return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
+
+
+def headline_place(where: Sequence[Region]) -> Region | None:
+    """Return the place that a headline names: the significant one on the axes of `PLACES` in which the error is densest.
+
+    On an axis that counts from an event, significant bins from the event on are taken together, without a thin tail.
+    """
+    significant = [region for region in where if region.axis in PLACES and _is_significant(region)]
+    places = [region for region in significant if region.lift >= LEAST_LIFT]
+    if not places:
+        return None
+    first = places[0]
+    if first.axis == "time":
+        runs = [region for region in places if region.axis == "run"]
+        first = next((run for run in runs if _is_as_dense(run, first)), first)
+    if first.axis not in NEAR_LABELS:
+        return first
+    bins = sorted((region for region in where if region.axis == first.axis), key=lambda region: region.lower)
+    together: list[Region] = []
+    for region in bins[:-1]:
+        if not _is_significant(region) or (together and region.lift < LEAST_DENSITY * _joined(together).lift):
+            break
+        together.append(region)
+    return _joined(together) if first in together else first
+
+
+def agreement_sentence(diagnosis: Diagnosis) -> str:
+    """Return whether the error lies where causes and alternatives must show; empty where these may show anywhere.
+
+    An effect contradicts the place only where there is no more error in any place where it must show than elsewhere.
+    """
+    headline = headline_place(diagnosis.where)
+    if headline is None and diagnosis.oscillation is None:
+        return ""
+    as_it: list[str] = []
+    there: list[str] = []
+    sentences: list[str] = []
+    explanations = [cause.effect for cause in diagnosis.causes] + [other.effect for other in diagnosis.alternatives]
+    for effect in dict.fromkeys(explanations):
+        places = EFFECTS[effect].shows if effect in EFFECTS else ()
+        near = [region for region in diagnosis.where if region.axis in places and not _is_away(region, diagnosis.where)]
+        found = [region for region in near if _is_significant(region)]
+        if "frequency" in places and diagnosis.oscillation is not None:
+            as_it.append(effect)
+        elif headline is not None and headline.axis in {region.axis for region in found}:
+            there.append(effect)
+        elif found:
+            among = _in_words([place for place in places if place in {region.axis for region in found}], "and")
+            sentences.append(f"The error is also larger {among}, where {effect_name(effect)} must show.")
+        elif near and all(region.lift <= 1.0 for region in near):
+            name = capitalised(effect_name(effect))
+            sentences.append(f"{name} would show {_in_words(places, 'or')}, and the error lies elsewhere.")
+    agreeing = [
+        f"That is {word} {effect_names(effects)} must show."
+        for word, effects in (("how", as_it), ("where", there))
+        if effects
+    ]
+    return " ".join([*agreeing, *sentences])
+
+
+def share_in_words(share: float) -> tuple[str, str]:
+    """Return a share before what it is a share of, such as "three quarters of", and the verb "lies" or "lie" after that."""
+    if share >= NEARLY_ALL:
+        return "nearly all of", "lies"
+    value, words, verb = min(FRACTIONS, key=lambda fraction: abs(fraction[0] - share))
+    if abs(value - share) <= WIDTH_OF_FRACTION:
+        return words, verb
+    return f"{format_share(share)} of", "lies"
+
+
+def _share_sentence(place: Region, error: str) -> str:
+    """Return how much of the error lies in a place, and how many of the samples."""
+    much, verb = share_in_words(place.share.value)
+    samples = place.share.value / place.lift
+    part = format_share(samples) if samples >= 0.005 else "less than 1 %"
+    return f"{much} {error} {verb} {_at(place.label)}, which is {part} of the samples."
+
+
+def _joined(regions: Sequence[Region]) -> Region:
+    """Return neighbouring bins from an event on as one; the interval and q-value are those of the first."""
+    first, last = regions[0], regions[-1]
+    if first is last:
+        return first
+    share = min(sum(region.share.value for region in regions), 1.0)
+    samples = sum(region.share.value / region.lift for region in regions)
+    interval = type(first.share)(share)
+    label = near_label(first.axis, last.upper)
+    return Region(first.axis, first.lower, last.upper, first.unit, interval, share / samples, first.q_value, label)
+
+
+def _is_as_dense(run: Region, time: Region) -> bool:
+    return run.share.value > AS_DENSE * time.share.value and run.lift > AS_DENSE * time.lift
+
+
+def _is_significant(region: Region) -> bool:
+    return region.q_value < THRESHOLDS.q_value
+
+
+def _is_away(region: Region, where: Sequence[Region]) -> bool:
+    """Whether a bin of an axis that counts from an event is the one away from it."""
+    return region.axis in NEAR_LABELS and region.upper == max(other.upper for other in where if other.axis == region.axis)
+
+
+def _in_words(places: Sequence[Place], last: str) -> str:
+    return join_words([WHERE[place] for place in places], last)
+
+
+def _at(label: str) -> str:
+    """Return the label of a region after "lies"."""
+    first = label.partition(" ")[0]
+    if first in ("at", "in", "while", "within", "above", "below", "after", "between", "more", "up", "away", "from"):
+        return label
+    if first[0].isdigit():
+        return label
+    return f"{'in' if first in ('run', 'the') else 'at'} {label}"
