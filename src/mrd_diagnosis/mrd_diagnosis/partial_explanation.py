@@ -222,7 +222,8 @@ def _still_needed(
     of_form: Mapping[str, HeldCause],
     values: Mapping[str, float],
 ) -> dict[str, HeldCause]:
-    """Return the causes that do beside effects of the form at least half of what they do without these.
+    """Return the causes that close beside effects of the form enough of what they close without these, see
+    `Thresholds.least_share_beside_form`.
 
     The remainder imitates an effect of the form in part only. What it left of it, another effect may have taken up.
     """
@@ -238,7 +239,7 @@ def _still_needed(
     return {
         cause: held
         for cause, held in causes.items()
-        if closed(cause, [*causes, *of_form]) >= 0.5 * closed(cause, list(causes))
+        if closed(cause, [*causes, *of_form]) >= THRESHOLDS.least_share_beside_form * closed(cause, list(causes))
     }
 
 

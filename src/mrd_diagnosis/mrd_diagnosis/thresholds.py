@@ -90,6 +90,13 @@ class Thresholds:
         "probability from which the most probable effect is named beside a wrong form",
         "measured recordings with known errors, seed 63",
     )
+    least_share_beside_form: float = threshold(
+        0.5,
+        "of what the cause closes without these",
+        "share that a cause must still close beside causes that belong to the form of the damper; what the form remainder "
+        "left of these, the cause may have taken up",
+        "measured recordings with known errors, seed 63",
+    )
     least_information: float = threshold(
         0.01,
         "of the most informative run before or after, whichever is less",
