@@ -34,11 +34,14 @@ def closed_loop_notes(runs: Sequence[Run]) -> list[str]:
     ]
 
 
-def review_commands(runs: Sequence[Run], report: str) -> list[str]:
-    """Return the commands that tell what the causes of a report do to the ride of the hybrid tests among the runs."""
+def review_commands(runs: Sequence[Run], corrected: str) -> list[str]:
+    """Return the commands that tell what the causes do to the ride of the hybrid tests among the runs.
+
+    ``corrected`` is the gap_report.json, or the plant.yaml of `apply`.
+    """
     review = command("mrd_control", "review")
     return [
-        f"{review} {shlex.quote(str(run.info['source']))} --diagnosis {report} --output DIR"
+        f"{review} {shlex.quote(str(run.info['source']))} --diagnosis {corrected} --output DIR"
         for run in hybrid_tests(runs)
         if run.info.get("source")
     ]

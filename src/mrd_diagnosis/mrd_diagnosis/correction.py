@@ -83,7 +83,7 @@ def correction(
     parameters: Mapping[str, float],
     effects: Collection[str],
     *,
-    causes: Mapping[str, float] | None = None,
+    causes: Mapping[str, float | None] | None = None,
     closed_fraction: float = math.nan,
     is_change: bool = False,
     anyway: bool = False,
@@ -115,7 +115,7 @@ def correction(
     InputError
         If the recordings are faulty, or if the verdict does not prove an effect and ``anyway`` is not set.
     """
-    doubtful = [] if causes is None else [e for e in effects if causes.get(e, 0.0) < THRESHOLDS.named_support]
+    doubtful = [] if causes is None else unproven_effects(effects, causes)
     remark = _remark(verdict, model, effects, doubtful, closed_fraction, is_change, anyway, where, remedy)
     if verdict == "no_gap":
         effects = ()
@@ -127,6 +127,11 @@ def correction(
     }
     parameters_of_model = {name: value for name, value in parameters.items() if "." not in name}
     return Correction(model, laws, parameters_of_model, parameters_of_effects, remark)
+
+
+def unproven_effects(effects: Collection[str], causes: Mapping[str, float | None]) -> list[str]:
+    """Return the effects of a corrected simulator that are no named causes more probable than not, by their probability."""
+    return [effect for effect in effects if not (causes.get(effect) or 0.0) >= THRESHOLDS.named_support]
 
 
 def _remark(

@@ -160,10 +160,15 @@ def refit_on(weighting: Weighting, old: Refit) -> Refit:
 
 
 def averaged_over_period(series: Array, problem: Problem) -> Array:
-    """Average runs (n,) over the sampling period around each counted sample, with parabolas between these."""
+    """Average runs (n,) over the sampling period around each counted sample, with straight lines between these.
+
+    The force is not smooth: a play is crossed within one period. Straight lines give the mean that is expected of a jump
+    anywhere between two samples, an eighth of it beside each if every sample is counted. The change of a smooth force, a
+    24th of the second difference, is overestimated, and stays small.
+    """
     averaged = series.copy()
     for block, recording in zip(problem.blocks, problem.recordings, strict=True):
-        averaged[block][1:-1] += np.diff(series[block], 2) / (8.0 * recording.step**2)
+        averaged[block][1:-1] += np.diff(series[block], 2) / (8.0 * recording.step)
     return averaged
 
 
@@ -209,8 +214,12 @@ def without_each(
 
 
 def scaled_inverse(matrix: Array, least: float) -> Array:
-    """Invert a normal matrix after scaling all parameters alike; eigenvalues below ``least`` are taken as ``least``."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-12 * np.diag(matrix).max(initial=0.0)))
+    """Invert a normal matrix after scaling all parameters alike; eigenvalues below ``least`` are taken as ``least``.
+
+    A parameter on which nothing depends has a very large variance that is finite, also where nothing depends on any.
+    """
+    largest = np.diag(matrix).max(initial=0.0) or 1.0
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-12 * largest))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
     return np.asarray((vectors / np.maximum(values, least)) @ vectors.T / np.outer(size, size))
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from mrd_base.tool import command, has_workspace
 from mrd_diagnosis.cause_class import class_name
 from mrd_diagnosis.closed_loop import review_commands
+from mrd_diagnosis.correction import unproven_effects
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.honesty import SEEN, gap_making_limitations
@@ -291,6 +292,10 @@ def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
 def next_step(diagnosis: Diagnosis) -> str:
     """Return what to do after a verdict; empty where nothing follows. `next_command` has the command for it."""
     add = f"Add {corrected_label(diagnosis).removeprefix('with ')} to your simulator, with the next command."
+    unproven = ""
+    if _is_doubtful(diagnosis):
+        unproven = f", though it is not proven (a probability below {100 * THRESHOLDS.named_support:g} %)"
+        add = f"The next command adds what was found to your simulator{unproven}."
     if diagnosis.verdict == "explained":
         return add
     if diagnosis.verdict == "partly_explained":
@@ -299,10 +304,8 @@ def next_step(diagnosis: Diagnosis) -> str:
             return (
                 f"Diagnose the runs with the model {model.name} first, by the first command: it removes {share} of the gap "
                 "without an effect, and the causes are fitted anew beside it. Apply the result of that. The second command "
-                "adds what was found here to the present model until then."
+                f"adds what was found here to the present model until then{unproven}."
             )
-        if min(cause.probability for cause in diagnosis.causes) < THRESHOLDS.named_support:
-            add = "The next command adds what was found to your simulator, though it is not proven."
         return f"{add} {remedies} Then diagnose all runs again." if (remedies := _remedies(diagnosis)) else add
     if diagnosis.verdict == "ambiguous" and not diagnosis.causes:
         return _step_to_determine(diagnosis)
@@ -359,6 +362,12 @@ def _step_to_determine(diagnosis: Diagnosis) -> str:
     return " ".join(filter(None, [*steps, _remedies(diagnosis)]))
 
 
+def _is_doubtful(diagnosis: Diagnosis) -> bool:
+    """Whether `mrd_diagnosis.correction` takes an effect of the corrected simulator for not proven."""
+    effects = diagnosis.corrected.effects if diagnosis.corrected is not None else ()
+    return bool(unproven_effects(effects, {cause.effect: cause.probability for cause in diagnosis.causes}))
+
+
 def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     """Return the commands that follow from a verdict, one a line; empty where none do. ``folder`` is that of the report."""
     folder, runs = shlex.quote(folder), run_arguments(diagnosis.runs)
@@ -368,9 +377,11 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     apply += folder_arguments()
-    if any(cause.probability < THRESHOLDS.named_support for cause in diagnosis.causes):
-        apply += " --anyway"
-    reviews = review_commands(diagnosis.runs, f"{folder}/gap_report.json")
+    corrected = f"{folder}/gap_report.json"
+    if _is_doubtful(diagnosis):
+        # A report that proves nothing is only read by `apply`.
+        apply, corrected = f"{apply} --anyway", "CORRECTED.yaml"
+    reviews = review_commands(diagnosis.runs, corrected)
     if diagnosis.verdict == "explained":
         return "\n".join([apply, *reviews])
     if diagnosis.verdict == "ambiguous" and diagnosis.causes:

@@ -1,14 +1,17 @@
 """The diagnoser node: results, options and messages of the tool. `test_analysis_node.py` tests what all analyses share."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from action_msgs.msg import GoalStatus
 
 from mrd_base import InputError
+from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.nodes import diagnoser
 from mrd_interfaces.action import Diagnose
+from mrd_runs import read_run
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 from mrd_sim.models_page import EXAMPLE
@@ -52,6 +55,12 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
         (Diagnose.Goal(runs=recorded, model="bingham", parameters="no", output=str(tmp_path)), "no: cannot be read"),
         (Diagnose.Goal(runs=recorded, model="bingham", laws="cubic", output=str(tmp_path)), "cubic"),
         (Diagnose.Goal(runs=recorded, model="bingham", bench="no.yaml", output=str(tmp_path)), "no.yaml"),
+        (Diagnose.Goal(runs=recorded, model="bingham", reference=["no.csv"], output=str(tmp_path)), "no.csv"),
+        (
+            Diagnose.Goal(runs=recorded, model="bingham", force_filters=["z=lowpass:5"], output=str(tmp_path)),
+            "name of a run",
+        ),
+        (Diagnose.Goal(runs=recorded, model="bingham", skip=-1.0, output=str(tmp_path)), "skip is -1 s"),
         (Diagnose.Goal(runs=recorded, model="bingham", effects_folder="nowhere", output=str(tmp_path)), "nowhere"),
     ):
         why = client.failure(goal)
@@ -83,6 +92,9 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     goal = Diagnose.Goal(
         runs=recorded[:2],
         held_out=recorded[2:],
+        reference=recorded[:1],
+        skip=0.5,
+        force_filters=["lowpass:20", "b=average:0.02"],
         model="asymmetric_bingham",
         laws="friction_in=quadratic",
         effects=["own_spring"],
@@ -95,6 +107,11 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     assert client.ended(client.send(goal)).result.message == "far enough"
     assert [run.name for run in used["runs"]] == ["a", "b"]
     assert [run.name for run in used["held_out"]] == ["c"]
+    assert [run.name for run in used["reference"]] == ["a"]
+    groups = (used["runs"], used["held_out"], used["reference"])
+    words = [[run.info["force_filter"] for run in group] for group in groups]
+    assert words == [["lowpass:20", "average:0.02"], ["lowpass:20"], ["lowpass:20"]]
+    assert all(len(run) < len(read_run(run.info["source"])) for group in groups for run in group)
     assert (used["model"], used["laws"], used["effects"], used["seed"]) == (
         "asymmetric_bingham",
         {"friction_in": "quadratic"},
@@ -111,6 +128,17 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
     goal.model = "bingham"
     assert client.ended(client.send(goal)).result.message == "far enough"
     assert (used["laws"], used["bench"]) == (None, read_settings(None))
+
+
+def test_every_option_of_the_tool_is_a_field_of_the_goal(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["diagnose", "--help"])
+    with pytest.raises(SystemExit):
+        diagnose_tool.main()
+    options = set(re.findall(r"^  --([\w-]+)", capsys.readouterr().out, re.MULTILINE))
+    assert {"reference", "law", "bench"} <= options
+    renamed = {"law": "laws", "force-filter": "force_filters"}
+    fields = {renamed.get(option, option.replace("-", "_")) for option in options}
+    assert fields <= set(Diagnose.Goal.get_fields_and_field_types())
 
 
 def test_a_diagnosis_ends_when_its_goal_is_cancelled(client, recorded, tmp_path, user_effects):

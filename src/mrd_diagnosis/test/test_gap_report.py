@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from mrd_base import InputError
 from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.closed_loop import closed_loop_notes
+from mrd_diagnosis.correction import correction_of_report
 from mrd_diagnosis.detectability import clause_of_size
 from mrd_diagnosis.diagnosis import (
     ON_BOUND,
@@ -289,12 +290,38 @@ def test_what_is_seen_and_not_determined_has_no_probability_and_nothing_to_apply
     assert "a wider range" in next_step(nearest)
 
 
-def test_a_cause_below_one_half_is_offered_as_not_proven():
-    diagnosis = diagnosed("partly_explained")
-    doubtful = replace(diagnosis, causes=(replace(diagnosis.causes[0], probability=0.42),))
-    assert next_command(doubtful).splitlines()[-1].endswith("--anyway")
-    assert "not proven" in next_step(replace(doubtful, alternative_models=(), findings=()))
-    assert "--anyway" not in next_command(diagnosis)
+@pytest.mark.parametrize("verdict", ["explained", "partly_explained"])
+@pytest.mark.parametrize("doubt", ["improbable", "not named", "none"])
+def test_the_next_command_and_step_agree_with_what_apply_does(verdict, doubt):
+    """`apply` refuses what is not proven without --anyway, so the report proposes it with --anyway and says so."""
+    diagnosis = replace(diagnosed(verdict), alternative_models=(), findings=())
+    (cause,) = diagnosis.causes
+    if doubt == "improbable":
+        diagnosis = replace(diagnosis, causes=(replace(cause, probability=0.42),))
+    if doubt == "not named":
+        added = EFFECTS["gas_spring"].typical
+        effects = (*diagnosis.corrected.effects, "gas_spring")
+        parameters = diagnosis.corrected.parameters | {f"gas_spring.{name}": value for name, value in added.items()}
+        diagnosis = replace(diagnosis, corrected=replace(diagnosis.corrected, effects=effects, parameters=parameters))
+    command = next_command(diagnosis).splitlines()[-1]
+    report = to_json(diagnosis)
+    model = AlternativeModel("modified_dahl", 0.01, about(0.9))
+    steps = [next_step(diagnosis)]
+    if verdict == "partly_explained":
+        steps.append(next_step(replace(diagnosis, alternative_models=(model,))))
+    if doubt == "none":
+        assert correction_of_report(report, "gap.json").effects
+        assert not any("--anyway" in text or "not proven" in text for text in (command, *steps))
+        return
+    with pytest.raises(InputError, match="is below 50 %, so it is not proven"):
+        correction_of_report(report, "gap.json")
+    assert correction_of_report(report, "gap.json", anyway=True).effects
+    assert command.endswith(" --anyway")
+    assert all("not proven" in step for step in steps)
+    # Other tools refuse the report as well; they read what was written from it.
+    hybrid = replace(diagnosis.runs[0], info={"source": "bag", "experiment": "name: a\nlaw: skyhook\n"})
+    review = next_command(replace(diagnosis, runs=(hybrid, *diagnosis.runs[1:]))).splitlines()[-1]
+    assert "review bag --diagnosis CORRECTED.yaml" in review
 
 
 def test_the_form_comes_first_where_it_is_most_of_the_gap():

@@ -16,7 +16,7 @@ from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.effect_search import EffectFit, refit_with_effects, score_effect, start_values
 from mrd_diagnosis.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
 from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains
-from mrd_diagnosis.refit import refit, without_each
+from mrd_diagnosis.refit import averaged_over_period, refit, scaled_inverse, without_each
 from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
 from mrd_diagnosis.weighting import RunScatter, Weighting, sum_of_squares, whitening
 from mrd_identification.least_squares import fit_least_squares
@@ -261,6 +261,36 @@ def test_the_interval_of_a_play_contains_it_for_averaged_and_instantaneous_sampl
     interval = effect_parameters(refitted)["backlash.play"].value
     assert interval.lower < play < interval.upper
     assert interval.upper - interval.lower < 0.2 * play
+
+
+@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize("force", ["straight lines", "jump"])
+def test_samples_are_averaged_over_their_period(force, step):
+    """The exact mean of straight lines between the counted samples, and the mean over where a jump may be."""
+    parts = 80  # of a sampling period
+    fine = np.arange(-parts // 2, 5 * step * parts + parts // 2) + 0.5  # from half a period before the first counted sample
+    counted = step * parts * np.arange(6)
+    if force == "jump":
+        forces = [7.0 * (fine > place) for place in range(2 * step * parts, 3 * step * parts)]
+        sampled = np.array([0.0, 0.0, 0.0, 7.0, 7.0, 7.0])
+    else:
+        sampled = np.random.default_rng(0).normal(size=6)
+        forces = [np.interp(fine, counted, sampled)]
+    means = np.mean([np.asarray(f)[sample : sample + parts] for f in forces for sample in counted], axis=1)
+    problem = SimpleNamespace(blocks=[slice(1, 7)], recordings=[SimpleNamespace(step=step)])
+    averaged = averaged_over_period(np.concatenate([[100.0], sampled]), problem)
+    assert averaged[2:-1] == pytest.approx(means.reshape(-1, 6).mean(axis=0)[1:-1], rel=0.03)
+    assert averaged[0] == 100.0
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.diag([0.0, 4.0]), np.empty((0, 0))])
+def test_where_nothing_is_known_the_inverse_is_large_and_finite(matrix):
+    inverse = scaled_inverse(matrix, 1e-12)
+    assert np.isfinite(inverse).all()
+    unknown = np.diag(matrix) == 0.0
+    assert (np.diag(inverse)[unknown] > 1e12).all()
+    assert np.diag(inverse)[~unknown] == pytest.approx(1.0 / np.diag(matrix)[~unknown])
+    assert np.array_equal(inverse @ np.zeros(len(matrix)), np.zeros(len(matrix)))
 
 
 def test_every_effect_has_start_values_within_its_bounds():

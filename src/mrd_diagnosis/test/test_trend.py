@@ -195,6 +195,35 @@ def test_dates_come_from_the_recordings_or_the_order():
         make_calendar(days, ["monday"] * 4)
 
 
+def test_within_a_day_the_trend_is_one_of_hours():
+    values = [120.0, 100.0, 125.0, 105.0, 115.0, 110.0]
+    minutes = [4 * (value - 100.0) for value in values]  # 5 N in 20 min
+    runs = series(values, "yield_force")
+    dates = [f"2024-05-31T{9 + minute // 60:02.0f}:{minute % 60:02.0f}" for minute in minutes]
+    calendar = make_calendar(runs, dates)
+    found = trend(runs, "bingham", "yield_force", parameters=MODEL, calendar=calendar, limit=130.0)
+    assert [value.value for value in found.values] == pytest.approx(sorted(values), abs=3.0)
+    assert found.line.slope.value / 24 == pytest.approx(15.0, abs=1.0)
+    assert re.match(r"yield_force grows by 15[.\d]* ± [.\d]+ N per hour, from", found.sentence)
+    assert re.search(r"N \(2024-05-31 09:00:00\) to [.\d]+ N \(2024-05-31 10:40:00\)", found.sentence)
+    assert re.search(r"reaches 130 N at about 2024-05-31 1[01]:\d\d:\d\d \(95 % interval: 2024-05-31 1", found.sentence)
+    assert to_json(found)["limit"]["crossing"]["label"].startswith("2024-05-31 1")
+
+
+def test_recordings_from_elsewhere_keep_their_day_and_are_ordered_by_their_moment():
+    empty = np.zeros(10)
+    runs = [Run(f"r{number}", np.arange(10.0), *[empty] * 4) for number in range(3)]
+    calendar = make_calendar(runs, ["2024-03-01T10:00+02:00", "2024-03-01T09:00+00:00", "2024-03-01T10:30+02:00"])
+    assert calendar.labels == ("2024-03-01 10:00:00", "2024-03-01 10:30:00", "2024-03-01 11:00:00")
+    assert calendar.date_index == (0, 2, 1)
+    assert calendar.label(2.0 / 24.0 - 1e-9) == "2024-03-01 12:00:00"
+    # In summer and in winter.
+    days = ["2024-03-01T00:30+01:00", "2024-07-01T00:30+02:00", "2024-12-01T00:30+01:00", "2024-12-01T20:00+00:00"]
+    calendar = make_calendar([*runs, runs[0]], days)
+    assert calendar.labels == ("2024-03-01", "2024-07-01", "2024-12-01")
+    assert calendar.date_index == (0, 1, 2, 2)
+
+
 def test_unusable_input_is_refused_in_one_line():
     runs = series([100.0, 110.0, 120.0], "yield_force")
     for follow, words in (

@@ -14,6 +14,9 @@ from mrd_sim.plant import read_damper
 PROVEN = ("no_gap", "explained", "partly_explained")
 """Verdicts of a diagnosis whose corrected simulator may be used without a further decision."""
 
+LEAST_PROBABILITY = 0.5
+"""Probability of a cause below which it is not proven, as for `apply`."""
+
 
 def load_damper(file: str | Path) -> Damper:
     """Return the damper that a file describes: ``load_damper("fit.json").force(time, position, current)``.
@@ -66,9 +69,15 @@ def _corrected_damper(file: str | Path, report: dict[str, Any]) -> Damper:
     if verdict not in PROVEN:
         raise InputError(
             f"{file}: the verdict is {verdict}, so no simulator is proven; apply it to a plant file with apply --anyway, "
-            "and export that"
+            "and use that"
         )
     effects: dict[str, dict[str, float]] = {} if verdict == "no_gap" else {effect: {} for effect in named}
+    likely = {cause["effect"] for cause in report.get("causes", ()) if (cause["probability"] or 0.0) >= LEAST_PROBABILITY}
+    if doubtful := [effect for effect in effects if "causes" in report and effect not in likely]:
+        raise InputError(
+            f"{file}: the probability of {', '.join(doubtful)} is below {100 * LEAST_PROBABILITY:g} %, so no simulator is "
+            "proven; apply it to a plant file with apply --anyway, and use that"
+        )
     own = {name: value for name, value in values.items() if name.partition(".")[0] in effects or "." not in name}
     try:
         return Damper(model, own, laws, effects)

@@ -169,6 +169,32 @@ def with_force_filter(run: Run, word: str) -> Run:
     return replace(run, info={**run.info, "force_filter": word})
 
 
+def with_force_filters(groups: Sequence[Sequence[Run]], options: Sequence[str], where: str) -> list[list[Run]]:
+    """Return groups of runs whose force is known to have passed low-pass filters.
+
+    Parameters
+    ----------
+    groups : sequence of sequences of Run
+    options : sequence of str
+        ``FILTER`` for all runs, or ``RUN=FILTER`` for those with this name; a later one replaces an earlier one.
+    where : str
+        Name of the options, for error messages.
+
+    Raises
+    ------
+    InputError
+        For a name that no run has, and as `with_force_filter` does.
+    """
+    names = [run.name for group in groups for run in group]
+    words: dict[str, str] = {}
+    for option in options:
+        name, _, word = option.rpartition("=")
+        if name and name not in names:
+            raise InputError(f"{where} {option}: expected the name of a run: {', '.join(names)}")
+        words |= dict.fromkeys([name] if name else names, word)
+    return [[with_force_filter(run, words[run.name]) if run.name in words else run for run in group] for group in groups]
+
+
 def known_force_filter(run: Run) -> LowPass | None:
     """Return the filter that the force of a run is known to have passed."""
     word = run.info.get("force_filter")

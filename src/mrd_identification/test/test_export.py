@@ -187,9 +187,13 @@ def test_a_diagnosis_that_proves_nothing_is_not_exported(tmp_path):
         ({"verdict": "data_fault", "corrected": None}, "the verdict is data_fault"),
         ({"model": "nosuch"}, "gap_report.json: unknown model nosuch"),
         ({"corrected": {}}, "has no field 'effects', expected a gap_report.json"),
+        ({"causes": [{"effect": "gas_spring", "probability": 0.42}]}, "probability of gas_spring is below 50 %, so no sim"),
+        ({"causes": [{"effect": "coil_lag", "probability": 0.9}]}, "probability of gas_spring is below 50 %"),
     ):
         report.write_text(json.dumps({**GAP, **change}))
         with pytest.raises(InputError, match=message):
             load_damper(report)
-    report.write_text(json.dumps({**GAP, "verdict": "no_gap"}))
+    report.write_text(json.dumps({**GAP, "verdict": "no_gap", "causes": []}))
     assert load_damper(report).description == "bingham"
+    report.write_text(json.dumps({**GAP, "causes": [{"effect": "gas_spring", "probability": 0.9}]}))
+    assert load_damper(report).description == "bingham with gas_spring"

@@ -1,5 +1,7 @@
 """The identifier node: options and messages of the tool. `test_analysis_node.py` tests what all analyses share."""
 
+from dataclasses import fields
+
 import pytest
 from action_msgs.msg import GoalStatus
 
@@ -39,10 +41,11 @@ def test_bad_input_is_refused_in_one_line(client, recorded, tmp_path):
 
 
 def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypatch):
-    methods = []
+    methods, fitted = [], []
 
-    def stop(*_arguments, method, **_options):
+    def stop(runs, *_arguments, method, **_options):
         methods.append(method)
+        fitted.append(runs)
         raise InputError("stopped")
 
     monkeypatch.setattr(identifier, "identify", stop)
@@ -60,12 +63,16 @@ def test_a_goal_has_the_options_of_the_tool(client, recorded, tmp_path, monkeypa
         "seed": 7,
         "seeds": 2,
         "no_profile": True,
+        "skip": 0.5,
+        "force_filters": ["lowpass:20"],
     }
     for goal in (Identify.Goal(**common), Identify.Goal(**common, **options)):
         assert client.ended(client.send(goal)).result.message == "stopped"
-    given = {name: value for name, value in options.items() if name != "no_profile"}
+    given = {name: value for name, value in options.items() if name in {field.name for field in fields(Method)}}
     given |= {"laws": {"viscous": "tanh"}, "fixed": {"offset": 1.5}, "profile": False}
     assert methods == [Method(laws=""), Method(**given)]
+    assert [run.info.get("force_filter") for runs in fitted for run in runs] == [None] * 3 + ["lowpass:20"] * 3
+    assert all(len(short) < len(whole) for whole, short in zip(*fitted, strict=True))
 
 
 def test_a_model_of_the_user_is_known_during_its_goal(client, recorded, tmp_path, monkeypatch):

@@ -5,13 +5,13 @@ of force, of length and of current are other ones, that of time stays, because m
 nothing to do with the size of a damper.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mrd_runs import Run
+from mrd_runs.scales import exponents
 from mrd_trajectory.settings import GeneratorSettings
 
 FORCE, STROKE, CURRENT = 1e3, 0.055, 0.5
@@ -22,22 +22,6 @@ FORCES, STROKES, CURRENTS = (5.0, 400e3), (1e-3, 0.5), (0.2, 5.0)
 
 USED_STROKE = 0.9
 """Share of its stroke that a measured damper is taken to have moved over."""
-
-EXPONENTS = {
-    "N": (1, 0, 0),
-    "m": (0, 1, 0),
-    "A": (0, 0, 1),
-    "J": (1, 1, 0),
-    "W": (1, 1, 0),
-    "kg": (1, -1, 0),
-    "Pa": (1, -2, 0),
-    "Ohm": (1, 1, -2),
-    "s": (0, 0, 0),
-    "Hz": (0, 0, 0),
-    "rad": (0, 0, 0),
-    "1": (0, 0, 0),
-}
-"""Exponents of newton, metre and ampere in a unit; a kilogram is N s²/m."""
 
 
 @dataclass(frozen=True)
@@ -53,10 +37,10 @@ class Size:
 
         Raises
         ------
-        ValueError
+        InputError
             When the unit is unknown.
         """
-        newton, metre, ampere = exponents(unit)
+        newton, metre, ampere, _ = exponents(unit)
         return float(self.force**newton * self.motion**metre * self.current**ampere)
 
     @property
@@ -111,26 +95,3 @@ def measured_size(runs: Sequence[Run]) -> Size:
     stroke = max(float(np.ptp(run.position)) for run in runs) / USED_STROKE
     current = max(float(np.abs(run.current).max()) for run in runs) or CURRENT
     return Size(force / FORCE, stroke / STROKE, current / CURRENT)
-
-
-def exponents(unit: str) -> tuple[int, int, int]:
-    """Return the exponents of newton, metre and ampere in a unit; what follows a stroke, or its brackets, is divided by.
-
-    Raises
-    ------
-    ValueError
-        When the unit is unknown.
-    """
-    total, end = np.zeros(3, dtype=int), 0
-    for group in re.finditer(r"(/?)\s*(\([^)]*\)|[A-Za-z1]+[²³]?)\s*", unit):
-        if group.start() != end:
-            break
-        end = group.end()
-        for symbol, power in re.findall(r"([A-Za-z]+|1)([²³]?)", group[2]):
-            if symbol not in EXPONENTS:
-                raise ValueError(f"unit {unit}: found {symbol}, expected one of {', '.join(EXPONENTS)}")
-            total += np.array(EXPONENTS[symbol]) * {"": 1, "²": 2, "³": 3}[power] * (-1 if group[1] else 1)
-    if end != len(unit):
-        raise ValueError(f"unit {unit}: is not understood from {unit[end:]!r} on")
-    newton, metre, ampere = map(int, total)
-    return newton, metre, ampere

@@ -16,7 +16,7 @@ from mrd_trials.closure import ClosureMeter
 from mrd_trials.excitation import FRESH_RUNS, command, parse_tier, recommended_command
 from mrd_trials.make import make_plant
 from mrd_trials.records import GapBin
-from mrd_trials.size import CURRENTS, FORCES, STROKES, Size, draw_size, exponents, measured_size
+from mrd_trials.size import CURRENTS, FORCES, STROKES, Size, draw_size, measured_size
 from mrd_trials.start import begin_later
 from mrd_trials.submission import diagnose_plant
 from mrd_trials.trial_design import PlantDesign, Recipe, design_trial
@@ -39,29 +39,27 @@ def scaled():
 
 
 @pytest.mark.parametrize(
-    ("unit", "powers"),
+    ("unit", "factor"),
     [
-        ("", (0, 0, 0)),
-        ("N s/m", (1, -1, 0)),
-        ("N s/m/A", (1, -1, -1)),
-        ("m/(N s)", (-1, 1, 0)),
-        ("N/A²", (1, 0, -2)),
-        ("N/m²", (1, -2, 0)),
-        ("1/J", (-1, -1, 0)),
-        ("kg", (1, -1, 0)),
-        ("Pa s", (1, -2, 0)),
-        ("A/m/A", (0, -1, 0)),
-        ("Hz", (0, 0, 0)),
+        ("", 1.0),
+        ("N s/m", 100.0),
+        ("N s/m/A", 100.0 / 3.0),
+        ("A/m/A", 0.05),
+        ("m/(N s)", 0.01),
+        ("N/A²", 2000.0 / 9.0),
+        ("1/J", 1 / 40_000.0),
+        ("Pa s", 5.0),
+        ("Hz", 1.0),
     ],
 )
-def test_exponents_of_units(unit, powers):
-    assert exponents(unit) == powers
+def test_a_quantity_grows_by_the_factors_of_its_unit(unit, factor):
+    assert Size(2000.0, 20.0, 3.0).factor(unit) == pytest.approx(factor)
 
 
-@pytest.mark.parametrize("unit", ["V", "N*m", "N m)"])
+@pytest.mark.parametrize("unit", ["V", "N*m"])
 def test_an_unknown_unit_is_refused(unit):
-    with pytest.raises(ValueError, match="unit"):
-        exponents(unit)
+    with pytest.raises(InputError, match="unit"):
+        SIZE.factor(unit)
 
 
 def test_every_parameter_of_models_and_effects_has_a_known_unit():

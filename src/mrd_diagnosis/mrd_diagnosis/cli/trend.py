@@ -89,7 +89,7 @@ def _parse_arguments() -> argparse.Namespace:
         "--dates",
         default="",
         metavar="DATE,...",
-        help="one date for each run, such as 2024-05-31; default: the recorded dates",
+        help="one date for each run, such as 2024-05-31, or 2024-05-31T14:00 within a day; default: the recorded dates",
     )
     parser.add_argument("--limit", type=float, metavar="VALUE", help="predict when the parameter reaches this value, in SI")
     parser.add_argument("--seed", type=int, default=0, help="the same seed gives the same result (default %(default)s)")

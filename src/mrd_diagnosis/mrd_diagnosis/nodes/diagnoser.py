@@ -13,6 +13,7 @@ from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.sentences import next_command
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
+from mrd_identification.low_pass import with_force_filters
 from mrd_interfaces.action import Diagnose
 from mrd_runs.nodes.analysis_node import AnalysisNode
 from mrd_sim.current import parse_laws
@@ -45,11 +46,13 @@ class Diagnoser(AnalysisNode):
         parameters = read_fit(request.parameters) if request.parameters else None
         bench = read_settings(request.bench or os.environ.get("MRD_BENCH"))
         with own_catalogue(request.models_folder, request.effects_folder):
-            runs, held_out = self.runs(request)
+            groups = self.runs(request, "reference")
+            runs, held_out, reference = with_force_filters(groups, request.force_filters, "force_filters")
             diagnosis = diagnose(
                 runs,
                 request.model,
                 held_out=held_out,
+                reference=reference,
                 parameters=parameters,
                 laws=laws or None,
                 effects=tuple(request.effects),

@@ -31,6 +31,8 @@ class Calendar:
         The dates as text.
     start : datetime or None
         Time 0; None where runs are counted.
+    timed : bool
+        Whether the dates are moments of a day, rather than days.
     """
 
     source: Literal["given", "recorded", "order"]
@@ -38,6 +40,7 @@ class Calendar:
     times: Array
     labels: tuple[str, ...]
     start: datetime | None
+    timed: bool = False
 
     @property
     def unit(self) -> str:
@@ -49,7 +52,7 @@ class Calendar:
         if self.start is None:
             return f"run {time:.0f}"
         try:
-            return f"{self.start + timedelta(days=time):%Y-%m-%d}"
+            return _label(self.start + timedelta(seconds=round(86400.0 * time)), self.timed)
         except OverflowError:
             return "never" if time > 0 else "long ago"
 
@@ -85,14 +88,19 @@ def make_calendar(runs: Sequence[Run], dates: Sequence[str] = ()) -> Calendar:
         numbers = np.arange(1.0, len(runs) + 1.0)
         labels = tuple(f"run {number:.0f}" for number in numbers)
         return Calendar("order", tuple(range(len(runs))), numbers, labels, None)
-    days = [moment.replace(hour=0, minute=0, second=0, microsecond=0) for moment in moments]
-    by_day = len(set(days)) >= FEWEST_DATES
-    keys = days if by_day else moments
+    # A day is that of the place where the run was recorded.
+    days = [moment.replace(hour=0, minute=0, second=0, microsecond=0, tzinfo=UTC) for moment in moments]
+    timed = len(set(days)) < FEWEST_DATES
+    keys = [moment.astimezone(moments[0].tzinfo) for moment in moments] if timed else days
     distinct = sorted(set(keys))
     times = np.array([(moment - distinct[0]) / timedelta(days=1) for moment in distinct])
-    labels = tuple(f"{moment:%Y-%m-%d}" if by_day else f"{moment:%Y-%m-%d %H:%M:%S}" for moment in distinct)
+    labels = tuple(_label(moment, timed) for moment in distinct)
     date_index = tuple(distinct.index(key) for key in keys)
-    return Calendar("given" if dates else "recorded", date_index, times, labels, distinct[0])
+    return Calendar("given" if dates else "recorded", date_index, times, labels, distinct[0], timed)
+
+
+def _label(moment: datetime, timed: bool) -> str:
+    return f"{moment:%Y-%m-%d %H:%M:%S}" if timed else f"{moment:%Y-%m-%d}"
 
 
 def _parse_date(text: str) -> datetime:

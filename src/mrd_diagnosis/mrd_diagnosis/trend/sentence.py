@@ -10,6 +10,9 @@ from mrd_diagnosis.trend.trend_line import TrendLine
 LONG_SERIES = 60.0
 """Days from which a slope is given per year: per day, it would be a tiny number."""
 
+SHORT_SERIES = 1.0
+"""Days below which a slope is given per hour: within a day, a rate per day is extrapolated."""
+
 
 def describe_trend(
     name: str, unit: str, calendar: Calendar, values: tuple[Interval, ...], line: TrendLine, limit: float | None
@@ -27,8 +30,11 @@ def describe_trend(
     limit : float or None
         Value whose crossing is predicted.
     """
-    per_year = calendar.start is not None and calendar.times[-1] > LONG_SERIES
-    factor, period = (365.25, "year") if per_year else (1.0, calendar.unit)
+    factor, period = 1.0, calendar.unit
+    if calendar.start is not None and calendar.times[-1] > LONG_SERIES:
+        factor, period = 365.25, "year"
+    elif calendar.start is not None and calendar.times[-1] < SHORT_SERIES:
+        factor, period = 1.0 / 24.0, "hour"
 
     def rate(slope: Interval, style: str = "") -> str:
         scaled = Interval(factor * slope.value, factor * slope.lower, factor * slope.upper)
@@ -36,15 +42,15 @@ def describe_trend(
 
     # After a bend, the slope holds from the bend on.
     has_bend = line.change is not None and line.change.kind == "bend"
-    ends = calendar.times[[line.change.before if line.change is not None and has_bend else 0, -1]]
-    first, last = (calendar.label(float(end)) for end in ends)
+    ends = [line.change.before if line.change is not None and has_bend else 0, -1]
+    first, last = (calendar.labels[end] for end in ends)
     slope = line.slope
     if slope.lower <= 0.0 <= slope.upper:
         mean = format_quantity(float(np.mean([value.value for value in values])), unit)
         sentences = [f"{name} shows no trend from {first} to {last}: its mean is {mean}, and it changes by {rate(slope)}"]
     else:
         verb = "grows" if slope.value > 0 else "falls"
-        start, end = (format_quantity(float(value), unit) for value in line.predict(ends)[0])
+        start, end = (format_quantity(float(value), unit) for value in line.predict(calendar.times[ends])[0])
         sentences = [f"{name} {verb} by {rate(slope, 'size')}, from {start} ({first}) to {end} ({last})"]
     if line.change is not None and line.change_size is not None:
         before, after = calendar.labels[line.change.before], calendar.labels[line.change.after]

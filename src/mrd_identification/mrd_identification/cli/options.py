@@ -1,14 +1,13 @@
 """Arguments that several tools share."""
 
 import argparse
-import itertools
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import get_args
 
 from mrd_base import FaultError, InputError
-from mrd_identification.low_pass import GRAMMAR, with_force_filter
+from mrd_identification.low_pass import GRAMMAR, with_force_filters
 from mrd_identification.method import Method, parse_method
 from mrd_identification.preflight import preflight
 from mrd_identification.problem import Loss
@@ -141,24 +140,10 @@ def read_method(arguments: argparse.Namespace) -> Method:
 
 def read_arguments_runs(arguments: argparse.Namespace, *others: str) -> list[list[Run]]:
     """Read the runs to fit, the held-out runs, whose names are distinct, and the runs of ``others`` of the arguments."""
-    groups = [[*arguments.runs, *arguments.held_out], *(getattr(arguments, name) for name in others)]
-    runs = [run for files in groups if files for run in read_runs(files, arguments.skip)]
-    filtered = iter(with_force_filters(runs, arguments.force_filter))
-    sizes = [len(arguments.runs), len(arguments.held_out), *map(len, groups[1:])]
-    return [list(itertools.islice(filtered, size)) for size in sizes]
-
-
-def with_force_filters(runs: Sequence[Run], options: Sequence[str]) -> list[Run]:
-    """Return runs with the filters of the options ``--force-filter``; a later option replaces an earlier one."""
-    filtered = list(runs)
-    for option in options:
-        name, _, word = option.rpartition("=")
-        places = [place for place, run in enumerate(runs) if name in ("", run.name)]
-        if not places:
-            raise InputError(f"--force-filter {option}: expected the name of a run: {', '.join(run.name for run in runs)}")
-        for place in places:
-            filtered[place] = with_force_filter(filtered[place], word)
-    return filtered
+    runs = read_runs([*arguments.runs, *arguments.held_out], arguments.skip)
+    groups = [runs[: len(arguments.runs)], runs[len(arguments.runs) :]]
+    groups += [read_runs(getattr(arguments, name), arguments.skip) for name in others]
+    return with_force_filters(groups, arguments.force_filter, "--force-filter")
 
 
 def announce(*lines: str) -> None:

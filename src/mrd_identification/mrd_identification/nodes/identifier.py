@@ -13,6 +13,7 @@ from mrd_identification.fit import Fit
 from mrd_identification.fit_file import write_fit
 from mrd_identification.identify import identify
 from mrd_identification.json_file import make_folder
+from mrd_identification.low_pass import with_force_filters
 from mrd_identification.method import Method, parse_method
 from mrd_identification.report import write_report
 from mrd_interfaces.action import Identify
@@ -42,7 +43,7 @@ class Identifier(AnalysisNode):
 
         folder = make_folder(request.output)
         with own_catalogue(request.models_folder, request.effects_folder):
-            runs, held_out = self.runs(request)
+            runs, held_out = with_force_filters(self.runs(request), request.force_filters, "force_filters")
             fit = identify(runs, request.model, held_out=held_out, method=method, progress=progress)
             write_fit(fit, folder)
             write_report(fit, folder)

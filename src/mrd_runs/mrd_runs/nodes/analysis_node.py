@@ -41,8 +41,8 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
     name : str
         Default name of the node.
     action : type
-        Type of the action. Its goal has ``runs``, ``held_out``, ``effects_folder`` and ``models_folder``, its result
-        ``success`` and ``message``.
+        Type of the action. Its goal has ``runs``, ``held_out``, ``skip``, ``effects_folder`` and ``models_folder``, its
+        result ``success`` and ``message``.
     action_name : str
         Name under which the action is served.
     """
@@ -135,12 +135,15 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         self._worker.submit(run)
         await done
 
-    def runs(self, request: Any) -> tuple[list[Run], list[Run]]:
-        """Return the runs to fit and the held-out runs of a goal; without runs, use the samples received so far."""
-        if not request.runs:
-            return [self._buffer.run("live samples")], read_runs(request.held_out)
-        runs = read_runs([*request.runs, *request.held_out])
-        return runs[: len(request.runs)], runs[len(request.runs) :]
+    def runs(self, request: Any, *others: str) -> list[list[Run]]:
+        """Return the runs to fit, the held-out runs, and the runs of ``others`` of a goal.
+
+        Without runs to fit, these are the samples received so far.
+        """
+        heard = [] if request.runs else [self._buffer.run("live samples").without_start(request.skip)]
+        read = read_runs([*request.runs, *request.held_out], request.skip)
+        groups = [heard + read[: len(request.runs)], read[len(request.runs) :]]
+        return groups + [read_runs(getattr(request, name), request.skip) for name in others]
 
     def health(self) -> tuple[str, dict[str, Any]]:
         """Return no problem, and whether an analysis is running."""
