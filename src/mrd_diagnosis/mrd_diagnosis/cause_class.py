@@ -91,5 +91,5 @@ def level_of(effect: str, members: tuple[Member, ...], chances: Mapping[str, flo
 
 def class_name(effects: Sequence[str]) -> str:
     """Return what effects have in common, as a clause; empty where they have nothing in common."""
-    symptoms = {EFFECTS[effect].symptom for effect in effects if effect in EFFECTS}
+    symptoms = {EFFECTS[effect].symptom if effect in EFFECTS else "" for effect in effects}
     return symptoms.pop() if len(symptoms) == 1 else ""

@@ -14,11 +14,12 @@ from mrd_diagnosis.base_fit import BaseFit
 from mrd_diagnosis.cause_class import class_of
 from mrd_diagnosis.diagnosis import Member
 from mrd_diagnosis.effect_search import BEST_SCORES, MOST_CAUSES, ROUGHLY_CONVERGED, EffectFit, refit_with_effects
+from mrd_diagnosis.form_remainder import with_form_remainder
 from mrd_diagnosis.held_cause import holds_in_halves, leads, with_effects
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import MOST_ALTERNATIVES, NO_EFFECT
 from mrd_diagnosis.refit import Refit, refit_on
-from mrd_diagnosis.statistics import probabilities
+from mrd_diagnosis.statistics import error_dispersion, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
 from mrd_sim.effects import EFFECTS
@@ -94,7 +95,43 @@ def select_effects(
         if found is not None:
             selected.append(found)
             present, values = [*others, found.effect], values | found.fitted.values
-    return selected
+    if not selected:
+        return []
+    complete = with_effects(weighting, forms[0], present, values)
+    beside, plain = with_form_remainder(weighting, forms[0])
+    freed = with_effects(beside, plain, present, values)
+    return [found for found in selected if keeps_its_size(beside, freed, complete, found.effect)]
+
+
+def keeps_its_size(weighting: Weighting, freed: Refit, complete: Refit, effect: str) -> bool:
+    """Whether an effect has beside the form remainder about the size that it has without one.
+
+    The remainder takes most of what many effects do, but what it leaves of a mechanism has the size of the whole. What
+    stands in for a wrong form is not needed any more. Where the remainder leaves too little to tell, nothing is known.
+
+    Parameters
+    ----------
+    weighting : Weighting
+        With the remainder.
+    freed, complete : Refit
+        The form with the effects, beside the remainder and without it.
+    effect : str
+        Id of one of the effects.
+    """
+    model, theta = freed.problem.model, freed.theta.copy()
+    places = [index for index, name in enumerate(model.names) if name.startswith(f"{effect}.")]
+    theta[places] = [complete.values[model.names[place]] for place in places]
+    neutral = theta.copy()
+    neutral[places] = model.without_effects(theta)[places]
+    problem = weighting.problem(model, theta)
+    with_effect, without = problem.residuals(theta), problem.residuals(neutral)
+    change = with_effect - without
+    information = float(change @ change)
+    if not 0.0 < information < np.inf:
+        return False
+    size = -float(change @ without) / information
+    deviation = float(np.sqrt(error_dispersion(without) / information))
+    return size + 2.0 * deviation >= THRESHOLDS.least_size_beside_remainder
 
 
 def _search(

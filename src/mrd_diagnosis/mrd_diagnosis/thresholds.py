@@ -71,6 +71,13 @@ class Thresholds:
         "share of the gap of the best form that an effect must close to be named beside a wrong form",
         "measured recordings with known errors, seed 81",
     )
+    least_size_beside_remainder: float = threshold(
+        0.7,
+        "of the effect's size",
+        "size that an effect has at least beside the form remainder, within two standard deviations, to be named beside a "
+        "wrong form",
+        "convention",
+    )
     form_effect_energy: float = threshold(
         0.05,
         "of the energy",

@@ -65,19 +65,19 @@ def test_the_level_is_what_the_recordings_determine(chances, level):
 @pytest.mark.parametrize(
     ("level", "effects", "text"),
     [
-        ("effect", ["channel_delay"], "the force channel is late by 0 ms"),
+        ("effect", ["channel_delay"], "the force channel is late by 0 s"),
         (
             "class",
             ["channel_delay", "force_sensor_lag"],
-            "the measured force is late (probability 80 %), which is either that the force channel is late by 0 ms (40 %) "
-            "or the force sensor lags by 0 ms (40 %)",
+            "the measured force is late (probability 80 %), which is either that the force channel is late by 0 s (40 %) "
+            "or the force sensor lags by 0 s (40 %)",
         ),
         (
             "class",
             ["channel_delay", "gas_spring"],
-            "either the force channel is late by 0 ms (40 %) or the gas charge acts as a spring of 0 N/mm (40 %)",
+            "either the force channel is late by 0 s (40 %) or the gas charge acts as a spring of 0 N/m (40 %)",
         ),
-        ("stage", ["channel_delay"], "the cause acts in the force measurement, most likely as channel delay"),
+        ("stage", ["channel_delay"], "the cause acts in the force measurement, most likely as delay of the force channel"),
     ],
 )
 def test_a_cause_is_named_as_far_as_it_is_known(level, effects, text):

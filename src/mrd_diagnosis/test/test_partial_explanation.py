@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from mrd_diagnosis import alternative_models, diagnose, form_causes, partial_explanation
 from mrd_diagnosis.alternative_models import fit_alternative_models
 from mrd_diagnosis.base_fit import fit_base, with_effect
-from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.explanation import Explanation
 from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
-from mrd_diagnosis.held_cause import HeldCause, holds, with_effects
+from mrd_diagnosis.held_cause import holds, with_effects
 from mrd_diagnosis.model_comparison import compare_on
 from mrd_diagnosis.null_distribution import NullGains
 from mrd_diagnosis.refit import refit
@@ -110,7 +109,7 @@ def test_a_cause_is_named_although_the_damper_has_another_form(cause, recorded, 
     diagnosis = diagnose(runs(**recorded), "bouc_wen", effects=CANDIDATES)
     assert diagnosis.verdict == "partly_explained"
     assert [named.effect for named in diagnosis.causes] == [cause]
-    assert diagnosis.causes[0].probability > 0.9
+    assert diagnosis.causes[0].probability > 0.8
     assert diagnosis.gap.form_fraction > 0.05
     assert diagnosis.sentence
 
@@ -230,26 +229,6 @@ def test_an_effect_of_the_form_is_judged_beside_the_others(monkeypatch):
     assert beside == [("bypass_flow",)]
 
 
-@pytest.mark.parametrize(
-    ("recorded", "cause", "of_form", "kept"),
-    [
-        (runs(effect=lambda signals: 4.0 * signals[3]), "moving_mass", "shear_thinning", True),
-        (late(0.012), "force_sensor_lag", "channel_delay", False),
-    ],
-)
-def test_a_cause_must_still_be_needed_beside_the_effects_of_the_form(recorded, cause, of_form, kept):
-    recordings = [prepare_recording(run) for run in recorded]
-    weighting, base, _, _ = fit_base(BOUC_WEN, None, recordings, np.random.default_rng(0))
-    beside, form = with_form_remainder(weighting, base)
-    values = dict(form.values)
-    for effect in (cause, of_form):
-        values |= {f"{effect}.{parameter.name}": parameter.default for parameter in EFFECTS[effect].parameters}
-        values |= {f"{effect}.{name}": value for name, value in EFFECTS[effect].typical.items()}
-    held = HeldCause({}, 0.0, Interval(1.0))
-    needed = partial_explanation._still_needed(beside, form, {cause: held}, {of_form: held}, values)
-    assert list(needed) == ([cause] if kept else [])
-
-
 def test_without_candidates_no_effect_is_tried_again(wrong_form, monkeypatch):
     """Along a single stroke there are none, but what the search had chosen was tried around the user's model once more."""
     weighting, base = wrong_form
@@ -264,9 +243,11 @@ def test_without_candidates_no_effect_is_tried_again(wrong_form, monkeypatch):
 
     monkeypatch.setattr(partial_explanation, "name_form_causes", nothing_holds)
     explanation = Explanation("unknown_effect", comparison, {}, {})
-    explained = partial_explanation.explain_in_part(explanation, list(others.values()), [], np.random.default_rng(2))
+    explained = partial_explanation.explain_in_part(
+        explanation, list(others.values()), [], NullGains(np.zeros(9), 1.0), np.random.default_rng(2)
+    )
     assert explained.verdict == "unknown_effect"
-    assert tried == [[], []]
+    assert tried == [[]]
 
 
 def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
