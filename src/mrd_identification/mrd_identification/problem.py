@@ -14,7 +14,7 @@ from mrd_base import InputError
 from mrd_identification.metrics import error_norms
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, consecutive_forces, current_levels
-from mrd_sim.dual import STEP
+from mrd_sim.dual_type import LANES, as_duals
 from mrd_sim.models import DamperModel, Parameter, SeriesSolutions
 
 Array = NDArray[np.float64]
@@ -174,15 +174,22 @@ class Problem:
         if self.model.series_elements:
             self.forces(theta, solutions)
 
-        def derivative(index: int) -> Array:
-            shifted = theta.astype(complex)
-            shifted[self.free[index]] += 1j * STEP * scale[index]
-            return self.forces(shifted, solutions).imag / STEP
+        def derivatives(places: Sequence[int]) -> Array:
+            """Derivatives of the force (samples, places) by as many parameters as one pass takes."""
+            moved = as_duals(theta)
+            for lane, place in enumerate(places):
+                moved.derivatives[self.free[place], lane] = scale[place]
+            return self.forces(moved, solutions)[:, 1 : 1 + len(places)]
 
         asked = list(range(len(self.free)) if indices is None else indices)
         slopes = {slope: value for slope, value in self._values_of_slopes.items() if slope in asked and value in asked}
         computed = [index for index in asked if index not in slopes]
-        of_force = dict(zip(computed, in_threads(derivative, computed), strict=True))
+        passes = [computed[first : first + LANES] for first in range(0, len(computed), LANES)]
+        of_force = {
+            place: column
+            for places, columns in zip(passes, in_threads(derivatives, passes), strict=True)
+            for place, column in zip(places, columns.T, strict=True)
+        }
         for slope, value in slopes.items():
             of_force[slope] = of_force[value] * self._constant_current * (scale[slope] / scale[value])
         columns = [self.counted(of_force[index]) for index in asked]

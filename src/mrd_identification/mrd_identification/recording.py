@@ -14,6 +14,7 @@ from mrd_identification.low_pass import known_force_filter
 from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
+from mrd_sim.dual_type import columns_of, like
 from mrd_sim.lead_in import usual_lead_in
 from mrd_sim.models import DamperModel, SeriesSolutions
 from mrd_sim.path import Path, run_path
@@ -154,7 +155,9 @@ def _every(recording: Recording, step: int) -> Recording:
 def consecutive_modelled_forces(
     model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
 ) -> list[Array]:
-    """Return the modelled force in N at every sample of runs that were recorded one after the other.
+    """Return the modelled force (n,) in N at every sample of runs that were recorded one after the other.
+
+    Where ``theta`` is of dual numbers it is the force and, in the columns beside it, the derivatives: (n, 1 + lanes).
 
     A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects.
     ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
@@ -164,11 +167,10 @@ def consecutive_modelled_forces(
     for recording in recordings:
         if recording.without_effects and model.effects:
             force = model.force(model.without_effects(theta), recording.path, solutions=solutions)
-            forces.append(recording.as_recorded(force))
-            continue
-        initial = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
-        state = initial.astype(theta.dtype)
-        forces.append(recording.as_recorded(model.force(theta, recording.path, state, solutions)))
+        else:
+            state = like(theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path))
+            force = model.force(theta, recording.path, state, solutions)
+        forces.append(recording.as_recorded(columns_of(force)))
     return forces
 
 

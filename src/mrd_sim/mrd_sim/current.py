@@ -66,12 +66,12 @@ def parse_laws(text: str, where: str) -> str | dict[str, str]:
 
 
 @njit(cache=True, nogil=True)
-def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array:
-    """Return the effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
+def lagged_current(lags: Array, state: Array, dt: Array, current: Array, effective: Array) -> None:
+    """Fill in the effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
 
-    ``state`` holds u and I at the previous vertex and is updated. ``lag`` is in s; with 0 the current passes unchanged.
+    ``state`` holds u and I at the previous vertex and is updated. ``lags`` (1,) is in s; with 0 the current passes unchanged.
     """
-    effective = np.empty(len(current), state.dtype)
+    lag = lags[0]
     u, before = state[0], state[1]
     step, left = 0.0, 0.0 * lag
     for k in range(len(current)):
@@ -87,7 +87,6 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
         effective[k] = u
         before = now + 0.0 * lag
     state[0], state[1] = u, before
-    return effective
 
 
 @njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.weighting import WeightedProblem
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.recording import Recording
+from mrd_sim.dual_type import columns_of, like
 from mrd_sim.models import DamperModel, SeriesSolutions
 from mrd_sim.path import Path
 
@@ -33,7 +34,7 @@ class StateAfterRuns:
         """Return the state (states,) for parameters (parameters,)."""
         key = theta.tobytes()
         if key not in self._states:
-            state = self.model.initial_state(self.recordings[0].path).astype(theta.dtype)
+            state = like(theta, self.model.initial_state(self.recordings[0].path))
             for run, recording in enumerate(self.recordings):
                 state = self.model.next_state(state, recording.path) if run else state
                 self.model.force(theta, recording.path, state)
@@ -109,8 +110,8 @@ class UpdatedProblem(WeightedProblem):
     explanation: Explanation
 
     def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force (n,) in N of the further run."""
-        return self.explanation.force(theta, self.recordings[0].path, solutions)
+        """Return the modelled force (n,) in N of the further run, or with its derivatives (n, 1 + lanes)."""
+        return columns_of(self.explanation.force(theta, self.recordings[0].path, solutions))
 
     def residuals(self, theta: Array) -> Array:
         """Return the white residuals of the further run, and those that stand for the recorded runs."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.current import LAWS, evaluate_coefficients, lagged_current, slope_factors
+from mrd_sim.dual_type import LANES, Duals, empty_duals, like
 from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.parameter import Parameter
@@ -263,7 +264,7 @@ class DamperModel:
         path : Path
             The path to come.
         """
-        following = self.initial_state(path).astype(state.dtype)
+        following = like(state, self.initial_state(path))
         for effect, part in zip(self.effects, self.effect_states, strict=True):
             if effect.outlasts_run:
                 following[part] = state[part]
@@ -278,7 +279,9 @@ class DamperModel:
         """Return parameters (parameters,) with which the effects change nothing."""
         own = len(self._model_parameters)
         neutral = np.array([parameter.default for parameter in self.parameters[own:]])
-        return np.concatenate([theta[:own], neutral.astype(theta.dtype)])
+        plain = theta.copy()
+        plain[own:] = like(theta, neutral)
+        return plain
 
     def force(self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None) -> Array:
         """Return the measured force in N at the samples of a path.
@@ -286,7 +289,7 @@ class DamperModel:
         Parameters
         ----------
         theta : ndarray (parameters,)
-            Real, or complex where it carries derivatives (`mrd_sim.dual`). The force is of the same type.
+            Floats, or dual numbers (`mrd_sim.dual_type.Duals`) where it carries derivatives; so is the force.
         path : Path
         state : ndarray, optional
             As from `initial_state`, of the type of ``theta``. Changed in place, so that a following path continues where
@@ -305,24 +308,21 @@ class DamperModel:
             state = self.initial_state(path)
         if self.follows_force:
             path = path.fine
-        state = np.asarray(state, theta.dtype)
+        state = like(theta, state)
         start = state.real.tobytes()
-        x, v, a, current = path.position, path.velocity, path.acceleration, path.current
-        force = np.zeros(len(x), theta.dtype)
-        if self.effects:  # effects change the signals in place
-            x, v, a, current = (series.astype(theta.dtype) for series in (x, v, a, current))
+        x, v, a, current, force = (
+            like(theta, series)
+            for series in (path.position, path.velocity, path.acceleration, path.current, np.zeros(len(path.dt)))
+        )
+        if self.effects and theta.dtype == float:  # effects change the signals in place
+            x, v, a, current = (series.copy() for series in (x, v, a, current))
         self._act(("drive", "magnetics"), theta, path, (x, v, a, current, force), state)
-        lag = theta[len(self._model_parameters) - 1]
-        if lag == 0.0 and len(current):
-            current = current.astype(theta.dtype, copy=False)
-            state[:2] = current[-1]
-        else:
-            current = lagged_current(lag, state, path.dt, current)
+        current = self._lagged(theta, state, path.dt, current)
         rows = self._coefficients_along(theta, current)
         inner = state[2 : 2 + self.states]
         if self.series_elements:
             elongations = state[-len(self.series_elements) - 1 :]
-            self._run_in_series(theta, path, start, (elongations, rows.T, inner, path.dt, x, v, a, force), solutions)
+            self._run_in_series(theta, path, start, (elongations, rows, inner, path.dt, x, v, a, force), solutions)
         else:
             self.kernel(rows, inner, path.dt, x, v, a, force)
         self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
@@ -332,6 +332,16 @@ class DamperModel:
         self._act(("sensing",), theta, path, (x, v, a, current, force), state)
         return on_rod, force[path.samples]
 
+    def _lagged(self, theta: Array, state: Array, dt: Array, current: Array) -> Array:
+        """Return the effective current in A behind the coil lag of the model."""
+        place = len(self._model_parameters) - 1
+        if not theta[place : place + 1].view(np.float64).any() and len(current):
+            state[:2] = current[-1]
+            return current
+        effective = np.empty_like(current)
+        lagged_current(theta[place : place + 1], state, dt, current, effective)
+        return effective
+
     def _run_in_series(
         self, theta: Array, path: Path, start: bytes, arguments: tuple[Array, ...], solutions: SeriesSolutions | None
     ) -> None:
@@ -339,22 +349,26 @@ class DamperModel:
 
         Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
         """
-        parameters = np.stack(
-            [np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self.series_elements)]
-        )
-        with_derivatives = np.iscomplexobj(theta)
+        parts = self._effect_parameters(self.series_elements)
+        parameters = like(theta, np.zeros((len(parts), MOST_PARAMETERS)))
+        for row, part in zip(parameters, parts, strict=True):
+            row[: part.stop - part.start] = theta[part]
         key = theta.real.tobytes(), start
+        with_derivatives = isinstance(theta, Duals)
         known = solutions.get(id(path)) if solutions is not None and with_derivatives else None
         if known is None or known[0] != key:
-            values = [np.ascontiguousarray(argument.real) for argument in arguments]
+            elongations, rows, *others = (
+                np.ascontiguousarray(argument.real) if with_derivatives else argument for argument in arguments
+            )
             solved = np.empty((len(path.dt), 2 + self.states))
-            force_in_series(*self._series_functions, parameters.real + 0j, *values, solved)
-            known = key, values[-1].copy(), solved
+            columns = np.ascontiguousarray(rows.T)
+            force_in_series(self._series_functions[0], parameters.real, elongations, columns, *others, solved)
+            known = key, others[-1].copy(), solved
             if solutions is not None and not with_derivatives:
                 solutions[id(path)] = known
         if with_derivatives:
-            arguments[-1][:] = known[1]
-            derivatives_in_series(*self._series_functions, parameters, *arguments, known[2])
+            arguments[-1].real[:] = known[1]
+            derivatives_in_series(self._series_functions[1], parameters, *arguments, known[2])
 
     @cached_property
     def follows_force(self) -> bool:
@@ -367,9 +381,10 @@ class DamperModel:
         return tuple(effect for effect in self.effects if effect.elongation is not None)
 
     @cached_property
-    def _series_functions(self) -> tuple[Any, ...]:
-        """The kernel and the elongations of the elements in series, as compiled functions take them."""
-        return first_class(self.kernel, [effect.elongation for effect in self.series_elements])
+    def _series_functions(self) -> tuple[tuple[Any, ...], ...]:
+        """The kernel and the elongations of the elements in series, as the functions that solve and that differentiate take them."""
+        elongations = [effect.elongation for effect in self.series_elements]
+        return tuple(first_class(self.kernel, elongations, lanes) for lanes in (1, LANES))
 
     @cached_property
     def effect_states(self) -> tuple[slice, ...]:
@@ -414,7 +429,7 @@ class DamperModel:
             Part of the force in N that no linear parameter multiplies.
         """
         state = self.initial_state(path)
-        current = lagged_current(theta[-1], state, path.dt, path.current)
+        current = self._lagged(theta, state, path.dt, path.current)
         rows = self._coefficients_along(theta, current)
         for j, coefficient in enumerate(self.coefficients):
             if coefficient.multiplies:
@@ -455,7 +470,8 @@ class DamperModel:
 
     def _coefficients_along(self, theta: Array, current: Array) -> Array:
         """Coefficients (m, coefficients) along the effective current."""
-        rows = np.empty((len(current), len(self.coefficients)), theta.dtype, order="F")
+        shape = len(current), len(self.coefficients)
+        rows = empty_duals(shape) if isinstance(theta, Duals) else np.empty(shape, order="F")
         evaluate_coefficients(theta, self.law_codes, self.law_columns, self.floors, current, rows)
         return rows
 
