@@ -15,7 +15,7 @@ from mrd_identification.metrics import error_norms
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, consecutive_forces, current_levels
 from mrd_sim.dual_type import LANES, as_duals
-from mrd_sim.models import DamperModel, Parameter, SeriesSolutions
+from mrd_sim.models import DamperModel, Parameter
 
 Array = NDArray[np.float64]
 Loss = Literal["linear", "soft_l1", "huber"]
@@ -121,12 +121,9 @@ class Problem:
             logarithmic = theta[list(self.free)] * np.log(self.upper / self.lower)
         return np.where(self.log, logarithmic, self.upper - self.lower)
 
-    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force in N over all counted samples.
-
-        ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
-        """
-        return np.concatenate(consecutive_forces(self.model, theta, self.recordings, solutions))
+    def forces(self, theta: Array) -> Array:
+        """Return the modelled force (samples,) in N over all counted samples, see `consecutive_forces`."""
+        return np.concatenate(consecutive_forces(self.model, theta, self.recordings))
 
     def modelled(self, theta: Array, index: int) -> Array:
         """Return the modelled force in N at the counted samples of one recording."""
@@ -170,16 +167,13 @@ class Problem:
         """
         theta = self.theta(unit)
         scale = self.scale(theta)
-        solutions: SeriesSolutions = {}
-        if self.model.series_elements:
-            self.forces(theta, solutions)
 
         def derivatives(places: Sequence[int]) -> Array:
             """Derivatives of the force (samples, places) by as many parameters as one pass takes."""
             moved = as_duals(theta)
             for lane, place in enumerate(places):
                 moved.derivatives[self.free[place], lane] = scale[place]
-            return self.forces(moved, solutions)[:, 1 : 1 + len(places)]
+            return self.forces(moved)[:, 1 : 1 + len(places)]
 
         asked = list(range(len(self.free)) if indices is None else indices)
         slopes = {slope: value for slope, value in self._values_of_slopes.items() if slope in asked and value in asked}

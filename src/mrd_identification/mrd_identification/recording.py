@@ -16,7 +16,7 @@ from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
 from mrd_sim.dual_type import columns_of, like
 from mrd_sim.lead_in import usual_lead_in
-from mrd_sim.models import DamperModel, SeriesSolutions
+from mrd_sim.models import DamperModel
 from mrd_sim.path import Path, run_path
 
 Array = NDArray[np.float64]
@@ -152,33 +152,30 @@ def _every(recording: Recording, step: int) -> Recording:
     return replace(recording, counted=counted, path=recording.path.coarse(counted), other_starts=None)
 
 
-def consecutive_modelled_forces(
-    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
-) -> list[Array]:
+def consecutive_modelled_forces(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
     """Return the modelled force (n,) in N at every sample of runs that were recorded one after the other.
 
     Where ``theta`` is of dual numbers it is the force and, in the columns beside it, the derivatives: (n, 1 + lanes).
 
     A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects.
-    ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
     """
     forces: list[Array] = []
     state: Array | None = None
     for recording in recordings:
         if recording.without_effects and model.effects:
-            force = model.force(model.without_effects(theta), recording.path, solutions=solutions)
+            force = model.force(model.without_effects(theta), recording.path)
         else:
-            state = like(theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path))
-            force = model.force(theta, recording.path, state, solutions)
+            state = like(
+                theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
+            )
+            force = model.force(theta, recording.path, state)
         forces.append(recording.as_recorded(columns_of(force)))
     return forces
 
 
-def consecutive_forces(
-    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
-) -> list[Array]:
+def consecutive_forces(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
     """Return the forces of `consecutive_modelled_forces` at the counted samples only."""
-    forces = consecutive_modelled_forces(model, theta, recordings, solutions)
+    forces = consecutive_modelled_forces(model, theta, recordings)
     return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
 
 

@@ -6,12 +6,12 @@ any F and the damper's answer to it bracket the root. The scheme is implicit in 
 first order in the step.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import carray, njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -30,7 +30,7 @@ SHORTEST_STEP = 1e-9
 """s. In less nothing gives way, and speeds of elongation would be rounding."""
 
 
-_REALS, _MATRIX = types.float64[::1], types.float64[:, ::1]
+_REALS, _MATRIX, _ADDRESSES = types.float64[::1], types.float64[:, ::1], types.intp[::1]
 
 
 def _vector(number: Any) -> Any:
@@ -38,48 +38,54 @@ def _vector(number: Any) -> Any:
     return types.Array(number, 1, "C")
 
 
-def _kernel(number: Any) -> Any:
-    """Signature of a kernel for numbers of a type."""
+def _matrix(number: Any) -> Any:
+    """Type of a contiguous matrix of numbers of a type."""
+    return types.Array(number, 2, "C")
+
+
+def addresses(kernel: Any, elongations: Sequence[Any], lanes: int) -> NDArray[np.intp]:
+    """Return the addresses of a kernel and of the elongations of the elements, compiled for numbers of some lanes.
+
+    The functions below call what is at these addresses, so that one compiled function serves all models; numba would look
+    up an address at every call, which takes longer than a path of a thousand vertices.
+    """
+    number = DualType(lanes)
     vector = _vector(number)
-    return types.none(types.Array(number, 2, "C"), vector, _REALS, vector, vector, vector, vector)
+    of_kernel = types.none(_matrix(number), vector, _REALS, vector, vector, vector, vector)
+    of_elongation = number(vector, number, types.float64, number, number)
+    compiled = [kernel.get_compile_result(of_kernel), *(e.get_compile_result(of_elongation) for e in elongations)]
+    return np.array([c.library.get_pointer_to_function(c.fndesc.llvm_func_name) for c in compiled], np.intp)
 
 
-def _elongation(number: Any) -> Any:
-    """Signature of an elongation for numbers of a type."""
-    return number(_vector(number), number, types.float64, number, number)
+def _call(context: Any, builder: Any, result: Any, kinds: Any, address: Any, arguments: Any) -> Any:
+    """Call the function at an address; what it raises is raised."""
+    pointer = builder.inttoptr(address, context.call_conv.get_function_type(result, kinds).as_pointer())
+    status, value = context.call_conv.call_function(builder, pointer, result, kinds, arguments)
+    with cgutils.if_unlikely(builder, status.is_error):
+        context.call_conv.return_status_propagate(builder, status)
+    return value
 
 
-def first_class(kernel: Any, elongations: Sequence[Any], lanes: int) -> tuple[Any, ...]:
-    """Return a kernel and the elongations of the elements as the first arguments of the functions below.
+@intrinsic
+def _call_kernel(_context: Any, address: Any, vertex: Any) -> Any:
+    """Call the kernel at an address with the arrays of a vertex."""
 
-    They take the compiled functions themselves, too; but numba would then look up the address of each at every call, which
-    takes longer than a path of a thousand vertices. ``lanes`` is that of the function that they are for.
-    """
-    functions = [*elongations] + [elongations[0]] * (MOST_IN_SERIES - len(elongations))
-    number = DualType(lanes)
-    signatures = [_kernel(number)] + [_elongation(number)] * MOST_IN_SERIES
-    for function, signature in zip([kernel, *functions], signatures, strict=True):
-        function.compile(signature)
-    pairs = zip([kernel, *functions], signatures, strict=True)
-    return tuple(types.CompileResultWAP(function.get_compile_result(signature)) for function, signature in pairs)
+    def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        arrays = cgutils.unpack_tuple(builder, arguments[1])
+        return _call(context, builder, types.none, vertex.types, arguments[0], arrays)
+
+    return types.none(address, vertex), code
 
 
-def _compiled(lanes: int, *arguments: Any) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a function of a kernel, five elongations, and ``arguments`` of these types.
+@intrinsic
+def _call_elongation(_context: Any, address: Any, parameters: Any, before: Any, step: Any, force: Any, x: Any) -> Any:
+    """Elongation by the function at an address."""
+    kinds = parameters, before, step, force, x
 
-    The kernel and the elongations come as first-class functions, so that one compiled function serves all models. Numba
-    warns where such functions are put into a tuple.
-    """
-    number = DualType(lanes)
-    functions = [types.FunctionType(_kernel(number))] + [types.FunctionType(_elongation(number))] * MOST_IN_SERIES
-    signature = types.none(*functions, *arguments)
+    def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return _call(context, builder, force, kinds, arguments[0], arguments[1:])
 
-    def decorate(function: Any) -> Any:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "First-class function type feature is experimental")
-            return njit(signature, cache=True, nogil=True)(function)
-
-    return decorate
+    return force(address, *kinds), code
 
 
 @intrinsic
@@ -115,31 +121,38 @@ class _Vertex(NamedTuple):
 
 @njit(inline="always")
 def _vertex(row: Any, work: Any, states: int, step: Any) -> Any:
-    """Return views of a row of coefficients, of the parts of ``work``, (states + 4,), and of a step; the caller keeps these."""
-    motion_and_force = (
-        _unowned(work[states : states + 1]),
-        _unowned(work[states + 1 : states + 2]),
-        _unowned(work[states + 2 : states + 3]),
-        _unowned(work[states + 3 : states + 4]),
-    )
-    return _Vertex(_unowned(row), _unowned(work[:states]), _unowned(step), *motion_and_force)
+    """Return views of a row of coefficients, of parts of ``work`` and of a step; the caller keeps these."""
+    x, v = _unowned(work[states : states + 1]), _unowned(work[states + 1 : states + 2])
+    a, force = _unowned(work[states + 2 : states + 3]), _unowned(work[states + 3 : states + 4])
+    return _Vertex(_unowned(row), _unowned(work[:states]), _unowned(step), x, v, a, force)
 
 
 class _Elements(NamedTuple):
-    """Parameters of the elements in series, their elongations before the step and after it; `_unowned`."""
+    """Addresses of the elongations, parameters of the elements, elongations before the step and after it; `_unowned`."""
 
+    addresses: Any
     parameters: Any
     before: Any
     after: Any
 
 
 @njit(inline="always")
-def _elongate(functions: Any, elements: Any, step: float, force: Any, x: Any) -> Any:
+def _elements(functions: Any, parameters: Any, work: Any, count: int) -> Any:
+    """Return views of the addresses, of the parameters and of the last parts of ``work``; the caller keeps these."""
+    end = len(work)
+    before, after = _unowned(work[end - 2 * count : end - count]), _unowned(work[end - count :])
+    return _Elements(_unowned(functions), _unowned(parameters), before, after)
+
+
+@njit(inline="always")
+def _elongate(elements: Any, step: float, force: Any, x: Any) -> Any:
     """Return the sum of the elongations after a step to ``x`` under a force, and leave each in ``elements.after``."""
     total = 0.0 * force
     for i in range(len(elements.before)):
-        elements.after[i] = functions[i](elements.parameters[i], elements.before[i], step, force, x)
-        total += elements.after[i]
+        address = elements.addresses[1 + i]
+        after = _call_elongation(address, elements.parameters[i], elements.before[i], step, force, x)
+        elements.after[i] = after
+        total += after
     return total
 
 
@@ -148,14 +161,17 @@ def _length_of_work(elements: int, states: int) -> int:
     return states + 4 + 2 * elements
 
 
-@_compiled(1, *[types.Array(DualType(1), 2, "C")] * 2, _vector(DualType(1)), _REALS, _MATRIX, *[_REALS] * 6, _MATRIX)
+def _compiled(*arguments: Any) -> Callable[[Any], Any]:
+    """Return a decorator that compiles a function of addresses and of arguments of these types."""
+    return njit(types.none(_ADDRESSES, *arguments), cache=True, nogil=True)  # type: ignore[no-any-return]
+
+
+_ONE = DualType(1)
+
+
+@_compiled(*[_matrix(_ONE)] * 2, _vector(_ONE), _REALS, _MATRIX, *[_REALS] * 6, _MATRIX)
 def _force_in_series(
-    kernel: Any,
-    first: Any,
-    second: Any,
-    third: Any,
-    fourth: Any,
-    fifth: Any,
+    functions: NDArray[np.intp],
     parameters: Any,
     row: Any,
     work: Any,
@@ -169,12 +185,11 @@ def _force_in_series(
     force: Array,
     solved: Array,
 ) -> None:
-    functions = first, second, third, fourth, fifth
     count, states = len(elongations) - 1, len(state)
     step = np.zeros(1)
     vertex = _vertex(row, work, states, step)
-    before, after = _unowned(work[states + 4 : states + 4 + count]), _unowned(work[states + 4 + count :])
-    elements = _Elements(_unowned(parameters), before, after)
+    elements = _elements(functions, parameters, work, count)
+    before, after = elements.before, elements.after
     total, root, rate = 0.0, elongations[count], 0.0
     for i in range(count):
         before[i] = elongations[i]
@@ -193,12 +208,12 @@ def _force_in_series(
         newton, slope = 0.0, 0.0
         for attempt in range(100):
             if dt[k] > 0.0:
-                elongation = _elongate(functions, elements, dt[k], moving(guess, 1.0), moving(x[k], 0.0))
+                elongation = _elongate(elements, dt[k], moving(guess, 1.0), moving(x[k], 0.0))
             vertex.x[0] = x[k] - elongation
             vertex.v[0] = v[k] - (elongation - total) / dt[k] if dt[k] > 0.0 else moving(v[k], 0.0)
             for i in range(states):
                 vertex.state[i] = state[i]
-            kernel(*vertex)
+            _call_kernel(functions[0], vertex)
             value = vertex.force[0].real
             slope = min(slope_of(vertex.force[0]), 0.0)
             newton = (value - guess) / (1.0 - slope)
@@ -215,7 +230,7 @@ def _force_in_series(
                 newton = min(max(newton, low - guess), high - guess)
                 break
             if slope_of(elongation) == 0.0:
-                at_value = _elongate(functions, elements, dt[k], moving(value, 0.0), moving(x[k], 0.0))
+                at_value = _elongate(elements, dt[k], moving(value, 0.0), moving(x[k], 0.0))
                 if at_value.real == elongation.real:  # nothing gives way between the two, so the damper's answer is the root
                     break
             guess, last = next_iterate(guess, newton, low, high, last)
@@ -236,16 +251,16 @@ def _force_in_series(
     elongations[count] = root
 
 
-def force_in_series(functions: tuple[Any, ...], parameters: Array, elongations: Array, *arguments: Array) -> None:
+def force_in_series(functions: NDArray[np.intp], parameters: Array, elongations: Array, *arguments: Array) -> None:
     """Fill in the force of a damper with elements in series.
 
     By Newton's method: with the derivative over F on the motion, one call gives the damper's answer and its slope.
 
     Parameters
     ----------
-    functions : tuple
-        Kernel of the damper model, and elongation of each element (`mrd_sim.effects.effect.Effect`), as `first_class` gives
-        them for one lane.
+    functions : ndarray (1 + elements,) of int
+        `addresses` of the kernel of the damper model, and of the elongation of each element
+        (`mrd_sim.effects.effect.Effect`), for one lane.
     parameters : ndarray (elements, parameters)
     elongations : ndarray (elements + 1,)
         Elongations, and after them the force; carried on.
@@ -256,21 +271,15 @@ def force_in_series(functions: tuple[Any, ...], parameters: Array, elongations: 
     """
     row = empty_duals((1, len(arguments[0])), 1)
     work = empty_duals(_length_of_work(len(parameters), len(arguments[1])), 1)
-    _force_in_series(*functions, as_duals(parameters, 1), row, work, elongations, *arguments)
+    _force_in_series(functions, as_duals(parameters, 1), row, work, elongations, *arguments)
 
 
-_NUMBER = DualType(LANES)
-_ROWS = types.Array(_NUMBER, 2, "C")
+_ALL = DualType(LANES)
 
 
-@_compiled(LANES, _ROWS, _ROWS, *[_vector(_NUMBER)] * 2, _ROWS, _vector(_NUMBER), _REALS, *[_vector(_NUMBER)] * 4, _MATRIX)
+@_compiled(*[_matrix(_ALL)] * 2, *[_vector(_ALL)] * 2, _matrix(_ALL), _vector(_ALL), _REALS, *[_vector(_ALL)] * 4, _MATRIX)
 def _derivatives_in_series(
-    kernel: Any,
-    first: Any,
-    second: Any,
-    third: Any,
-    fourth: Any,
-    fifth: Any,
+    functions: NDArray[np.intp],
     parameters: Any,
     row: Any,
     work: Any,
@@ -284,12 +293,11 @@ def _derivatives_in_series(
     force: Any,
     solved: Array,
 ) -> None:
-    functions = first, second, third, fourth, fifth
     count, states = len(elongations) - 1, len(state)
     step = np.zeros(1)
     vertex = _vertex(row, work, states, step)
-    before, after = _unowned(work[states + 4 : states + 4 + count]), _unowned(work[states + 4 + count :])
-    elements = _Elements(_unowned(parameters), before, after)
+    elements = _elements(functions, parameters, work, count)
+    before, after = elements.before, elements.after
     root = elongations[count]
     elongation = 0.0 * root
     for i in range(count):
@@ -308,17 +316,17 @@ def _derivatives_in_series(
         vertex.v[0] = v[k]
         if dt[k] > 0.0:
             sum_before = elongation
-            elongation = _elongate(functions, elements, dt[k], solved[k, 0] + 0.0 * root, x[k])
+            elongation = _elongate(elements, dt[k], solved[k, 0] + 0.0 * root, x[k])
             vertex.v[0] = v[k] - (elongation - sum_before) * (1.0 / dt[k])
         vertex.x[0] = x[k] - elongation
-        kernel(*vertex)
+        _call_kernel(functions[0], vertex)
         root = chained(force[k].real, 1.0 / (1.0 - solved[k, 1]), vertex.force[0])
         force[k] = root
         change = root - solved[k, 0]
         for i in range(states):
             state[i] = vertex.state[i] + solved[k, 2 + i] * change
         if dt[k] > 0.0:
-            elongation = _elongate(functions, elements, dt[k], root, x[k])
+            elongation = _elongate(elements, dt[k], root, x[k])
             for i in range(count):
                 before[i] = after[i]
     for i in range(count):
@@ -326,11 +334,11 @@ def _derivatives_in_series(
     elongations[count] = root
 
 
-def derivatives_in_series(functions: tuple[Any, ...], parameters: Duals, elongations: Duals, *arguments: Array) -> None:
+def derivatives_in_series(functions: NDArray[np.intp], parameters: Duals, elongations: Duals, *arguments: Array) -> None:
     """Add to that force its derivatives, by the implicit function theorem.
 
     The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``; but ``q`` is (m, coefficients).
     """
     row = empty_duals((1, arguments[0].shape[1]))
     work = empty_duals(_length_of_work(len(parameters), len(arguments[1])))
-    _derivatives_in_series(*functions, parameters, row, work, elongations, *arguments)
+    _derivatives_in_series(functions, parameters, row, work, elongations, *arguments)

@@ -20,7 +20,7 @@ from mrd_identification.residual_correlation import correlation_length, independ
 from mrd_identification.uncertainty import LEAST_DEGREES_OF_FREEDOM, normal_inverse
 from mrd_runs import Run
 from mrd_sim.dual_type import along, columns_of
-from mrd_sim.models import DamperModel, Parameter, SeriesSolutions, find_model
+from mrd_sim.models import DamperModel, Parameter, find_model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -61,20 +61,17 @@ class DatedProblem(Problem):
         parameters = (*self.model.parameters, *[self.model.parameters[self.followed]] * self.dates)
         return tuple(parameters[index] for index in self.free)
 
-    def modelled(self, theta: Array, index: int, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force in N at the counted samples of one recording.
-
-        ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
-        """
+    def modelled(self, theta: Array, index: int) -> Array:
+        """Return the modelled force in N at the counted samples of one recording."""
         theta_of_run = theta[: len(self.model.parameters)].copy()
         theta_of_run[self.followed] = theta[len(theta_of_run) + self.date_index[index]]
         recording = self.recordings[index]
-        force = self.model.force(theta_of_run, recording.path, solutions=solutions)
+        force = self.model.force(theta_of_run, recording.path)
         return recording.as_recorded(columns_of(force))[recording.counted]
 
-    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
+    def forces(self, theta: Array) -> Array:
         """Return the modelled force in N over all counted samples."""
-        return np.concatenate([self.modelled(theta, index, solutions) for index in range(len(self.recordings))])
+        return np.concatenate([self.modelled(theta, index) for index in range(len(self.recordings))])
 
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return exact derivatives (samples, indices) of the residuals by the unit coordinates, all or some of them."""

@@ -17,7 +17,7 @@ from mrd_sim.effects.effect import Effect, Stage
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, derivatives_in_series, first_class, force_in_series
+from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, addresses, derivatives_in_series, force_in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
@@ -25,13 +25,8 @@ Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
 NO_FLOOR = -1e300
 """Stands for the least value of a coefficient that has none: a finite number, as C code needs one."""
 
-SeriesSolutions = dict[int, tuple[tuple[bytes, bytes], Array, Array]]
-"""Solutions of a damper with elements in series, by the identity of the path.
-
-Each holds the parameters and the initial state that it belongs to, the force, and the derivatives over the force. Such a
-dictionary serves one evaluation of derivatives, and its paths have to exist as long as it does.
-"""
-
+BLOCK = 512
+"""Vertices of which the coefficients with their derivatives are kept at a time: as many as a processor's cache holds."""
 
 COIL_LAG = Parameter(
     "coil_lag",
@@ -283,7 +278,7 @@ class DamperModel:
         plain[own:] = like(theta, neutral)
         return plain
 
-    def force(self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None) -> Array:
+    def force(self, theta: Array, path: Path, state: Array | None = None) -> Array:
         """Return the measured force in N at the samples of a path.
 
         Parameters
@@ -294,22 +289,16 @@ class DamperModel:
         state : ndarray, optional
             As from `initial_state`, of the type of ``theta``. Changed in place, so that a following path continues where
             this one ended.
-        solutions : dict, optional
-            See `SeriesSolutions`. A force without derivatives leaves its solution there; the derivatives along the same path
-            and with the same values then need not solve again.
         """
-        return self.forces(theta, path, state, solutions)[1]
+        return self.forces(theta, path, state)[1]
 
-    def forces(
-        self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None
-    ) -> tuple[Array, Array]:
+    def forces(self, theta: Array, path: Path, state: Array | None = None) -> tuple[Array, Array]:
         """Return the force in N on the rod, and the measured force after the effects of sensing; arguments as of `force`."""
         if state is None:
             state = self.initial_state(path)
         if self.follows_force:
             path = path.fine
         state = like(theta, state)
-        start = state.real.tobytes()
         x, v, a, current, force = (
             like(theta, series)
             for series in (path.position, path.velocity, path.acceleration, path.current, np.zeros(len(path.dt)))
@@ -318,13 +307,14 @@ class DamperModel:
             x, v, a, current = (series.copy() for series in (x, v, a, current))
         self._act(("drive", "magnetics"), theta, path, (x, v, a, current, force), state)
         current = self._lagged(theta, state, path.dt, current)
-        rows = self._coefficients_along(theta, current)
         inner = state[2 : 2 + self.states]
-        if self.series_elements:
-            elongations = state[-len(self.series_elements) - 1 :]
-            self._run_in_series(theta, path, start, (elongations, rows, inner, path.dt, x, v, a, force), solutions)
-        else:
-            self.kernel(rows, inner, path.dt, x, v, a, force)
+        for block in _blocks(theta, path.dt):
+            arguments = inner, path.dt[block], x[block], v[block], a[block], force[block]
+            rows = self._coefficients_along(theta, current[block])
+            if self.series_elements:
+                self._run_in_series(theta, state[-len(self.series_elements) - 1 :], rows, *arguments)
+            else:
+                self.kernel(rows, *arguments)
         self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
         on_rod = force[path.samples]
         if not any(effect.stage == "sensing" for effect in self.effects):
@@ -342,33 +332,20 @@ class DamperModel:
         lagged_current(theta[place : place + 1], state, dt, current, effective)
         return effective
 
-    def _run_in_series(
-        self, theta: Array, path: Path, start: bytes, arguments: tuple[Array, ...], solutions: SeriesSolutions | None
-    ) -> None:
-        """Fill the force of the damper and the elements in series with it; ``start`` is the state at the start of the path.
-
-        Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
-        """
+    def _run_in_series(self, theta: Array, elongations: Array, rows: Array, *others: Array) -> None:
+        """Fill the force of the damper and the elements in series with it: values first, then their derivatives."""
         parts = self._effect_parameters(self.series_elements)
         parameters = like(theta, np.zeros((len(parts), MOST_PARAMETERS)))
         for row, part in zip(parameters, parts, strict=True):
             row[: part.stop - part.start] = theta[part]
-        key = theta.real.tobytes(), start
-        with_derivatives = isinstance(theta, Duals)
-        known = solutions.get(id(path)) if solutions is not None and with_derivatives else None
-        if known is None or known[0] != key:
-            elongations, rows, *others = (
-                np.ascontiguousarray(argument.real) if with_derivatives else argument for argument in arguments
-            )
-            solved = np.empty((len(path.dt), 2 + self.states))
-            columns = np.ascontiguousarray(rows.T)
-            force_in_series(self._series_functions[0], parameters.real, elongations, columns, *others, solved)
-            known = key, others[-1].copy(), solved
-            if solutions is not None and not with_derivatives:
-                solutions[id(path)] = known
-        if with_derivatives:
-            arguments[-1].real[:] = known[1]
-            derivatives_in_series(self._series_functions[1], parameters, *arguments, known[2])
+        solved = np.empty((len(rows), 2 + self.states))
+        if not isinstance(theta, Duals):
+            force_in_series(self._functions(1), parameters, elongations, rows.T, *others, solved)
+            return
+        values = [np.ascontiguousarray(argument.real) for argument in (elongations, rows.T, *others)]
+        force_in_series(self._functions(1), parameters.real, *values, solved)
+        others[-1].real[:] = values[-1]
+        derivatives_in_series(self._functions(LANES), parameters, elongations, rows, *others, solved)
 
     @cached_property
     def follows_force(self) -> bool:
@@ -380,11 +357,16 @@ class DamperModel:
         """Effects that are elements in series with the damper; with any, its force is the root of an equation."""
         return tuple(effect for effect in self.effects if effect.elongation is not None)
 
+    def _functions(self, lanes: int) -> NDArray[np.intp]:
+        """Return the addresses of the kernel and of the elongations of the elements in series."""
+        if lanes not in self._addresses:
+            elongations = [effect.elongation for effect in self.series_elements]
+            self._addresses[lanes] = addresses(self.kernel, elongations, lanes)
+        return self._addresses[lanes]
+
     @cached_property
-    def _series_functions(self) -> tuple[tuple[Any, ...], ...]:
-        """The kernel and the elongations of the elements in series, as the functions that solve and that differentiate take them."""
-        elongations = [effect.elongation for effect in self.series_elements]
-        return tuple(first_class(self.kernel, elongations, lanes) for lanes in (1, LANES))
+    def _addresses(self) -> dict[int, NDArray[np.intp]]:
+        return {}
 
     @cached_property
     def effect_states(self) -> tuple[slice, ...]:
@@ -480,3 +462,9 @@ class DamperModel:
         force = np.empty(len(rows), rows.dtype)
         self.kernel(rows, np.zeros(self.states, rows.dtype), path.dt, path.position, path.velocity, path.acceleration, force)
         return force
+
+
+def _blocks(theta: Array, dt: Array) -> list[slice]:
+    """Return the blocks of vertices for numbers of the type of ``theta``; none but the first begins a path, see `BLOCK`."""
+    within = np.flatnonzero(dt)[BLOCK - 1 :: BLOCK].tolist() if isinstance(theta, Duals) else []
+    return [slice(first, last) for first, last in pairwise([0, *within, len(dt)])]
