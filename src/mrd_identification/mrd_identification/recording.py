@@ -152,31 +152,34 @@ def _every(recording: Recording, step: int) -> Recording:
     return replace(recording, counted=counted, path=recording.path.coarse(counted), other_starts=None)
 
 
-def consecutive_modelled_forces(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
+def consecutive_modelled_forces(
+    model: DamperModel, theta: Array, recordings: Sequence[Recording], only_counted: bool = False
+) -> list[Array]:
     """Return the modelled force (n,) in N at every sample of runs that were recorded one after the other.
 
-    Where ``theta`` is of dual numbers it is the force and, in the columns beside it, the derivatives: (n, 1 + lanes).
-
-    A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects.
+    A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects. Where
+    ``theta`` is of dual numbers, the derivatives stand in columns beside the force: (n, 1 + lanes).
     """
     forces: list[Array] = []
     state: Array | None = None
     for recording in recordings:
+        unfiltered = known_force_filter(recording.run) is None
+        samples = recording.counted if only_counted and unfiltered else slice(None)
         if recording.without_effects and model.effects:
-            force = model.force(model.without_effects(theta), recording.path)
+            force = model.force(model.without_effects(theta), recording.path, samples=samples)
         else:
-            state = like(
-                theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
-            )
-            force = model.force(theta, recording.path, state)
-        forces.append(recording.as_recorded(columns_of(force)))
+            state = like(theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path))
+            force = model.force(theta, recording.path, state, samples)
+        force = columns_of(force)
+        if not unfiltered:
+            force = recording.as_recorded(force)[recording.counted if only_counted else slice(None)]
+        forces.append(force)
     return forces
 
 
 def consecutive_forces(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
     """Return the forces of `consecutive_modelled_forces` at the counted samples only."""
-    forces = consecutive_modelled_forces(model, theta, recordings)
-    return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
+    return consecutive_modelled_forces(model, theta, recordings, only_counted=True)
 
 
 def run_weights(runs: Sequence[Run], weights: Weights | Sequence[float]) -> list[float]:

@@ -25,6 +25,9 @@ Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
 NO_FLOOR = -1e300
 """Stands for the least value of a coefficient that has none: a finite number, as C code needs one."""
 
+ALL = slice(None)
+"""All samples of a path."""
+
 BLOCK = 512
 """Vertices of which the coefficients with their derivatives are kept at a time: as many as a processor's cache holds."""
 
@@ -278,7 +281,7 @@ class DamperModel:
         plain[own:] = like(theta, neutral)
         return plain
 
-    def force(self, theta: Array, path: Path, state: Array | None = None) -> Array:
+    def force(self, theta: Array, path: Path, state: Array | None = None, samples: slice = ALL) -> Array:
         """Return the measured force in N at the samples of a path.
 
         Parameters
@@ -289,10 +292,12 @@ class DamperModel:
         state : ndarray, optional
             As from `initial_state`, of the type of ``theta``. Changed in place, so that a following path continues where
             this one ended.
+        samples : slice
+            Samples of the path whose force is returned.
         """
-        return self.forces(theta, path, state)[1]
+        return self.forces(theta, path, state, samples)[1]
 
-    def forces(self, theta: Array, path: Path, state: Array | None = None) -> tuple[Array, Array]:
+    def forces(self, theta: Array, path: Path, state: Array | None = None, samples: slice = ALL) -> tuple[Array, Array]:
         """Return the force in N on the rod, and the measured force after the effects of sensing; arguments as of `force`."""
         if state is None:
             state = self.initial_state(path)
@@ -316,11 +321,11 @@ class DamperModel:
             else:
                 self.kernel(rows, *arguments)
         self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
-        on_rod = force[path.samples]
+        on_rod = force[path.samples[samples]]
         if not any(effect.stage == "sensing" for effect in self.effects):
             return on_rod, on_rod
         self._act(("sensing",), theta, path, (x, v, a, current, force), state)
-        return on_rod, force[path.samples]
+        return on_rod, force[path.samples[samples]]
 
     def _lagged(self, theta: Array, state: Array, dt: Array, current: Array) -> Array:
         """Return the effective current in A behind the coil lag of the model."""
