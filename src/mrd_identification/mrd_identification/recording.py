@@ -168,7 +168,9 @@ def consecutive_modelled_forces(
         if recording.without_effects and model.effects:
             force = model.force(model.without_effects(theta), recording.path, samples=samples)
         else:
-            state = like(theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path))
+            state = like(
+                theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
+            )
             force = model.force(theta, recording.path, state, samples)
         force = columns_of(force)
         if not unfiltered:

@@ -50,7 +50,7 @@ class Duals(np.ndarray[Any, Any]):
     @property
     def columns(self) -> Array:
         """Values and derivatives side by side, (..., 1 + lanes), as a view of a contiguous array."""
-        return self.view(np.ndarray).view(np.float64).reshape(*self.shape, -1)
+        return self.view(np.ndarray).view(np.float64).reshape(*self.shape, self.itemsize // 8)
 
 
 def empty_duals(shape: int | tuple[int, ...], lanes: int = LANES) -> Duals:

@@ -127,6 +127,13 @@ def _vertex(row: Any, work: Any, states: int, step: Any) -> Any:
     return _Vertex(_unowned(row), _unowned(work[:states]), _unowned(step), x, v, a, force)
 
 
+@njit(inline="always")
+def _with_row(vertex: Any, q: Any, k: int) -> Any:
+    """Return the arrays of a vertex with row ``k`` of a matrix of coefficients."""
+    row = _unowned(q[k : k + 1])
+    return _Vertex(row, vertex.state, vertex.step, vertex.x, vertex.v, vertex.a, vertex.force)
+
+
 class _Elements(NamedTuple):
     """Addresses of the elongations, parameters of the elements, elongations before the step and after it; `_unowned`."""
 
@@ -277,11 +284,10 @@ def force_in_series(functions: NDArray[np.intp], parameters: Array, elongations:
 _ALL = DualType(LANES)
 
 
-@_compiled(*[_matrix(_ALL)] * 2, *[_vector(_ALL)] * 2, _matrix(_ALL), _vector(_ALL), _REALS, *[_vector(_ALL)] * 4, _MATRIX)
+@_compiled(_matrix(_ALL), *[_vector(_ALL)] * 2, _matrix(_ALL), _vector(_ALL), _REALS, *[_vector(_ALL)] * 4, _MATRIX)
 def _derivatives_in_series(
     functions: NDArray[np.intp],
     parameters: Any,
-    row: Any,
     work: Any,
     elongations: Any,
     q: Any,
@@ -295,7 +301,7 @@ def _derivatives_in_series(
 ) -> None:
     count, states = len(elongations) - 1, len(state)
     step = np.zeros(1)
-    vertex = _vertex(row, work, states, step)
+    vertex = _vertex(q, work, states, step)
     elements = _elements(functions, parameters, work, count)
     before, after = elements.before, elements.after
     root = elongations[count]
@@ -309,8 +315,6 @@ def _derivatives_in_series(
             continue
         step[0] = dt[k]
         vertex.a[0] = a[k]
-        for i in range(q.shape[1]):
-            row[0, i] = q[k, i]
         for i in range(states):
             vertex.state[i] = state[i]
         vertex.v[0] = v[k]
@@ -319,7 +323,7 @@ def _derivatives_in_series(
             elongation = _elongate(elements, dt[k], solved[k, 0] + 0.0 * root, x[k])
             vertex.v[0] = v[k] - (elongation - sum_before) * (1.0 / dt[k])
         vertex.x[0] = x[k] - elongation
-        _call_kernel(functions[0], vertex)
+        _call_kernel(functions[0], _with_row(vertex, q, k))
         root = chained(force[k].real, 1.0 / (1.0 - solved[k, 1]), vertex.force[0])
         force[k] = root
         change = root - solved[k, 0]
@@ -339,6 +343,5 @@ def derivatives_in_series(functions: NDArray[np.intp], parameters: Duals, elonga
 
     The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``; but ``q`` is (m, coefficients).
     """
-    row = empty_duals((1, arguments[0].shape[1]))
     work = empty_duals(_length_of_work(len(parameters), len(arguments[1])))
-    _derivatives_in_series(functions, parameters, row, work, elongations, *arguments)
+    _derivatives_in_series(functions, parameters, work, elongations, *arguments)

@@ -313,11 +313,13 @@ class DamperModel:
         self._act(("drive", "magnetics"), theta, path, (x, v, a, current, force), state)
         current = self._lagged(theta, state, path.dt, current)
         inner = state[2 : 2 + self.states]
-        for block in _blocks(theta, path.dt):
+        parameters = self._parameters_in_series(theta)
+        in_blocks = bool(self.series_elements) or isinstance(theta, Duals)
+        for block in _blocks(path.dt) if in_blocks else [ALL]:
             arguments = inner, path.dt[block], x[block], v[block], a[block], force[block]
             rows = self._coefficients_along(theta, current[block])
             if self.series_elements:
-                self._run_in_series(theta, state[-len(self.series_elements) - 1 :], rows, *arguments)
+                self._run_in_series(parameters, state[-len(self.series_elements) - 1 :], rows, *arguments)
             else:
                 self.kernel(rows, *arguments)
         self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
@@ -337,14 +339,18 @@ class DamperModel:
         lagged_current(theta[place : place + 1], state, dt, current, effective)
         return effective
 
-    def _run_in_series(self, theta: Array, elongations: Array, rows: Array, *others: Array) -> None:
-        """Fill the force of the damper and the elements in series with it: values first, then their derivatives."""
+    def _parameters_in_series(self, theta: Array) -> Array:
+        """Return the parameters (elements, `MOST_PARAMETERS`) of the elements in series."""
         parts = self._effect_parameters(self.series_elements)
         parameters = like(theta, np.zeros((len(parts), MOST_PARAMETERS)))
         for row, part in zip(parameters, parts, strict=True):
             row[: part.stop - part.start] = theta[part]
+        return parameters
+
+    def _run_in_series(self, parameters: Array, elongations: Array, rows: Array, *others: Array) -> None:
+        """Fill the force of the damper and the elements in series with it: values first, then their derivatives."""
         solved = np.empty((len(rows), 2 + self.states))
-        if not isinstance(theta, Duals):
+        if not isinstance(parameters, Duals):
             force_in_series(self._functions(1), parameters, elongations, rows.T, *others, solved)
             return
         values = [np.ascontiguousarray(argument.real) for argument in (elongations, rows.T, *others)]
@@ -469,7 +475,7 @@ class DamperModel:
         return force
 
 
-def _blocks(theta: Array, dt: Array) -> list[slice]:
-    """Return the blocks of vertices for numbers of the type of ``theta``; none but the first begins a path, see `BLOCK`."""
-    within = np.flatnonzero(dt)[BLOCK - 1 :: BLOCK].tolist() if isinstance(theta, Duals) else []
-    return [slice(first, last) for first, last in pairwise([0, *within, len(dt)])]
+def _blocks(dt: Array) -> list[slice]:
+    """Return the blocks of vertices, of which none but the first begins a path; see `BLOCK`."""
+    edges = [0, *np.flatnonzero(dt)[BLOCK - 1 :: BLOCK].tolist(), len(dt)]
+    return [slice(first, last) for first, last in pairwise(edges)]
