@@ -64,3 +64,9 @@ def power(z: Any, n: Any) -> Any:
 def clip(z: Any, low: Any, high: Any) -> Any:
     """Return the number between ``low`` and ``high`` that is nearest to z."""
     return low if z.real < low.real else high if z.real > high.real else z
+
+
+@njit(cache=True, nogil=True)
+def at_least(low: float, z: Any) -> Any:
+    """Return z, or ``low`` where z is less."""
+    return low + 0.0 * z if z.real < low else z

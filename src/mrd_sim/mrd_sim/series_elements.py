@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import carray, njit, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from mrd_sim.dual_type import LANES, DualType, Duals, as_duals, chained, empty_duals, moving, slope_of
+from mrd_sim.addresses import address_of, call, call_address
+from mrd_sim.dual_type import LANES, Duals, DualType, as_duals, chained, empty_duals, moving, slope_of
 from mrd_sim.root import next_iterate
 
 Array = NDArray[np.float64]
@@ -53,28 +53,7 @@ def addresses(kernel: Any, elongations: Sequence[Any], lanes: int) -> NDArray[np
     vector = _vector(number)
     of_kernel = types.none(_matrix(number), vector, _REALS, vector, vector, vector, vector)
     of_elongation = number(vector, number, types.float64, number, number)
-    compiled = [kernel.get_compile_result(of_kernel), *(e.get_compile_result(of_elongation) for e in elongations)]
-    return np.array([c.library.get_pointer_to_function(c.fndesc.llvm_func_name) for c in compiled], np.intp)
-
-
-def _call(context: Any, builder: Any, result: Any, kinds: Any, address: Any, arguments: Any) -> Any:
-    """Call the function at an address; what it raises is raised."""
-    pointer = builder.inttoptr(address, context.call_conv.get_function_type(result, kinds).as_pointer())
-    status, value = context.call_conv.call_function(builder, pointer, result, kinds, arguments)
-    with cgutils.if_unlikely(builder, status.is_error):
-        context.call_conv.return_status_propagate(builder, status)
-    return value
-
-
-@intrinsic
-def _call_kernel(_context: Any, address: Any, vertex: Any) -> Any:
-    """Call the kernel at an address with the arrays of a vertex."""
-
-    def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        arrays = cgutils.unpack_tuple(builder, arguments[1])
-        return _call(context, builder, types.none, vertex.types, arguments[0], arrays)
-
-    return types.none(address, vertex), code
+    return np.array([address_of(kernel, of_kernel), *(address_of(e, of_elongation) for e in elongations)], np.intp)
 
 
 @intrinsic
@@ -83,7 +62,7 @@ def _call_elongation(_context: Any, address: Any, parameters: Any, before: Any, 
     kinds = parameters, before, step, force, x
 
     def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        return _call(context, builder, force, kinds, arguments[0], arguments[1:])
+        return call_address(context, builder, force, kinds, arguments[0], arguments[1:])
 
     return force(address, *kinds), code
 
@@ -220,7 +199,7 @@ def _force_in_series(
             vertex.v[0] = v[k] - (elongation - total) / dt[k] if dt[k] > 0.0 else moving(v[k], 0.0)
             for i in range(states):
                 vertex.state[i] = state[i]
-            _call_kernel(functions[0], vertex)
+            call(functions[0], vertex)
             value = vertex.force[0].real
             slope = min(slope_of(vertex.force[0]), 0.0)
             newton = (value - guess) / (1.0 - slope)
@@ -323,7 +302,7 @@ def _derivatives_in_series(
             elongation = _elongate(elements, dt[k], solved[k, 0] + 0.0 * root, x[k])
             vertex.v[0] = v[k] - (elongation - sum_before) * (1.0 / dt[k])
         vertex.x[0] = x[k] - elongation
-        _call_kernel(functions[0], _with_row(vertex, q, k))
+        call(functions[0], _with_row(vertex, q, k))
         root = chained(force[k].real, 1.0 / (1.0 - solved[k, 1]), vertex.force[0])
         force[k] = root
         change = root - solved[k, 0]
