@@ -15,6 +15,7 @@ from mrd_identification.metrics import error_norms
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, consecutive_forces, current_levels
 from mrd_sim.dual_type import LANES, as_duals
+from mrd_sim.lanes import CANDIDATES
 from mrd_sim.models import DamperModel, Parameter
 
 Array = NDArray[np.float64]
@@ -244,10 +245,16 @@ class Problem:
         """
         if not self.linear.any():
             return thetas, self.norms(thetas)
-        projected = in_threads(self._project, thetas)
+        size = CANDIDATES if self.model.runs_in_lanes else 1
+        groups = [thetas[first : first + size] for first in range(0, len(thetas), size)]
+        projected = [candidate for group in in_threads(self._project_all, groups) for candidate in group]
         return np.array([theta for theta, _ in projected]), np.array([norms for _, norms in projected])
 
-    def _project(self, theta: Array) -> tuple[Array, tuple[float, float]]:
+    def _project_all(self, thetas: Array) -> list[tuple[Array, tuple[float, float]]]:
+        by_recording = [recording.regressors(self.model, thetas) for recording in self.recordings]
+        return [self._project(theta, regressors) for theta, *regressors in zip(thetas, *by_recording, strict=True)]
+
+    def _project(self, theta: Array, regressors: Sequence[tuple[Array, Array]]) -> tuple[Array, tuple[float, float]]:
         free = np.array(self.free)[self.linear]
         is_free = np.isin(self.model.linear, free)
         fixed = self.model.linear[~is_free]
@@ -256,12 +263,11 @@ class Problem:
         span = upper - lower
         columns = np.empty((len(self.force), len(free)), order="F")
         remainder = np.empty(len(self.force))
-        for recording, block in zip(self.recordings, self.blocks, strict=True):
-            regressors, nonlinear_force = map(recording.as_recorded, self.model.regressors(theta, recording.path))
-            np.multiply(regressors[recording.counted][:, is_free], span, out=columns[block])
-            remainder[block] = nonlinear_force[recording.counted]
+        for (linear_part, rest), block in zip(regressors, self.blocks, strict=True):
+            np.multiply(linear_part[:, is_free], span, out=columns[block])
+            remainder[block] = rest
             if fixed.size:
-                remainder[block] += regressors[recording.counted][:, ~is_free] @ theta[fixed]
+                remainder[block] += linear_part[:, ~is_free] @ theta[fixed]
         remainder = self.counted(remainder - self.force)
         for column in columns.T:
             weighted = self.counted(column)

@@ -117,6 +117,13 @@ class Recording:
             force = interp1d(vertices, force[vertices], axis=0, assume_sorted=True)(np.arange(len(force)))
         return low_pass.filtered(force, self.run.rate)
 
+    def regressors(self, model: DamperModel, thetas: Array) -> list[tuple[Array, Array]]:
+        """Return `DamperModel.regressors` at the counted samples, behind the filter that the force of the run has passed."""
+        if known_force_filter(self.run) is None:
+            return model.regressors(thetas, self.path, self.counted)
+        found = model.regressors(thetas, self.path)
+        return [(self.as_recorded(part)[self.counted], self.as_recorded(rest)[self.counted]) for part, rest in found]
+
     def modelled(self, model: DamperModel, theta: Array) -> Array:
         """Return the modelled force in N at the counted samples."""
         return consecutive_forces(model, theta, [self])[0]

@@ -69,7 +69,7 @@ def parse_laws(text: str, where: str) -> str | dict[str, str]:
 def lagged_current(lags: Array, state: Array, dt: Array, current: Array, effective: Array) -> None:
     """Fill in the effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
 
-    ``state`` holds u and I at the previous vertex and is updated. ``lags`` (1,) is in s; with 0 the current passes unchanged.
+    ``state`` holds u and I at the previous vertex and is updated. ``lags`` (1,) is in s; 0 changes nothing.
     """
     lag = lags[0]
     u, before = state[0], state[1]

@@ -74,7 +74,7 @@ def like(theta: Array, values: Array) -> Array:
 
 
 def columns_of(numbers: Array) -> Array:
-    """Return dual numbers (n,) as an array of floats, values and derivatives side by side (n, 1 + lanes); floats as they are."""
+    """Return dual numbers (n,) as floats, values and derivatives side by side (n, 1 + lanes); floats as they are."""
     return numbers.columns if isinstance(numbers, Duals) else numbers
 
 

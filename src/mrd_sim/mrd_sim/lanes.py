@@ -16,7 +16,6 @@ import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.core.datamodel import models, register_default
-from numba.core.dispatcher import Dispatcher
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 
 from mrd_sim import current, dual, hysteresis, lag
 from mrd_sim.addresses import address_of, call
+from mrd_sim.named import named_row
 
 Array = NDArray[np.float64]
 
@@ -152,8 +152,9 @@ def _constant(context: Any, builder: Any, given: Any, _kind: Any, value: Any) ->
 
 
 def _vectors(context: Any, builder: Any, kinds: Any, arguments: Any) -> list[Any]:
-    cast = [a if kind == _NUMBER else context.cast(builder, a, kind, types.float64) for kind, a in zip(kinds, arguments)]
-    return [_every_lane(builder, argument) for argument in cast]
+    pairs = zip(kinds, arguments, strict=True)
+    cast = [value if kind == _NUMBER else context.cast(builder, value, kind, types.float64) for kind, value in pairs]
+    return [_every_lane(builder, value) for value in cast]
 
 
 @intrinsic
@@ -254,10 +255,18 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
     return after
 
 
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def tanh(z: Any) -> Any:
+    """Return the hyperbolic tangent in lanes, with an error of the last digit of one."""
+    rest = decayed(2.0 * choose(z, 0.0, z, -z))
+    size = (1.0 - rest) / (1.0 + rest)
+    return choose(z, 0.0, size, -size)
+
+
 @njit(cache=True, nogil=True)
 def at_least(low: float, z: Any) -> Any:
     """Return `mrd_sim.dual.at_least` in lanes."""
-    return choose(z, low, z, low)
+    return choose(low, z, low, z)
 
 
 @njit(cache=True, nogil=True)
@@ -286,6 +295,7 @@ def slope_factor(code: int, third: Any, u: Any) -> Any:
 
 VERSIONS: dict[Any, Any] = {
     dual.at_least: at_least,
+    dual.tanh: tanh,
     hysteresis.advance: advance,
     lag.decay: decay,
     lag.ramp_share: ramp_share,
@@ -294,18 +304,18 @@ VERSIONS: dict[Any, Any] = {
 """Version in lanes of each function that decides by a value."""
 
 
-def runs_in_lanes(function: Any) -> bool:
-    """Whether a compiled function decides nothing by a value, but in functions that have a version in lanes."""
-    code, names = function.py_func.__code__, function.py_func.__globals__
-    called = [names.get(name) for name in code.co_names]
-    return "real" not in code.co_names and all(f in VERSIONS for f in called if isinstance(f, Dispatcher))
+def runs_in_lanes(kernel: Any) -> bool:
+    """Whether a kernel decides nothing by a value, but in functions that have a version in lanes."""
+    code, names = kernel.py_func.__code__, kernel.py_func.__globals__
+    called = [f for f in map(names.get, code.co_names) if callable(f) and not isinstance(f, type) and f is not named_row]
+    return "real" not in code.co_names and all(f in VERSIONS for f in called)
 
 
 @cache
 def version_in_lanes(function: Any) -> Any:
     """Return a compiled function in lanes: the same code, with the functions that decide replaced."""
     original = function.py_func
-    names = {name: VERSIONS.get(f, f) if isinstance(f, Dispatcher) else f for name, f in original.__globals__.items()}
+    names = {name: VERSIONS.get(f, f) if callable(f) else f for name, f in original.__globals__.items()}
     replaced = FunctionType(original.__code__, names, original.__name__, original.__defaults__)
     replaced.__module__, replaced.__qualname__ = original.__module__, original.__qualname__
     return njit(cache=True, nogil=True, fastmath={"contract"})(replaced)

@@ -128,13 +128,13 @@ def test_linear_part_and_rest_make_the_force(name, examples, seed):
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model)
     path = make_path(*examples.two_tones(**examples.motion(rng)))
-    columns, rest = model.regressors(theta, path)
+    ((columns, rest),) = model.regressors(theta[None], path)
     terms = columns * theta[model.linear]
     size = np.abs(terms).sum(axis=1) + np.abs(rest)
     assert np.all(np.abs(terms.sum(axis=1) + rest - model.force(theta, path)) <= TINY * (1 + np.max(size)))
     other = theta.copy()
     other[model.linear] = 0.0
-    again, rest_again = model.regressors(other, path)
+    ((again, rest_again),) = model.regressors(other[None], path)
     assert np.array_equal(again, columns)
     assert np.array_equal(rest_again, rest)
 

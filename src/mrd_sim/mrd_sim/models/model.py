@@ -14,6 +14,7 @@ from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.current import LAWS, evaluate_coefficients, lagged_current, slope_factors
 from mrd_sim.dual_type import LANES, Duals, empty_duals, like
 from mrd_sim.effects.effect import Effect, Stage
+from mrd_sim.lanes import CANDIDATES, force_in_lanes, runs_in_lanes
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
@@ -406,14 +407,37 @@ class DamperModel:
                         acting = path.dt, *signals
                     effect.kernel(theta[parameters], state[states], *acting)
 
-    def regressors(self, theta: Array, path: Path) -> tuple[Array, Array]:
-        """Return the force's linear part and the rest: ``force = columns @ theta[linear] + rest``.
+    def forces_of(self, thetas: Array, path: Path, samples: slice = ALL) -> Array:
+        """Return the measured force (candidates, samples) in N of candidates (candidates, parameters) from rest.
+
+        Several at a time where the model `mrd_sim.lanes.runs_in_lanes`.
+        """
+        if not self.runs_in_lanes or len(thetas) < 2:
+            return np.stack([self.force(theta, path, samples=samples) for theta in thetas])
+        filled = np.concatenate([thetas, np.repeat(thetas[-1:], -len(thetas) % CANDIDATES, axis=0)])
+        laws, motion = (self.law_codes, self.law_columns, self.floors), (path.position, path.velocity, path.acceleration)
+        chosen = path.samples[samples]
+        forces = [
+            force_in_lanes(self.kernel, self.states, group, laws, path.current, motion, path.dt)[chosen].T
+            for group in filled.reshape(-1, CANDIDATES, filled.shape[1])
+        ]
+        return np.concatenate(forces)[: len(thetas)]
+
+    @cached_property
+    def runs_in_lanes(self) -> bool:
+        """Whether candidates are evaluated several at a time."""
+        return not self.effects and runs_in_lanes(self.kernel)
+
+    def regressors(self, thetas: Array, path: Path, samples: slice = ALL) -> list[tuple[Array, Array]]:
+        """Return the force's linear part and the rest of candidates: ``force = columns @ theta[linear] + rest``.
 
         Parameters
         ----------
-        theta : ndarray (parameters,)
-            Its linear parameters do not matter.
+        thetas : ndarray (candidates, parameters)
+            Their linear parameters do not matter.
         path : Path
+        samples : slice
+            Samples of the path that are wanted.
 
         Returns
         -------
@@ -421,36 +445,37 @@ class DamperModel:
         rest : ndarray (samples,)
             Part of the force in N that no linear parameter multiplies.
         """
-        state = self.initial_state(path)
-        current = self._lagged(theta, state, path.dt, path.current)
-        rows = self._coefficients_along(theta, current)
+        without = thetas.copy()
+        without[:, self.linear] = 0.0
+        chosen = path.samples[samples]
+        rests = self.forces_of(without, path, samples) if self._has_rest else np.zeros((len(thetas), len(chosen)))
+        multiplied = {"x": path.position[chosen], "v": path.velocity[chosen], "1": np.ones(len(chosen))}
+        bases: dict[int, Array] = {}
         for j, coefficient in enumerate(self.coefficients):
-            if coefficient.multiplies:
-                rows[:, j] = 0.0
-        rest = self._run(rows, path)[path.samples] if self._has_rest else np.zeros(len(path.samples))
-        current = current[path.samples]
-        multiplied = {"x": path.position, "v": path.velocity, "1": np.ones_like(path.position)}
-        columns = np.empty((len(path.samples), len(self.linear)), order="F")
-        filled = 0
-        for j, coefficient in enumerate(self.coefficients):
-            if not coefficient.multiplies:
-                continue
             if coefficient.multiplies == "term":
-                rows[:, j] = 1.0
-                base = self._run(rows, path)[path.samples] - rest
-                rows[:, j] = 0.0
-            else:
-                base = multiplied[coefficient.multiplies][path.samples]
-            columns[:, filled] = base
-            filled += 1
-            if coefficient.code:
-                third = theta[self.law_columns[j, 2]] if self.law_columns[j, 2] >= 0 else 0.0
-                columns[:, filled] = base * slope_factors(coefficient.code, third, current)
+                alone = without.copy()
+                alone[:, self.law_columns[j, 0]] = 1.0
+                bases[j] = self.forces_of(alone, path, samples) - rests
+            elif coefficient.multiplies:
+                bases[j] = np.broadcast_to(multiplied[coefficient.multiplies], rests.shape)
+        found = []
+        for candidate, (theta, rest) in enumerate(zip(thetas, rests, strict=True)):
+            current = self._lagged(theta, self.initial_state(path), path.dt, path.current)[chosen]
+            columns = np.empty((len(chosen), len(self.linear)), order="F")
+            filled = 0
+            for j, of_candidates in bases.items():
+                base, code = of_candidates[candidate], self.coefficients[j].code
+                columns[:, filled] = base
                 filled += 1
-            if coefficient.code == 2:
-                columns[:, filled] = base * current**2
-                filled += 1
-        return columns, rest
+                if code:
+                    third = theta[self.law_columns[j, 2]] if self.law_columns[j, 2] >= 0 else 0.0
+                    np.multiply(base, slope_factors(code, third, current), out=columns[:, filled])
+                    filled += 1
+                if code == 2:
+                    np.multiply(base, current**2, out=columns[:, filled])
+                    filled += 1
+            found.append((columns, rest))
+        return found
 
     @cached_property
     def _has_rest(self) -> bool:
