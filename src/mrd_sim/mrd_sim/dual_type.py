@@ -38,7 +38,7 @@ class Duals(np.ndarray[Any, Any]):
     __numba_array_subtype_dispatch__ = True
 
     @property
-    def real(self) -> Array:
+    def real(self) -> Array:  # type: ignore[misc]
         """Values, as a view."""
         return np.asarray(self["real"])
 

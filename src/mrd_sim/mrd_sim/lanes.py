@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from mrd_sim import current, dual, hysteresis, lag
 from mrd_sim.addresses import address_of, call
 from mrd_sim.named import named_row
+from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
 
@@ -237,7 +238,7 @@ def advance(w: Any, travel: Any, sigma: Any, n: Any) -> Any:
     """
     direction = choose(travel, 0.0, 1.0, -1.0)
     h, v = direction * travel, direction * w
-    if every(2.0, n) and every(n, 2.0):
+    if every(0.0, (n - 2.0) * (n - 2.0)):
         rest = (1.0 - v) * decayed(2.0 * h)
         above, below = 1.0 + v - rest, 1.0 + v + rest
         if every(v, 0.0):
@@ -336,7 +337,11 @@ def _addresses(kernel: Any) -> NDArray[np.intp]:
 
 
 @njit(
-    types.none(_PLACES, _NUMBERS, _PLACES, _TABLE, _FLOATS, _NUMBERS, *[_FLOATS] * 5, _NUMBERS, _NUMBERS, _ROWS),
+    types.none(
+        *(_PLACES, _NUMBERS, _PLACES, _TABLE, _FLOATS, _NUMBERS),
+        *[_FLOATS] * 5,
+        *(_PLACES, _NUMBERS, _NUMBERS, _ROWS, _NUMBERS),
+    ),
     cache=True,
     nogil=True,
 )
@@ -352,11 +357,13 @@ def _force(
     x: Array,
     v: Array,
     a: Array,
+    samples: Any,
     force: Any,
     effective: Any,
     rows: Any,
+    forces: Any,
 ) -> None:
-    last = 0
+    last, sample = 0, 0
     while last < len(dt):
         first, last = last, min(last + len(effective), len(dt))
         while last < len(dt) and last > first + 1 and dt[last] == 0.0:  # it would begin a path
@@ -364,16 +371,24 @@ def _force(
         u, q, step = effective[: last - first], rows[: last - first], dt[first:last]
         call(functions[0], (theta[len(theta) - 1 :], state[:2], step, measured[first:last], u))
         call(functions[1], (theta, codes, columns, floors, u, q))
-        call(functions[2], (q, state[2:], step, x[first:last], v[first:last], a[first:last], force[first:last]))
+        call(functions[2], (q, state[2:], step, x[first:last], v[first:last], a[first:last], force[: last - first]))
+        while sample < len(samples) and samples[sample] < last:
+            forces[sample] = force[samples[sample] - first]
+            sample += 1
 
 
 def force_in_lanes(
-    kernel: Any, states: int, thetas: Array, laws: tuple[Array, ...], measured: Array, motion: tuple[Array, ...], dt: Array
+    kernel: Any, states: int, thetas: Array, laws: tuple[NDArray[Any], ...], path: Path, samples: NDArray[np.intp]
 ) -> Array:
-    """Return the force (m, `CANDIDATES`) in N of candidates ``thetas`` (`CANDIDATES`, parameters) from rest."""
-    theta, force, state = in_lanes(thetas), empty_in_lanes(len(dt)), empty_in_lanes(2 + states)
+    """Return the force (`CANDIDATES`, samples) in N of candidates ``thetas`` (`CANDIDATES`, parameters) from rest.
+
+    ``laws`` are codes, columns and floors of the coefficients as of `mrd_sim.current.evaluate_coefficients`, ``samples`` the
+    vertices of the path that are wanted, in their order.
+    """
+    theta, state, forces = in_lanes(thetas), empty_in_lanes(2 + states), empty_in_lanes(len(samples))
     state["lanes"] = 0.0
-    state["lanes"][:2] = measured[0]
-    scratch = empty_in_lanes(BLOCK), empty_in_lanes((BLOCK, len(laws[0])))
-    _force(_addresses(kernel), theta, *laws, state, dt, measured, *motion, force, *scratch)
-    return np.asarray(force["lanes"])
+    state["lanes"][:2] = path.current[0]
+    series = path.dt, path.current, path.position, path.velocity, path.acceleration, np.ascontiguousarray(samples)
+    scratch = empty_in_lanes(BLOCK), empty_in_lanes(BLOCK), empty_in_lanes((BLOCK, len(laws[0])))
+    _force(_addresses(kernel), theta, *laws, state, *series, *scratch, forces)
+    return np.asarray(forces["lanes"]).T

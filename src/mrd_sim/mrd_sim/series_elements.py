@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from mrd_sim.addresses import address_of, call, call_address
-from mrd_sim.dual_type import LANES, Duals, DualType, as_duals, chained, empty_duals, moving, slope_of
+from mrd_sim.dual_type import LANES, DualType, as_duals, chained, empty_duals, moving, slope_of
 from mrd_sim.root import next_iterate
 
 Array = NDArray[np.float64]
@@ -317,7 +317,7 @@ def _derivatives_in_series(
     elongations[count] = root
 
 
-def derivatives_in_series(functions: NDArray[np.intp], parameters: Duals, elongations: Duals, *arguments: Array) -> None:
+def derivatives_in_series(functions: NDArray[np.intp], parameters: Array, elongations: Array, *arguments: Array) -> None:
     """Add to that force its derivatives, by the implicit function theorem.
 
     The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``; but ``q`` is (m, coefficients).

@@ -84,7 +84,7 @@ def missing_property(model: DamperModel) -> str:
             moved = as_duals(theta)
             for lane, place in enumerate(range(first, min(first + LANES, len(theta)))):
                 moved.derivatives[place, lane] = 1.0
-            found = model.force(moved, path)
+            found = as_duals(model.force(moved, path))
             if not np.allclose(found.real, force, rtol=0, atol=TINY * (1 + np.abs(force).max())):
                 return "the force differs with a derivative; compare numbers by their .real"
             for parameter, derivative in zip(model.parameters[first : first + LANES], found.derivatives.T, strict=False):

@@ -415,13 +415,11 @@ class DamperModel:
         if not self.runs_in_lanes or len(thetas) < 2:
             return np.stack([self.force(theta, path, samples=samples) for theta in thetas])
         filled = np.concatenate([thetas, np.repeat(thetas[-1:], -len(thetas) % CANDIDATES, axis=0)])
-        laws, motion = (self.law_codes, self.law_columns, self.floors), (path.position, path.velocity, path.acceleration)
+        laws = self.law_codes, self.law_columns, self.floors
         chosen = path.samples[samples]
-        forces = [
-            force_in_lanes(self.kernel, self.states, group, laws, path.current, motion, path.dt)[chosen].T
-            for group in filled.reshape(-1, CANDIDATES, filled.shape[1])
-        ]
-        return np.concatenate(forces)[: len(thetas)]
+        groups = filled.reshape(-1, CANDIDATES, filled.shape[1])
+        forces = [force_in_lanes(self.kernel, self.states, group, laws, path, chosen) for group in groups]
+        return (forces[0] if len(forces) == 1 else np.concatenate(forces))[: len(thetas)]
 
     @cached_property
     def runs_in_lanes(self) -> bool:
