@@ -37,8 +37,8 @@ class Duals(np.ndarray[Any, Any]):
 
     __numba_array_subtype_dispatch__ = True
 
-    @property
-    def real(self) -> Array:  # type: ignore[misc]
+    @property  # type: ignore[misc]
+    def real(self) -> Array:
         """Values, as a view."""
         return np.asarray(self["real"])
 
