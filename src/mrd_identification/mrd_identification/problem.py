@@ -14,8 +14,9 @@ from mrd_base import InputError
 from mrd_identification.metrics import error_norms
 from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, consecutive_forces, current_levels
-from mrd_sim.dual import STEP
-from mrd_sim.models import DamperModel, Parameter, SeriesSolutions
+from mrd_sim.dual_type import LANES, as_duals
+from mrd_sim.lanes import CANDIDATES
+from mrd_sim.models import DamperModel, Parameter
 
 Array = NDArray[np.float64]
 Loss = Literal["linear", "soft_l1", "huber"]
@@ -121,12 +122,9 @@ class Problem:
             logarithmic = theta[list(self.free)] * np.log(self.upper / self.lower)
         return np.where(self.log, logarithmic, self.upper - self.lower)
 
-    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force in N over all counted samples.
-
-        ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
-        """
-        return np.concatenate(consecutive_forces(self.model, theta, self.recordings, solutions))
+    def forces(self, theta: Array) -> Array:
+        """Return the modelled force (samples,) in N over all counted samples, see `consecutive_forces`."""
+        return np.concatenate(consecutive_forces(self.model, theta, self.recordings))
 
     def modelled(self, theta: Array, index: int) -> Array:
         """Return the modelled force in N at the counted samples of one recording."""
@@ -170,19 +168,23 @@ class Problem:
         """
         theta = self.theta(unit)
         scale = self.scale(theta)
-        solutions: SeriesSolutions = {}
-        if self.model.series_elements:
-            self.forces(theta, solutions)
 
-        def derivative(index: int) -> Array:
-            shifted = theta.astype(complex)
-            shifted[self.free[index]] += 1j * STEP * scale[index]
-            return self.forces(shifted, solutions).imag / STEP
+        def derivatives(places: Sequence[int]) -> Array:
+            """Derivatives of the force (samples, places) by as many parameters as one pass takes."""
+            moved = as_duals(theta)
+            for lane, place in enumerate(places):
+                moved.derivatives[self.free[place], lane] = scale[place]
+            return self.forces(moved)[:, 1 : 1 + len(places)]
 
         asked = list(range(len(self.free)) if indices is None else indices)
         slopes = {slope: value for slope, value in self._values_of_slopes.items() if slope in asked and value in asked}
         computed = [index for index in asked if index not in slopes]
-        of_force = dict(zip(computed, in_threads(derivative, computed), strict=True))
+        passes = [computed[first : first + LANES] for first in range(0, len(computed), LANES)]
+        of_force = {
+            place: column
+            for places, columns in zip(passes, in_threads(derivatives, passes), strict=True)
+            for place, column in zip(places, columns.T, strict=True)
+        }
         for slope, value in slopes.items():
             of_force[slope] = of_force[value] * self._constant_current * (scale[slope] / scale[value])
         columns = [self.counted(of_force[index]) for index in asked]
@@ -243,10 +245,16 @@ class Problem:
         """
         if not self.linear.any():
             return thetas, self.norms(thetas)
-        projected = in_threads(self._project, thetas)
+        size = CANDIDATES if self.model.runs_in_lanes else 1
+        groups = [thetas[first : first + size] for first in range(0, len(thetas), size)]
+        projected = [candidate for group in in_threads(self._project_all, groups) for candidate in group]
         return np.array([theta for theta, _ in projected]), np.array([norms for _, norms in projected])
 
-    def _project(self, theta: Array) -> tuple[Array, tuple[float, float]]:
+    def _project_all(self, thetas: Array) -> list[tuple[Array, tuple[float, float]]]:
+        by_recording = [recording.regressors(self.model, thetas) for recording in self.recordings]
+        return [self._project(theta, regressors) for theta, *regressors in zip(thetas, *by_recording, strict=True)]
+
+    def _project(self, theta: Array, regressors: Sequence[tuple[Array, Array]]) -> tuple[Array, tuple[float, float]]:
         free = np.array(self.free)[self.linear]
         is_free = np.isin(self.model.linear, free)
         fixed = self.model.linear[~is_free]
@@ -255,12 +263,11 @@ class Problem:
         span = upper - lower
         columns = np.empty((len(self.force), len(free)), order="F")
         remainder = np.empty(len(self.force))
-        for recording, block in zip(self.recordings, self.blocks, strict=True):
-            regressors, nonlinear_force = map(recording.as_recorded, self.model.regressors(theta, recording.path))
-            np.multiply(regressors[recording.counted][:, is_free], span, out=columns[block])
-            remainder[block] = nonlinear_force[recording.counted]
+        for (linear_part, rest), block in zip(regressors, self.blocks, strict=True):
+            np.multiply(linear_part[:, is_free], span, out=columns[block])
+            remainder[block] = rest
             if fixed.size:
-                remainder[block] += regressors[recording.counted][:, ~is_free] @ theta[fixed]
+                remainder[block] += linear_part[:, ~is_free] @ theta[fixed]
         remainder = self.counted(remainder - self.force)
         for column in columns.T:
             weighted = self.counted(column)

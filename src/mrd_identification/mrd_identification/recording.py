@@ -14,8 +14,9 @@ from mrd_identification.low_pass import known_force_filter
 from mrd_runs import Run
 from mrd_runs.signals.motion import Motion
 from mrd_runs.signals.smoothed_run import SmoothedRun, smooth_run
+from mrd_sim.dual_type import columns_of, like
 from mrd_sim.lead_in import usual_lead_in
-from mrd_sim.models import DamperModel, SeriesSolutions
+from mrd_sim.models import DamperModel
 from mrd_sim.path import Path, run_path
 
 Array = NDArray[np.float64]
@@ -116,6 +117,13 @@ class Recording:
             force = interp1d(vertices, force[vertices], axis=0, assume_sorted=True)(np.arange(len(force)))
         return low_pass.filtered(force, self.run.rate)
 
+    def regressors(self, model: DamperModel, thetas: Array) -> list[tuple[Array, Array]]:
+        """Return `DamperModel.regressors` at the counted samples, behind the filter that the force of the run has passed."""
+        if known_force_filter(self.run) is None:
+            return model.regressors(thetas, self.path, self.counted)
+        found = model.regressors(thetas, self.path)
+        return [(self.as_recorded(part)[self.counted], self.as_recorded(rest)[self.counted]) for part, rest in found]
+
     def modelled(self, model: DamperModel, theta: Array) -> Array:
         """Return the modelled force in N at the counted samples."""
         return consecutive_forces(model, theta, [self])[0]
@@ -152,32 +160,35 @@ def _every(recording: Recording, step: int) -> Recording:
 
 
 def consecutive_modelled_forces(
-    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
+    model: DamperModel, theta: Array, recordings: Sequence[Recording], only_counted: bool = False
 ) -> list[Array]:
-    """Return the modelled force in N at every sample of runs that were recorded one after the other.
+    """Return the modelled force (n,) in N at every sample of runs that were recorded one after the other.
 
-    A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects.
-    ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
+    A state that outlasts a run, such as heat, is carried over to the next one, but not from runs without effects. Where
+    ``theta`` is of dual numbers, the derivatives stand in columns beside the force: (n, 1 + lanes).
     """
     forces: list[Array] = []
     state: Array | None = None
     for recording in recordings:
+        unfiltered = known_force_filter(recording.run) is None
+        samples = recording.counted if only_counted and unfiltered else slice(None)
         if recording.without_effects and model.effects:
-            force = model.force(model.without_effects(theta), recording.path, solutions=solutions)
-            forces.append(recording.as_recorded(force))
-            continue
-        initial = model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
-        state = initial.astype(theta.dtype)
-        forces.append(recording.as_recorded(model.force(theta, recording.path, state, solutions)))
+            force = model.force(model.without_effects(theta), recording.path, samples=samples)
+        else:
+            state = like(
+                theta, model.initial_state(recording.path) if state is None else model.next_state(state, recording.path)
+            )
+            force = model.force(theta, recording.path, state, samples)
+        force = columns_of(force)
+        if not unfiltered:
+            force = recording.as_recorded(force)[recording.counted if only_counted else slice(None)]
+        forces.append(force)
     return forces
 
 
-def consecutive_forces(
-    model: DamperModel, theta: Array, recordings: Sequence[Recording], solutions: SeriesSolutions | None = None
-) -> list[Array]:
+def consecutive_forces(model: DamperModel, theta: Array, recordings: Sequence[Recording]) -> list[Array]:
     """Return the forces of `consecutive_modelled_forces` at the counted samples only."""
-    forces = consecutive_modelled_forces(model, theta, recordings, solutions)
-    return [force[recording.counted] for force, recording in zip(forces, recordings, strict=True)]
+    return consecutive_modelled_forces(model, theta, recordings, only_counted=True)
 
 
 def run_weights(runs: Sequence[Run], weights: Weights | Sequence[float]) -> list[float]:

@@ -8,8 +8,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_sim.dual import exp, tanh
-from mrd_sim.lag import decay, follow
+from mrd_sim.dual import at_least, exp, tanh
+from mrd_sim.lag import decay, ramp_share
 
 Array = NDArray[np.float64]
 
@@ -66,14 +66,14 @@ def parse_laws(text: str, where: str) -> str | dict[str, str]:
 
 
 @njit(cache=True, nogil=True)
-def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array:
-    """Return the effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
+def lagged_current(lags: Array, state: Array, dt: Array, current: Array, effective: Array) -> None:
+    """Fill in the effective current u in A after a first-order lag, u' = (I - u) / lag, exact for I linear between vertices.
 
-    ``state`` holds u and I at the previous vertex and is updated. ``lag`` is in s; with 0 the current passes unchanged.
+    ``state`` holds u and I at the previous vertex and is updated. ``lags`` (1,) is in s; 0 changes nothing.
     """
-    effective = np.empty(len(current), state.dtype)
+    lag = lags[0]
     u, before = state[0], state[1]
-    step, left = 0.0, 0.0 * lag
+    step, left, share = 0.0, 0.0 * lag, 0.0 * lag
     for k in range(len(current)):
         now = current[k]
         if dt[k] == 0.0:
@@ -83,15 +83,15 @@ def lagged_current(lag: float, state: Array, dt: Array, current: Array) -> Array
             if abs(dt[k] - step) > SAME_STEP * step:
                 step = dt[k]
                 left = decay(step, lag)
-            u = follow(u, before, now, lag / step, left)
+                share = ramp_share(lag / step, left)
+            u = now - (now - before) * share + (u - before) * left
         effective[k] = u
         before = now + 0.0 * lag
     state[0], state[1] = u, before
-    return effective
 
 
 @njit(cache=True, nogil=True)
-def _slope_factor(code: int, third: Any, u: Any) -> Any:
+def slope_factor(code: int, third: Any, u: Any) -> Any:
     """Return what the law ``code`` multiplies its slope with, in A: the current, or less where the law saturates."""
     if code < 3:
         return u + 0.0 * third
@@ -103,7 +103,7 @@ def slope_factors(code: int, third: float, current: Array) -> Array:
     """Return what the law ``code`` multiplies its slope with, (m,) in A, along the effective current."""
     factors = np.empty_like(current)
     for k in range(len(current)):
-        factors[k] = _slope_factor(code, third, current[k])
+        factors[k] = slope_factor(code, third, current[k])
     return factors
 
 
@@ -137,12 +137,11 @@ def evaluate_coefficients(
                 values[k, j] = value
         elif code == 1:
             for k in range(len(current)):
-                affine = value + slope * current[k]
-                values[k, j] = floor + 0.0 * value if affine.real < floor else affine
+                values[k, j] = at_least(floor, value + slope * current[k])
         else:
             for k in range(len(current)):
                 u = current[k]
-                bent = value + slope * _slope_factor(code, third, u)
+                bent = value + slope * slope_factor(code, third, u)
                 if code == 2:
                     bent = bent + third * u * u
-                values[k, j] = floor + 0.0 * value if bent.real < floor else bent
+                values[k, j] = at_least(floor, bent)

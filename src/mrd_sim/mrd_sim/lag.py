@@ -23,13 +23,18 @@ def decay(step: float, lag: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
+def ramp_share(steps: Any, left: Any) -> Any:
+    """Return by what share of the change of u over a step y stays behind, for a lag in steps and its `decay`."""
+    return steps * (1.0 - left) if steps.real < LONG_LAG else 1.0 - 0.5 / steps
+
+
+@njit(cache=True, nogil=True)
 def follow(lagged: Any, before: Any, now: Any, steps: Any, left: Any) -> Any:
     """Return y after a step over which u went from ``before`` to ``now``, from y = ``lagged``.
 
     ``steps`` is the lag in steps, ``left`` the `decay` over one step.
     """
-    share = steps * (1.0 - left) if steps.real < LONG_LAG else 1.0 - 0.5 / steps
-    return now - (now - before) * share + (lagged - before) * left
+    return now - (now - before) * ramp_share(steps, left) + (lagged - before) * left
 
 
 @njit(cache=True, nogil=True)

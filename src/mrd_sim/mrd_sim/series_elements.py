@@ -6,7 +6,6 @@ any F and the damper's answer to it bracket the root. The scheme is implicit in 
 first order in the step.
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -15,7 +14,8 @@ from numba import carray, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from mrd_sim.dual import STEP, clip
+from mrd_sim.addresses import address_of, call, call_address
+from mrd_sim.dual_type import LANES, DualType, as_duals, chained, empty_duals, moving, slope_of
 from mrd_sim.root import next_iterate
 
 Array = NDArray[np.float64]
@@ -30,40 +30,41 @@ SHORTEST_STEP = 1e-9
 """s. In less nothing gives way, and speeds of elongation would be rounding."""
 
 
-_VECTOR, _REALS = types.complex128[::1], types.float64[::1]
-_KERNEL = types.none(types.complex128[:, ::1], _VECTOR, _REALS, _VECTOR, _VECTOR, _VECTOR, _VECTOR)
-_ELONGATION = types.complex128(_VECTOR, types.complex128, types.float64, types.complex128, types.complex128)
+_REALS, _MATRIX, _ADDRESSES = types.float64[::1], types.float64[:, ::1], types.intp[::1]
 
 
-def first_class(kernel: Any, elongations: Sequence[Any]) -> tuple[Any, ...]:
-    """Return a kernel and the elongations of the elements as the first arguments of the functions below.
+def _vector(number: Any) -> Any:
+    """Type of a contiguous array of numbers of a type."""
+    return types.Array(number, 1, "C")
 
-    They take the compiled functions themselves, too; but numba would then look up the address of each at every call, which
-    takes longer than a path of a thousand vertices.
+
+def _matrix(number: Any) -> Any:
+    """Type of a contiguous matrix of numbers of a type."""
+    return types.Array(number, 2, "C")
+
+
+def addresses(kernel: Any, elongations: Sequence[Any], lanes: int) -> NDArray[np.intp]:
+    """Return the addresses of a kernel and of the elongations of the elements, compiled for numbers of some lanes.
+
+    The functions below call what is at these addresses, so that one compiled function serves all models; numba would look
+    up an address at every call, which takes longer than a path of a thousand vertices.
     """
-    functions = [*elongations] + [elongations[0]] * (MOST_IN_SERIES - len(elongations))
-    signatures = [_KERNEL] + [_ELONGATION] * MOST_IN_SERIES
-    pairs = zip([kernel, *functions], signatures, strict=True)
-    return tuple(types.CompileResultWAP(function.get_compile_result(signature)) for function, signature in pairs)
+    number = DualType(lanes)
+    vector = _vector(number)
+    of_kernel = types.none(_matrix(number), vector, _REALS, vector, vector, vector, vector)
+    of_elongation = number(vector, number, types.float64, number, number)
+    return np.array([address_of(kernel, of_kernel), *(address_of(e, of_elongation) for e in elongations)], np.intp)
 
 
-def _compiled(number: Any) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a function for ``number``, real or with derivatives.
+@intrinsic
+def _call_elongation(_context: Any, address: Any, parameters: Any, before: Any, step: Any, force: Any, x: Any) -> Any:
+    """Elongation by the function at an address."""
+    kinds = parameters, before, step, force, x
 
-    The kernel and the elongations come as first-class functions, so that one compiled function serves all models. Numba
-    warns where such functions are put into a tuple.
-    """
-    row, rows = number[::1], number[:, ::1]
-    functions = [types.FunctionType(_KERNEL)] + [types.FunctionType(_ELONGATION)] * MOST_IN_SERIES
-    arguments = types.complex128[:, ::1], row, rows, row, _REALS, row, row, row, row, types.float64[:, ::1]
-    signature = types.none(*functions, *arguments)
+    def code(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return call_address(context, builder, force, kinds, arguments[0], arguments[1:])
 
-    def decorate(function: Any) -> Any:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "First-class function type feature is experimental")
-            return njit(signature, cache=True, nogil=True)(function)
-
-    return decorate
+    return force(address, *kinds), code
 
 
 @intrinsic
@@ -98,51 +99,68 @@ class _Vertex(NamedTuple):
 
 
 @njit(inline="always")
-def _vertex(coefficients: Any, state: Any, step: Any, x: Any, v: Any, a: Any, force: Any) -> Any:
-    """Return views of the arrays; the caller keeps these."""
-    motion = _unowned(x), _unowned(v), _unowned(a)
-    return _Vertex(_unowned(coefficients), _unowned(state), _unowned(step), *motion, _unowned(force))
+def _vertex(row: Any, work: Any, states: int, step: Any) -> Any:
+    """Return views of a row of coefficients, of parts of ``work`` and of a step; the caller keeps these."""
+    x, v = _unowned(work[states : states + 1]), _unowned(work[states + 1 : states + 2])
+    a, force = _unowned(work[states + 2 : states + 3]), _unowned(work[states + 3 : states + 4])
+    return _Vertex(_unowned(row), _unowned(work[:states]), _unowned(step), x, v, a, force)
+
+
+@njit(inline="always")
+def _with_row(vertex: Any, q: Any, k: int) -> Any:
+    """Return the arrays of a vertex with row ``k`` of a matrix of coefficients."""
+    row = _unowned(q[k : k + 1])
+    return _Vertex(row, vertex.state, vertex.step, vertex.x, vertex.v, vertex.a, vertex.force)
 
 
 class _Elements(NamedTuple):
-    """Parameters of the elements in series, their elongations before the step and after it; `_unowned`."""
+    """Addresses of the elongations, parameters of the elements, elongations before the step and after it; `_unowned`."""
 
+    addresses: Any
     parameters: Any
     before: Any
     after: Any
 
 
 @njit(inline="always")
-def _elongate(functions: Any, elements: Any, step: float, force: Any, x: Any) -> Any:
-    """Return the sum of the elongations after a step to ``x`` under a force, and leave each in ``elements.after``."""
-    total = 0.0j
-    for i in range(len(elements.before)):
-        elements.after[i] = functions[i](elements.parameters[i], elements.before[i], step, force, x)
-        total += elements.after[i]
-    return total
+def _elements(functions: Any, parameters: Any, work: Any, count: int) -> Any:
+    """Return views of the addresses, of the parameters and of the last parts of ``work``; the caller keeps these."""
+    end = len(work)
+    before, after = _unowned(work[end - 2 * count : end - count]), _unowned(work[end - count :])
+    return _Elements(_unowned(functions), _unowned(parameters), before, after)
 
 
 @njit(inline="always")
-def _enter_vertex(k: int, q: Any, dt: Any, a: Any, row: Any, step: Any, acceleration: Any) -> None:
-    """Write coefficients, step and acceleration of vertex ``k`` to where the kernel reads them.
+def _elongate(elements: Any, step: float, force: Any, x: Any) -> Any:
+    """Return the sum of the elongations after a step to ``x`` under a force, and leave each in ``elements.after``."""
+    total = 0.0 * force
+    for i in range(len(elements.before)):
+        address = elements.addresses[1 + i]
+        after = _call_elongation(address, elements.parameters[i], elements.before[i], step, force, x)
+        elements.after[i] = after
+        total += after
+    return total
 
-    It writes to the arrays themselves, which so stay alive as long as the loop over the vertices needs their views.
-    """
-    step[0] = dt[k]
-    acceleration[0] = a[k]
-    for i in range(len(q)):
-        row[0, i] = q[i, k]
+
+def _length_of_work(elements: int, states: int) -> int:
+    """Numbers that the functions below work with: states, motion and force of a vertex, and the elements' elongations."""
+    return states + 4 + 2 * elements
 
 
-@_compiled(types.float64)
-def force_in_series(
-    kernel: Any,
-    first: Any,
-    second: Any,
-    third: Any,
-    fourth: Any,
-    fifth: Any,
-    parameters: Array,
+def _compiled(*arguments: Any) -> Callable[[Any], Any]:
+    """Return a decorator that compiles a function of addresses and of arguments of these types."""
+    return njit(types.none(_ADDRESSES, *arguments), cache=True, nogil=True)  # type: ignore[no-any-return]
+
+
+_ONE = DualType(1)
+
+
+@_compiled(*[_matrix(_ONE)] * 2, _vector(_ONE), _REALS, _MATRIX, *[_REALS] * 6, _MATRIX)
+def _force_in_series(
+    functions: NDArray[np.intp],
+    parameters: Any,
+    row: Any,
+    work: Any,
     elongations: Array,
     q: Array,
     state: Array,
@@ -153,59 +171,37 @@ def force_in_series(
     force: Array,
     solved: Array,
 ) -> None:
-    """Fill in the force of a damper with elements in series.
-
-    By Newton's method: with the derivative over F on the motion, one call gives the damper's answer and its slope.
-
-    Parameters
-    ----------
-    kernel : compiled function
-        That of the damper model.
-    first, second, third, fourth, fifth : compiled functions
-        Elongation of each element, see `mrd_sim.effects.effect.Effect`. Those beyond the number of elements are not called.
-    parameters : ndarray (elements, parameters) of complex
-    elongations : ndarray (elements + 1,)
-        Elongations, and after them the force; carried on.
-    q : ndarray (coefficients, m)
-    state, dt, x, v, a, force
-        As of the kernel.
-    solved : ndarray (m, 2 + states)
-        Filled with the F of the last call, next to the root, and with derivatives over F there: that of the damper's answer
-        and those of its state.
-    """
-    functions = first, second, third, fourth, fifth
     count, states = len(elongations) - 1, len(state)
-    row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
-    at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
-    before, after = np.zeros(count, np.complex128), np.zeros(count, np.complex128)
-    before[:] = elongations[:count]
-    elements = _Elements(_unowned(parameters), _unowned(before), _unowned(after))
-    vertex = _vertex(row, inner, step, at, speed, acceleration, answer)
-    elongation: Any = np.sum(before)
-    root, rate = elongations[count], 0.0
+    step = np.zeros(1)
+    vertex = _vertex(row, work, states, step)
+    elements = _elements(functions, parameters, work, count)
+    before, after = elements.before, elements.after
+    total, root, rate = 0.0, elongations[count], 0.0
+    for i in range(count):
+        before[i] = elongations[i]
+        total += elongations[i]
     for k in range(len(x)):
-        place = complex(x[k], 0.0)
         if 0.0 < dt[k] < SHORTEST_STEP:
             force[k] = root
             continue
-        _enter_vertex(k, q, dt, a, row, step, acceleration)
-        sum_before = elongation.real
+        step[0] = dt[k]
+        vertex.a[0] = a[k]
+        for i in range(len(q)):
+            row[0, i] = q[i, k]
+        elongation = moving(total, 0.0)
         guess = root + rate * dt[k]
         low, high, last = 0.0, 0.0, 0.0
         newton, slope = 0.0, 0.0
         for attempt in range(100):
             if dt[k] > 0.0:
-                elongation = _elongate(functions, elements, dt[k], complex(guess, STEP), place)
-                speed[0] = complex(v[k] - (elongation.real - sum_before) / dt[k], -elongation.imag / dt[k])
-            else:
-                elongation = complex(sum_before, 0.0)
-                speed[0] = v[k]
-            at[0] = complex(x[k] - elongation.real, -elongation.imag)
+                elongation = _elongate(elements, dt[k], moving(guess, 1.0), moving(x[k], 0.0))
+            vertex.x[0] = x[k] - elongation
+            vertex.v[0] = v[k] - (elongation - total) / dt[k] if dt[k] > 0.0 else moving(v[k], 0.0)
             for i in range(states):
-                inner[i] = state[i]
-            kernel(*vertex)
-            value = answer[0].real
-            slope = min(answer[0].imag / STEP, 0.0)
+                vertex.state[i] = state[i]
+            call(functions[0], vertex)
+            value = vertex.force[0].real
+            slope = min(slope_of(vertex.force[0]), 0.0)
             newton = (value - guess) / (1.0 - slope)
             if dt[k] == 0.0 or not abs(newton) > FORCE_TOLERANCE:  # "not" also ends the search where newton is no number
                 break
@@ -217,10 +213,10 @@ def force_in_series(
             else:
                 high = guess
             if high - low <= FORCE_TOLERANCE:
-                newton = clip(newton, low - guess, high - guess)
+                newton = min(max(newton, low - guess), high - guess)
                 break
-            if elongation.imag == 0.0:
-                at_value = _elongate(functions, elements, dt[k], complex(value, 0.0), place)
+            if slope_of(elongation) == 0.0:
+                at_value = _elongate(elements, dt[k], moving(value, 0.0), moving(x[k], 0.0))
                 if at_value.real == elongation.real:  # nothing gives way between the two, so the damper's answer is the root
                     break
             guess, last = next_iterate(guess, newton, low, high, last)
@@ -228,72 +224,103 @@ def force_in_series(
         if dt[k] > 0.0:
             rate = (guess + newton - root) / dt[k]
             for i in range(count):
-                before[i] = after[i].real + after[i].imag / STEP * newton
-            elongation = complex(elongation.real + elongation.imag / STEP * newton, 0.0)
+                before[i] = after[i].real + slope_of(after[i]) * newton
+            total = elongation.real + slope_of(elongation) * newton
         root = guess + newton
         force[k] = root
         solved[k, 0], solved[k, 1] = guess, slope
         for i in range(states):
-            solved[k, 2 + i] = inner[i].imag / STEP
-            state[i] = inner[i].real + solved[k, 2 + i] * newton
-    elongations[:count] = before.real
+            solved[k, 2 + i] = slope_of(vertex.state[i])
+            state[i] = vertex.state[i].real + solved[k, 2 + i] * newton
+    for i in range(count):
+        elongations[i] = before[i].real
     elongations[count] = root
 
 
-@_compiled(types.complex128)
-def derivatives_in_series(
-    kernel: Any,
-    first: Any,
-    second: Any,
-    third: Any,
-    fourth: Any,
-    fifth: Any,
-    parameters: Array,
-    elongations: Array,
-    q: Array,
-    state: Array,
+def force_in_series(functions: NDArray[np.intp], parameters: Array, elongations: Array, *arguments: Array) -> None:
+    """Fill in the force of a damper with elements in series.
+
+    By Newton's method: with the derivative over F on the motion, one call gives the damper's answer and its slope.
+
+    Parameters
+    ----------
+    functions : ndarray (1 + elements,) of int
+        `addresses` of the kernel of the damper model, and of the elongation of each element
+        (`mrd_sim.effects.effect.Effect`), for one lane.
+    parameters : ndarray (elements, parameters)
+    elongations : ndarray (elements + 1,)
+        Elongations, and after them the force; carried on.
+    *arguments : ndarray
+        ``q`` (coefficients, m); state, dt, x, v, a, force as of the kernel; and ``solved`` (m, 2 + states). This is filled
+        with the F of the last call, next to the root, and with derivatives over F there: that of the damper's answer and
+        those of its state.
+    """
+    row = empty_duals((1, len(arguments[0])), 1)
+    work = empty_duals(_length_of_work(len(parameters), len(arguments[1])), 1)
+    _force_in_series(functions, as_duals(parameters, 1), row, work, elongations, *arguments)
+
+
+_ALL = DualType(LANES)
+
+
+@_compiled(_matrix(_ALL), *[_vector(_ALL)] * 2, _matrix(_ALL), _vector(_ALL), _REALS, *[_vector(_ALL)] * 4, _MATRIX)
+def _derivatives_in_series(
+    functions: NDArray[np.intp],
+    parameters: Any,
+    work: Any,
+    elongations: Any,
+    q: Any,
+    state: Any,
     dt: Array,
-    x: Array,
-    v: Array,
-    a: Array,
-    force: Array,
+    x: Any,
+    v: Any,
+    a: Any,
+    force: Any,
     solved: Array,
 ) -> None:
-    """Add to that force its derivative to whatever the arguments carry one of, by the implicit function theorem.
-
-    The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``.
-    """
-    functions = first, second, third, fourth, fifth
     count, states = len(elongations) - 1, len(state)
-    row, inner, step = np.zeros((1, len(q)), np.complex128), np.zeros(states, np.complex128), np.zeros(1)
-    at, speed, acceleration, answer = np.zeros((4, 1), np.complex128)
-    before, after = elongations[:count].copy(), np.zeros(count, np.complex128)
-    elements = _Elements(_unowned(parameters), _unowned(before), _unowned(after))
-    vertex = _vertex(row, inner, step, at, speed, acceleration, answer)
-    elongation: Any = np.sum(before)
+    step = np.zeros(1)
+    vertex = _vertex(q, work, states, step)
+    elements = _elements(functions, parameters, work, count)
+    before, after = elements.before, elements.after
     root = elongations[count]
+    elongation = 0.0 * root
+    for i in range(count):
+        before[i] = elongations[i]
+        elongation += elongations[i]
     for k in range(len(x)):
         if 0.0 < dt[k] < SHORTEST_STEP:
             force[k] = root
             continue
-        _enter_vertex(k, q, dt, a, row, step, acceleration)
+        step[0] = dt[k]
+        vertex.a[0] = a[k]
         for i in range(states):
-            inner[i] = state[i]
-        speed[0] = v[k]
-        sum_before = elongation
+            vertex.state[i] = state[i]
+        vertex.v[0] = v[k]
         if dt[k] > 0.0:
-            elongation = _elongate(functions, elements, dt[k], complex(solved[k, 0], 0.0), x[k])
-            speed[0] -= (elongation - sum_before) * (1.0 / dt[k])
-        at[0] = x[k] - elongation
-        kernel(*vertex)
-        root = complex(force[k].real, answer[0].imag / (1.0 - solved[k, 1]))
+            sum_before = elongation
+            elongation = _elongate(elements, dt[k], solved[k, 0] + 0.0 * root, x[k])
+            vertex.v[0] = v[k] - (elongation - sum_before) * (1.0 / dt[k])
+        vertex.x[0] = x[k] - elongation
+        call(functions[0], _with_row(vertex, q, k))
+        root = chained(force[k].real, 1.0 / (1.0 - solved[k, 1]), vertex.force[0])
         force[k] = root
         change = root - solved[k, 0]
         for i in range(states):
-            state[i] = inner[i] + solved[k, 2 + i] * change
+            state[i] = vertex.state[i] + solved[k, 2 + i] * change
         if dt[k] > 0.0:
-            elongation = _elongate(functions, elements, dt[k], root, x[k])
+            elongation = _elongate(elements, dt[k], root, x[k])
             for i in range(count):
                 before[i] = after[i]
-    elongations[:count] = before
+    for i in range(count):
+        elongations[i] = before[i]
     elongations[count] = root
+
+
+def derivatives_in_series(functions: NDArray[np.intp], parameters: Array, elongations: Array, *arguments: Array) -> None:
+    """Add to that force its derivatives, by the implicit function theorem.
+
+    The arguments are those of `force_in_series`, which has filled ``force`` and ``solved``; but ``q`` is (m, coefficients).
+    """
+    work = empty_duals(_length_of_work(len(parameters), len(arguments[1])))
+    _derivatives_in_series(functions, parameters, work, elongations, *arguments)

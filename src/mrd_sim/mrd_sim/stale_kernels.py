@@ -11,7 +11,7 @@ from pathlib import Path
 
 def delete_stale_kernels(folder: Path) -> None:
     """Delete the indices of compiled functions in ``folder`` that are older than any source of compiled functions there."""
-    sources = [path for path in folder.rglob("*.py") if "njit" in path.read_text(encoding="utf-8")]
+    sources = [path for path in folder.rglob("*.py") if "numba" in path.read_text(encoding="utf-8")]
     newest = max((path.stat().st_mtime for path in sources), default=0.0)
     for index in folder.rglob("__pycache__/*.nbi"):
         with contextlib.suppress(OSError):

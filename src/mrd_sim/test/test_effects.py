@@ -13,7 +13,7 @@ from mrd_base import InputError
 from mrd_runs import Run
 from mrd_runs.signals.mains import Line
 from mrd_runs.signals.smoothed_run import smooth_run
-from mrd_sim.dual import STEP
+from mrd_sim.dual_type import along, as_duals
 from mrd_sim.effects import EFFECTS, PLACES, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import Path, make_path, run_path
@@ -182,10 +182,9 @@ def test_finite_over_the_whole_bounds_box(name, examples, seed):
     path = make_path(*examples.two_tones(**examples.motion(rng)))
     force = model.force(theta, path)
     assert np.isfinite(force).all()
-    dual = theta.astype(complex)
-    dual[-rng.integers(1, len(effect.parameters) + 1)] += 1j * STEP
-    with_derivative = model.force(dual, path)
-    assert np.isfinite(with_derivative.imag).all()
+    place = len(theta) - rng.integers(1, len(effect.parameters) + 1)
+    with_derivative = model.force(along(theta, np.arange(len(theta)) == place), path)
+    assert np.isfinite(with_derivative.derivatives).all()
     assert np.allclose(with_derivative.real, force, rtol=0, atol=1e-6 + TINY * np.max(np.abs(force)))
 
 
@@ -228,7 +227,7 @@ def test_derivatives_agree_with_central_differences(name, examples, seed):
         scale = theta[index] if parameter.log else parameter.upper - parameter.lower
         moved = np.zeros(len(theta))
         moved[index] = 1e-5 * scale
-        found = model.force(theta + 1j * STEP * moved, path).imag / STEP / 1e-5
+        found = model.force(along(theta, moved), path).derivatives[:, 0] / 1e-5
         less, here, more = (model.force(theta + sign * moved, path) / 1e-5 for sign in (-1, 0, 1))
         # At a kink, such as a delay of whole samples has, the derivative is that to one side; a few samples may be near one.
         error = np.min([np.abs(found - slope) for slope in (more - here, here - less, (more - less) / 2)], axis=0)
@@ -278,16 +277,16 @@ def test_what_outlasts_a_run_goes_on_in_the_next_as_without_a_cut(effect):
 def test_next_run_begins_at_rest_but_for_what_outlasts_a_run(effect):
     path = make_path(*rich())
     model, theta = switched_on("bouc_wen", effect.id)
-    theta = theta + 1j * STEP
-    state = model.initial_state(path).astype(complex)
+    theta = along(theta, np.ones(len(theta)))
+    state = as_duals(model.initial_state(path))
     first = model.force(theta, path, state)
     left = state.copy()
     following = model.next_state(state, path)
     assert np.array_equal(state, left)
     assert following.dtype == state.dtype
     second = model.force(theta, path, following)
-    difference = rms(second - first)
-    assert difference > 2e-5 * rms(first) if effect.outlasts_run else difference == 0.0
+    difference = rms(second.real - first.real)
+    assert difference > 2e-5 * rms(first.real) if effect.outlasts_run else np.array_equal(first, second)
 
 
 def test_each_effect_carries_its_own_state():
@@ -317,11 +316,12 @@ def test_elements_in_series_look_their_functions_up_once(monkeypatch):
     """A fit calls the model hundreds of times; numba takes as long for their addresses as the model for 500 samples."""
     model, theta = switched_on("bouc_wen", "series_compliance")
     path = make_path(*rich(rate=500.0, seconds=1.0))
-    expected = model.force(theta, path)
+    moved = along(theta, np.ones(len(theta)))
+    expected, with_derivatives = model.force(theta, path), model.force(moved, path)
     looked_up = []
     monkeypatch.setattr(Dispatcher, "get_compile_result", lambda function, signature: looked_up.append(function))
     assert np.array_equal(model.force(theta, path), expected)
-    assert np.isfinite(model.force(theta + 1j * STEP, path).imag).all()
+    assert np.array_equal(model.force(moved, path), with_derivatives)
     assert not looked_up
 
 
@@ -405,22 +405,21 @@ def test_derivatives_in_series_are_those_of_their_own_force():
     """Whatever was computed along the same path before: with other parameters, or from another state."""
     path, other = make_path(*rich(rate=500.0)), make_path(*rich(rate=400.0))
     model, theta = switched_on("modified_bouc_wen", "series_compliance", "thermal_fade")
-    moved = theta.astype(complex)
-    moved[model.names.index("yield_force")] += 1j * STEP
+    moved = along(theta, np.array(model.names) == "yield_force")
     fresh = switched_on("modified_bouc_wen", "series_compliance", "thermal_fade")[0]
     first = fresh.force(moved, path)
-    state = model.initial_state(path).astype(complex)
+    state = as_duals(model.initial_state(path))
     assert np.array_equal(model.force(moved, path, state), first)
     second = model.force(moved, path, model.next_state(state, path))
-    assert rms(second - first) > 1e-4 * rms(first)
+    assert rms(second.real - first.real) > 1e-4 * rms(first.real)
     model.force(theta, path)
     model.force(moved, other)
     assert np.array_equal(model.force(moved, path), first)
     model.force(0.9 * theta, path)
     assert np.array_equal(model.force(moved, path), first)
-    model.force(theta, path, model.next_state(state, path).real)
+    model.force(theta, path, model.next_state(state, path).real.copy())
     assert np.array_equal(model.force(moved, path), first)
-    assert np.array_equal(first.real, model.force(theta, path))
+    assert np.allclose(first.real, model.force(theta, path), rtol=1e-12, atol=1e-9)
 
 
 @SERIES
@@ -430,9 +429,7 @@ def test_derivatives_in_series_at_vertices_of_one_instant(effect, examples):
     path = make_path(time, *series)
     assert 0.0 < np.min(path.dt[1:]) < 1e-15
     model, theta = switched_on("algebraic", effect.id)
-    moved = theta.astype(complex)
-    moved[0] += 1j * STEP
-    found = model.force(moved, path).imag / STEP
+    found = model.force(along(theta, np.arange(len(theta)) == 0), path).derivatives[:, 0]
     step = 1e-4 * (np.arange(len(theta)) == 0)
     expected = (model.force(theta + step, path) - model.force(theta - step, path)) / 2e-4
     assert np.quantile(np.abs(found - expected), 0.95) < 1e-4 * np.max(np.abs(found))
@@ -640,10 +637,11 @@ def test_derivative_to_the_delay_at_no_delay():
     w, dt = 2 * np.pi * 5, steps(1000, 1000.0)
     time = np.cumsum(dt)
     effect = EFFECTS["channel_delay"]
-    force = np.sin(w * time).astype(complex)
-    effect.kernel(np.array([1j * STEP]), np.zeros(effect.states, complex), dt, *np.zeros((4, 1000), complex), force)
+    force = as_duals(np.sin(w * time))
+    motion_and_current = [as_duals(np.zeros(1000)) for _ in range(4)]
+    effect.kernel(along(np.zeros(1), np.ones(1)), as_duals(np.zeros(effect.states)), dt, *motion_and_current, force)
     assert np.array_equal(force.real, np.sin(w * time))
-    assert np.allclose(force.imag[1:] / STEP, -np.diff(np.sin(w * time)) * 1000, rtol=1e-6, atol=1e-6)
+    assert np.allclose(force.derivatives[1:, 0], -np.diff(np.sin(w * time)) * 1000, rtol=1e-6, atol=1e-6)
 
 
 def test_load_cell_drift_and_gain():

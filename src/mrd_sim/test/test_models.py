@@ -16,7 +16,7 @@ from mrd_base import InputError
 from mrd_sim.cli import models as tool
 from mrd_sim.current import LAWS, lagged_current
 from mrd_sim.damper import Damper
-from mrd_sim.dual import STEP
+from mrd_sim.dual_type import along
 from mrd_sim.hysteresis import advance
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.models.modified_bouc_wen import travel_of_element
@@ -93,10 +93,8 @@ def test_finite_over_the_whole_bounds_box(name, examples, seed):
     path = make_path(*examples.two_tones(**examples.motion(rng)))
     force = model.force(theta, path)
     assert np.isfinite(force).all()
-    dual = theta.astype(complex)
-    dual[rng.integers(len(theta))] += 1j * STEP
-    with_derivative = model.force(dual, path)
-    assert np.isfinite(with_derivative.imag).all()
+    with_derivative = model.force(along(theta, np.arange(len(theta)) == rng.integers(len(theta))), path)
+    assert np.isfinite(with_derivative.derivatives).all()
     assert np.allclose(with_derivative.real, force, rtol=0, atol=TINY * (1 + np.max(np.abs(force))))
 
 
@@ -111,7 +109,7 @@ def test_derivatives_agree_with_central_differences(name, examples, seed):
     for index, parameter in enumerate(model.parameters):
         direction = np.zeros(len(theta))
         direction[index] = theta[index] if parameter.log else parameter.upper - parameter.lower
-        found = model.force(theta + 1j * STEP * direction, path).imag / STEP
+        found = model.force(along(theta, direction), path).derivatives[:, 0]
 
         def error(step, direction=direction, found=found):
             difference = model.force(theta + step * direction, path) - model.force(theta - step * direction, path)
@@ -130,13 +128,13 @@ def test_linear_part_and_rest_make_the_force(name, examples, seed):
     rng = np.random.default_rng(seed)
     model, theta = damper(examples, rng, model)
     path = make_path(*examples.two_tones(**examples.motion(rng)))
-    columns, rest = model.regressors(theta, path)
+    ((columns, rest),) = model.regressors(theta[None], path)
     terms = columns * theta[model.linear]
     size = np.abs(terms).sum(axis=1) + np.abs(rest)
     assert np.all(np.abs(terms.sum(axis=1) + rest - model.force(theta, path)) <= TINY * (1 + np.max(size)))
     other = theta.copy()
     other[model.linear] = 0.0
-    again, rest_again = model.regressors(other, path)
+    ((again, rest_again),) = model.regressors(other[None], path)
     assert np.array_equal(again, columns)
     assert np.array_equal(rest_again, rest)
 
@@ -481,10 +479,12 @@ def test_lagged_current_follows_an_exponential():
     time = np.arange(0, 0.05, 1e-3)
     current = np.where(time > 0, 1.0, 0.0)
     dt = np.diff(time, prepend=0.0)
-    effective = lagged_current(0.005, np.zeros(2), dt, current)
+    effective, prompt = np.empty((2, len(dt)))
+    lagged_current(np.array([0.005]), np.zeros(2), dt, current, effective)
+    lagged_current(np.array([0.0]), np.zeros(2), dt, current, prompt)
     # The step is a ramp over the first sample: its mean delay is half a sample.
     assert np.allclose(effective[5:], 1 - np.exp(-(time[5:] - 0.5e-3) / 0.005), atol=2e-3)
-    assert np.allclose(lagged_current(0.0, np.zeros(2), dt, current), current)
+    assert np.allclose(prompt, current)
 
 
 def test_wrong_names_and_values_are_one_line():

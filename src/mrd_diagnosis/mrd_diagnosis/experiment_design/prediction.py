@@ -11,7 +11,8 @@ from mrd_diagnosis.refit import Refit
 from mrd_diagnosis.weighting import WeightedProblem
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.recording import Recording
-from mrd_sim.models import DamperModel, SeriesSolutions
+from mrd_sim.dual_type import columns_of, like
+from mrd_sim.models import DamperModel
 from mrd_sim.path import Path
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ class StateAfterRuns:
         """Return the state (states,) for parameters (parameters,)."""
         key = theta.tobytes()
         if key not in self._states:
-            state = self.model.initial_state(self.recordings[0].path).astype(theta.dtype)
+            state = like(theta, self.model.initial_state(self.recordings[0].path))
             for run, recording in enumerate(self.recordings):
                 state = self.model.next_state(state, recording.path) if run else state
                 self.model.force(theta, recording.path, state)
@@ -94,12 +95,12 @@ class Explanation:
         """Whether the other explanation is the same damper model with more effects."""
         return self.problem.model.id == other.problem.model.id and self.effects < other.effects
 
-    def force(self, theta: Array, path: Path, solutions: SeriesSolutions | None = None) -> Array:
+    def force(self, theta: Array, path: Path) -> Array:
         """Return the force (n,) in N in a run after the recorded ones."""
         model = self.problem.model
         if not any(effect.outlasts_run for effect in model.effects):
-            return model.force(theta, path, solutions=solutions)
-        return model.force(theta, path, model.next_state(self.state_after_runs(theta), path), solutions)
+            return model.force(theta, path)
+        return model.force(theta, path, model.next_state(self.state_after_runs(theta), path))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,9 +109,9 @@ class UpdatedProblem(WeightedProblem):
 
     explanation: Explanation
 
-    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force (n,) in N of the further run."""
-        return self.explanation.force(theta, self.recordings[0].path, solutions)
+    def forces(self, theta: Array) -> Array:
+        """Return the modelled force (n,) in N of the further run, or with its derivatives (n, 1 + lanes)."""
+        return columns_of(self.explanation.force(theta, self.recordings[0].path))
 
     def residuals(self, theta: Array) -> Array:
         """Return the white residuals of the further run, and those that stand for the recorded runs."""

@@ -19,8 +19,8 @@ from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_identification.uncertainty import LEAST_DEGREES_OF_FREEDOM, normal_inverse
 from mrd_runs import Run
-from mrd_sim.dual import STEP
-from mrd_sim.models import DamperModel, Parameter, SeriesSolutions, find_model
+from mrd_sim.dual_type import along, columns_of
+from mrd_sim.models import DamperModel, Parameter, find_model
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -61,29 +61,26 @@ class DatedProblem(Problem):
         parameters = (*self.model.parameters, *[self.model.parameters[self.followed]] * self.dates)
         return tuple(parameters[index] for index in self.free)
 
-    def modelled(self, theta: Array, index: int, solutions: SeriesSolutions | None = None) -> Array:
-        """Return the modelled force in N at the counted samples of one recording.
-
-        ``solutions`` is as in `mrd_sim.models.DamperModel.force`.
-        """
+    def modelled(self, theta: Array, index: int) -> Array:
+        """Return the modelled force in N at the counted samples of one recording."""
         theta_of_run = theta[: len(self.model.parameters)].copy()
         theta_of_run[self.followed] = theta[len(theta_of_run) + self.date_index[index]]
         recording = self.recordings[index]
-        force = self.model.force(theta_of_run, recording.path, solutions=solutions)
-        return recording.as_recorded(force)[recording.counted]
+        force = self.model.force(theta_of_run, recording.path)
+        return recording.as_recorded(columns_of(force))[recording.counted]
 
-    def forces(self, theta: Array, solutions: SeriesSolutions | None = None) -> Array:
+    def forces(self, theta: Array) -> Array:
         """Return the modelled force in N over all counted samples."""
-        return np.concatenate([self.modelled(theta, index, solutions) for index in range(len(self.recordings))])
+        return np.concatenate([self.modelled(theta, index) for index in range(len(self.recordings))])
 
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return exact derivatives (samples, indices) of the residuals by the unit coordinates, all or some of them."""
         common = super().jacobian(unit, range(len(self.free) - self.dates))
         theta = self.theta(unit)
-        shifted = theta.astype(complex)
-        shifted[-self.dates :] += 1j * STEP * self.scale(theta)[-self.dates :]
         # A run depends on the value at its own date only, so one evaluation gives the derivatives by all dates.
-        derivative = self.forces(shifted).imag / STEP
+        direction = np.zeros(len(theta))
+        direction[-self.dates :] = self.scale(theta)[-self.dates :]
+        derivative = self.forces(along(theta, direction))[:, 1]
         date = np.repeat(self.date_index, [len(recording.force) for recording in self.recordings])
         dated = [self.counted(np.where(date == d, derivative, 0.0)) for d in range(self.dates)]
         jacobian = np.column_stack([common, *dated])

@@ -75,7 +75,7 @@ $functions
 ${series}static double vertex(${p}_state *s, double dt, double x, double v, double a, double current)
 {
     double effective, q[COEFFICIENTS], force = 0.0;
-$before    $lag(1, s->parameters[${P}_COIL_LAG], s->inner, &dt, &current, &effective);
+$before    $lag(1, s->parameters + ${P}_COIL_LAG, s->inner, &dt, &current, &effective);
     $laws(1, s->parameters, codes, columns, floors, &effective, q);
     $damper
 $after    return force;

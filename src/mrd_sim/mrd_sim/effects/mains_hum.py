@@ -28,7 +28,7 @@ def _apply(parameters: Array, state: Array, dt: Array, x: Array, v: Array, a: Ar
     # The state holds the time and, for each line of the mains, its frequency, the recorded deviation and phase.
     time, nearest = state[0], 1
     for line in range(1, _STATES, 3):
-        if abs(p.frequency - state[line]) < abs(p.frequency - state[nearest]):
+        if abs((p.frequency - state[line]).real) < abs((p.frequency - state[nearest]).real):
             nearest = line
     frequency, start = p.frequency + state[nearest + 1], state[nearest + 2]
     for k in range(len(force)):

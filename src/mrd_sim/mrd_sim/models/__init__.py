@@ -10,7 +10,7 @@ from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.effects import find_effects
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.models.loading import read_models
-from mrd_sim.models.model import DamperModel, SeriesSolutions
+from mrd_sim.models.model import DamperModel
 from mrd_sim.parameter import Parameter
 
 MODELS: dict[str, DamperModel] = {
@@ -81,13 +81,4 @@ def load_models(folder: str | Path) -> tuple[DamperModel, ...]:
     return tuple(loaded.values())
 
 
-__all__ = [
-    "MODELS",
-    "MODEL_FOLDERS",
-    "Coefficient",
-    "DamperModel",
-    "Parameter",
-    "SeriesSolutions",
-    "find_model",
-    "load_models",
-]
+__all__ = ["MODELS", "MODEL_FOLDERS", "Coefficient", "DamperModel", "Parameter", "find_model", "load_models"]

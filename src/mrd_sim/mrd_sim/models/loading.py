@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_sim.dual import STEP
+from mrd_sim.dual_type import LANES, as_duals
 from mrd_sim.effects.loading import files_that_assign, import_from, in_one_line
 from mrd_sim.models.model import DamperModel
 from mrd_sim.path import make_path
@@ -80,14 +80,16 @@ def missing_property(model: DamperModel) -> str:
         force = model.force(theta, path)
         if not np.isfinite(force).all():
             return f"the force is not finite at the parameters' {name} values; change the bounds or the equation"
-        for place, parameter in enumerate(model.parameters):
-            dual = theta.astype(complex)
-            dual[place] += 1j * STEP
-            found = model.force(dual, path)
+        for first in range(0, len(theta), LANES):
+            moved = as_duals(theta)
+            for lane, place in enumerate(range(first, min(first + LANES, len(theta)))):
+                moved.derivatives[place, lane] = 1.0
+            found = as_duals(model.force(moved, path))
             if not np.allclose(found.real, force, rtol=0, atol=TINY * (1 + np.abs(force).max())):
                 return "the force differs with a derivative; compare numbers by their .real"
-            if not np.isfinite(found.imag).all():
-                return f"the derivative to {parameter.name} is not finite at the {name} values; use mrd_sim.dual"
+            for parameter, derivative in zip(model.parameters[first : first + LANES], found.derivatives.T, strict=False):
+                if not np.isfinite(derivative).all():
+                    return f"the derivative to {parameter.name} is not finite at the {name} values; use mrd_sim.dual"
     force = model.force(model.defaults, path)
     return _claims(model, force, (time, x, v, a))
 

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_runs.scales import REFERENCE, Scales
 from mrd_sim.current import LAWS, evaluate_coefficients, lagged_current, slope_factors
+from mrd_sim.dual_type import LANES, Duals, empty_duals, like
 from mrd_sim.effects.effect import Effect, Stage
+from mrd_sim.lanes import CANDIDATES, force_in_lanes, runs_in_lanes
 from mrd_sim.models.coefficient import Coefficient
 from mrd_sim.parameter import Parameter
 from mrd_sim.path import Path
-from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, derivatives_in_series, first_class, force_in_series
+from mrd_sim.series_elements import MOST_IN_SERIES, MOST_PARAMETERS, addresses, derivatives_in_series, force_in_series
 
 Array = NDArray[np.float64]
 Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
@@ -24,13 +26,11 @@ Kernel = Callable[[Any, Any, Any, Any, Any, Any, Any], None]
 NO_FLOOR = -1e300
 """Stands for the least value of a coefficient that has none: a finite number, as C code needs one."""
 
-SeriesSolutions = dict[int, tuple[tuple[bytes, bytes], Array, Array]]
-"""Solutions of a damper with elements in series, by the identity of the path.
+ALL = slice(None)
+"""All samples of a path."""
 
-Each holds the parameters and the initial state that it belongs to, the force, and the derivatives over the force. Such a
-dictionary serves one evaluation of derivatives, and its paths have to exist as long as it does.
-"""
-
+BLOCK = 512
+"""Vertices of which the coefficients with their derivatives are kept at a time: as many as a processor's cache holds."""
 
 COIL_LAG = Parameter(
     "coil_lag",
@@ -263,7 +263,7 @@ class DamperModel:
         path : Path
             The path to come.
         """
-        following = self.initial_state(path).astype(state.dtype)
+        following = like(state, self.initial_state(path))
         for effect, part in zip(self.effects, self.effect_states, strict=True):
             if effect.outlasts_run:
                 following[part] = state[part]
@@ -278,83 +278,86 @@ class DamperModel:
         """Return parameters (parameters,) with which the effects change nothing."""
         own = len(self._model_parameters)
         neutral = np.array([parameter.default for parameter in self.parameters[own:]])
-        return np.concatenate([theta[:own], neutral.astype(theta.dtype)])
+        plain = theta.copy()
+        plain[own:] = like(theta, neutral)
+        return plain
 
-    def force(self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None) -> Array:
+    def force(self, theta: Array, path: Path, state: Array | None = None, samples: slice = ALL) -> Array:
         """Return the measured force in N at the samples of a path.
 
         Parameters
         ----------
         theta : ndarray (parameters,)
-            Real, or complex where it carries derivatives (`mrd_sim.dual`). The force is of the same type.
+            Floats, or dual numbers (`mrd_sim.dual_type.Duals`) where it carries derivatives; so is the force.
         path : Path
         state : ndarray, optional
             As from `initial_state`, of the type of ``theta``. Changed in place, so that a following path continues where
             this one ended.
-        solutions : dict, optional
-            See `SeriesSolutions`. A force without derivatives leaves its solution there; the derivatives along the same path
-            and with the same values then need not solve again.
+        samples : slice
+            Samples of the path whose force is returned.
         """
-        return self.forces(theta, path, state, solutions)[1]
+        return self.forces(theta, path, state, samples)[1]
 
-    def forces(
-        self, theta: Array, path: Path, state: Array | None = None, solutions: SeriesSolutions | None = None
-    ) -> tuple[Array, Array]:
+    def forces(self, theta: Array, path: Path, state: Array | None = None, samples: slice = ALL) -> tuple[Array, Array]:
         """Return the force in N on the rod, and the measured force after the effects of sensing; arguments as of `force`."""
         if state is None:
             state = self.initial_state(path)
         if self.follows_force:
             path = path.fine
-        state = np.asarray(state, theta.dtype)
-        start = state.real.tobytes()
-        x, v, a, current = path.position, path.velocity, path.acceleration, path.current
-        force = np.zeros(len(x), theta.dtype)
-        if self.effects:  # effects change the signals in place
-            x, v, a, current = (series.astype(theta.dtype) for series in (x, v, a, current))
+        state = like(theta, state)
+        x, v, a, current, force = (
+            like(theta, series)
+            for series in (path.position, path.velocity, path.acceleration, path.current, np.zeros(len(path.dt)))
+        )
+        if self.effects and theta.dtype == float:  # effects change the signals in place
+            x, v, a, current = (series.copy() for series in (x, v, a, current))
         self._act(("drive", "magnetics"), theta, path, (x, v, a, current, force), state)
-        lag = theta[len(self._model_parameters) - 1]
-        if lag == 0.0 and len(current):
-            current = current.astype(theta.dtype, copy=False)
-            state[:2] = current[-1]
-        else:
-            current = lagged_current(lag, state, path.dt, current)
-        rows = self._coefficients_along(theta, current)
+        current = self._lagged(theta, state, path.dt, current)
         inner = state[2 : 2 + self.states]
-        if self.series_elements:
-            elongations = state[-len(self.series_elements) - 1 :]
-            self._run_in_series(theta, path, start, (elongations, rows.T, inner, path.dt, x, v, a, force), solutions)
-        else:
-            self.kernel(rows, inner, path.dt, x, v, a, force)
+        parameters = self._parameters_in_series(theta)
+        in_blocks = bool(self.series_elements) or isinstance(theta, Duals)
+        for block in _blocks(path.dt) if in_blocks else [ALL]:
+            arguments = inner, path.dt[block], x[block], v[block], a[block], force[block]
+            rows = self._coefficients_along(theta, current[block])
+            if self.series_elements:
+                self._run_in_series(parameters, state[-len(self.series_elements) - 1 :], rows, *arguments)
+            else:
+                self.kernel(rows, *arguments)
         self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
-        on_rod = force[path.samples]
+        on_rod = force[path.samples[samples]]
         if not any(effect.stage == "sensing" for effect in self.effects):
             return on_rod, on_rod
         self._act(("sensing",), theta, path, (x, v, a, current, force), state)
-        return on_rod, force[path.samples]
+        return on_rod, force[path.samples[samples]]
 
-    def _run_in_series(
-        self, theta: Array, path: Path, start: bytes, arguments: tuple[Array, ...], solutions: SeriesSolutions | None
-    ) -> None:
-        """Fill the force of the damper and the elements in series with it; ``start`` is the state at the start of the path.
+    def _lagged(self, theta: Array, state: Array, dt: Array, current: Array) -> Array:
+        """Return the effective current in A behind the coil lag of the model."""
+        place = len(self._model_parameters) - 1
+        if not theta[place : place + 1].view(np.float64).any() and len(current):
+            state[:2] = current[-1]
+            return current
+        effective = np.empty_like(current)
+        lagged_current(theta[place : place + 1], state, dt, current, effective)
+        return effective
 
-        Derivatives need the solution of the equations first. It is the same for the derivatives to all parameters.
-        """
-        parameters = np.stack(
-            [np.resize(theta[part], MOST_PARAMETERS) for part in self._effect_parameters(self.series_elements)]
-        )
-        with_derivatives = np.iscomplexobj(theta)
-        key = theta.real.tobytes(), start
-        known = solutions.get(id(path)) if solutions is not None and with_derivatives else None
-        if known is None or known[0] != key:
-            values = [np.ascontiguousarray(argument.real) for argument in arguments]
-            solved = np.empty((len(path.dt), 2 + self.states))
-            force_in_series(*self._series_functions, parameters.real + 0j, *values, solved)
-            known = key, values[-1].copy(), solved
-            if solutions is not None and not with_derivatives:
-                solutions[id(path)] = known
-        if with_derivatives:
-            arguments[-1][:] = known[1]
-            derivatives_in_series(*self._series_functions, parameters, *arguments, known[2])
+    def _parameters_in_series(self, theta: Array) -> Array:
+        """Return the parameters (elements, `MOST_PARAMETERS`) of the elements in series."""
+        parts = self._effect_parameters(self.series_elements)
+        parameters = like(theta, np.zeros((len(parts), MOST_PARAMETERS)))
+        for row, part in zip(parameters, parts, strict=True):
+            row[: part.stop - part.start] = theta[part]
+        return parameters
+
+    def _run_in_series(self, parameters: Array, elongations: Array, rows: Array, *others: Array) -> None:
+        """Fill the force of the damper and the elements in series with it: values first, then their derivatives."""
+        solved = np.empty((len(rows), 2 + self.states))
+        if not isinstance(parameters, Duals):
+            force_in_series(self._functions(1), parameters, elongations, rows.T, *others, solved)
+            return
+        values = [np.ascontiguousarray(argument.real) for argument in (elongations, rows.T, *others)]
+        force_in_series(self._functions(1), parameters.real, *values, solved)
+        others[-1].real[:] = values[-1]
+        derivatives_in_series(self._functions(LANES), parameters, elongations, rows, *others, solved)
 
     @cached_property
     def follows_force(self) -> bool:
@@ -366,10 +369,16 @@ class DamperModel:
         """Effects that are elements in series with the damper; with any, its force is the root of an equation."""
         return tuple(effect for effect in self.effects if effect.elongation is not None)
 
+    def _functions(self, lanes: int) -> NDArray[np.intp]:
+        """Return the addresses of the kernel and of the elongations of the elements in series."""
+        if lanes not in self._addresses:
+            elongations = [effect.elongation for effect in self.series_elements]
+            self._addresses[lanes] = addresses(self.kernel, elongations, lanes)
+        return self._addresses[lanes]
+
     @cached_property
-    def _series_functions(self) -> tuple[Any, ...]:
-        """The kernel and the elongations of the elements in series, as compiled functions take them."""
-        return first_class(self.kernel, [effect.elongation for effect in self.series_elements])
+    def _addresses(self) -> dict[int, NDArray[np.intp]]:
+        return {}
 
     @cached_property
     def effect_states(self) -> tuple[slice, ...]:
@@ -398,14 +407,35 @@ class DamperModel:
                         acting = path.dt, *signals
                     effect.kernel(theta[parameters], state[states], *acting)
 
-    def regressors(self, theta: Array, path: Path) -> tuple[Array, Array]:
-        """Return the force's linear part and the rest: ``force = columns @ theta[linear] + rest``.
+    def forces_of(self, thetas: Array, path: Path, samples: slice = ALL) -> Array:
+        """Return the measured force (candidates, samples) in N of candidates (candidates, parameters) from rest.
+
+        Several at a time where the model `mrd_sim.lanes.runs_in_lanes`.
+        """
+        if not self.runs_in_lanes or len(thetas) < 2:
+            return np.stack([self.force(theta, path, samples=samples) for theta in thetas])
+        filled = np.concatenate([thetas, np.repeat(thetas[-1:], -len(thetas) % CANDIDATES, axis=0)])
+        laws = self.law_codes, self.law_columns, self.floors
+        chosen = path.samples[samples]
+        groups = filled.reshape(-1, CANDIDATES, filled.shape[1])
+        forces = [force_in_lanes(self.kernel, self.states, group, laws, path, chosen) for group in groups]
+        return (forces[0] if len(forces) == 1 else np.concatenate(forces))[: len(thetas)]
+
+    @cached_property
+    def runs_in_lanes(self) -> bool:
+        """Whether candidates are evaluated several at a time."""
+        return not self.effects and runs_in_lanes(self.kernel)
+
+    def regressors(self, thetas: Array, path: Path, samples: slice = ALL) -> list[tuple[Array, Array]]:
+        """Return the force's linear part and the rest of candidates: ``force = columns @ theta[linear] + rest``.
 
         Parameters
         ----------
-        theta : ndarray (parameters,)
-            Its linear parameters do not matter.
+        thetas : ndarray (candidates, parameters)
+            Their linear parameters do not matter.
         path : Path
+        samples : slice
+            Samples of the path that are wanted.
 
         Returns
         -------
@@ -413,36 +443,37 @@ class DamperModel:
         rest : ndarray (samples,)
             Part of the force in N that no linear parameter multiplies.
         """
-        state = self.initial_state(path)
-        current = lagged_current(theta[-1], state, path.dt, path.current)
-        rows = self._coefficients_along(theta, current)
+        without = thetas.copy()
+        without[:, self.linear] = 0.0
+        chosen = path.samples[samples]
+        rests = self.forces_of(without, path, samples) if self._has_rest else np.zeros((len(thetas), len(chosen)))
+        multiplied = {"x": path.position[chosen], "v": path.velocity[chosen], "1": np.ones(len(chosen))}
+        bases: dict[int, Array] = {}
         for j, coefficient in enumerate(self.coefficients):
-            if coefficient.multiplies:
-                rows[:, j] = 0.0
-        rest = self._run(rows, path)[path.samples] if self._has_rest else np.zeros(len(path.samples))
-        current = current[path.samples]
-        multiplied = {"x": path.position, "v": path.velocity, "1": np.ones_like(path.position)}
-        columns = np.empty((len(path.samples), len(self.linear)), order="F")
-        filled = 0
-        for j, coefficient in enumerate(self.coefficients):
-            if not coefficient.multiplies:
-                continue
             if coefficient.multiplies == "term":
-                rows[:, j] = 1.0
-                base = self._run(rows, path)[path.samples] - rest
-                rows[:, j] = 0.0
-            else:
-                base = multiplied[coefficient.multiplies][path.samples]
-            columns[:, filled] = base
-            filled += 1
-            if coefficient.code:
-                third = theta[self.law_columns[j, 2]] if self.law_columns[j, 2] >= 0 else 0.0
-                columns[:, filled] = base * slope_factors(coefficient.code, third, current)
+                alone = without.copy()
+                alone[:, self.law_columns[j, 0]] = 1.0
+                bases[j] = self.forces_of(alone, path, samples) - rests
+            elif coefficient.multiplies:
+                bases[j] = np.broadcast_to(multiplied[coefficient.multiplies], rests.shape)
+        found = []
+        for candidate, (theta, rest) in enumerate(zip(thetas, rests, strict=True)):
+            current = self._lagged(theta, self.initial_state(path), path.dt, path.current)[chosen]
+            columns = np.empty((len(chosen), len(self.linear)), order="F")
+            filled = 0
+            for j, of_candidates in bases.items():
+                base, code = of_candidates[candidate], self.coefficients[j].code
+                columns[:, filled] = base
                 filled += 1
-            if coefficient.code == 2:
-                columns[:, filled] = base * current**2
-                filled += 1
-        return columns, rest
+                if code:
+                    third = theta[self.law_columns[j, 2]] if self.law_columns[j, 2] >= 0 else 0.0
+                    np.multiply(base, slope_factors(code, third, current), out=columns[:, filled])
+                    filled += 1
+                if code == 2:
+                    np.multiply(base, current**2, out=columns[:, filled])
+                    filled += 1
+            found.append((columns, rest))
+        return found
 
     @cached_property
     def _has_rest(self) -> bool:
@@ -455,7 +486,8 @@ class DamperModel:
 
     def _coefficients_along(self, theta: Array, current: Array) -> Array:
         """Coefficients (m, coefficients) along the effective current."""
-        rows = np.empty((len(current), len(self.coefficients)), theta.dtype, order="F")
+        shape = len(current), len(self.coefficients)
+        rows = empty_duals(shape) if isinstance(theta, Duals) else np.empty(shape, order="F")
         evaluate_coefficients(theta, self.law_codes, self.law_columns, self.floors, current, rows)
         return rows
 
@@ -464,3 +496,9 @@ class DamperModel:
         force = np.empty(len(rows), rows.dtype)
         self.kernel(rows, np.zeros(self.states, rows.dtype), path.dt, path.position, path.velocity, path.acceleration, force)
         return force
+
+
+def _blocks(dt: Array) -> list[slice]:
+    """Return the blocks of vertices, of which none but the first begins a path; see `BLOCK`."""
+    edges = [0, *np.flatnonzero(dt)[BLOCK - 1 :: BLOCK].tolist(), len(dt)]
+    return [slice(first, last) for first, last in pairwise(edges)]
