@@ -77,16 +77,17 @@ def imitations(effect: str, refits: Mapping[str, Refit]) -> dict[str, float]:
 def level_of(effect: str, members: tuple[Member, ...], chances: Mapping[str, float]) -> Level:
     """Return what can be said of a cause: the effect, its class, its stage, or nothing.
 
-    The effect is named where it is alone in its class or clearly the likeliest one of it; the class where it is more likely
-    than not; the stage where the effects that act in it are.
+    The effect is named where it is alone in its class or clearly the likeliest one of it; the class where it is likelier
+    than all other effects together; the stage where the effects that act in it are.
     """
     of_class = sum(member.probability for member in members)
-    if of_class >= THRESHOLDS.named_support:
+    needed = THRESHOLDS.named_support * sum(chance for name, chance in chances.items() if name)
+    if of_class >= needed:
         clear = members[0].probability >= THRESHOLDS.named_probability * of_class
         return "effect" if clear else "class"
     stage = EFFECTS[effect].stage
     of_stage = sum(chance for name, chance in chances.items() if name in EFFECTS and EFFECTS[name].stage == stage)
-    return "stage" if of_stage >= THRESHOLDS.named_support else "undecided"
+    return "stage" if of_stage >= needed else "undecided"
 
 
 def class_name(effects: Sequence[str]) -> str:

@@ -57,9 +57,10 @@ def probabilities_in_place(refits: Mapping[str, Refit], support: float, rng: np.
 
 
 def leads(effect: str, chances: Mapping[str, float], members: Sequence[Member]) -> bool:
-    """Whether an effect is the most probable one in its place, and it or its class more likely than not."""
+    """Whether an effect is the most probable one in its place, and it or its class likelier than all others together."""
     of_class = sum(member.probability for member in members)
-    return max(chances, key=chances.__getitem__) == effect and of_class >= THRESHOLDS.named_support
+    likely = of_class >= THRESHOLDS.named_support * sum(chances.values())
+    return max(chances, key=chances.__getitem__) == effect and likely
 
 
 def holds_in_halves(without: Refit, with_effect: Refit) -> bool:

@@ -19,7 +19,7 @@ from mrd_diagnosis.held_cause import holds_in_halves, leads, with_effects
 from mrd_diagnosis.limitations import contains
 from mrd_diagnosis.model_comparison import MOST_ALTERNATIVES, NO_EFFECT
 from mrd_diagnosis.refit import Refit, refit_on
-from mrd_diagnosis.statistics import error_dispersion, probabilities
+from mrd_diagnosis.statistics import effect_parameters, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.weighting import Weighting
 from mrd_sim.effects import EFFECTS
@@ -100,10 +100,10 @@ def select_effects(
     complete = with_effects(weighting, forms[0], present, values)
     beside, plain = with_form_remainder(weighting, forms[0])
     freed = with_effects(beside, plain, present, values)
-    return [found for found in selected if keeps_its_size(beside, freed, complete, found.effect)]
+    return [found for found in selected if keeps_its_size(freed, complete, found.effect)]
 
 
-def keeps_its_size(weighting: Weighting, freed: Refit, complete: Refit, effect: str) -> bool:
+def keeps_its_size(freed: Refit, complete: Refit, effect: str) -> bool:
     """Whether an effect has beside the form remainder about the size that it has without one.
 
     The remainder takes most of what many effects do, but what it leaves of a mechanism has the size of the whole. What
@@ -111,27 +111,17 @@ def keeps_its_size(weighting: Weighting, freed: Refit, complete: Refit, effect: 
 
     Parameters
     ----------
-    weighting : Weighting
-        With the remainder.
     freed, complete : Refit
         The form with the effects, beside the remainder and without it.
     effect : str
         Id of one of the effects.
     """
-    model, theta = freed.problem.model, freed.theta.copy()
-    places = [index for index, name in enumerate(model.names) if name.startswith(f"{effect}.")]
-    theta[places] = [complete.values[model.names[place]] for place in places]
-    neutral = theta.copy()
-    neutral[places] = model.without_effects(theta)[places]
-    problem = weighting.problem(model, theta)
-    with_effect, without = problem.residuals(theta), problem.residuals(neutral)
-    change = with_effect - without
-    information = float(change @ change)
-    if not 0.0 < information < np.inf:
-        return False
-    size = -float(change @ without) / information
-    deviation = float(np.sqrt(error_dispersion(without) / information))
-    return size + 2.0 * deviation >= THRESHOLDS.least_size_beside_remainder
+    first = EFFECTS[effect].parameters[0]
+    name, neutral = f"{effect}.{first.name}", first.default
+    size = complete.values[name] - neutral
+    beside = effect_parameters(freed)[name].value
+    largest = max((end - neutral) / size for end in (beside.lower, beside.upper)) if size else 0.0
+    return largest >= THRESHOLDS.least_size_beside_remainder
 
 
 def _search(
@@ -210,6 +200,8 @@ def _judge(effect: str, table: Sequence[Hypothesis], rng: np.random.Generator) -
         return None
     members = class_of(lead, around_first, chances)
     of_effects = {name: chance for name, chance in chances.items() if name != NO_EFFECT}
+    if sum(of_effects.values()) < THRESHOLDS.named_support:
+        return None
     if not leads(lead, of_effects, members) or not _helps_most_forms(table, {member.effect for member in members}):
         return None
     return Selected(lead, of_effects, members, around_first[NO_EFFECT], around_first[lead])

@@ -74,8 +74,7 @@ class Thresholds:
     least_size_beside_remainder: float = threshold(
         0.7,
         "of the effect's size",
-        "size that an effect has at least beside the form remainder, within two standard deviations, to be named beside a "
-        "wrong form",
+        "size that an effect has at least beside the form remainder, within its interval, to be named beside a wrong form",
         "convention",
     )
     form_effect_energy: float = threshold(

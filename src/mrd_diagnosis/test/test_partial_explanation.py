@@ -148,7 +148,8 @@ def test_at_one_speed_a_cause_is_named_beside_a_wrong_form(play, named):
         (cause,) = diagnosis.causes
         assert diagnosis.verdict == "partly_explained"
         assert cause.effect in ("joint_play", "backlash")
-        assert cause.parameters[f"{cause.effect}.play"].value.value == pytest.approx(play, rel=0.1)
+        # A damper model of another form takes up a part of the play.
+        assert cause.parameters[f"{cause.effect}.play"].value.value == pytest.approx(play, rel=0.3)
 
 
 @pytest.fixture(scope="module")
