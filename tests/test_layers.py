@@ -75,6 +75,7 @@ WITHOUT_ROSDEP_KEY = {
     "uvicorn",
     "distributed",
     "numba",
+    "llvmlite",
     "pymoo",
     "rosbags",
     "zstandard",

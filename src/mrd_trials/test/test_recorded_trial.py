@@ -158,7 +158,9 @@ def test_the_families_alter_other_recordings_by_other_strengths(recordings):
 
 def cause_of(effect, probability):
     interval = SimpleNamespace(value=0.5, lower=0.4, upper=0.6)
-    return SimpleNamespace(effect=effect, probability=probability, closed_fraction=interval, parameters={})
+    return SimpleNamespace(
+        effect=effect, probability=probability, closed_fraction=interval, parameters={}, level="effect", members=()
+    )
 
 
 def stand_in(runs, model, *, effects=(), bench=None, seed=0, reference=()):

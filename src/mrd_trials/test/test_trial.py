@@ -42,6 +42,6 @@ def test_verdicts_on_a_small_trial_are_no_worse_than_before(tmp_path):
     score = score_trial({plant: answers[plant] for plant in few}, few, evaluate_trial(folder, answers, few, output))
     rich = score.by_excitation["rich"]
     assert rich.relative_closure.median > 0.9
-    assert rich.maps.overlap.median > 0.7
+    assert rich.maps.overlap.median > 0.6
     assert "Goals" in markdown_tables(score)
     assert write_score_report(score, output).stat().st_size > 10_000
