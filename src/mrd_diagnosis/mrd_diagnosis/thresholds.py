@@ -93,8 +93,8 @@ class Thresholds:
     named_support: float = threshold(
         0.5,
         "",
-        "probability from which it is likelier that effects are missing than that none is, and share of their probability from "
-        "which an effect or its class is named",
+        "probability from which it is likelier that effects are missing than that none is, and share of their probability "
+        "from which an effect or its class is named",
         "measured recordings with known errors, seed 53",
     )
     least_imitation: float = threshold(
