@@ -26,15 +26,11 @@ FIRST_EFFECTS_TRIED = 2
 BEST_SCORES = 8
 """Effects that are fitted beside another one because of their score."""
 
-QUICK_SINGLES, QUICK_SCORES = 12, 4
-"""Effects that are fitted because of their score in a quick search: by themselves, and beside another one."""
-
 BEST_SINGLES = 3
 """Effects that are fitted beside another one because they were the best by themselves, whatever their score."""
 
 ROUGHLY_CONVERGED = 1e-4
-"""Relative decrease of the cost at which a fit beside another effect, or in a quick search, ends. The chosen one is
-refitted."""
+"""Relative decrease of the cost at which a fit beside another effect ends. The chosen one is refitted."""
 
 LEAST_START_FACTOR = 0.03
 """Share of an effect's start value at which its fit starts at least: from zero, the derivatives to its other parameters
@@ -89,7 +85,6 @@ def search_effects(
     effects: Sequence[str],
     null_errors: Sequence[Array] = (),
     progress: Progress = lambda _fraction: None,
-    quick: bool = False,
 ) -> tuple[list[EffectFit], list[EffectFit]]:
     """Find the effects that lower the error on held-out folds most when they are added to the model one after the other.
 
@@ -104,8 +99,6 @@ def search_effects(
         See `mrd_diagnosis.refit.refit`.
     progress : callable
         Called with the fraction of the work that is done.
-    quick : bool
-        Whether it is enough to know which effects help: fits are rougher, and fewer are tried beside another one.
 
     Returns
     -------
@@ -118,10 +111,9 @@ def search_effects(
         weighting,
         BaseFit.linearise(weighting, base),
         effects,
-        QUICK_SINGLES if quick else len(effects),
+        len(effects),
         progress=lambda fraction: progress(0.6 * fraction),
         null_errors=null_errors,
-        converged=ROUGHLY_CONVERGED if quick else CONVERGED,
     )
     fits = list(singles)
     by_itself = {fit.effects[0]: fit.refit for fit in sorted(singles, key=lambda fit: fit.refit.held_out_cost)}
@@ -143,7 +135,7 @@ def search_effects(
         within_tolerance = excess <= tolerated_excess(base)
         if within_tolerance and (excess <= THRESHOLDS.least_gain_within_tolerance or len(chosen) > 1):
             break
-        try_several = not quick and len(chosen) == 1 and not within_tolerance and not EFFECTS[best.effects[0]].structural
+        try_several = len(chosen) == 1 and not within_tolerance and not EFFECTS[best.effects[0]].structural
         leads = frontier[: FIRST_EFFECTS_TRIED if try_several else 1]
         refitted = [before, *(refit_on(weighting, lead.refit) for lead in leads[1:])]
         extended = [
@@ -153,7 +145,7 @@ def search_effects(
                 weighting,
                 BaseFit.linearise(weighting, refit_of_lead),
                 [e for e in effects if e not in lead.effects],
-                QUICK_SCORES if quick else BEST_SCORES,
+                BEST_SCORES,
                 by_itself,
                 present=lead.effects,
                 converged=ROUGHLY_CONVERGED,

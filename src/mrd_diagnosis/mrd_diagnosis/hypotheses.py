@@ -17,7 +17,7 @@ from mrd_diagnosis.effect_search import BEST_SCORES, MOST_CAUSES, ROUGHLY_CONVER
 from mrd_diagnosis.form_remainder import with_form_remainder
 from mrd_diagnosis.held_cause import holds_in_halves, leads, with_effects
 from mrd_diagnosis.limitations import contains
-from mrd_diagnosis.model_comparison import MOST_ALTERNATIVES, NO_EFFECT
+from mrd_diagnosis.model_comparison import MOST_ALTERNATIVES, NO_EFFECT, refit_in_its_place
 from mrd_diagnosis.refit import Refit, refit_on
 from mrd_diagnosis.statistics import effect_parameters, probabilities
 from mrd_diagnosis.thresholds import THRESHOLDS
@@ -166,15 +166,7 @@ def fit_table(weighting: Weighting, bases: Sequence[Refit], effects: Sequence[st
     table = []
     for base in bases:
         asked = [effect for effect in effects if not contains(base.problem.model, effect)]
-        fits = refit_with_effects(
-            weighting,
-            BaseFit.linearise(weighting, base),
-            asked,
-            len(asked),
-            present=base.effects,
-            converged=ROUGHLY_CONVERGED,
-        )
-        refits = {NO_EFFECT: base} | {fit.effects[-1]: fit.refit for fit in fits}
+        refits = {NO_EFFECT: base} | refit_in_its_place(weighting, base, asked, ROUGHLY_CONVERGED)
         table += [Hypothesis(base.problem.model.id, effect, refitted) for effect, refitted in refits.items()]
     return table
 

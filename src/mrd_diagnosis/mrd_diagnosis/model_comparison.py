@@ -10,7 +10,7 @@ import numpy as np
 from mrd_diagnosis.base_fit import BaseFit, without_effect
 from mrd_diagnosis.effect_search import EffectFit, is_improvement, refit_with_effects
 from mrd_diagnosis.noise_model import estimate_noise
-from mrd_diagnosis.refit import Refit, refit, refit_on
+from mrd_diagnosis.refit import CONVERGED, Refit, refit, refit_on
 from mrd_diagnosis.weighting import RunScatter, Weighting, usual_run_scatter
 from mrd_identification.parallel import in_threads
 from mrd_sim.effects import EFFECTS
@@ -151,9 +151,12 @@ def refit_without(weighting: Weighting, refitted: Refit, effect: str) -> Refit:
     return refit(weighting.problem(model, theta), theta, weighting.folds)
 
 
-def refit_in_its_place(weighting: Weighting, without: Refit, others: Sequence[str]) -> dict[str, Refit]:
+def refit_in_its_place(
+    weighting: Weighting, without: Refit, others: Sequence[str], converged: float = CONVERGED
+) -> dict[str, Refit]:
     """Return the refits of a model ``without`` an effect with each of the ``others`` in its place, by name."""
-    fits = refit_with_effects(weighting, BaseFit.linearise(weighting, without), others, len(others))
+    base = BaseFit.linearise(weighting, without)
+    fits = refit_with_effects(weighting, base, others, len(others), converged=converged)
     return {fit.effects[-1]: fit.refit for fit in fits}
 
 

@@ -64,17 +64,10 @@ def explain_in_part(
     lacking = lacking_effects(comparison)
     alone = comparison.chain[len(lacking) - 1] if lacking else comparison.base
     forms = weighted_forms(alone, other_models)
-    form = forms[0][0]
-    best_first = sorted([alone, *other_models], key=lambda other: other.held_out_cost)
-
-    def all_but(own: Refit) -> list[Refit]:
-        return [other for other in best_first if other is not own]
-
+    form = forms[0]
     contained = [effect for effect in effects if contains(form.problem.model, effect)]
     tried = [effect for effect in effects if effect not in (*lacking, *contained)]
-    selected = select_effects(
-        weighting, [refitted for refitted, _ in forms], tried, rng, lambda fraction: progress(0.8 * fraction)
-    )
+    selected = select_effects(weighting, forms, tried, rng, lambda fraction: progress(0.8 * fraction))
     causes = {found.effect: _held(found, comparison, null_gains, rng) for found in selected}
     values = alone.values | (selected[-1].fitted.values if selected else {})
     explained = with_effects(weighting, form, list(causes), values)
@@ -87,7 +80,15 @@ def explain_in_part(
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
         lacked += [effect for effect in comparison.effects if effect in tried and effect not in causes]
         of_form_causes, explained = name_form_causes(
-            comparison, explained, best_cost, lacked, [*tried, *lacked], all_but(alone), null_gains, rng, complete=True
+            comparison,
+            explained,
+            best_cost,
+            lacked,
+            [*tried, *lacked],
+            sorted(other_models, key=lambda other: other.held_out_cost),
+            null_gains,
+            rng,
+            complete=True,
         )
         causes, values = causes | of_form_causes, values | explained.values
     remainder = with_form_remainder(weighting, alone)[0].remainder

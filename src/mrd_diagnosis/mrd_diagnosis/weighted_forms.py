@@ -1,4 +1,4 @@
-"""The damper models around which causes are judged, weighted by what they add to the prediction."""
+"""The damper models around which causes are judged: those that add most to the prediction."""
 
 from collections.abc import Sequence
 
@@ -15,8 +15,8 @@ MOST_FORMS = 3
 """Damper models around which a cause is judged."""
 
 
-def weighted_forms(own: Refit, others: Sequence[Refit]) -> list[tuple[Refit, float]]:
-    """Return the damper models that count most with their weights; first the one around which causes are searched.
+def weighted_forms(own: Refit, others: Sequence[Refit]) -> list[Refit]:
+    """Return the damper models with the largest weights; first the one around which causes are searched.
 
     Of refits of one model with more or less freedom, the best counts. Among the models that predict about as well as the
     best, the first is the one with the largest weight: another one may err in the same places and in more. The user's
@@ -38,8 +38,7 @@ def weighted_forms(own: Refit, others: Sequence[Refit]) -> list[tuple[Refit, flo
 
     first = min(range(len(forms)), key=rank)
     counted = sorted(range(len(forms)), key=lambda index: (index != first, -weights[index]))[:MOST_FORMS]
-    total = weights[counted].sum()
-    return [(forms[index], float(weights[index] / total)) for index in counted]
+    return [forms[index] for index in counted]
 
 
 def stacking_weights(refits: Sequence[Refit]) -> Array:

@@ -170,7 +170,7 @@ class Problem:
         scale = self.scale(theta)
 
         def derivatives(places: Sequence[int]) -> Array:
-            """Derivatives of the force (samples, places) by as many parameters as one pass takes."""
+            """Return derivatives of the force (samples, places) by as many parameters as one pass takes."""
             moved = as_duals(theta)
             for lane, place in enumerate(places):
                 moved.derivatives[self.free[place], lane] = scale[place]

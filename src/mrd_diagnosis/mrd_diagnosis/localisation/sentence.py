@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from mrd_diagnosis.diagnosis import Diagnosis, Region
+from mrd_diagnosis.diagnosis import Diagnosis, Interval, Region
 from mrd_diagnosis.effect_names import effect_name, effect_names
 from mrd_diagnosis.localisation.axis_bins import NEAR_LABELS, PLACES, near_label
 from mrd_diagnosis.quantities import capitalised, format_share, join_words
@@ -13,8 +13,8 @@ from mrd_sim.effects import PLACES as WHERE
 NEARLY_ALL = 0.95
 """Share of the error from which a reader calls it nearly all."""
 
-MOST = 0.85
-"""Share from which an oscillation is nearly all of the error to a reader."""
+NEARLY_ALL_OSCILLATES = 0.85
+"""Share from which a reader calls an oscillation nearly all of the error."""
 
 FRACTIONS = [
     (1 / 3, "a third of", "lies"),
@@ -45,7 +45,7 @@ def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
     if oscillation is None:
         return capitalised(there)
     share = oscillation.share.value
-    much = f"{'Nearly all' if share > MOST else 'Most'} of {error}"
+    much = f"{'Nearly all' if share > NEARLY_ALL_OSCILLATES else 'Most'} of {error}"
     also = f", and {there.removesuffix('.')}" if place and place.share.value > 0.5 else ""
     return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
 
@@ -133,9 +133,8 @@ def _joined(regions: Sequence[Region]) -> Region:
         return first
     share = min(sum(region.share.value for region in regions), 1.0)
     samples = sum(region.share.value / region.lift for region in regions)
-    interval = type(first.share)(share)
     label = near_label(first.axis, last.upper)
-    return Region(first.axis, first.lower, last.upper, first.unit, interval, share / samples, first.q_value, label)
+    return Region(first.axis, first.lower, last.upper, first.unit, Interval(share), share / samples, first.q_value, label)
 
 
 def _is_as_dense(run: Region, time: Region) -> bool:

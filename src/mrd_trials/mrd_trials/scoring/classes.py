@@ -10,7 +10,7 @@ from mrd_trials.scoring.rates import Distribution, Rate
 
 @dataclass(frozen=True)
 class ClassRates:
-    """What is named, counted by classes. An effect that is named by itself is a class of one.
+    """Rates of what is named, counted by classes. An effect that is named by itself is a class of one.
 
     Attributes
     ----------
@@ -38,7 +38,10 @@ class ClassRates:
     @classmethod
     def from_results(cls, results: PlantResults, not_counted: Mapping[str, frozenset[str]] | None = None) -> "ClassRates":
         """Count plants; effects that are named without reason to know are ``not_counted``, by plant."""
-        claims = {result.truth.plant: _claims(result, (not_counted or {}).get(result.truth.plant)) for result in results}
+        claims = {
+            result.truth.plant: _claims(result, (not_counted or {}).get(result.truth.plant, frozenset()))
+            for result in results
+        }
         detectable = [result for result in results if result.detectable]
 
         def holds_all(result: PlantResult) -> bool:
@@ -66,5 +69,5 @@ def members_of(claim: Explanation) -> Sequence[str]:
     return claim.members or claim.effects
 
 
-def _claims(result: PlantResult, not_counted: frozenset[str] | None) -> list[Explanation]:
-    return [claim for claim in result.submission.causes if (not_counted or frozenset()).isdisjoint(claim.effects)]
+def _claims(result: PlantResult, not_counted: frozenset[str]) -> list[Explanation]:
+    return [claim for claim in result.submission.causes if not_counted.isdisjoint(claim.effects)]
