@@ -13,11 +13,11 @@ from rich.table import Table
 from scipy.optimize import least_squares
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.base_fit import BaseFit, global_fit, with_effect
-from mrd_diagnosis.effect_search import score_effect
-from mrd_diagnosis.noise_model import estimate_noise
-from mrd_diagnosis.refit import refit
-from mrd_diagnosis.weighting import Weighting, usual_run_scatter
+from mrd_diagnosis.fitting.base_fit import BaseFit, global_fit, with_effect
+from mrd_diagnosis.fitting.refit import refit
+from mrd_diagnosis.fitting.weighting import Weighting, usual_run_scatter
+from mrd_diagnosis.noise.noise_model import estimate_noise
+from mrd_diagnosis.search.effect_search import score_effect
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import make_problem
 from mrd_identification.recording import prepare_recording

@@ -1,6 +1,7 @@
 """Rules about the whole source tree: which package may import which, and where ROS is allowed."""
 
 import ast
+import graphlib
 import importlib.metadata
 import inspect
 import os
@@ -50,7 +51,7 @@ EXECUTABLES = {
     "mrd_identification": {"identifier", "identify", "compare", "export"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
     "mrd_control": {"controller", "evaluate", "hybrid_test", "review", "delay"},
-    "mrd_trials": {"make", "run", "score", "withhold"},
+    "mrd_trials": {"learn", "make", "run", "score", "withhold"},
     "mrd_dashboard": {"page", "access"},
     "mrd_cli": {"mrd"},
 }
@@ -273,3 +274,17 @@ def test_the_page_on_architecture_names_modules_that_exist():
     assert len(named) > 10
     missing = [name for name in named if not list((SOURCES / name.partition(".")[0]).glob(name.replace(".", "/") + "*"))]
     assert not missing
+
+
+def test_the_rooms_of_the_diagnosis_use_each_other_in_one_direction():
+    root = SOURCES / "mrd_diagnosis" / "mrd_diagnosis"
+    used: dict[str, set[str]] = {}
+    for file in root.rglob("*.py"):
+        room = file.relative_to(root).parts[0].removesuffix(".py")
+        for _, name in imports(ast.parse(file.read_text(encoding="utf-8"))):
+            parts = name.split(".")
+            if parts[0] == "mrd_diagnosis" and len(parts) > 1 and parts[1] != room:
+                used.setdefault(room, set()).add(parts[1])
+    assert {"decision", "evidence", "search", "wrong_form"} <= used.keys()
+    order = list(graphlib.TopologicalSorter(used).static_order())  # raises CycleError
+    assert order.index("noise") < order.index("fitting") < order.index("search") < order.index("decision")

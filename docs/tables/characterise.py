@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.detectability import Detectability, detectable_sizes, simulate_base_fit
-from mrd_diagnosis.quantities import format_quantity
+from mrd_diagnosis.evidence.detectability import Detectability, detectable_sizes, simulate_base_fit
+from mrd_diagnosis.wording.quantities import format_quantity
 from mrd_sim.damper import Damper, parse_values
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import find_model

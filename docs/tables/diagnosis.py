@@ -1,7 +1,7 @@
 """Diagnose simulated dampers with a known effect, without one, and with the effect taken from the catalogue.
 
 Writes its results, line by line, to the file that it is given, and goes on where that file ends; ``--table`` prints them as
-the tables of docs/diagnosis.md.
+the tables of docs/diagnosis_measured.md.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import numpy as np
 
 from mrd_diagnosis import diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.quantities import format_quantity, format_share
+from mrd_diagnosis.wording.quantities import format_quantity, format_share
 from mrd_runs import Run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
@@ -139,7 +139,7 @@ def work(kind: str, name: str, seed: int) -> dict[str, Any]:
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """Return the tables of docs/diagnosis.md."""
+    """Return the tables of docs/diagnosis_measured.md."""
     by = {kind: [line for line in lines if line["kind"] == kind] for kind in ("effect", "null", "withheld")}
     return "\n".join([*known_rows(by["effect"]), "", *null_rows(by["null"]), "", *withheld_rows(by["withheld"])])
 

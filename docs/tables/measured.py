@@ -2,7 +2,7 @@
 
 `python docs/tables/measured.py $MRD_DATA REPORTS`
 
-Prints the table of docs/diagnosis.md, and writes the reports on all runs of a damper to REPORTS.
+Prints the table of docs/diagnosis_measured.md, and writes the reports on all runs of a damper to REPORTS.
 """
 
 import argparse
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mrd_diagnosis import diagnose, write_gap_report
 from mrd_diagnosis.diagnosis import Diagnosis
-from mrd_diagnosis.quantities import format_share
+from mrd_diagnosis.wording.quantities import format_share
 from mrd_identification.json_file import make_folder
 from mrd_runs import read_runs
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_diagnosis.correction import correction_of_report, write_plant
+from mrd_diagnosis.closure.correction import correction_of_report, write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
 
 

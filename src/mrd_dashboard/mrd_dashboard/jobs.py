@@ -275,7 +275,7 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
 def _diagnose(request: JobRequest, folder: Path, connection: Connection) -> dict[str, str]:
     from mrd_diagnosis.diagnose import diagnose
     from mrd_diagnosis.report.page import write_gap_report
-    from mrd_diagnosis.sentences import next_command
+    from mrd_diagnosis.report.sentences import next_command
     from mrd_identification.fit_file import read_fit
     from mrd_runs import read_runs
     from mrd_trajectory.settings import read_settings

@@ -4,7 +4,7 @@ from mrd_diagnosis.diagnose import diagnose
 from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Gap, Interval, Region
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
-from mrd_diagnosis.sentences import next_command
+from mrd_diagnosis.report.sentences import next_command
 from mrd_diagnosis.trend.trend import Trend, trend
 
 __all__ = [

@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ttest_ind
 
-from mrd_diagnosis.decision import decide_change
-from mrd_diagnosis.effect_search import EffectFit, search_effects
-from mrd_diagnosis.explanation import Explanation, probabilities_of_alternatives
-from mrd_diagnosis.flexible_remainder import flexible_functions
-from mrd_diagnosis.form_remainder import SCALES, columns_by_run, form_columns, orthogonal, with_remainder
-from mrd_diagnosis.model_comparison import compare_on
-from mrd_diagnosis.null_distribution import NullGains, draw_null_gains
-from mrd_diagnosis.refit import Refit, refit, refit_on
-from mrd_diagnosis.statistics import error_dispersion
+from mrd_diagnosis.decision.decision import decide_change
+from mrd_diagnosis.decision.explanation import Explanation, probabilities_of_alternatives
+from mrd_diagnosis.fitting.null_distribution import NullGains, draw_null_gains
+from mrd_diagnosis.fitting.refit import Refit, refit, refit_on
+from mrd_diagnosis.fitting.statistics import error_dispersion
+from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, error_of_run
+from mrd_diagnosis.search.effect_search import EffectFit, search_effects
+from mrd_diagnosis.search.model_comparison import compare_on
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.weighting import RunScatter, Weighting, error_of_run
+from mrd_diagnosis.wrong_form.flexible_remainder import flexible_functions
+from mrd_diagnosis.wrong_form.form_remainder import SCALES, columns_by_run, form_columns, orthogonal, with_remainder
 from mrd_identification.recording import consecutive_forces
 
 Array = NDArray[np.float64]

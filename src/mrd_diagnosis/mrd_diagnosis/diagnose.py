@@ -8,12 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_diagnosis.alternative_models import best_model, fit_alternative_models
-from mrd_diagnosis.base_fit import fit_base
 from mrd_diagnosis.change import explain_change
-from mrd_diagnosis.closed_loop import closed_loop_notes
-from mrd_diagnosis.closure import Closure, compute_closure
-from mrd_diagnosis.decision import decide
+from mrd_diagnosis.closure.closure import Closure, compute_closure
+from mrd_diagnosis.decision.decision import decide
+from mrd_diagnosis.decision.explanation import (
+    Explanation,
+    advise_next,
+    list_alternative_models,
+    list_alternatives,
+    list_candidates,
+    probabilities_of_alternatives,
+)
+from mrd_diagnosis.decision.judgement import judge, reject_others
 from mrd_diagnosis.diagnosis import (
     AlternativeModel,
     Candidate,
@@ -24,26 +30,20 @@ from mrd_diagnosis.diagnosis import (
     HeldOutBy,
     Region,
 )
-from mrd_diagnosis.effect_search import EffectFit, search_effects, tolerated_excess
-from mrd_diagnosis.explanation import (
-    Explanation,
-    advise_next,
-    list_alternative_models,
-    list_alternatives,
-    list_candidates,
-    probabilities_of_alternatives,
-)
-from mrd_diagnosis.flexible_remainder import explainable_fraction
-from mrd_diagnosis.judgement import judge, reject_others
-from mrd_diagnosis.limitations import limitation_notes, untestable_effects
+from mrd_diagnosis.fitting.base_fit import fit_base
+from mrd_diagnosis.fitting.null_distribution import NullGains, draw_null_gains
+from mrd_diagnosis.fitting.refit import Refit, refit_on
+from mrd_diagnosis.fitting.weighting import Weighting, error_of_run
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
-from mrd_diagnosis.model_comparison import ModelComparison, compare_models, compare_on_all_samples
-from mrd_diagnosis.null_distribution import NullGains, draw_null_gains
-from mrd_diagnosis.partial_explanation import explain_in_part, rests_on_form
-from mrd_diagnosis.refit import Refit, refit_on
-from mrd_diagnosis.sentences import fault_sentence, imitation_note, verdict_sentence
-from mrd_diagnosis.weighting import Weighting, error_of_run
+from mrd_diagnosis.recordings.closed_loop import closed_loop_notes
+from mrd_diagnosis.recordings.limitations import limitation_notes, untestable_effects
+from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
+from mrd_diagnosis.search.alternative_models import best_model, fit_alternative_models
+from mrd_diagnosis.search.effect_search import EffectFit, search_effects, tolerated_excess
+from mrd_diagnosis.search.model_comparison import ModelComparison, compare_models, compare_on_all_samples
+from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
+from mrd_diagnosis.wrong_form.partial_explanation import explain_in_part, rests_on_form
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
 from mrd_identification.parallel import in_threads
@@ -327,6 +327,7 @@ def _diagnose_physics(
         oscillation=oscillation,
         causes=judgement.causes,
         rejected=reject_others(judgement, listed, models, findings, [*reference, *runs]),
+        weighed=explanation.weighed,
         alternatives=list_alternatives(comparison, chances) if verdict not in ("no_gap", "unknown_effect") else (),
         nearest=nearest,
         candidates=listed,

@@ -161,6 +161,30 @@ class Member:
 
 
 @dataclass(frozen=True)
+class WeighedEffect:
+    """An effect whose evidence was weighed beside a wrong form of the damper.
+
+    Attributes
+    ----------
+    effect : str
+    members : tuple of str
+        Its class, itself included.
+    probability : float
+        That one of the class is there; learnt, see `mrd_diagnosis.decision.presence`.
+    evidence : mapping
+        The numbers of `mrd_diagnosis.evidence.evidence.Evidence` by name.
+    chances : mapping
+        Probability of each effect that was tried in its place, itself included, by name.
+    """
+
+    effect: str
+    members: tuple[str, ...]
+    probability: float
+    evidence: Mapping[str, float]
+    chances: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Cause:
     """A named effect, with the share of the gap that it closes after the effects before it.
 
@@ -200,7 +224,7 @@ class Rejected:
     ----------
     effect : str
     rule : str
-        Id of the rule of `mrd_diagnosis.honesty.RULES` that rejected it.
+        Id of the rule of `mrd_diagnosis.decision.honesty.RULES` that rejected it.
     why : str
         The reason as a clause about the effect ("it").
     seen : bool
@@ -387,7 +411,7 @@ class Diagnosis:
         What the preflight check found.
     verdict : str
     sentence : str
-        The verdict in words, from `mrd_diagnosis.sentences.verdict_sentence`.
+        The verdict in words, from `mrd_diagnosis.report.sentences.verdict_sentence`.
     held_out_by : {"runs", "leave-one-run-out", "blocks"}
         How the errors on unseen data were obtained.
     reference : tuple of Run
@@ -402,6 +426,8 @@ class Diagnosis:
         The named effects. With a partly explained gap, they hold whatever the form of the damper model.
     rejected : tuple of Rejected
         Every effect that was tried and is not named, first those that explain the gap best.
+    weighed : tuple of WeighedEffect
+        Effects that were weighed by evidence beside a wrong form, named or not.
     alternatives : tuple of Alternative
     nearest : Candidate or None
         What comes nearest to the gap where no cause explains it.
@@ -433,6 +459,7 @@ class Diagnosis:
     oscillation: Region | None = None
     causes: tuple[Cause, ...] = ()
     rejected: tuple[Rejected, ...] = ()
+    weighed: tuple[WeighedEffect, ...] = ()
     alternatives: tuple[Alternative, ...] = ()
     nearest: Candidate | None = None
     candidates: tuple[Candidate, ...] = ()

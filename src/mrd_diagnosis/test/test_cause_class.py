@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mrd_diagnosis import Cause, diagnose
-from mrd_diagnosis.cause_class import class_name, level_of
 from mrd_diagnosis.diagnosis import Interval, Member
-from mrd_diagnosis.sentences import cause_clause
+from mrd_diagnosis.evidence.cause_class import class_name, level_of
+from mrd_diagnosis.report.sentences import cause_clause
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS
 from mrd_sim.simulate import measure_plans

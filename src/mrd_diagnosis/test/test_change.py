@@ -8,8 +8,8 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis import change, diagnose
-from mrd_diagnosis.correction import correction_of_report
-from mrd_diagnosis.decision import decide_change
+from mrd_diagnosis.closure.correction import correction_of_report
+from mrd_diagnosis.decision.decision import decide_change
 from mrd_diagnosis.diagnose import candidates_for
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import write_gap_report

@@ -14,7 +14,7 @@ from mrd_diagnosis.cli import apply as apply_tool
 from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.cli import trend as trend_tool
 from mrd_diagnosis.cli.apply import identify_arguments
-from mrd_diagnosis.correction import Correction, correction, write_plant
+from mrd_diagnosis.closure.correction import Correction, correction, write_plant
 from mrd_identification.cli import identify as identify_tool
 from mrd_runs import Run, read_run
 from mrd_sim.cli import simulate as simulate_tool

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.base_fit import with_effect
-from mrd_diagnosis.detectability import detectable_sizes, largest_size, scaled_effect, simulate_base_fit
-from mrd_diagnosis.refit import refit
+from mrd_diagnosis.evidence.detectability import detectable_sizes, largest_size, scaled_effect, simulate_base_fit
+from mrd_diagnosis.fitting.base_fit import with_effect
+from mrd_diagnosis.fitting.refit import refit
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.recording import prepare_recording
 from mrd_sim.damper import Damper

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_diagnosis import decision, diagnose
-from mrd_diagnosis.base_fit import BaseFit, fit_base
+from mrd_diagnosis import diagnose
 from mrd_diagnosis.cli import diagnose as diagnose_tool
+from mrd_diagnosis.decision import decision
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.effect_search import refit_with_effects, score_effects
-from mrd_diagnosis.model_comparison import ModelComparison
-from mrd_diagnosis.refit import refit_on
+from mrd_diagnosis.fitting.base_fit import BaseFit, fit_base
+from mrd_diagnosis.fitting.refit import refit_on
+from mrd_diagnosis.search.effect_search import refit_with_effects, score_effects
+from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.low_pass import parse_low_pass, with_force_filter
 from mrd_identification.recording import prepare_recording

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mrd_diagnosis.decision.explanation import advise_next
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design import advice as advice_module
 from mrd_diagnosis.experiment_design.advice import advise, sensor
 from mrd_diagnosis.experiment_design.experiment_library import library
 from mrd_diagnosis.experiment_design.prediction import Explanation
 from mrd_diagnosis.experiment_design.separation import Predictor, Separation
-from mrd_diagnosis.explanation import advise_next
-from mrd_diagnosis.model_comparison import ModelComparison
-from mrd_diagnosis.noise_model import estimate_noise
-from mrd_diagnosis.refit import Refit, refit
+from mrd_diagnosis.fitting.refit import Refit, refit
+from mrd_diagnosis.fitting.weighting import RunScatter, Weighting
+from mrd_diagnosis.noise.noise_model import estimate_noise
+from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.weighting import RunScatter, Weighting
 from mrd_identification.recording import consecutive_forces, prepare_recording
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS

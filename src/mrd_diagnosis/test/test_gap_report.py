@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis.cli.diagnose import print_summary
-from mrd_diagnosis.closed_loop import closed_loop_notes
-from mrd_diagnosis.correction import correction_of_report
-from mrd_diagnosis.detectability import clause_of_size
+from mrd_diagnosis.closure.correction import correction_of_report
+from mrd_diagnosis.decision.explanation import list_alternatives
 from mrd_diagnosis.diagnosis import (
     ON_BOUND,
     UNDETERMINED,
@@ -39,16 +38,17 @@ from mrd_diagnosis.diagnosis import (
     RunResidual,
     UntestableEffect,
 )
-from mrd_diagnosis.effect_names import effect_clause
-from mrd_diagnosis.explanation import list_alternatives
+from mrd_diagnosis.evidence.detectability import clause_of_size
+from mrd_diagnosis.fitting.null_distribution import REALISATIONS, NullGains
 from mrd_diagnosis.localisation.localise import localise
-from mrd_diagnosis.null_distribution import REALISATIONS, NullGains
-from mrd_diagnosis.quantities import format_error, format_p_value, format_probability, format_quantity, format_share
+from mrd_diagnosis.recordings.closed_loop import closed_loop_notes
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.candidate_text import describe_candidate, ordered_candidates
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import page_content, significant_regions, write_gap_report
-from mrd_diagnosis.sentences import corrected_label, next_command, next_step, verdict_sentence
+from mrd_diagnosis.report.sentences import corrected_label, next_command, next_step, verdict_sentence
+from mrd_diagnosis.wording.effect_names import effect_clause
+from mrd_diagnosis.wording.quantities import format_error, format_p_value, format_probability, format_quantity, format_share
 from mrd_identification.json_file import read_schema
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.problem import Problem

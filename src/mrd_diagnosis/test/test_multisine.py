@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_diagnosis.multisine import distortion
+from mrd_diagnosis.recordings.multisine import distortion
 from mrd_runs import Run, make_run
 from mrd_sim.damper import Damper
 from mrd_sim.path import make_path

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mrd_diagnosis.noise_model import estimate_noise
-from mrd_diagnosis.repetition import repeating_period
+from mrd_diagnosis.noise.noise_model import estimate_noise
+from mrd_diagnosis.recordings.repetition import repeating_period
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_runs import make_run, read_run
 from mrd_sim.damper import Damper

@@ -7,16 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mrd_diagnosis import alternative_models, diagnose, form_causes, partial_explanation
-from mrd_diagnosis.alternative_models import fit_alternative_models
-from mrd_diagnosis.base_fit import fit_base, with_effect
-from mrd_diagnosis.explanation import Explanation
-from mrd_diagnosis.form_remainder import form_columns, form_effects, with_form_remainder
-from mrd_diagnosis.held_cause import holds, with_effects
-from mrd_diagnosis.model_comparison import compare_on
-from mrd_diagnosis.null_distribution import NullGains
-from mrd_diagnosis.refit import refit
-from mrd_diagnosis.weighted_forms import stacking_weights
+from mrd_diagnosis import diagnose
+from mrd_diagnosis.decision.explanation import Explanation
+from mrd_diagnosis.fitting.base_fit import fit_base, with_effect
+from mrd_diagnosis.fitting.null_distribution import NullGains
+from mrd_diagnosis.fitting.refit import refit
+from mrd_diagnosis.search import alternative_models
+from mrd_diagnosis.search.alternative_models import fit_alternative_models
+from mrd_diagnosis.search.model_comparison import compare_on, with_effects
+from mrd_diagnosis.search.weighted_forms import stacking_weights
+from mrd_diagnosis.wrong_form import form_causes, partial_explanation
+from mrd_diagnosis.wrong_form.form_remainder import form_columns, form_effects, with_form_remainder
+from mrd_diagnosis.wrong_form.held_cause import holds
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS, find_effects

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import kstest
 
-from mrd_diagnosis.base_fit import BaseFit, with_effect
-from mrd_diagnosis.decision import decide
+from mrd_diagnosis.decision.decision import decide
 from mrd_diagnosis.diagnosis import RunNoise
-from mrd_diagnosis.effect_search import EffectFit, refit_with_effects, score_effect, start_values
-from mrd_diagnosis.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
-from mrd_diagnosis.null_distribution import draw_null_errors, draw_null_gains
-from mrd_diagnosis.refit import averaged_over_period, refit, scaled_inverse, without_each
-from mrd_diagnosis.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
-from mrd_diagnosis.weighting import RunScatter, Weighting, sum_of_squares, whitening
+from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
+from mrd_diagnosis.fitting.null_distribution import draw_null_errors, draw_null_gains
+from mrd_diagnosis.fitting.refit import averaged_over_period, refit, scaled_inverse, without_each
+from mrd_diagnosis.fitting.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
+from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, sum_of_squares, whitening
+from mrd_diagnosis.search.effect_search import EffectFit, refit_with_effects, score_effect, start_values
+from mrd_diagnosis.search.model_comparison import NO_EFFECT, compare_models, compare_on, estimate_run_scatter
 from mrd_identification.least_squares import fit_least_squares
 from mrd_identification.recording import prepare_recording
 from mrd_runs import Run

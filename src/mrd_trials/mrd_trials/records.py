@@ -121,6 +121,17 @@ class Explanation:
 
 
 @dataclass(frozen=True)
+class WeighedEffect:
+    """An effect with the evidence that was weighed, as in `mrd_diagnosis.diagnosis.WeighedEffect`."""
+
+    effect: str
+    members: tuple[str, ...]
+    probability: float
+    evidence: Mapping[str, float]
+    chances: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class GapBin:
     """Share of the gap in one bin of one axis; the ends are those of `mrd_diagnosis.Region`."""
 
@@ -162,6 +173,8 @@ class Submission:
         Duration of the diagnosis in s.
     commitment : str
         Commitment to the answer of the plant that was diagnosed: plants of all trials have the same names.
+    weighed : tuple of WeighedEffect
+        Effects that were weighed by their evidence, named or not.
     """
 
     plant: str
@@ -181,6 +194,7 @@ class Submission:
     effects: tuple[str, ...] = ()
     elapsed: float = NAN
     commitment: str = ""
+    weighed: tuple[WeighedEffect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -220,7 +234,7 @@ class Evaluation:
 
 R = TypeVar("R", GroundTruth, Submission, Evaluation)
 
-_FORMATS: Mapping[type, int] = {Submission: 2, Evaluation: 2}
+_FORMATS: Mapping[type, int] = {Submission: 3, Evaluation: 2}
 """Version of the keys of a line. An answer has none: a commitment is the hash of its line."""
 
 _NAMES: Mapping[type, str] = {GroundTruth: "answer", Submission: "submission", Evaluation: "evaluation"}
@@ -229,6 +243,7 @@ _ITEMS: Mapping[tuple[type, str], Any] = {
     (Submission, "causes"): Explanation,
     (Submission, "candidates"): Explanation,
     (Submission, "where"): GapBin,
+    (Submission, "weighed"): WeighedEffect,
     (Evaluation, "true_map"): GapBin,
 }
 """Class of the items of a field."""

@@ -13,7 +13,7 @@ from mrd_base import InputError
 from mrd_base.version import VERSION
 from mrd_diagnosis import Diagnosis, Interval, diagnose
 from mrd_runs import Run
-from mrd_trials.records import Explanation, GapBin, IntervalEnds, Submission
+from mrd_trials.records import Explanation, GapBin, IntervalEnds, Submission, WeighedEffect
 from mrd_trials.trial_folder import PublicPlant
 
 DIAGNOSIS_PACKAGES = ("mrd_base", "mrd_runs", "mrd_trajectory", "mrd_sim", "mrd_identification", "mrd_diagnosis")
@@ -153,6 +153,10 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
         next_experiment=diagnosis.next_experiment.experiment if diagnosis.next_experiment else "",
         elapsed=diagnosis.elapsed,
         commitment=plant.commitment,
+        weighed=tuple(
+            WeighedEffect(entry.effect, entry.members, entry.probability, entry.evidence, entry.chances)
+            for entry in diagnosis.weighed
+        ),
     )
     if diagnosis.gap is None or diagnosis.corrected is None:
         return submission

@@ -15,9 +15,9 @@ from mrd_trials.trial_design import Recipe
 
 DESCRIPTION = "trial.json"
 
-FORMAT = 3
+FORMAT = 4
 """Version of a trial: its keys, and what a recipe stands for. In 1, every effect had a single formula; in 2, all dampers had
-one size."""
+one size; in 3, effects were drawn up to the end of their plausible range."""
 
 COLUMNS = "time_s,position_m,current_A,force_N"
 

@@ -20,7 +20,7 @@ from mrd_diagnosis.report.candidate_text import (
     with_probabilities,
 )
 from mrd_diagnosis.report.page import write_gap_report
-from mrd_diagnosis.sentences import next_command, next_step, placeholders
+from mrd_diagnosis.report.sentences import next_command, next_step, placeholders
 from mrd_identification.cli.options import add_run_arguments, announce, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder

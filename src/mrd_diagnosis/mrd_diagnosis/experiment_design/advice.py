@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from mrd_diagnosis.diagnosis import Advice
-from mrd_diagnosis.effect_names import effect_name, effect_names
 from mrd_diagnosis.experiment_design.experiment_library import RATE, library, sizes_of, sizes_of_bench, usual_bench
 from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
-from mrd_diagnosis.refit import Refit
+from mrd_diagnosis.fitting.refit import Refit
+from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.weighting import Weighting
+from mrd_diagnosis.wording.effect_names import effect_name, effect_names
 from mrd_identification.parallel import in_threads
 from mrd_runs.scales import scales_of
 from mrd_sim.effects import EFFECTS, STAGES
@@ -80,7 +80,7 @@ def advise(
         Source of the errors that are drawn. Without one, the same errors are drawn each time.
     without : Refit, optional
         The model without what the explanations explain the gap by. With it, an experiment must separate the explanations by
-        more than the error of their formulas, see `mrd_diagnosis.statistics.certainty`.
+        more than the error of their formulas, see `mrd_diagnosis.fitting.statistics.certainty`.
     bench : GeneratorSettings, optional
         Limits that no experiment exceeds; by default, those of the shipped bench, enlarged or reduced to a damper of another
         size.

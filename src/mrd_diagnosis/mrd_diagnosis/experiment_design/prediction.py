@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.refit import Refit
-from mrd_diagnosis.weighting import WeightedProblem
+from mrd_diagnosis.fitting.refit import Refit
+from mrd_diagnosis.fitting.weighting import WeightedProblem
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.recording import Recording
 from mrd_sim.dual_type import columns_of, like

@@ -11,10 +11,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr
 
 from mrd_diagnosis.experiment_design.prediction import Explanation, UpdatedProblem
-from mrd_diagnosis.refit import Refit
-from mrd_diagnosis.statistics import certainty, error_dispersion
+from mrd_diagnosis.fitting.refit import Refit
+from mrd_diagnosis.fitting.statistics import certainty, error_dispersion
+from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, whitening
 from mrd_diagnosis.thresholds import THRESHOLDS
-from mrd_diagnosis.weighting import RunScatter, Weighting, whitening
 from mrd_identification.least_squares import levenberg_marquardt
 from mrd_identification.recording import Recording
 from mrd_runs import Run

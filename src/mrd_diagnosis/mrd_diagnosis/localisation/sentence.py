@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 from mrd_diagnosis.diagnosis import Diagnosis, Interval, Region
-from mrd_diagnosis.effect_names import effect_name, effect_names
 from mrd_diagnosis.localisation.axis_bins import NEAR_LABELS, PLACES, near_label
-from mrd_diagnosis.quantities import capitalised, format_share, join_words
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.wording.effect_names import effect_name, effect_names
+from mrd_diagnosis.wording.quantities import capitalised, format_share, join_words
 from mrd_sim.effects import EFFECTS, Place
 from mrd_sim.effects import PLACES as WHERE
 

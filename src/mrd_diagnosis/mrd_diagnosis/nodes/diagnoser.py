@@ -10,7 +10,7 @@ from mrd_base.nodes.bench_node import run_node
 from mrd_base.nodes.graph import DIAGNOSE
 from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.report.page import write_gap_report
-from mrd_diagnosis.sentences import next_command
+from mrd_diagnosis.report.sentences import next_command
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
 from mrd_identification.low_pass import with_force_filters

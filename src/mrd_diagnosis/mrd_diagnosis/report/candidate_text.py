@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mrd_diagnosis.diagnosis import Candidate, Diagnosis
-from mrd_diagnosis.effect_names import effect_names
-from mrd_diagnosis.quantities import format_error, format_p_value, format_probability, format_share
-from mrd_diagnosis.sentences import corrected_label
+from mrd_diagnosis.report.sentences import corrected_label
+from mrd_diagnosis.wording.effect_names import effect_names
+from mrd_diagnosis.wording.quantities import format_error, format_p_value, format_probability, format_share
 
 LEAST_SHOWN = 0.005
 """Share of the gap that rounds to 0 %."""

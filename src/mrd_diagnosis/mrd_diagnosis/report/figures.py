@@ -11,11 +11,11 @@ from plotly.subplots import make_subplots
 
 from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
 from mrd_diagnosis.diagnosis import Diagnosis, Gap, Interval, Region, RunResidual
-from mrd_diagnosis.effect_names import candidate_title
 from mrd_diagnosis.localisation.excess_maps import Map, maps
-from mrd_diagnosis.quantities import format_error
 from mrd_diagnosis.report.candidate_text import describe_candidate, ordered_candidates, with_probabilities
-from mrd_diagnosis.sentences import corrected_label
+from mrd_diagnosis.report.sentences import corrected_label
+from mrd_diagnosis.wording.effect_names import candidate_title
+from mrd_diagnosis.wording.quantities import format_error
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.cause_class import class_name
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
@@ -23,7 +22,8 @@ from mrd_diagnosis.diagnosis import (
     Rejected,
     RunResidual,
 )
-from mrd_diagnosis.effect_names import parameters_of_effect
+from mrd_diagnosis.evidence.cause_class import class_name
+from mrd_diagnosis.wording.effect_names import parameters_of_effect
 from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
 from mrd_identification.metrics import nrmse
 from mrd_sim.effects import EFFECTS
@@ -56,6 +56,16 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "oscillation": None if diagnosis.oscillation is None else _region(diagnosis.oscillation),
         "causes": [_cause(cause) for cause in diagnosis.causes],
         "rejected": [_rejected(entry) for entry in diagnosis.rejected],
+        "weighed": [
+            {
+                "effect": entry.effect,
+                "members": list(entry.members),
+                "probability": finite_or_none(entry.probability),
+                "evidence": {name: finite_or_none(value) for name, value in entry.evidence.items()},
+                "chances": {name: finite_or_none(value) for name, value in entry.chances.items()},
+            }
+            for entry in diagnosis.weighed
+        ],
         "alternatives": [_alternative(alternative) for alternative in diagnosis.alternatives],
         "nearest": None if diagnosis.nearest is None else _candidate(diagnosis.nearest),
         "candidates": [_candidate(candidate) for candidate in diagnosis.candidates],

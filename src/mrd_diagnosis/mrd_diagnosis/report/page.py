@@ -18,9 +18,7 @@ from mrd_diagnosis.diagnosis import (
     Region,
     RunResidual,
 )
-from mrd_diagnosis.effect_names import STAGE_NAMES, candidate_title, effect_clause, effect_name, parameters_of_effect
 from mrd_diagnosis.localisation.sentence import where_sentence
-from mrd_diagnosis.quantities import capitalised, format_error, format_probability, format_quantity, format_share, join_words
 from mrd_diagnosis.report import figures
 from mrd_diagnosis.report.candidate_text import (
     LEAST_SHOWN,
@@ -30,7 +28,7 @@ from mrd_diagnosis.report.candidate_text import (
     with_probabilities,
 )
 from mrd_diagnosis.report.gap_file import write_gap_file
-from mrd_diagnosis.sentences import (
+from mrd_diagnosis.report.sentences import (
     FORM,
     corrected_label,
     next_command,
@@ -41,6 +39,15 @@ from mrd_diagnosis.sentences import (
     share_of_form,
 )
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.wording.effect_names import STAGE_NAMES, candidate_title, effect_clause, effect_name, parameters_of_effect
+from mrd_diagnosis.wording.quantities import (
+    capitalised,
+    format_error,
+    format_probability,
+    format_quantity,
+    format_share,
+    join_words,
+)
 from mrd_identification.json_file import make_folder
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render

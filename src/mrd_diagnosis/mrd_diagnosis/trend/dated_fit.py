@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from mrd_base import InputError
-from mrd_diagnosis.quantities import format_share
+from mrd_diagnosis.wording.quantities import format_share
 from mrd_identification.identify import search_and_fit
 from mrd_identification.least_squares import BOUND_TOLERANCE, levenberg_marquardt
 from mrd_identification.method import Method

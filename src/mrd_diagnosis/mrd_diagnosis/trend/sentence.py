@@ -3,9 +3,9 @@
 import numpy as np
 
 from mrd_diagnosis.diagnosis import Interval
-from mrd_diagnosis.quantities import format_quantity
 from mrd_diagnosis.trend.calendar import Calendar
 from mrd_diagnosis.trend.trend_line import TrendLine
+from mrd_diagnosis.wording.quantities import format_quantity
 
 LONG_SERIES = 60.0
 """Days from which a slope is given per year: per day, it would be a tiny number."""

@@ -19,6 +19,10 @@ class PlantValues(Protocol):
     def __getattr__(self, name: str) -> float: ...
 
 
+LARGEST_SHARE = 0.8
+"""Share of the plausible range up to which effects are drawn: of what stands at its end, nobody can say that it is meant."""
+
+
 @dataclass(frozen=True)
 class EffectParameter:
     """One parameter of a formula, in SI units.
@@ -29,7 +33,7 @@ class EffectParameter:
     typical : float
         Value at strength 1 of a parameter that grows with the strength; else the (logarithmic) middle of the range.
     low, high : float
-        Plausible range; the magnitude of a parameter that grows with the strength stays within ``high``.
+        Plausible range; the magnitude of a parameter that grows with the strength stays within `LARGEST_SHARE` of ``high``.
     grows : bool
         Whether the parameter is a size of the effect, which is 0 without the effect; else it is drawn from its range.
     signed : bool
@@ -50,7 +54,7 @@ class EffectParameter:
         """Draw a value; ``rng`` advances by the same amount at every strength."""
         chance = rng.random()
         if self.grows:
-            size = min(self.typical * strength, self.high)
+            size = min(self.typical * strength, LARGEST_SHARE * self.high)
             return -size if self.signed and chance < 0.5 else size
         if self.logarithmic:
             return float(self.low * (self.high / self.low) ** chance)

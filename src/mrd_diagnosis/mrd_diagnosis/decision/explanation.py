@@ -1,0 +1,261 @@
+"""Explanation: causes, candidates and alternatives, with their probabilities, from a model comparison."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_diagnosis.closure.closure import closed_fraction_between
+from mrd_diagnosis.decision.decision import Probabilities
+from mrd_diagnosis.diagnosis import (
+    Advice,
+    Alternative,
+    AlternativeModel,
+    Candidate,
+    Cause,
+    Interval,
+    Member,
+    UntestableEffect,
+    Verdict,
+    WeighedEffect,
+)
+from mrd_diagnosis.evidence.cause_class import class_of, level_of
+from mrd_diagnosis.evidence.detectability import clause_of_size, detectable_sizes
+from mrd_diagnosis.experiment_design.advice import advise
+from mrd_diagnosis.fitting.base_fit import BaseFit
+from mrd_diagnosis.fitting.null_distribution import NullGains
+from mrd_diagnosis.fitting.refit import Refit
+from mrd_diagnosis.fitting.statistics import effect_parameters, probabilities
+from mrd_diagnosis.search.effect_search import EffectFit, detection_threshold, tolerated_excess
+from mrd_diagnosis.search.model_comparison import NO_EFFECT, ModelComparison
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.wording.effect_names import parameters_of_effect
+from mrd_identification.parallel import in_threads
+from mrd_sim.effects import EFFECTS
+from mrd_trajectory.settings import GeneratorSettings
+
+Array = NDArray[np.float64]
+
+MOST_EXPLANATIONS_TO_SEPARATE = 4
+"""Explanations that the next experiment is designed to separate."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What explains the gap.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    comparison : ModelComparison
+        Of the effects that explain the gap or come nearest.
+    probabilities : mapping
+        For each of these effects, the probability of every alternative to it, itself included, by name.
+    p_values : mapping
+        For each of them, the probability of its improvement in noise alone.
+    closed_fractions : mapping
+        Shares of the gap that effects close beside a freer form of the damper.
+    form_fraction : float
+        Share of the gap that a freer form of the damper would close beside the effects; nan where that was not asked.
+    classes : mapping
+        Class of each effect that was judged beside a freer form; see `mrd_diagnosis.evidence.cause_class.class_of`.
+    weighed : tuple of WeighedEffect
+        All effects whose evidence was weighed beside other forms, named or not.
+    """
+
+    verdict: Verdict
+    comparison: ModelComparison
+    probabilities: Probabilities
+    p_values: Mapping[str, float]
+    closed_fractions: Mapping[str, Interval] = field(default_factory=dict)
+    form_fraction: float = float("nan")
+    classes: Mapping[str, tuple[Member, ...]] = field(default_factory=dict)
+    weighed: tuple[WeighedEffect, ...] = ()
+
+
+def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Generator) -> Probabilities:
+    """Return the probability of every alternative to each cause.
+
+    The excess of the best model beyond what an explained gap may leave belongs to something else, so that the probabilities
+    sum to less than one there.
+    """
+    excess = comparison.best.chi_square - 1.0
+    explained = min(1.0, tolerated_excess(comparison.base) / max(excess, 1e-9))
+    return {
+        effect: dict(zip(others, explained * probabilities(list(others.values()), rng), strict=True))
+        for effect, others in comparison.alternatives.items()
+    }
+
+
+def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cause, ...]:
+    """Return the effects of an explanation as causes; first the one that is likely to close most.
+
+    Each has its share of the gap from ``closed_fractions``, or else the one that it adds to those before it.
+    """
+    if explanation.verdict in ("no_gap", "unknown_effect"):
+        return ()
+    comparison, chances = explanation.comparison, explanation.probabilities
+    steps = [comparison.base, *comparison.chain]
+    parameters = effect_parameters(comparison.best)
+    causes = []
+    for index, effect in enumerate(comparison.effects):
+        members = explanation.classes.get(effect) or class_of(effect, comparison.alternatives[effect], chances[effect])
+        causes.append(
+            Cause(
+                effect,
+                float(chances[effect][effect]),
+                explanation.p_values[effect],
+                explanation.closed_fractions.get(effect)
+                or closed_fraction_between(steps[index], steps[index + 1], comparison, rng),
+                {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
+                level_of(effect, members, chances[effect]),
+                members,
+            )
+        )
+    return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))
+
+
+def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tuple[Alternative, ...]:
+    """Return the explanations that are likely enough to be listed beside a cause.
+
+    One that was not refitted in its place has no parameters. What is a cause itself, beside this one, is no alternative.
+    """
+    return tuple(
+        Alternative(
+            other,
+            effect,
+            float(chance),
+            "predicts held-out data nearly as well",
+            parameters_of_effect(other, effect_parameters(refits[other])) if other in refits else {},
+        )
+        for effect, chances_of_others in chances.items()
+        for refits in [comparison.alternatives[effect]]
+        for other, chance in sorted(chances_of_others.items(), key=lambda item: -item[1])
+        if other not in (NO_EFFECT, *comparison.effects) and chance >= THRESHOLDS.listed_probability
+    )
+
+
+def list_candidates(
+    comparison: ModelComparison,
+    singles: Sequence[EffectFit],
+    null_gains: NullGains,
+    chances: Probabilities,
+    rng: np.random.Generator,
+) -> tuple[tuple[Candidate, ...], tuple[UntestableEffect, ...]]:
+    """Return every effect that was tried by itself and the chosen ones together, best first; and those that cannot be
+    tested.
+    """
+    variance = _force_variance(comparison)
+    ranked = sorted(singles, key=lambda fit: fit.refit.held_out_cost)
+    needed = max(
+        THRESHOLDS.least_gain * comparison.weighting.samples, float(np.quantile(null_gains.gains, 1.0 - THRESHOLDS.p_value))
+    )
+    lead_gain = ranked[0].held_out_gain if ranked else 0.0
+    only = comparison.effects[0] if len(comparison.effects) == 1 else None
+    chances_of_lead = chances[only] if only else {}
+    in_place_of_lead = comparison.alternatives[only] if only else {}
+    detectable = _detectable(comparison, [fit.effects[0] for fit in ranked if fit.effects[0] not in comparison.effects])
+    refits = [in_place_of_lead.get(fit.effects[0], fit.refit) for fit in ranked]
+    candidates, untestable = [], []
+    for fit, refit, parameters in zip(ranked, refits, in_threads(effect_parameters, refits), strict=True):
+        effect = fit.effects[0]
+        smallest, remark = detectable.get(effect, ("", ""))
+        closed = closed_fraction_between(comparison.base, refit, comparison, rng)
+        if remark and fit.gain < needed:
+            untestable.append(UntestableEffect(effect, remark))
+            continue
+        indistinguishable = (
+            fit is not ranked[0] and lead_gain > needed and fit.held_out_gain >= THRESHOLDS.indistinguishable * lead_gain
+        )
+        candidates.append(
+            Candidate(
+                fit.effects,
+                _nrmse(refit, variance),
+                closed,
+                null_gains.p_value(fit.gain, fit.refit.problem),
+                float(chances[effect][effect] if effect in chances else chances_of_lead.get(effect, 0.0)),
+                parameters,
+                ranked[0].effects if indistinguishable else (),
+                smallest_detectable=smallest,
+            )
+        )
+    if len(comparison.effects) > 1:
+        candidates.insert(0, _chosen_together(comparison, candidates, variance, chances, rng))
+    return tuple(candidates), tuple(untestable)
+
+
+def _detectable(comparison: ModelComparison, effects: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return each effect with its smallest detectable size as a clause, and why it cannot be tested; each empty where it
+    does not apply.
+    """
+    weighting, best = comparison.weighting, comparison.best
+    threshold = detection_threshold(weighting, comparison.base, best)
+    described = {}
+    for detectability in detectable_sizes(weighting, BaseFit.linearise(weighting, best), effects, threshold):
+        effect, smallest = detectability.effect, ""
+        if np.isfinite(detectability.smallest_size):
+            smallest = clause_of_size(EFFECTS[effect], detectability.smallest_size)
+        described[effect] = smallest, detectability.remark
+    return described
+
+
+def _chosen_together(
+    comparison: ModelComparison,
+    candidates: Sequence[Candidate],
+    variance: float,
+    chances: Probabilities,
+    rng: np.random.Generator,
+) -> Candidate:
+    """Return the chosen effects together as one candidate."""
+    effects = comparison.effects
+    return Candidate(
+        effects,
+        _nrmse(comparison.best, variance),
+        closed_fraction_between(comparison.base, comparison.best, comparison, rng),
+        min(candidate.p_value for candidate in candidates if candidate.effects[0] in effects),
+        float(np.prod([chances[effect][effect] for effect in effects])),
+        effect_parameters(comparison.best),
+    )
+
+
+def list_alternative_models(
+    comparison: ModelComparison, refits: Mapping[str, Refit], rng: np.random.Generator
+) -> tuple[AlternativeModel, ...]:
+    """Return other damper models in place of effects, best first."""
+    variance = _force_variance(comparison)
+    ranked = sorted(refits.items(), key=lambda item: item[1].held_out_cost)
+    return tuple(
+        AlternativeModel(name, _nrmse(refit, variance), closed_fraction_between(comparison.base, refit, comparison, rng))
+        for name, refit in ranked
+    )
+
+
+def advise_next(
+    comparison: ModelComparison, chances: Probabilities, bench: GeneratorSettings | None = None
+) -> Advice | None:
+    """Advise what to record to tell the least certain cause from its alternatives; None where all causes are certain.
+
+    No advised experiment exceeds the limits of ``bench`` (default: the shipped bench).
+    """
+    uncertain = [effect for effect in comparison.effects if chances[effect][effect] < THRESHOLDS.named_probability]
+    if not uncertain:
+        return None
+    effect = min(uncertain, key=lambda name: chances[name][name])
+    ranked = sorted((name for name in chances[effect] if name), key=lambda name: -chances[effect][name])
+    ranked = ranked[:MOST_EXPLANATIONS_TO_SEPARATE]
+    # An experiment that rules out what is unlikely anyway leaves the question open.
+    names = [name for name in ranked if name in ranked[:2] or chances[effect][name] >= THRESHOLDS.listed_probability]
+    if len(names) < 2:
+        names.append(NO_EFFECT)
+    alternatives = comparison.alternatives[effect]
+    refits = {name: alternatives[name] for name in names}
+    return advise(refits, comparison.weighting, without=alternatives[NO_EFFECT], bench=bench)
+
+
+def _force_variance(comparison: ModelComparison) -> float:
+    return float(np.var(np.concatenate([recording.force for recording in comparison.weighting.recordings])))
+
+
+def _nrmse(refit: Refit, variance: float) -> float:
+    return float(np.sqrt(refit.held_out_squares.sum() / len(refit.problem.force) / variance))

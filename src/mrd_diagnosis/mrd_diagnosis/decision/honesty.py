@@ -1,0 +1,229 @@
+"""The honesty rules of a verdict: what speaks against naming an effect as a cause, in one list.
+
+Each rule is data: an id, the reason in words, and a test of a claim. The first rule whose test holds rejects the claim.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, Level, ParameterEstimate
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_diagnosis.wording.effect_names import parameters_of_effect
+from mrd_runs import Run
+from mrd_sim.effects import EFFECTS
+
+TIMING_FINDINGS = ("clock", "lag", "filter")
+"""Kinds of findings after which a channel does not say what was when: readings that are held, shifted or averaged."""
+
+UNTOUCHED_BY_TIMING = (
+    "lvdt_nonlinearity",
+    "current_sensor_error",
+    "current_saturation",
+    "fluid_change",
+    "gas_spring",
+    "flow_asymmetry",
+    "thermal_fade",
+    "settling",
+    "side_load_friction",
+    "hardening_spring",
+    "end_stop",
+    "load_cell_gain",
+    "load_cell_drift",
+    "channel_crosstalk",
+)
+"""Effects that depend on where the rod is, on its direction, on the current or on the time of a whole run, so that readings
+which are some milliseconds off do not imitate them. All others may be imitated, those of the user included."""
+
+IMITATED_BY_CLIPPING = {
+    "force": ("cavitation", "current_saturation", "shear_thinning", "flow_asymmetry"),
+    "position": ("end_stop", "hardening_spring", "backlash", "joint_play"),
+    "current": ("current_saturation", "current_sensor_error", "magnetic_hysteresis"),
+}
+"""Effects that limit the same quantity as a channel that is clipped."""
+
+DELAYS = ("channel_delay", "force_sensor_lag", "coil_lag")
+"""Effects that two clocks imitate which differ by a constant."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """An effect that may be named as a cause, and what is known about it.
+
+    Attributes
+    ----------
+    effect : str
+    parameters : mapping
+        Its parameters by EFFECT.PARAMETER.
+    probability, p_value : float
+    closed_fraction : Interval
+        Share of the gap that it closes.
+    open_fraction : float
+        Share of the gap that stays open with all chosen effects.
+    chosen : bool
+        Whether it belongs to the best explanation.
+    has_gap : bool
+        Whether there is a gap beyond the noise.
+    limitations : tuple of Finding
+        Limitations of the recordings that can imitate it.
+    clocks_agree : bool
+        Whether the clocks of the channels are known to agree, in all runs.
+    other_model : float
+        Share of the gap that another damper model closes without any effect; nan where none was tried, or where the effect
+        was judged around other damper models as well.
+    level : {"effect", "class", "stage", "undecided"}
+        What the recordings determine of it; see `mrd_diagnosis.diagnosis.Cause`.
+    presence : float
+        Probability that its class is there, as learnt; 1 where its evidence was not weighed.
+    """
+
+    effect: str
+    parameters: Mapping[str, ParameterEstimate] = field(default_factory=dict)
+    probability: float = float("nan")
+    p_value: float = float("nan")
+    closed_fraction: Interval = Interval(float("nan"))
+    open_fraction: float = 0.0
+    chosen: bool = True
+    has_gap: bool = True
+    limitations: tuple[Finding, ...] = ()
+    clocks_agree: bool = True
+    other_model: float = float("nan")
+    level: Level = "effect"
+    presence: float = 1.0
+
+    @property
+    def sizes(self) -> list[tuple[ParameterEstimate, float]]:
+        """The parameters that give the effect its size, with their neutral values.
+
+        The first one always does. A second one may act by itself, as the two shares of a crosstalk do; such a one can have
+        either sign.
+        """
+        if self.effect not in EFFECTS:
+            return []
+        known = parameters_of_effect(self.effect, self.parameters)
+        first, *others = EFFECTS[self.effect].parameters
+        acting = [first, *(p for p in others[:1] if p.free and p.default == 0.0 and p.lower == -p.upper)]
+        return [(known[p.name], p.default) for p in acting if p.name in known]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule that rejects claims.
+
+    Attributes
+    ----------
+    id : str
+        Its name in reports.
+    sentence : str
+        Why a claim is rejected, as a clause about the effect ("it").
+    test : callable
+        Whether a claim is rejected.
+    """
+
+    id: str
+    sentence: str
+    test: Callable[[Claim], bool]
+
+
+def _is_on_bound(claim: Claim) -> bool:
+    return any(estimate.remark == ON_BOUND for estimate, _ in claim.sizes[:1])
+
+
+def _is_undetermined(claim: Claim) -> bool:
+    return bool(claim.sizes) and all(estimate.remark == UNDETERMINED for estimate, _ in claim.sizes)
+
+
+def _may_be_absent(claim: Claim) -> bool:
+    sizes = [(estimate.value, neutral) for estimate, neutral in claim.sizes]
+    if not sizes or not all(size.lower <= neutral <= size.upper for size, neutral in sizes):
+        return False
+    # Size and shape take each other's place: a spring of any force fits with another exponent. Then the interval of the size
+    # alone does not tell whether the effect is there, and what it closes does.
+    has_shape = len(claim.parameters) > len(sizes)
+    return not (has_shape and claim.closed_fraction.lower > 0.0)
+
+
+def _closes_little(claim: Claim) -> bool:
+    # What holds beside a wrong form may be small beside it: it is a cause, though no headline.
+    closed = claim.closed_fraction.value
+    least = 0.0 if claim.chosen else THRESHOLDS.notable_alternative_model * (max(closed, 0.0) + claim.open_fraction)
+    return closed <= least
+
+
+RULES = (
+    Rule("noise", "noise explains the error without it", lambda claim: not claim.has_gap),
+    Rule("limitation", "a limitation of the recordings can imitate it", lambda claim: bool(claim.limitations)),
+    Rule(
+        "clocks",
+        "the clocks of the channels are not known to agree, and two clocks imitate it",
+        lambda claim: claim.effect in DELAYS and not claim.clocks_agree,
+    ),
+    Rule("little", "it closes next to nothing of the gap", _closes_little),
+    Rule(
+        "on_bound", "its size stands at the limit of the plausible range, so that something else may be meant", _is_on_bound
+    ),
+    Rule("undetermined", "these runs do not determine its size", _is_undetermined),
+    Rule("neutral", "the interval of its size contains the value at which it is absent", _may_be_absent),
+    Rule(
+        "other_model",
+        "another damper model explains as much without any effect",
+        lambda claim: claim.other_model >= claim.closed_fraction.value,
+    ),
+    Rule(
+        "undecided",
+        "other explanations are together as likely, and they have nothing in common with it",
+        lambda claim: claim.level == "undecided",
+    ),
+    Rule(
+        "evidence",
+        "evidence like that for it was wrong more often than right, on dampers whose effects were known",
+        lambda claim: claim.presence < THRESHOLDS.named_support,
+    ),
+    Rule("other_effect", "something else explains the gap better", lambda claim: not claim.chosen),
+)
+"""The rules in their order."""
+
+SEEN = ("on_bound", "undetermined", "neutral", "undecided")
+"""Rules after which an effect is seen, but not determined."""
+
+
+def rejecting_rule(claim: Claim) -> Rule | None:
+    """Return the first rule that rejects a claim; None where the effect may be named."""
+    return next((rule for rule in RULES if rule.test(claim)), None)
+
+
+def imitating_limitations(effect: str, findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the limitations of recordings that can imitate an effect."""
+    return tuple(
+        finding
+        for finding in findings
+        if finding.severity == "limitation"
+        and (
+            effect in IMITATED_BY_CLIPPING.get(finding.channel, ())
+            if finding.kind == "clipping"
+            else finding.kind in TIMING_FINDINGS and effect not in UNTOUCHED_BY_TIMING
+        )
+    )
+
+
+def gap_making_limitations(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the limitations after which a channel does not say what was when, so that a true model leaves a gap as well."""
+    return tuple(finding for finding in findings if finding.severity == "limitation" and finding.kind in TIMING_FINDINGS)
+
+
+def clock_finding(runs: Sequence[Run]) -> Finding | None:
+    """Return the finding that the clocks of the channels of some runs are not known to agree."""
+    doubtful = [run.name for run in runs if not run.clocks_agree()]
+    if 2 * len(doubtful) < len(runs) or not doubtful:  # the other runs tell a delay from a difference of clocks
+        return None
+    text = (
+        "the channels were recorded by clocks that are not known to agree: a constant difference between them looks like a "
+        f"delay of the force or of the coil (in {', '.join(doubtful)}). Record all channels by one clock, or give the "
+        "difference of the clocks when you import the recording."
+    )
+    return Finding("clock", "limitation", text, doubtful[0] if len(doubtful) == 1 else "", "time")
+
+
+def markdown_table() -> str:
+    """Return the rules as the table that stands in `docs/diagnosis.md`."""
+    rows = ["| rule | an effect is not named because |", "|---|---|"]
+    return "\n".join([*rows, *(f"| `{rule.id}` | {rule.sentence} |" for rule in RULES)]) + "\n"

@@ -1,0 +1,66 @@
+"""Presence: the probability that a class of effects is there, as evidence of it was right for dampers that were known.
+
+The weights are those of a logistic regression, and none has the sign that physics forbids. They stand in `presence.json`
+with the trials from which they were learnt; `ros2 run mrd_trials learn` makes this file.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from scipy.special import expit
+
+from mrd_diagnosis.evidence.evidence import Evidence
+
+FILE = Path(__file__).with_name("presence.json")
+
+
+@dataclass(frozen=True)
+class PresenceModel:
+    """Weights of the evidence.
+
+    Attributes
+    ----------
+    intercept : float
+        Log odds where all evidence is 0.
+    weights : mapping
+        Change of the log odds by one unit of each number of an `Evidence`, by name.
+    deviations : mapping
+        Standard deviation of each number among the plants from which they were learnt.
+    card : mapping
+        Where the weights come from, and how far they were right on dampers that were left out.
+    """
+
+    intercept: float
+    weights: Mapping[str, float]
+    deviations: Mapping[str, float]
+    card: Mapping[str, Any]
+
+    def probability(self, evidence: Mapping[str, float]) -> float:
+        """Return the probability of presence from the numbers of an `Evidence` by name."""
+        return float(expit(self.intercept + sum(weight * evidence[name] for name, weight in self.weights.items())))
+
+
+@cache
+def presence_model() -> PresenceModel:
+    """Return the model that is shipped."""
+    return PresenceModel(**json.loads(FILE.read_text(encoding="utf-8")))
+
+
+def presence_of(evidence: Evidence) -> float:
+    """Return the probability that the class of an effect is there."""
+    return presence_model().probability(evidence.as_dict())
+
+
+def markdown_table() -> str:
+    """Return evidence and weights as the table that stands in `docs/diagnosis.md`."""
+    model = presence_model()
+    rows = ["| evidence | meaning | weight |", "|---|---|---|"]
+    rows += [
+        f"| `{entry.name}` | {entry.metadata['meaning']} | {model.weights[entry.name] * model.deviations[entry.name]:+.2f} |"
+        for entry in fields(Evidence)
+    ]
+    return "\n".join(rows) + "\n"

@@ -1,0 +1,96 @@
+"""Classes of causes: effects that imitate each other in the given recordings, and what can be said of them together.
+
+A delay of the force channel and a lag of its sensor change most recordings alike. Which effects do so is a property of the
+recordings: it is computed from the effects fitted in each other's place, and not listed.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_diagnosis.diagnosis import Level, Member
+from mrd_diagnosis.fitting.refit import Refit
+from mrd_diagnosis.fitting.statistics import effect_parameters
+from mrd_diagnosis.search.model_comparison import NO_EFFECT
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_sim.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+
+def class_of(effect: str, refits: Mapping[str, Refit], chances: Mapping[str, float]) -> tuple[Member, ...]:
+    """Return the effects among which recordings do not decide: ``effect`` first, then those that imitate it.
+
+    Parameters
+    ----------
+    effect : str
+        The most probable one.
+    refits : mapping
+        Refits by name: with the effect, with another one in its place, and with none (`NO_EFFECT`).
+    chances : mapping
+        Their probabilities by name.
+    """
+    alike = imitations(effect, refits)
+    members = [
+        name
+        for name, chance in sorted(chances.items(), key=lambda item: -item[1])
+        if name != effect
+        and name in EFFECTS
+        and chance >= THRESHOLDS.listed_probability
+        and alike.get(name, 0.0) >= THRESHOLDS.least_imitation
+    ]
+    return tuple(
+        Member(
+            name,
+            float(chances[name]),
+            alike.get(name, 1.0),
+            {key: value for key, value in effect_parameters(refits[name]).items() if key.startswith(f"{name}.")},
+        )
+        for name in [effect, *members]
+    )
+
+
+def imitations(effect: str, refits: Mapping[str, Refit]) -> dict[str, float]:
+    """Return the share (R²) of what an effect changes that others, fitted in its place, change alike, by name.
+
+    The changes are those of the white error that the model's own parameters leave, since these are fitted with each of them.
+    """
+    if NO_EFFECT not in refits:
+        return {}
+    common = refits[NO_EFFECT].problem
+
+    def white(refitted: Refit) -> Array:
+        return common.counted(refitted.problem.errors(refitted.theta))
+
+    without, with_effect = white(refits[NO_EFFECT]), white(refits[effect])
+    energy = float(np.sum((with_effect - without) ** 2))
+    if not 0.0 < energy < np.inf:
+        return {}
+    return {
+        name: 1.0 - float(np.sum((white(refitted) - with_effect) ** 2)) / energy
+        for name, refitted in refits.items()
+        if name != effect and name in EFFECTS
+    }
+
+
+def level_of(effect: str, members: tuple[Member, ...], chances: Mapping[str, float]) -> Level:
+    """Return what can be said of a cause: the effect, its class, its stage, or nothing.
+
+    The effect is named where it is alone in its class or clearly the likeliest one of it; the class where it is likelier
+    than all other effects together; the stage where the effects that act in it are.
+    """
+    of_class = sum(member.probability for member in members)
+    needed = THRESHOLDS.named_support * sum(chance for name, chance in chances.items() if name)
+    if of_class >= needed:
+        clear = members[0].probability >= THRESHOLDS.named_probability * of_class
+        return "effect" if clear else "class"
+    stage = EFFECTS[effect].stage
+    of_stage = sum(chance for name, chance in chances.items() if name in EFFECTS and EFFECTS[name].stage == stage)
+    return "stage" if of_stage >= needed else "undecided"
+
+
+def class_name(effects: Sequence[str]) -> str:
+    """Return what effects have in common, as a clause; empty where they have nothing in common."""
+    symptoms = {EFFECTS[effect].symptom if effect in EFFECTS else "" for effect in effects}
+    return symptoms.pop() if len(symptoms) == 1 else ""

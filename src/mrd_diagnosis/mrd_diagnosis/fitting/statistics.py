@@ -1,0 +1,141 @@
+"""Statistics of refits: probabilities of explanations, intervals of parameters and errors."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit, softmax, stdtrit
+
+from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Interval, ParameterEstimate
+from mrd_diagnosis.fitting.refit import Refit, scaled_inverse
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_identification.least_squares import BOUND_TOLERANCE
+from mrd_identification.residual_correlation import correlation_length
+from mrd_sim.effects import EFFECTS
+
+Array = NDArray[np.float64]
+
+BOOTSTRAP_SAMPLES = 400
+"""Samples of every bootstrap."""
+
+MOST_HELD_OUT = 10.0
+"""Ratio of the costs of a fold, held out and fitted, above which the fit without the fold diverged."""
+
+
+def certainty(lead: float, gap: float) -> float:
+    """Return the probability of an explanation that leads another one by ``lead``, when both explain ``gap`` (white
+    squares).
+
+    Its formula may be wrong by `Thresholds.formula_error` of the gap.
+    """
+    return float(expit(lead / (THRESHOLDS.formula_error * max(gap, np.finfo(float).tiny))))
+
+
+def probabilities(alternatives: Sequence[Refit], rng: np.random.Generator) -> Array:
+    """Return the probability (alternatives,) of each refit to be the one that predicts held-out folds best.
+
+    The likelihood of the held-out white error, tempered by its correlation in time and by the reduced chi-square that even
+    the best refit leaves, is averaged over a Bayesian bootstrap of the folds (Rubin, 1981), so that nothing is certain that
+    rests on few folds. Formulas are inexact, so that a refit that is a little behind may hold the cause, too: it is tempered
+    as well by `Thresholds.formula_error` of what the best closes, and by `Thresholds.remaining_error` of what it leaves
+    beyond noise, which shows that something is wrong with the formulas.
+
+    Parameters
+    ----------
+    alternatives : sequence of Refit
+        The second, if there is one, lacks what the first explains.
+    rng : numpy Generator
+    """
+    # A fit may diverge where a fold is held out.
+    costs = np.nan_to_num([alternative.held_out_costs for alternative in alternatives], nan=1e30, posinf=1e30)
+    totals = costs.sum(axis=1)
+    best = alternatives[int(np.argmin(totals))]
+    # What a fit leaves that diverged in a fold is no gap that others close.
+    bounded = np.minimum(costs, MOST_HELD_OUT * np.array([alternative.fold_costs for alternative in alternatives])).sum(
+        axis=1
+    )
+    closed = float(bounded[:2].max() - bounded.min())
+    left = float(totals.min()) * (1.0 - 1.0 / max(best.chi_square, 1.0))
+    temperature = max(
+        error_dispersion(best.problem.residuals(best.theta)),
+        0.5 * THRESHOLDS.formula_error * closed,
+        0.5 * THRESHOLDS.remaining_error * left,
+    )
+    weights = rng.dirichlet(np.ones(costs.shape[1]), BOOTSTRAP_SAMPLES) * costs.shape[1]
+    return np.asarray(softmax(-0.5 * weights @ costs.T / temperature, axis=1).mean(axis=0))
+
+
+def error_dispersion(white: Array) -> float:
+    """Return the factor by which white errors (n,) count less than as many independent ones of variance one."""
+    return max(1.0, float(np.mean(white**2))) * correlation_length(white)
+
+
+def effect_parameters(refitted: Refit) -> dict[str, ParameterEstimate]:
+    """Return the parameters of a refit's effects with intervals and remarks, by EFFECT.PARAMETER.
+
+    A parameter that is never searched is included where it differs from its default.
+
+    The covariance is the larger of two: what the scatter of the folds says (sandwich; Liang & Zeger, 1986) and what the
+    correlated noise does. A recording does not say whether a sample of the force is an instantaneous value or a mean over
+    the sampling period, and a play is crossed within one period; intervals of effects that follow the force contain both.
+    """
+    problem, unit = refitted.problem, refitted.problem.unit(refitted.theta)
+    inverse = scaled_inverse(refitted.information, 1e-12)
+    degrees = len(refitted.gradients) - len(inverse)
+    deviation = 1.96 * np.sqrt(error_dispersion(problem.residuals(refitted.theta)) * np.diag(inverse))
+    if degrees > 4:
+        root = inverse @ refitted.gradients.T * np.sqrt(len(refitted.gradients) / degrees)
+        deviation = np.maximum(deviation, stdtrit(degrees, 0.975) * np.linalg.norm(root, axis=1))
+    following = {effect.id for effect in problem.model.effects if effect.follows_force}
+    shift_if_averaged = -inverse @ refitted.averaging_gradient
+    estimates = {}
+    for place, index in enumerate(problem.free):
+        parameter = problem.model.parameters[index]
+        effect, _, name = parameter.name.partition(".")
+        if not name:
+            continue
+        shift = shift_if_averaged[place] if effect in following else 0.0
+        reach = np.array([min(shift, 0.0) - deviation[place], max(shift, 0.0) + deviation[place]])
+        ends = np.clip(unit[place] + reach, 0.0, 1.0)
+        units = np.tile(unit, (2, 1))
+        units[:, place] = ends
+        lower, upper = problem.theta(units)[:, index]
+        remark = ""
+        if unit[place] < BOUND_TOLERANCE or unit[place] > 1 - BOUND_TOLERANCE:
+            if refitted.theta[index] != parameter.default:
+                remark = ON_BOUND
+        elif ends[0] == 0.0 and ends[1] == 1.0:
+            remark = UNDETERMINED
+        interval = Interval(float(refitted.theta[index]), float(lower), float(upper))
+        estimates[parameter.name] = ParameterEstimate(interval, parameter.unit, remark)
+    usual = {f"{effect}.{p.name}": p.default for effect in refitted.effects for p in EFFECTS[effect].parameters}
+    for parameter, value in zip(problem.model.parameters, refitted.theta, strict=True):
+        if "." in parameter.name and not parameter.free and value != usual[parameter.name]:
+            estimates[parameter.name] = ParameterEstimate(Interval(float(value)), parameter.unit)
+    return estimates
+
+
+def bootstrap_counts(units: int, rng: np.random.Generator) -> Array:
+    """Draw how often (BOOTSTRAP_SAMPLES, units) each unit appears in a bootstrap sample."""
+    return rng.multinomial(units, np.full(units, 1 / units), BOOTSTRAP_SAMPLES).astype(float)
+
+
+def nrmse_interval(squares: Array, samples: Array, variance: float, draws: Array) -> Interval:
+    """Return the rms error over the force's standard deviation, from squared errors in N² (units,) of so many samples."""
+    value = np.sqrt(squares.sum() / samples.sum() / variance)
+    drawn = np.sqrt((draws @ squares) / (draws @ samples) / variance)
+    return Interval(float(value), *map(float, np.quantile(drawn, (0.025, 0.975))))
+
+
+def closed_fraction(before: Array, after: Array, noise: Array, draws: Array) -> Interval:
+    """Return the share of the explainable gap that is closed, from squared errors in N² (units,) and those of the noise."""
+
+    def share(b: Array, a: Array, n: Array) -> Array:
+        gap = b - n
+        return np.asarray(np.where(gap > 0, np.clip((b - a) / np.where(gap > 0, gap, 1.0), -1.0, 1.0), np.nan))
+
+    value = float(share(before.sum(keepdims=True), after.sum(keepdims=True), noise.sum(keepdims=True))[0])
+    drawn = share(draws @ before, draws @ after, draws @ noise)
+    if np.isnan(drawn).mean() > 0.1:
+        return Interval(value)
+    return Interval(value, *map(float, np.nanquantile(drawn, (0.025, 0.975))))

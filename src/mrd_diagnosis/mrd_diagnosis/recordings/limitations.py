@@ -1,0 +1,95 @@
+"""Limitations: effects about which recordings say nothing at all, and notes on what limits a diagnosis."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_diagnosis.diagnosis import RunNoise, UntestableEffect
+from mrd_diagnosis.recordings.multisine import distortion
+from mrd_diagnosis.recordings.repetition import repeating_period
+from mrd_identification.recording import Recording, current_levels
+from mrd_runs.signals.mains import MAINS_LINES, shows_line
+from mrd_sim.effects import EFFECTS
+from mrd_sim.models import DamperModel
+
+Array = NDArray[np.float64]
+
+SLOW_RATE = 100.0
+"""Sampling rate in Hz below which time constants of coil and fluid fall between the samples."""
+
+
+def untestable_effects(
+    model: DamperModel, parameters: Array | None, candidates: Sequence[str], recordings: Sequence[Recording]
+) -> tuple[UntestableEffect, ...]:
+    """Return the candidates about which these recordings say nothing, whatever their size.
+
+    Parameters
+    ----------
+    model : DamperModel
+    parameters : ndarray (parameters,) or None
+        Of the simulator as it is, where they are known.
+    candidates : sequence of str
+    recordings : sequence of Recording
+    """
+    reasons: dict[str, str] = {}
+    rate = min(recording.run.rate for recording in recordings)
+    levels, varies = current_levels([recording.run for recording in recordings])
+    for effect in candidates:
+        if contains(model, effect):
+            reasons[effect] = "the model contains it already"
+        if effect == "coil_lag" and parameters is not None and parameters[model.names.index(effect)] > 0.0:
+            reasons[effect] = "the simulator contains it already"
+        if effect == "mains_hum" and not any(shows_line(frequency, rate) for frequency in MAINS_LINES):
+            reasons[effect] = f"a sampling rate of {rate:.0f} Hz does not show the mains frequency"
+        if not varies and effect in ("coil_lag", "magnetic_hysteresis"):
+            reasons[effect] = "the current never changes within a run"
+        if levels == 1 and effect in ("current_saturation", "current_sensor_error"):
+            reasons[effect] = "all runs have the same current"
+    return tuple(UntestableEffect(effect, why) for effect, why in reasons.items())
+
+
+def contains(model: DamperModel, effect: str) -> bool:
+    """Whether a damper model describes an effect by itself."""
+    if EFFECTS[effect].structural:
+        return bool(model.states)
+    return EFFECTS[effect].coefficient in {coefficient.name for coefficient in model.coefficients}
+
+
+def limitation_notes(recordings: Sequence[Recording], noise: Sequence[RunNoise]) -> list[str]:
+    """Return sentences on what limits a diagnosis of these recordings."""
+    notes = []
+    if len(recordings) == 1:
+        notes.append(
+            "Only one run: its segments replace runs, which is weaker evidence, and the scatter between runs is unknown."
+        )
+    if {noise_of_run.source for noise_of_run in noise} == {"residual"}:
+        notes.append("No repeated runs: force noise was estimated from high-frequency residuals.")
+    rate = min(recording.run.rate for recording in recordings)
+    if rate < SLOW_RATE:
+        notes.append(
+            f"The sampling rate is {rate:.0f} Hz: effects faster than about {1000 / rate:.0f} ms, or smaller than the rod's "
+            "travel between two samples, are not visible and cannot be ruled out."
+        )
+    return [*notes, *filter(None, (_distortion_note(recording) for recording in recordings))]
+
+
+def _distortion_note(recording: Recording) -> str:
+    """Return what an odd multisine at constant current shows of noise and distortion; empty for other runs."""
+    run = recording.run
+    period = None if current_levels([run])[1] else repeating_period(recording.smoothed)
+    try:
+        levels = distortion(run, period) if period else None
+    except InputError:  # periodic, but no odd multisine
+        levels = None
+    if levels is None:
+        return ""
+    if levels.excited == 1:
+        motion, even, odd = "a sine", "even multiples of its frequency", "odd multiples"
+    else:
+        motion, even, odd = "an odd multisine", "even lines", "odd lines that are not excited"
+    return (
+        f"Run {run.name} is {motion}. Its force differs by {levels.noise:.1f} N rms from period to period (noise); "
+        f"{levels.even:.1f} N rms lie at {even} (asymmetry) and {levels.odd:.1f} N rms at {odd} (friction, hysteresis)."
+    )

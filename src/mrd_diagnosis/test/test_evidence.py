@@ -1,0 +1,61 @@
+"""Numbers that speak for an effect or against it."""
+
+from dataclasses import fields
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mrd_diagnosis.decision.presence import presence_model, presence_of
+from mrd_diagnosis.evidence.evidence import AGAINST, Evidence, balance_of_folds, lead_over, share_closed
+
+
+def refit(*costs):
+    return SimpleNamespace(held_out_cost=float(np.sum(costs)), held_out_costs=np.array(costs, dtype=float))
+
+
+finite = st.floats(0.0, 1e6)
+
+
+@given(st.lists(finite, min_size=3, max_size=3), st.lists(finite, min_size=3, max_size=3), finite)
+def test_shares_lie_between_minus_one_and_one(before, after, noise):
+    without, fitted = refit(*before), refit(*after)
+    for value in (
+        share_closed(without, fitted, noise),
+        lead_over(without, fitted, [refit(noise)]),
+        balance_of_folds(without, fitted),
+    ):
+        assert -1.0 <= value <= 1.0
+
+
+def test_an_effect_that_closes_half_of_the_gap():
+    without, fitted = refit(30.0, 30.0), refit(20.0, 20.0)
+    assert share_closed(without, fitted, 20.0) == pytest.approx(0.5)
+    assert lead_over(without, fitted, [refit(25.0, 25.0)]) == pytest.approx(0.5)
+    assert lead_over(without, fitted, []) == pytest.approx(1.0)
+    assert balance_of_folds(without, fitted) == pytest.approx(1.0)
+    assert balance_of_folds(refit(30.0, 30.0), refit(10.0, 50.0)) == pytest.approx(0.0)
+
+
+def test_a_fold_that_diverges_is_no_gain():
+    assert balance_of_folds(refit(np.inf, 10.0), refit(10.0, 20.0)) == pytest.approx(-1.0)
+
+
+def test_the_shipped_weights_are_those_of_the_evidence_and_have_signs_that_make_sense():
+    weights = presence_model().weights
+    assert set(weights) <= {entry.name for entry in fields(Evidence)}
+    for name, weight in weights.items():
+        assert weight <= 0.0 if name in AGAINST else weight >= 0.0
+    assert presence_model().card["left out by damper"]["calibration error"] < 0.2
+
+
+@given(st.data())
+def test_more_evidence_never_lowers_the_probability(data):
+    names = [entry.name for entry in fields(Evidence)]
+    less = {name: data.draw(st.floats(0.0, 1.0), label=name) for name in names}
+    name = data.draw(st.sampled_from(names))
+    more = less | {name: data.draw(st.floats(less[name], 1.0), label="more")}
+    gained = presence_of(Evidence(**more)) - presence_of(Evidence(**less))
+    assert gained <= 0.0 if name in AGAINST else gained >= 0.0

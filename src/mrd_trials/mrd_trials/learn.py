@@ -1,0 +1,165 @@
+"""Learn how evidence combines to a probability, from trials whose answers are open.
+
+A logistic regression with a quadratic penalty, whose weights must not have the sign that physics forbids. How far its
+probabilities are right is measured on dampers that were left out, each with all its plants.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from mrd_base import InputError
+from mrd_diagnosis.decision.presence import PresenceModel
+from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
+from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
+from mrd_trials.records import GroundTruth, Submission, WeighedEffect
+from mrd_trials.scoring.rates import calibration
+
+Array = NDArray[np.float64]
+
+PENALTIES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Penalties of the squared weights that are tried; weights are those of evidence of standard deviation one."""
+
+COVERAGE = 0.9
+"""Share of the sets of effects that shall hold the true one."""
+
+LEAST_ROWS = 20
+"""Rows of either kind, right and wrong, below which nothing is learnt."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """An effect that was weighed on a plant.
+
+    Attributes
+    ----------
+    damper : str
+        Form of the plant's damper, or the measured damper.
+    weighed : WeighedEffect
+    causes : frozenset of str
+        True causes of the plant.
+    """
+
+    damper: str
+    weighed: WeighedEffect
+    causes: frozenset[str]
+
+    @property
+    def right(self) -> bool:
+        """Whether its class holds a true cause."""
+        return not self.causes.isdisjoint(self.weighed.members)
+
+
+def rows_of(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submission]) -> list[Row]:
+    """Return every effect that was weighed and is known to be right or wrong.
+
+    Nobody knows which effects are in measured recordings that are untouched. So what was weighed there counts neither there
+    nor on the same recordings with an effect. Neither does what the form of a simulated damper contains.
+    """
+    rows = []
+    for plant, submission in submissions.items():
+        truth = answers[plant]
+        causes = frozenset(truth.causes)
+        untouched = submissions.get(truth.background) if truth.background else None
+        unknown = set(truth.implied)
+        if untouched is not None:
+            unknown |= {name for entry in untouched.weighed for name in entry.members}
+        measured = truth.excitation in (SEMIREAL, BEFORE_AFTER)
+        for entry in submission.weighed:
+            row = Row(truth.base, entry, causes)
+            if not row.right and ((measured and truth.kind == "null") or not unknown.isdisjoint(entry.members)):
+                continue
+            rows.append(row)
+    return rows
+
+
+def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceModel:
+    """Fit the weights, and measure on left-out dampers how far they are right.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    trials : sequence of mapping
+        The recipes of their trials, for the model card.
+
+    Raises
+    ------
+    InputError
+        When there are too few rows to learn from.
+    """
+    right = np.array([row.right for row in rows], dtype=bool)
+    if min(right.sum(), (~right).sum()) < LEAST_ROWS:
+        raise InputError(
+            f"found {right.sum()} right and {(~right).sum()} wrong effects with evidence, expected {LEAST_ROWS} of each at "
+            "least; make larger trials"
+        )
+    names = [entry.name for entry in fields(Evidence)]
+    evidence = np.array([[row.weighed.evidence[name] for name in names] for row in rows])
+    dampers = np.array([row.damper for row in rows])
+    left_out = {penalty: _left_out(evidence, right, dampers, names, penalty) for penalty in PENALTIES}
+    penalty = min(PENALTIES, key=lambda value: _log_loss(left_out[value], right))
+    probability = left_out[penalty]
+    intercept, weights = _fit(evidence, right, names, penalty)
+    measured = calibration(probability, right)
+    named = probability >= 0.5
+    card = {
+        "trials": list(trials),
+        "effects weighed": len(rows),
+        "of them right": int(right.sum()),
+        "dampers": sorted(set(dampers.tolist())),
+        "penalty": penalty,
+        "left out by damper": {
+            "log loss": round(_log_loss(probability, right), 3),
+            "log loss of the mean alone": round(_log_loss(np.full(len(right), right.mean()), right), 3),
+            "calibration error": round(measured.error, 3),
+            "calibration error by chance": round(measured.by_chance, 3),
+            "named": int(named.sum()),
+            "named and right": int((named & right).sum()),
+            "right and not named": int((~named & right).sum()),
+        },
+    }
+    return PresenceModel(round(intercept, 4), _rounded(names, weights), _rounded(names, evidence.std(axis=0)), card)
+
+
+def _left_out(
+    evidence: Array, right: NDArray[np.bool_], dampers: NDArray[Any], names: Sequence[str], penalty: float
+) -> Array:
+    """Return the probability of each row from weights that were fitted without its damper."""
+    probability = np.empty(len(right))
+    for damper in np.unique(dampers):
+        out = dampers == damper
+        intercept, weights = _fit(evidence[~out], right[~out], names, penalty)
+        probability[out] = expit(intercept + evidence[out] @ weights)
+    return probability
+
+
+def _fit(evidence: Array, right: NDArray[np.bool_], names: Sequence[str], penalty: float) -> tuple[float, Array]:
+    """Return intercept and weights of the penalised regression."""
+    mean, deviation = evidence.mean(axis=0), evidence.std(axis=0) + 1e-9
+    scaled = (evidence - mean) / deviation
+    sign = np.where(right, 1.0, -1.0)
+
+    def cost(theta: Array) -> tuple[float, Array]:
+        margin = sign * (theta[0] + scaled @ theta[1:])
+        pull = -sign * expit(-margin)
+        value = float(np.logaddexp(0.0, -margin).sum() + 0.5 * penalty * theta[1:] @ theta[1:])
+        return value, np.concatenate([[pull.sum()], scaled.T @ pull + penalty * theta[1:]])
+
+    bounds = [(None, None), *((None, 0.0) if name in AGAINST else (0.0, None) for name in names)]
+    theta = minimize(cost, np.zeros(1 + len(names)), jac=True, bounds=bounds, method="L-BFGS-B").x
+    weights = theta[1:] / deviation
+    return float(theta[0] - mean @ weights), weights
+
+
+def _log_loss(probability: Array, right: NDArray[np.bool_]) -> float:
+    bounded = np.clip(probability, 1e-6, 1.0 - 1e-6)
+    return float(-np.mean(np.where(right, np.log(bounded), np.log(1.0 - bounded))))
+
+
+def _rounded(names: Sequence[str], values: Array) -> dict[str, float]:
+    return {name: round(float(value), 4) for name, value in zip(names, values, strict=True)}

@@ -1,0 +1,115 @@
+"""Weights of evidence that are learnt from plants whose effects are known."""
+
+import json
+from dataclasses import asdict, fields, replace
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_diagnosis.decision.presence import PresenceModel
+from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
+from mrd_trials.learn import Row, learn, rows_of
+from mrd_trials.records import GroundTruth, Submission, WeighedEffect
+
+NAMES = [entry.name for entry in fields(Evidence)]
+
+
+def truth(plant, causes, *, excitation="rich", kind="single", implied=(), background=""):
+    return GroundTruth(
+        plant,
+        kind,
+        "bouc_wen",
+        "bent",
+        False,
+        implied,
+        {},
+        {},
+        {},
+        causes,
+        {},
+        1.0,
+        "",
+        excitation,
+        500.0,
+        0,
+        "",
+        background,
+    )
+
+
+def weighed(effect, *others, **evidence):
+    numbers = dict.fromkeys(NAMES, 0.5) | evidence
+    return WeighedEffect(effect, (effect, *others), 0.5, numbers, {effect: 0.5})
+
+
+def drawn_rows(count, seed=0):
+    """Draw rows in which the share that is closed tells right from wrong, drift does as well, and nothing else matters."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for index in range(count):
+        right = bool(rng.random() < 0.5)
+        numbers = {name: float(rng.random()) for name in NAMES}
+        numbers["closed"] = float(np.clip(rng.normal(0.6 if right else 0.3, 0.1), 0, 1))
+        numbers["drift"] = float(np.clip(rng.normal(0.2 if right else 0.5, 0.2), 0, 2))
+        entry = WeighedEffect("end_stop", ("end_stop",), 0.5, numbers, {"end_stop": 0.5})
+        rows.append(Row(f"damper{index % 4}", entry, frozenset({"end_stop"} if right else ())))
+    return rows
+
+
+def test_what_tells_right_from_wrong_gets_the_weight():
+    model = learn(drawn_rows(200), [{"seed": 1}])
+    largest = max(model.weights, key=lambda name: abs(model.weights[name]))
+    assert largest == "closed"
+    assert model.weights["drift"] < 0.0
+    for name, weight in model.weights.items():
+        assert weight <= 0.0 if name in AGAINST else weight >= 0.0
+    measured = model.card["left out by damper"]
+    assert measured["log loss"] < 0.7 * measured["log loss of the mean alone"]
+    assert measured["named and right"] > 0.85 * measured["named"]
+    assert model.card["trials"] == [{"seed": 1}]
+    assert PresenceModel(**json.loads(json.dumps(asdict(model)))) == model
+
+
+def test_the_same_trials_give_the_same_weights():
+    assert learn(drawn_rows(100), []) == learn(drawn_rows(100), [])
+
+
+def test_evidence_against_nature_gets_no_weight():
+    rows = [
+        replace(row, weighed=replace(row.weighed, evidence=dict(row.weighed.evidence) | {"kept": 1.0 - row.right}))
+        for row in drawn_rows(100)
+    ]
+    assert learn(rows, []).weights["kept"] == 0.0
+
+
+def test_too_few_plants_are_refused():
+    with pytest.raises(InputError, match="expected 20 of each"):
+        learn(drawn_rows(30), [])
+
+
+def test_a_class_is_right_with_its_member():
+    answers = {"p1": truth("p1", ("channel_delay",))}
+    submissions = {
+        "p1": Submission("p1", "x", weighed=(weighed("force_sensor_lag", "channel_delay"), weighed("gas_spring")))
+    }
+    assert [row.right for row in rows_of(answers, submissions)] == [True, False]
+
+
+def test_what_nobody_knows_is_not_counted():
+    answers = {
+        "p1": truth("p1", (), excitation="semireal", kind="null"),
+        "p2": truth("p2", ("end_stop",), excitation="semireal", background="p1"),
+        "p3": truth("p3", ("end_stop",), implied=("shear_thinning",)),
+    }
+    submissions = {
+        "p1": Submission("p1", "x", weighed=(weighed("backlash"),)),
+        "p2": Submission("p2", "x", weighed=(weighed("backlash"), weighed("end_stop"), weighed("gas_spring"))),
+        "p3": Submission("p3", "x", weighed=(weighed("shear_thinning"), weighed("backlash"))),
+    }
+    rows = rows_of(answers, submissions)
+    assert [(row.weighed.effect, row.right) for row in rows] == [
+        ("end_stop", True),
+        ("gas_spring", False),
+        ("backlash", False),
+    ]
