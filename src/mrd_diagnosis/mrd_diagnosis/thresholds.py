@@ -68,14 +68,8 @@ class Thresholds:
     least_share_beside_form: float = threshold(
         0.05,
         "of the gap",
-        "share of the gap of the best form that an effect must close to be named beside a wrong form",
+        "share of the gap of the best form that an effect must close to be weighed beside a wrong form",
         "measured recordings with known errors, seed 81",
-    )
-    least_size_beside_remainder: float = threshold(
-        0.7,
-        "of the effect's size",
-        "size that an effect has at least beside the form remainder, within its interval, to be named beside a wrong form",
-        "convention",
     )
     form_effect_energy: float = threshold(
         0.05,
@@ -93,8 +87,8 @@ class Thresholds:
     named_support: float = threshold(
         0.5,
         "",
-        "probability from which it is likelier that effects are missing than that none is, and share of their probability "
-        "from which an effect or its class is named",
+        "probability of presence from which a class of effects is named, and share of the probability of all effects from "
+        "which an effect or its class stands for them",
         "measured recordings with known errors, seed 53",
     )
     least_imitation: float = threshold(

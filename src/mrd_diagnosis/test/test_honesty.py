@@ -115,6 +115,17 @@ def test_one_of_two_sizes_that_act_by_themselves_is_enough():
     assert rejecting_rule(Claim("channel_crosstalk", absent, closed_fraction=Interval(0.9))).id == "neutral"
 
 
+def test_a_size_that_trades_with_a_shape_is_not_absent_where_it_closes_the_gap():
+    spring = {
+        "hardening_spring.force": ParameterEstimate(Interval(40.0, 0.0, 97.0), "N"),
+        "hardening_spring.exponent": ParameterEstimate(Interval(4.9, 3.2, 6.6), ""),
+    }
+    assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=Interval(0.9, 0.8, 1.0))) is None
+    assert rejecting_rule(Claim("hardening_spring", spring, closed_fraction=Interval(0.4, -0.1, 0.7))).id == "neutral"
+    alone = {"hardening_spring.force": spring["hardening_spring.force"]}
+    assert rejecting_rule(Claim("hardening_spring", alone, closed_fraction=Interval(0.9, 0.8, 1.0))).id == "neutral"
+
+
 @given(
     st.sampled_from(list(EFFECTS)),
     st.sampled_from(["clock", "lag", "filter", "clipping", "hum", "coverage", "aliasing"]),

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from string import Template
 
-from mrd_sim.effects import EFFECTS, PLACES, STAGES, Effect
+from mrd_sim.effects import EFFECTS, FAULTS, NEEDS, PLACES, STAGES, Effect
 from mrd_sim.models_page import clauses
 from mrd_sim.parameter import Parameter
 from mrd_sim.ranges import RANGES, grows_with
@@ -118,7 +118,8 @@ An effect that is not neutral at its parameters' defaults is
 refused. Reports describe the effect with its `phrase`, and compare the place of the error with the places that
 `shows` lists, which are any of
 $places.
-Without `shows`, the effect may show anywhere.
+Without `shows`, the effect may show anywhere. `needs` lists what recordings must have to say anything about it ($needs).
+`imitated_by` lists the faults of a recording that look like it ($faults); by default, `timing`.
 
 ```python
 {EXAMPLE}```
@@ -137,8 +138,14 @@ def page() -> str:
         for effect in catalogue()
     )
     sections = "\n".join(section(effect) for effect in catalogue())
-    places = ", ".join(f"`{place}`" for place in PLACES)
-    return Template(_PAGE).substitute(stages=stages, effects=effects, sections=sections, places=places)
+    places = _quoted(PLACES)
+    return Template(_PAGE).substitute(
+        stages=stages, effects=effects, sections=sections, places=places, needs=_quoted(NEEDS), faults=_quoted(FAULTS)
+    )
+
+
+def _quoted(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
 def where(effect: Effect) -> str:
@@ -169,8 +176,16 @@ def section(effect: Effect) -> str:
 - Where: {where(effect)}.
 - Looks like: {_links(effect.confused_with)}.
 - Told apart by: {effect.separated_by}.
+- Imitated by: {", ".join(FAULTS[fault] for fault in effect.imitated_by) or "no fault of a recording"}.
 - Source: {effect.source}.
-{"- Its state continues in the next run; pauses do not count." + chr(10) if effect.outlasts_run else ""}"""
+{chr(10).join(_remarks(effect))}"""
+
+
+def _remarks(effect: Effect) -> list[str]:
+    remarks = [f"- Not seen where {NEEDS[need]}." for need in effect.needs]
+    if effect.outlasts_run:
+        remarks.append("- Its state continues in the next run; pauses do not count.")
+    return [*remarks, ""] if remarks else []
 
 
 def catalogue() -> list[Effect]:

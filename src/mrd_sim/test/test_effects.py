@@ -14,7 +14,7 @@ from mrd_runs import Run
 from mrd_runs.signals.mains import Line
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.dual_type import along, as_duals
-from mrd_sim.effects import EFFECTS, PLACES, STAGES, find_effects
+from mrd_sim.effects import EFFECTS, FAULTS, NEEDS, PLACES, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.path import Path, make_path, run_path
 
@@ -151,6 +151,8 @@ def test_declaration(effect):
         assert text
         assert text.isprintable()
     assert set(effect.shows) <= PLACES.keys()
+    assert set(effect.needs) <= NEEDS.keys()
+    assert set(effect.imitated_by) <= FAULTS.keys()
     assert effect.confused_with
     assert set(effect.confused_with) <= EFFECTS.keys() - {effect.id}
     assert len(set(effect.confused_with)) == len(effect.confused_with)

@@ -104,6 +104,8 @@ def test_loaded_again_an_effect_takes_the_place_of_the_one_before(tmp_path):
         ('id="rubber"', 'id="Rubber mount"', r"mine\.py: id is 'Rubber mount', expected lower-case"),
         ('id="rubber"', 'id="backlash"', r"mine\.py: there is an effect backlash already"),
         ('"structure"', '"concrete"', r"mine\.py: stage is 'concrete', expected one of drive, "),
+        ('title="', 'needs=("steps",), title="', r"mine\.py: needs holds 'steps', expected any of changing current, "),
+        ('title="', 'imitated_by=("lag",), title="', r"mine\.py: imitated_by holds 'lag', expected any of timing, clocks, "),
         ('title="', 'shows=("reversals",), title="', r"mine\.py: shows holds 'reversals', expected any of reversal, "),
         ("elongation=elongation", "kernel=None", r"mine\.py: expected either kernel or elongation"),
         ('title="', 'phrase="{ghost} of give", title="', r"mine\.py: phrase '{ghost} of give' names ghost, expected"),

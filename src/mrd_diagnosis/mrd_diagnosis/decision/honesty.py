@@ -15,35 +15,6 @@ from mrd_sim.effects import EFFECTS
 TIMING_FINDINGS = ("clock", "lag", "filter")
 """Kinds of findings after which a channel does not say what was when: readings that are held, shifted or averaged."""
 
-UNTOUCHED_BY_TIMING = (
-    "lvdt_nonlinearity",
-    "current_sensor_error",
-    "current_saturation",
-    "fluid_change",
-    "gas_spring",
-    "flow_asymmetry",
-    "thermal_fade",
-    "settling",
-    "side_load_friction",
-    "hardening_spring",
-    "end_stop",
-    "load_cell_gain",
-    "load_cell_drift",
-    "channel_crosstalk",
-)
-"""Effects that depend on where the rod is, on its direction, on the current or on the time of a whole run, so that readings
-which are some milliseconds off do not imitate them. All others may be imitated, those of the user included."""
-
-IMITATED_BY_CLIPPING = {
-    "force": ("cavitation", "current_saturation", "shear_thinning", "flow_asymmetry"),
-    "position": ("end_stop", "hardening_spring", "backlash", "joint_play"),
-    "current": ("current_saturation", "current_sensor_error", "magnetic_hysteresis"),
-}
-"""Effects that limit the same quantity as a channel that is clipped."""
-
-DELAYS = ("channel_delay", "force_sensor_lag", "coil_lag")
-"""Effects that two clocks imitate which differ by a constant."""
-
 
 @dataclass(frozen=True)
 class Claim:
@@ -155,7 +126,7 @@ RULES = (
     Rule(
         "clocks",
         "the clocks of the channels are not known to agree, and two clocks imitate it",
-        lambda claim: claim.effect in DELAYS and not claim.clocks_agree,
+        lambda claim: "clocks" in EFFECTS[claim.effect].imitated_by and not claim.clocks_agree,
     ),
     Rule("little", "it closes next to nothing of the gap", _closes_little),
     Rule(
@@ -193,16 +164,12 @@ def rejecting_rule(claim: Claim) -> Rule | None:
 
 def imitating_limitations(effect: str, findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return the limitations of recordings that can imitate an effect."""
-    return tuple(
-        finding
-        for finding in findings
-        if finding.severity == "limitation"
-        and (
-            effect in IMITATED_BY_CLIPPING.get(finding.channel, ())
-            if finding.kind == "clipping"
-            else finding.kind in TIMING_FINDINGS and effect not in UNTOUCHED_BY_TIMING
-        )
-    )
+    imitated_by = EFFECTS[effect].imitated_by if effect in EFFECTS else ("timing",)
+
+    def fault(finding: Finding) -> str:
+        return f"clipped {finding.channel}" if finding.kind == "clipping" else "timing" * (finding.kind in TIMING_FINDINGS)
+
+    return tuple(finding for finding in findings if finding.severity == "limitation" and fault(finding) in imitated_by)
 
 
 def gap_making_limitations(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -11,7 +11,7 @@ from mrd_diagnosis.recordings.multisine import distortion
 from mrd_diagnosis.recordings.repetition import repeating_period
 from mrd_identification.recording import Recording, current_levels
 from mrd_runs.signals.mains import MAINS_LINES, shows_line
-from mrd_sim.effects import EFFECTS
+from mrd_sim.effects import EFFECTS, NEEDS
 from mrd_sim.models import DamperModel
 
 Array = NDArray[np.float64]
@@ -36,17 +36,19 @@ def untestable_effects(
     reasons: dict[str, str] = {}
     rate = min(recording.run.rate for recording in recordings)
     levels, varies = current_levels([recording.run for recording in recordings])
+    has = {
+        "changing current": varies,
+        "several currents": levels > 1,
+        "mains frequency": any(shows_line(frequency, rate) for frequency in MAINS_LINES),
+    }
     for effect in candidates:
         if contains(model, effect):
             reasons[effect] = "the model contains it already"
         if effect == "coil_lag" and parameters is not None and parameters[model.names.index(effect)] > 0.0:
             reasons[effect] = "the simulator contains it already"
-        if effect == "mains_hum" and not any(shows_line(frequency, rate) for frequency in MAINS_LINES):
-            reasons[effect] = f"a sampling rate of {rate:.0f} Hz does not show the mains frequency"
-        if not varies and effect in ("coil_lag", "magnetic_hysteresis"):
-            reasons[effect] = "the current never changes within a run"
-        if levels == 1 and effect in ("current_saturation", "current_sensor_error"):
-            reasons[effect] = "all runs have the same current"
+        for need in EFFECTS[effect].needs:
+            if not has[need]:
+                reasons[effect] = NEEDS[need]
     return tuple(UntestableEffect(effect, why) for effect, why in reasons.items())
 
 

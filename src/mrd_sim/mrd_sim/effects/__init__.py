@@ -7,7 +7,7 @@ from pathlib import Path
 from mrd_base import InputError
 from mrd_base.config import unknown_key
 from mrd_runs.scales import REFERENCE, Scales
-from mrd_sim.effects.effect import PLACES, STAGES, Effect, Place, Stage
+from mrd_sim.effects.effect import FAULTS, NEEDS, PLACES, STAGES, Effect, Place, Stage
 from mrd_sim.effects.loading import read_effects
 
 EFFECTS: dict[str, Effect] = {
@@ -91,4 +91,16 @@ def load_effects(folder: str | Path) -> tuple[Effect, ...]:
     return tuple(loaded.values())
 
 
-__all__ = ["EFFECTS", "EFFECT_FOLDERS", "PLACES", "STAGES", "Effect", "Place", "Stage", "find_effects", "load_effects"]
+__all__ = [
+    "EFFECTS",
+    "EFFECT_FOLDERS",
+    "FAULTS",
+    "NEEDS",
+    "PLACES",
+    "STAGES",
+    "Effect",
+    "Place",
+    "Stage",
+    "find_effects",
+    "load_effects",
+]

@@ -41,5 +41,6 @@ EFFECT = Effect(
     confused_with=("joint_play", "series_compliance", "cavitation", "seal_friction", "channel_delay"),
     separated_by="position of the rod compared with that of the motor; a preload that keeps the force from changing sign",
     shows=("reversal",),
+    imitated_by=("timing", "clipped position"),
     elongation=_elongation,
 )

@@ -49,5 +49,6 @@ EFFECT = Effect(
     confused_with=("backlash", "flow_asymmetry", "current_saturation", "bypass_flow"),
     separated_by="rising current at one speed; another gas pressure",
     shows=("reversal", "sign", "current"),
+    imitated_by=("timing", "clipped force"),
     elongation=_elongation,
 )

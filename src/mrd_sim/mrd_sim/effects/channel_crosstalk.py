@@ -34,5 +34,6 @@ EFFECT = Effect(
     confused_with=("gas_spring", "flow_asymmetry", "load_cell_drift", "lvdt_nonlinearity"),
     separated_by="a run with the load cell off the damper; a grounded channel that is read before the force",
     shows=(),  # the stiffness and the law over the current take up a part, the rest is everywhere
+    imitated_by=(),
     kernel=_apply,
 )

@@ -65,6 +65,7 @@ EFFECT = Effect(
     confused_with=("force_sensor_lag", "series_compliance", "moving_mass", "coil_lag", "rate_dependent_hysteresis"),
     separated_by="one event that all channels show; a chirp (phase over frequency); steps of current during fast motion",
     shows=("reversal", "step"),
+    imitated_by=("timing", "clocks"),
     kernel=_apply,
     follows_force=True,
     states=_FORCES + _ROOM,

@@ -45,6 +45,8 @@ EFFECT = Effect(
     confused_with=("magnetic_hysteresis", "channel_delay", "force_sensor_lag"),
     separated_by="steps of current at several constant speeds",
     shows=("step",),
+    needs=("changing current",),
+    imitated_by=("timing", "clocks"),
     kernel=_apply,
     states=2,
 )

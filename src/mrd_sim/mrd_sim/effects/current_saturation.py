@@ -45,5 +45,7 @@ EFFECT = Effect(
     confused_with=("magnetic_hysteresis", "current_sensor_error", "cavitation", "thermal_fade"),
     separated_by="a short staircase of current up to 2 A",
     shows=("current",),
+    needs=("several currents",),
+    imitated_by=("clipped force", "clipped current"),
     kernel=_apply,
 )

@@ -34,5 +34,7 @@ EFFECT = Effect(
     confused_with=("magnetic_hysteresis", "current_saturation", "load_cell_gain", "seal_friction"),
     separated_by="a recording without current; a reading of the current by a shunt",
     shows=("current",),
+    needs=("several currents",),
+    imitated_by=("clipped current",),
     kernel=_apply,
 )

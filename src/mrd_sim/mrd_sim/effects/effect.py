@@ -31,6 +31,24 @@ PLACES: dict[Place, str] = {
 }
 """Places of recordings in which an effect shows, in words. They are axes over which a diagnosis locates the error."""
 
+Need = Literal["changing current", "several currents", "mains frequency"]
+NEEDS: dict[Need, str] = {
+    "changing current": "the current never changes within a run",
+    "several currents": "all runs have the same current",
+    "mains frequency": "the sampling rate does not show the mains frequency",
+}
+"""What recordings must have, or else say nothing about an effect; and why they do not, where they lack it."""
+
+Fault = Literal["timing", "clocks", "clipped force", "clipped position", "clipped current"]
+FAULTS: dict[Fault, str] = {
+    "timing": "a channel that is held, shifted or filtered",
+    "clocks": "clocks of channels that differ",
+    "clipped force": "a force channel that is clipped",
+    "clipped position": "a position channel that is clipped",
+    "clipped current": "a current channel that is clipped",
+}
+"""Faults of a recording that look like an effect, in words."""
+
 
 @dataclass(frozen=True, repr=False)
 class Effect:
@@ -91,6 +109,11 @@ class Effect:
     shows : tuple of str
         Places, of `PLACES`, in at least one of which the error of a model without the effect must be larger than elsewhere,
         once its parameters have taken up what they can. Empty where it can be anywhere.
+    needs : tuple of str
+        What recordings must have to say anything about the effect, of `NEEDS`.
+    imitated_by : tuple of str
+        Faults of a recording that look like the effect, of `FAULTS`. What depends on where the rod is, on its direction, on
+        the current or on the time of a whole run is not imitated by readings that are some milliseconds off.
     """
 
     id: str
@@ -117,6 +140,8 @@ class Effect:
     coefficient: str = ""
     only_as_change: bool = False
     shows: tuple[Place, ...] = ()
+    needs: tuple[Need, ...] = ()
+    imitated_by: tuple[Fault, ...] = ("timing",)
 
     def __repr__(self) -> str:
         return f"<Effect {self.id}>"

@@ -40,5 +40,6 @@ EFFECT = Effect(
     confused_with=("hardening_spring", "gas_spring", "cavitation", "side_load_friction"),
     separated_by="the same speed on short strokes off the centre",
     shows=("end",),
+    imitated_by=("clipped position",),
     kernel=_apply,
 )

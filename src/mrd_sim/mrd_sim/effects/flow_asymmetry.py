@@ -35,6 +35,7 @@ EFFECT = Effect(
     confused_with=("cavitation", "load_cell_drift", "gas_spring"),
     separated_by="both directions at several currents and speeds",
     shows=(),  # once the yield force is the mean of both directions, both err by as much
+    imitated_by=("clipped force",),
     kernel=_apply,
     states=2,
 )

@@ -34,6 +34,7 @@ EFFECT = Effect(
     confused_with=("load_cell_gain", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade"),
     separated_by="dead weights on the load cell and a gauge beside the position transducer, before and after",
     shows=(),  # a factor on the whole force
+    imitated_by=(),
     kernel=_apply,
     only_as_change=True,
 )

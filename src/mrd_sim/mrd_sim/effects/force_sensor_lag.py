@@ -38,6 +38,7 @@ EFFECT = Effect(
     confused_with=("channel_delay", "coil_lag", "series_compliance", "moving_mass", "rate_dependent_hysteresis"),
     separated_by="chirp against a stiff spring; steps of current during fast motion",
     shows=("reversal", "step"),
+    imitated_by=("timing", "clocks"),
     kernel=_apply,
     follows_force=True,
     states=2,

@@ -44,5 +44,6 @@ EFFECT = Effect(
     confused_with=("end_stop", "load_cell_drift", "moving_mass", "side_load_friction"),
     separated_by="slow ramps over the whole stroke at 0 A, by the mean of both directions",
     shows=("end", "position"),
+    imitated_by=(),
     kernel=_apply,
 )

@@ -37,5 +37,6 @@ EFFECT = Effect(
     confused_with=("end_stop", "gas_spring", "side_load_friction", "lvdt_nonlinearity"),
     separated_by="slow strokes of several lengths, of which the short ones stay clear of any stop",
     shows=("end", "position"),
+    imitated_by=("clipped position",),
     kernel=_apply,
 )

@@ -38,5 +38,6 @@ EFFECT = Effect(
     confused_with=("series_compliance", "backlash", "pre_yield_hysteresis"),
     separated_by="small strokes at several currents; a preload that keeps the force from changing sign",
     shows=("reversal",),
+    imitated_by=("timing", "clipped position"),
     elongation=_elongation,
 )

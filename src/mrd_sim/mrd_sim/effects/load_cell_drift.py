@@ -40,6 +40,7 @@ EFFECT = Effect(
     confused_with=("gas_spring", "thermal_fade", "load_cell_gain", "mains_hum"),
     separated_by="the free rod before and after the runs; dead weights",
     shows=("time",),
+    imitated_by=(),
     kernel=_apply,
     states=1,
     outlasts_run=True,

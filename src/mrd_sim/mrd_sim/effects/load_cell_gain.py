@@ -31,5 +31,6 @@ EFFECT = Effect(
     confused_with=("load_cell_drift", "current_sensor_error", "lvdt_nonlinearity", "thermal_fade", "fluid_change"),
     separated_by="dead weights (recordings alone cannot tell it from a stronger damper)",
     shows=(),  # a factor on the whole force
+    imitated_by=(),
     kernel=_apply,
 )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mrd_base import InputError
-from mrd_sim.effects.effect import PLACES, STAGES, Effect
+from mrd_sim.effects.effect import FAULTS, NEEDS, PLACES, STAGES, Effect
 from mrd_sim.series_elements import MOST_PARAMETERS
 
 LONGEST_MESSAGE = 300
@@ -54,9 +54,10 @@ def _read(file: Path) -> Effect:
         raise InputError(f"{file}: id is {effect.id!r}, expected lower-case letters, digits and _")
     if effect.stage not in STAGES:
         raise InputError(f"{file}: stage is {effect.stage!r}, expected one of {', '.join(STAGES)}")
-    for place in effect.shows:
-        if place not in PLACES:
-            raise InputError(f"{file}: shows holds {place!r}, expected any of {', '.join(PLACES)}")
+    for field, known in (("shows", PLACES), ("needs", NEEDS), ("imitated_by", FAULTS)):
+        for entry in getattr(effect, field):
+            if entry not in known:
+                raise InputError(f"{file}: {field} holds {entry!r}, expected any of {', '.join(known)}")
     _check_parameters(file, effect)
     _check_phrase(file, effect)
     _check_function(file, effect)

@@ -39,5 +39,6 @@ EFFECT = Effect(
     confused_with=("servo_ripple", "load_cell_gain", "side_load_friction", "end_stop"),
     separated_by="gauge blocks or the encoder; short strokes at several positions",
     shows=("position",),
+    imitated_by=(),
     kernel=_apply,
 )

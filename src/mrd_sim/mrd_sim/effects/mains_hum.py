@@ -57,6 +57,7 @@ EFFECT = Effect(
     confused_with=("servo_ripple", "load_cell_drift"),
     separated_by="a recording at rest, motor on and off; two sampling rates",
     shows=("frequency",),
+    needs=("mains frequency",),
     kernel=_apply,
     states=_STATES,
     begin=_begin,

@@ -46,6 +46,7 @@ EFFECT = Effect(
     confused_with=("thermal_fade", "seal_friction", "load_cell_drift"),
     separated_by="runs after rests of different length; a repetition at the end",
     shows=("time",),
+    imitated_by=(),
     kernel=_apply,
     states=2,
     outlasts_run=True,

@@ -40,6 +40,7 @@ EFFECT = Effect(
     confused_with=("seal_friction", "pre_yield_hysteresis", "thermal_fade", "bypass_flow"),
     separated_by="constant speeds from 1 mm/s to top speed, several per decade",
     shows=("velocity",),
+    imitated_by=("timing", "clipped force"),
     kernel=_apply,
     coefficient="flow_index",
 )

@@ -37,6 +37,7 @@ EFFECT = Effect(
     confused_with=("gas_spring", "end_stop", "seal_friction", "servo_ripple"),
     separated_by="slow ramps over the whole stroke; the damper clamped again",
     shows=("end", "position"),
+    imitated_by=(),
     kernel=_apply,
     states=2,
 )

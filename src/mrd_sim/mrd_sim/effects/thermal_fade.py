@@ -44,6 +44,7 @@ EFFECT = Effect(
     confused_with=("settling", "load_cell_drift", "load_cell_gain"),
     separated_by="a reference run repeated hot and cold, with a rest in between",
     shows=("time",),
+    imitated_by=(),
     kernel=_apply,
     states=1,
     outlasts_run=True,
