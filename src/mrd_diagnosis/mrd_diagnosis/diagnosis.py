@@ -200,6 +200,9 @@ class Cause:
         bench in which it acts, or nothing. What is undecided is not named.
     members : tuple of Member
         The class: this effect and those that imitate it, the most probable first; only this one where it is determined.
+    plausible : tuple of str
+        Effects among which the cause is in nine of ten cases, likeliest first, if something is wrong in this place; see
+        `mrd_diagnosis.decision.presence.plausible_set`.
     """
 
     effect: str
@@ -209,6 +212,7 @@ class Cause:
     parameters: Mapping[str, ParameterEstimate]
     level: Level = "effect"
     members: tuple[Member, ...] = ()
+    plausible: tuple[str, ...] = ()
 
     @property
     def class_probability(self) -> float:

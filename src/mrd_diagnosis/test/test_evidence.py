@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_diagnosis.decision.presence import presence_model, presence_of
+from mrd_diagnosis.decision.presence import plausible_set, presence_model, presence_of
 from mrd_diagnosis.evidence.evidence import AGAINST, Evidence, balance_of_folds, lead_over, share_closed
 
 
@@ -49,6 +49,15 @@ def test_the_shipped_weights_are_those_of_the_evidence_and_have_signs_that_make_
     for name, weight in weights.items():
         assert weight <= 0.0 if name in AGAINST else weight >= 0.0
     assert presence_model().card["left out by damper"]["calibration error"] < 0.2
+
+
+@given(st.dictionaries(st.sampled_from("abcdef"), st.floats(0.01, 1.0), min_size=1))
+def test_a_plausible_set_begins_with_the_likeliest_and_is_no_larger_than_it_must_be(chances):
+    found = plausible_set(chances)
+    assert 1 <= len(found) <= len(chances)
+    assert chances[found[0]] == max(chances.values())
+    smaller = sum(chances[name] for name in found[:-1]) / sum(chances.values())
+    assert len(found) == 1 or smaller < presence_model().set_share + 1e-9
 
 
 @given(st.data())

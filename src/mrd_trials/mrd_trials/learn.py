@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from mrd_base import InputError
-from mrd_diagnosis.decision.presence import PresenceModel
+from mrd_diagnosis.decision.presence import COVERAGE, PresenceModel, cumulative_shares
 from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
 from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
 from mrd_trials.records import GroundTruth, Submission, WeighedEffect
@@ -24,9 +24,6 @@ Array = NDArray[np.float64]
 
 PENALTIES = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 """Penalties of the squared weights that are tried; weights are those of evidence of standard deviation one."""
-
-COVERAGE = 0.9
-"""Share of the sets of effects that shall hold the true one."""
 
 LEAST_ROWS = 20
 """Rows of either kind, right and wrong, below which nothing is learnt."""
@@ -123,7 +120,31 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
             "right and not named": int((~named & right).sum()),
         },
     }
-    return PresenceModel(round(intercept, 4), _rounded(names, weights), _rounded(names, evidence.std(axis=0)), card)
+    return PresenceModel(
+        round(intercept, 4),
+        _rounded(names, weights),
+        _rounded(names, evidence.std(axis=0)),
+        round(set_share([row for row in rows if row.right]), 4),
+        card,
+    )
+
+
+def set_share(rows: Sequence[Row]) -> float:
+    """Return the share of the probability that sets of effects must have to hold the true one as often as `COVERAGE`.
+
+    Split conformal prediction (Vovk, Gammerman & Shafer, 2005): the quantile, over rows whose class is right, of the share
+    that the effects before the true one have together; 1 where one was not tried in its place.
+    """
+    before = []
+    for row in rows:
+        chances = row.weighed.chances
+        ranked = sorted(chances, key=lambda name: -chances[name])
+        places = [ranked.index(cause) for cause in row.causes if cause in chances]
+        shares = cumulative_shares(chances)
+        before.append((shares[min(places) - 1] if min(places) else 0.0) if places else 1.0)
+    rank = min(int(np.ceil((len(before) + 1) * COVERAGE)), len(before))
+    # A set is complete once it has more than the share before the effect that belongs to it as the last one.
+    return min(float(np.sort(before)[rank - 1]) + 1e-4, 1.0)
 
 
 def _left_out(

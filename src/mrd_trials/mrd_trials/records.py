@@ -109,6 +109,8 @@ class Explanation:
         What is claimed: the effect, its class, or its stage; see `mrd_diagnosis.Cause`.
     members : tuple of str
         The class; empty where the effect is alone in it.
+    plausible : tuple of str
+        Effects among which the diagnosis expects the cause in nine of ten cases.
     """
 
     effects: tuple[str, ...]
@@ -118,6 +120,7 @@ class Explanation:
     indistinguishable: tuple[str, ...] = ()
     level: str = "effect"
     members: tuple[str, ...] = ()
+    plausible: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -133,6 +133,7 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
             ),
             level=cause.level,
             members=tuple(member.effect for member in cause.members) if cause.level != "effect" else (),
+            plausible=cause.plausible,
         )
         for cause in diagnosis.causes
     )

@@ -9,7 +9,7 @@ import pytest
 from mrd_base import InputError
 from mrd_diagnosis.decision.presence import PresenceModel
 from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
-from mrd_trials.learn import Row, learn, rows_of
+from mrd_trials.learn import Row, learn, rows_of, set_share
 from mrd_trials.records import GroundTruth, Submission, WeighedEffect
 
 NAMES = [entry.name for entry in fields(Evidence)]
@@ -69,6 +69,19 @@ def test_what_tells_right_from_wrong_gets_the_weight():
     assert measured["named and right"] > 0.85 * measured["named"]
     assert model.card["trials"] == [{"seed": 1}]
     assert PresenceModel(**json.loads(json.dumps(asdict(model)))) == model
+
+
+def test_sets_hold_the_true_effect_in_nine_of_ten_cases():
+    def row(place):
+        chances = {"end_stop": 0.4, "gas_spring": 0.3, "backlash": 0.2, "settling": 0.1}
+        entry = WeighedEffect("end_stop", tuple(chances), 0.5, dict.fromkeys(NAMES, 0.5), chances)
+        return Row("damper", entry, frozenset([list(chances)[place]]))
+
+    assert set_share([row(0)] * 100) == pytest.approx(0.0, abs=1e-3)
+    assert set_share([row(0)] * 85 + [row(1)] * 15) == pytest.approx(0.4, abs=1e-3)
+    assert set_share([row(0)] * 80 + [row(2)] * 20) == pytest.approx(0.7, abs=1e-3)
+    elsewhere = replace(row(0), causes=frozenset({"mains_hum"}))
+    assert set_share([row(0)] * 80 + [elsewhere] * 20) == 1.0
 
 
 def test_the_same_trials_give_the_same_weights():

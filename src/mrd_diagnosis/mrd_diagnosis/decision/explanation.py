@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision.decision import Probabilities
+from mrd_diagnosis.decision.presence import plausible_set
 from mrd_diagnosis.diagnosis import (
     Advice,
     Alternative,
@@ -111,6 +112,7 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
                 {name: value for name, value in parameters.items() if name.startswith(f"{effect}.")},
                 level_of(effect, members, chances[effect]),
                 members,
+                plausible_set({name: chance for name, chance in chances[effect].items() if name in EFFECTS}),
             )
         )
     return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))

@@ -11,9 +11,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from mrd_diagnosis.evidence.evidence import Evidence
+
+Array = NDArray[np.float64]
+
+COVERAGE = 0.9
+"""Share of the plausible sets that hold the true effect, where their class is right."""
 
 FILE = Path(__file__).with_name("presence.json")
 
@@ -30,6 +37,9 @@ class PresenceModel:
         Change of the log odds by one unit of each number of an `Evidence`, by name.
     deviations : mapping
         Standard deviation of each number among the plants from which they were learnt.
+    set_share : float
+        Share of the probability of all effects in a place that a set of them must have to hold the true one as often as
+        `COVERAGE` says, where the class is right (split conformal; Vovk, Gammerman & Shafer, 2005).
     card : mapping
         Where the weights come from, and how far they were right on dampers that were left out.
     """
@@ -37,6 +47,7 @@ class PresenceModel:
     intercept: float
     weights: Mapping[str, float]
     deviations: Mapping[str, float]
+    set_share: float
     card: Mapping[str, Any]
 
     def probability(self, evidence: Mapping[str, float]) -> float:
@@ -53,6 +64,24 @@ def presence_model() -> PresenceModel:
 def presence_of(evidence: Evidence) -> float:
     """Return the probability that the class of an effect is there."""
     return presence_model().probability(evidence.as_dict())
+
+
+def plausible_set(chances: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the effects among which the cause is in nine of ten cases, likeliest first.
+
+    Parameters
+    ----------
+    chances : mapping
+        Probability of each effect in its place by name.
+    """
+    ranked = sorted(chances, key=lambda name: -chances[name])
+    return tuple(ranked[: 1 + int(np.sum(cumulative_shares(chances)[:-1] < presence_model().set_share))])
+
+
+def cumulative_shares(chances: Mapping[str, float]) -> Array:
+    """Return the share (effects,) of the probability that the likeliest effects have together: one, two, ..."""
+    ordered = np.sort(list(chances.values()))[::-1]
+    return np.asarray(np.cumsum(ordered) / max(ordered.sum(), 1e-300))
 
 
 def markdown_table() -> str:

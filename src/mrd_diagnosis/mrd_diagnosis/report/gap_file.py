@@ -169,6 +169,7 @@ def _cause(cause: Cause) -> dict[str, Any]:
             }
             for member in cause.members
         ],
+        "plausible": list(cause.plausible),
         "parameters": _parameters(parameters_of_effect(cause.effect, cause.parameters)),
         **_closed_fraction(cause.closed_fraction),
         "p_value": finite_or_none(cause.p_value),

@@ -26,6 +26,10 @@ class ClassRates:
         Names that end at a class or at a stage.
     members : Distribution
         Number of effects in what is named.
+    covered : Rate
+        Detectable plants with one effect and something named that have it in one of the stated sets, of 90 %.
+    set_sizes : Distribution
+        Number of effects in these sets.
     """
 
     right: Rate
@@ -34,6 +38,8 @@ class ClassRates:
     effect: Rate
     undivided: Rate
     members: Distribution
+    covered: Rate
+    set_sizes: Distribution
 
     @classmethod
     def from_results(cls, results: PlantResults, not_counted: Mapping[str, frozenset[str]] | None = None) -> "ClassRates":
@@ -61,6 +67,14 @@ class ClassRates:
             effect=Rate.from_outcomes([not result.not_wrong.isdisjoint(claim.effects) for result, claim in alone]),
             undivided=Rate.from_outcomes([claim.level != "effect" for _, claim in every]),
             members=Distribution(tuple(float(len(members_of(claim))) for _, claim in every)),
+            covered=Rate.from_outcomes(
+                [
+                    any(result.truth.causes[0] in claim.plausible for claim in claims[result.truth.plant])
+                    for result in detectable
+                    if result.truth.kind == "single" and claims[result.truth.plant]
+                ]
+            ),
+            set_sizes=Distribution(tuple(float(len(claim.plausible)) for _, claim in every)),
         )
 
 

@@ -34,6 +34,8 @@ CLASS_FIGURES: Sequence[tuple[str, Callable[[ClassRates], Figure | str]]] = (
     ("… where one effect is named: right effect", lambda rates: rates.effect),
     ("… names that end at a class or a stage", lambda rates: rates.undivided),
     ("… number of effects in what is named", lambda rates: rates.members),
+    ("… cause in a stated set of 90 %", lambda rates: rates.covered),
+    ("… number of effects in these sets", lambda rates: rates.set_sizes),
 )
 """Rows on classes of effects, in both tables."""
 
