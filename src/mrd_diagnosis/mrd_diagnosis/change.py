@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from scipy.stats import ttest_ind
 
 from mrd_diagnosis.decision.decision import decide_change
-from mrd_diagnosis.decision.explanation import Explanation, probabilities_of_alternatives
-from mrd_diagnosis.fitting.null_distribution import NullGains, draw_null_gains
+from mrd_diagnosis.decision.explanation import Explained, Explanation, probabilities_of_alternatives
+from mrd_diagnosis.fitting.null_distribution import draw_null_gains
 from mrd_diagnosis.fitting.refit import Refit, refit, refit_on
 from mrd_diagnosis.fitting.statistics import error_dispersion
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, error_of_run
-from mrd_diagnosis.search.effect_search import EffectFit, search_effects
+from mrd_diagnosis.search.effect_search import search_effects
 from mrd_diagnosis.search.model_comparison import compare_on
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wrong_form.flexible_remainder import flexible_functions
@@ -42,7 +42,7 @@ def explain_change(
     effects: Sequence[str],
     rng: np.random.Generator,
     progress: Progress = lambda _fraction: None,
-) -> tuple[Explanation, list[EffectFit], NullGains]:
+) -> Explained:
     """Find the effects that explain a change.
 
     Parameters
@@ -57,13 +57,7 @@ def explain_change(
     progress : callable
         Called with the fraction of the work that is done.
 
-    Returns
-    -------
-    explanation : Explanation
-        Its comparison has the common remainder, and counts as noise what no change explains.
-    singles : list of EffectFit
-        Each effect by itself.
-    null_gains : NullGains
+    The comparison of the explanation has the common remainder, and counts as noise what no change explains.
     """
     weighting = replace(
         weighting, scatter=RunScatter(RUN_SCATTER.gain, RUN_SCATTER.offset * base.problem.model.scales.force)
@@ -93,7 +87,8 @@ def explain_change(
         chosen, _ = search_effects(weighting, base, proven, null_errors)
     chances = probabilities_of_alternatives(comparison, rng)
     progress(1.0)
-    return Explanation(decide_change(comparison, chances, rng), comparison, chances, p_values), singles, null_gains
+    explanation = Explanation(decide_change(comparison, chances, rng), comparison, chances, p_values)
+    return Explained(explanation, comparison, singles, null_gains)
 
 
 def exceeds_run_scatter(refitted: Refit, effect: str) -> bool:

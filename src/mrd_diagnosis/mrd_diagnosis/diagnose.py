@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,46 +10,26 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure.closure import Closure, compute_closure
-from mrd_diagnosis.decision.decision import decide
-from mrd_diagnosis.decision.explanation import (
-    Explanation,
-    advise_next,
-    list_alternative_models,
-    list_alternatives,
-    list_candidates,
-    probabilities_of_alternatives,
-)
+from mrd_diagnosis.decision.explanation import advise_next, list_alternative_models, list_alternatives, list_candidates
 from mrd_diagnosis.decision.judgement import judge, reject_others
-from mrd_diagnosis.diagnosis import (
-    AlternativeModel,
-    Candidate,
-    CorrectedSimulator,
-    Diagnosis,
-    Finding,
-    Gap,
-    HeldOutBy,
-    Region,
-)
+from mrd_diagnosis.diagnosis import Candidate, CorrectedSimulator, Diagnosis, Finding, Gap, HeldOutBy, Region, Verdict
 from mrd_diagnosis.fitting.base_fit import fit_base
-from mrd_diagnosis.fitting.null_distribution import NullGains, draw_null_gains
 from mrd_diagnosis.fitting.refit import Refit, refit_on
 from mrd_diagnosis.fitting.weighting import Weighting, error_of_run
+from mrd_diagnosis.gap import explain_gap
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.localisation.oscillation import find_oscillation
 from mrd_diagnosis.recordings.closed_loop import closed_loop_notes
 from mrd_diagnosis.recordings.limitations import limitation_notes, untestable_effects
+from mrd_diagnosis.recordings.recording_set import RecordingSet, held_out_by
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
-from mrd_diagnosis.search.alternative_models import best_model, fit_alternative_models
-from mrd_diagnosis.search.effect_search import EffectFit, search_effects, tolerated_excess
-from mrd_diagnosis.search.model_comparison import ModelComparison, compare_models, compare_on_all_samples
+from mrd_diagnosis.search.alternative_models import best_model
+from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
-from mrd_diagnosis.wrong_form.partial_explanation import explain_in_part, rests_on_form
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
-from mrd_identification.parallel import in_threads
 from mrd_identification.preflight import preflight
-from mrd_identification.preflight.excitation import repeats_one_stroke
-from mrd_identification.recording import Recording, prepare_recording, thinned
+from mrd_identification.recording import thinned
 from mrd_runs import Run
 from mrd_runs.scales import scales_of
 from mrd_sim.effects import EFFECTS, find_effects
@@ -145,21 +125,35 @@ def diagnose(
     findings = preflight([*runs, *held_out], expected)
     if reference:
         findings = (*preflight(reference, expected), *findings)
+    asked = _Asked(tuple(runs), tuple(held_out), tuple(reference), seed, began)
     if any(finding.severity == "fault" for finding in findings):
         progress("done", 1.0)
-        return _faulty(base, runs, held_out, reference, findings, seed, began)
-    before = [replace(recording, without_effects=True) for recording in in_threads(prepare_recording, reference)]
-    fitted, set_aside = (in_threads(prepare_recording, group) for group in (runs, held_out))
+        return _faulty(base, asked, findings)
+    recordings = RecordingSet.prepare(runs, reference, held_out)
     if model == BEST_MODEL:
         progress("choosing the damper model", 0.02)
-        base = best_model(base, thinned(fitted, MOST_SAMPLES), np.random.default_rng(seed))
-    diagnosis = _diagnose_physics(
-        base, theta, candidates, [*before, *fitted], set_aside, findings, bench, seed, began, progress
+        base = best_model(base, thinned(recordings.after, MOST_SAMPLES), np.random.default_rng(seed))
+    diagnosis = _diagnose_physics(base, theta, candidates, recordings, findings, bench, asked, progress)
+    chosen = (
+        f"Of the damper models that were tried, {base.id} predicts these recordings best." if model == BEST_MODEL else ""
     )
-    if model == BEST_MODEL:
-        chosen = f"Of the damper models that were tried, {base.id} predicts these recordings best."
-        diagnosis = replace(diagnosis, notes=(chosen, *diagnosis.notes))
-    return replace(diagnosis, notes=(*diagnosis.notes, *closed_loop_notes(runs)))
+    notes = (*filter(None, [chosen]), *diagnosis.notes, *closed_loop_notes(runs))
+    return replace(diagnosis, notes=notes)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What was asked of the diagnosis."""
+
+    runs: tuple[Run, ...]
+    held_out: tuple[Run, ...]
+    reference: tuple[Run, ...]
+    seed: int
+    began: float
+
+    @property
+    def held_out_by(self) -> HeldOutBy:
+        return held_out_by(len(self.runs), len(self.held_out), is_change=bool(self.reference))
 
 
 def _notes_on_change(runs: int, reference: int) -> tuple[str, ...]:
@@ -198,32 +192,19 @@ def _theta_as_given(base: DamperModel, parameters: StoredFit | None) -> Array | 
     return base.vector({name: value for name, value in parameters.values.items() if "." not in name})
 
 
-def _held_out_by(runs: Sequence[Run], held_out: Sequence[Run], *, is_change: bool) -> HeldOutBy:
-    # What is common to the recordings from before and after predicts parts of a run, not a whole one.
-    return "runs" if held_out else "leave-one-run-out" if len(runs) > 1 and not is_change else "blocks"
-
-
-def _faulty(
-    model: DamperModel,
-    runs: Sequence[Run],
-    held_out: Sequence[Run],
-    reference: Sequence[Run],
-    findings: tuple[Finding, ...],
-    seed: int,
-    began: float,
-) -> Diagnosis:
+def _faulty(model: DamperModel, asked: _Asked, findings: tuple[Finding, ...]) -> Diagnosis:
     """Return the diagnosis that the recordings are faulty."""
     return Diagnosis(
         model,
-        tuple(runs),
-        tuple(held_out),
-        seed,
-        time.monotonic() - began,
+        asked.runs,
+        asked.held_out,
+        asked.seed,
+        time.monotonic() - asked.began,
         findings,
         "data_fault",
         fault_sentence(findings),
-        _held_out_by(runs, held_out, is_change=bool(reference)),
-        tuple(reference),
+        asked.held_out_by,
+        asked.reference,
     )
 
 
@@ -231,180 +212,126 @@ def _diagnose_physics(
     model: DamperModel,
     theta_as_given: Array | None,
     candidates: Sequence[str],
-    recordings: Sequence[Recording],
-    held_out: Sequence[Recording],
+    recordings: RecordingSet,
     findings: tuple[Finding, ...],
     bench: GeneratorSettings | None,
-    seed: int,
-    began: float,
+    asked: _Asked,
     progress: Progress,
 ) -> Diagnosis:
-    """Diagnose recordings that have no fault."""
-    rng = np.random.default_rng(seed)
+    """Diagnose recordings that have no fault: fit, explain, judge, then measure, locate and advise."""
+    rng = np.random.default_rng(asked.seed)
     progress("fitting the model", 0.05)
-    weighting, base, null_errors, notes = fit_base(model, theta_as_given, thinned(recordings, MOST_SAMPLES), rng)
-    untestable = untestable_effects(model, theta_as_given, candidates, recordings)
-    excluded = {entry.effect for entry in untestable}
-    tried = [effect for effect in candidates if effect not in excluded]
+    weighting, base, null_errors, notes = fit_base(model, theta_as_given, thinned(recordings.fitted, MOST_SAMPLES), rng)
+    untestable = untestable_effects(model, theta_as_given, candidates, recordings.fitted)
+    tried = [effect for effect in candidates if effect not in {entry.effect for entry in untestable}]
     progress("trying effects", 0.15)
-    other_models: dict[str, Refit] = {}
-    if recordings[0].without_effects:
-        explanation, singles, null_gains = explain_change(
-            weighting, base, tried, rng, lambda fraction: progress("trying effects", 0.15 + 0.7 * fraction)
-        )
-        complete = explanation.comparison
+
+    def part(stage: str, fraction: float) -> None:
+        progress(stage, 0.15 + 0.75 * fraction)
+
+    if recordings.is_change:
+        explained = explain_change(weighting, base, tried, rng, lambda fraction: part("trying effects", fraction))
     else:
-        explanation, complete, singles, null_gains, other_models = _explain_gap(
-            weighting, base, null_errors, tried, rng, progress
-        )
-    runs = tuple(recording.run for recording in recordings if not recording.without_effects)
-    set_aside = tuple(recording.run for recording in held_out)
-    reference = tuple(recording.run for recording in recordings if recording.without_effects)
-    judgement = judge(explanation, complete, findings, [*reference, *runs], rng)
+        explained = explain_gap(weighting, base, null_errors, tried, rng, part)
+    runs = [*asked.reference, *asked.runs]
+    judgement = judge(explained.explanation, explained.complete, findings, runs, rng)
     if judgement.faults:
         progress("done", 1.0)
         faults = tuple(replace(finding, severity="fault") for finding in judgement.faults)
         others = tuple(finding for finding in findings if finding not in judgement.faults)
-        faulty = _faulty(model, runs, set_aside, reference, (*faults, *others), seed, began)
+        faulty = _faulty(model, asked, (*faults, *others))
         return replace(faulty, rejected=judgement.rejected, notes=(imitation_note(judgement.rejected),))
     explanation, complete = judgement.explanation, judgement.complete
     verdict, comparison, chances = explanation.verdict, explanation.comparison, explanation.probabilities
     if verdict == "no_gap":
         comparison, complete, chances = comparison.without_effects(), complete.without_effects(), {}
-    listed, without_evidence = list_candidates(comparison, singles, null_gains, chances, rng)
+    listed, without_evidence = list_candidates(comparison, explained.singles, explained.null_gains, chances, rng)
 
     progress("measuring how far the gap closes", 0.9)
-    closure = compute_closure(complete, held_out, rng)
-    where: tuple[Region, ...] = ()
-    oscillation = None
-    explainable = float("nan")
+    closure = compute_closure(complete, recordings.held_out, rng)
     if verdict != "no_gap":
         progress("locating the gap", 0.93)
-        residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
-        where, oscillation, explainable = _locate(closure, residuals, rng)
-    nearest = None
-    models: tuple[AlternativeModel, ...] = ()
+    place = _locate(closure, verdict, rng)
     conclusive = verdict == "explained" or (verdict == "ambiguous" and bool(judgement.causes))
-    if verdict != "no_gap" and not conclusive:
-        nearest = _nearest(comparison, listed)
-        models = list_alternative_models(comparison, other_models, rng)
+    is_open = verdict != "no_gap" and not conclusive
+    models = list_alternative_models(comparison, explained.other_models, rng) if is_open else ()
     if conclusive:
         progress("designing the next experiment", 0.96)
-    corrected, without_effects = complete.best.values, complete.without_effects().best.values
-    if reference:
-        without_effects = _damper_before(weighting, base)
-        corrected = corrected | without_effects
-    gap = Gap(
-        closure.noise_floor,
-        closure.before,
-        closure.after,
-        closure.closed_fraction,
-        _error_as_given(model, theta_as_given, complete.weighting, closure),
-        explainable,
-        closure.extrapolated,
-        explanation.form_fraction,
-    )
+    advice = advise_next(comparison, chances, bench) if conclusive else None
     progress("done", 1.0)
     diagnosis = Diagnosis(
         model=model,
-        runs=runs,
-        held_out=set_aside,
-        seed=seed,
-        elapsed=time.monotonic() - began,
+        runs=asked.runs,
+        held_out=asked.held_out,
+        seed=asked.seed,
+        elapsed=time.monotonic() - asked.began,
         findings=findings,
         verdict=verdict,
         sentence="",
-        held_out_by=_held_out_by(runs, set_aside, is_change=bool(reference)),
-        reference=reference,
-        gap=gap,
-        corrected=CorrectedSimulator(
-            complete.best.effects,
-            corrected,
-            without_effects,
-            {} if theta_as_given is None else dict(zip(model.names, map(float, theta_as_given), strict=True)),
+        held_out_by=asked.held_out_by,
+        reference=asked.reference,
+        gap=Gap(
+            closure.noise_floor,
+            closure.before,
+            closure.after,
+            closure.closed_fraction,
+            _error_as_given(model, theta_as_given, complete.weighting, closure),
+            place.explainable,
+            closure.extrapolated,
+            explanation.form_fraction,
         ),
-        where=where,
-        oscillation=oscillation,
+        corrected=_corrected(model, theta_as_given, complete, _damper_before(weighting, base) if asked.reference else {}),
+        where=place.where,
+        oscillation=place.oscillation,
         causes=judgement.causes,
-        rejected=reject_others(judgement, listed, models, findings, [*reference, *runs]),
+        rejected=reject_others(judgement, listed, models, findings, runs),
         weighed=explanation.weighed,
         alternatives=list_alternatives(comparison, chances) if verdict not in ("no_gap", "unknown_effect") else (),
-        nearest=nearest,
+        nearest=_nearest(comparison, listed) if is_open else None,
         candidates=listed,
         untestable=(*without_evidence, *untestable),
         alternative_models=models,
-        next_experiment=advise_next(comparison, chances, bench) if conclusive else None,
+        next_experiment=advice,
         residuals=closure.residuals,
         notes=(
             *notes,
-            *_notes_on_change(len(runs), len(reference)),
-            *limitation_notes(recordings, complete.weighting.noise),
+            *_notes_on_change(len(asked.runs), len(asked.reference)),
+            *limitation_notes(recordings.fitted, complete.weighting.noise),
         ),
     )
     return replace(diagnosis, sentence=verdict_sentence(diagnosis))
 
 
-def _explain_gap(
-    weighting: Weighting,
-    base: Refit,
-    null_errors: Sequence[Array],
-    effects: Sequence[str],
-    rng: np.random.Generator,
-    progress: Progress,
-) -> tuple[Explanation, ModelComparison, list[EffectFit], NullGains, dict[str, Refit]]:
-    """Explain the gap of a model; return the explanation, its comparison on all samples, each effect by itself, the gains in
-    noise alone, and other damper models where they were tried.
-    """
-    chosen, fits = search_effects(
-        weighting, base, effects, null_errors, lambda fraction: progress("trying effects", 0.15 + 0.3 * fraction)
-    )
-    progress("comparing models", 0.45)
-    singles = [fit for fit in fits if len(fit.effects) == 1]
-    null_gains = draw_null_gains(base, [fit.refit for fit in singles], rng)
-    comparison = compare_models(weighting, base, chosen, fits, rng)
-    p_values = {fit.effects[-1]: null_gains.p_value(fit.gain, fit.refit.problem) for fit in chosen}
-    complete = compare_on_all_samples(comparison, rng)
-    other_models: dict[str, Refit] = {}
-    chances = probabilities_of_alternatives(comparison, rng)
-    verdict = decide(complete, base.chi_square, chances, p_values, rng)
-    if verdict in ("explained", "ambiguous"):
-        # Before an effect is named: another damper model may explain as much without any.
-        progress("trying other damper models", 0.48)
-        excess = comparison.best.chi_square - 1.0
-        other_models = fit_alternative_models(comparison.weighting, comparison.base, excess, rng)
-        comparison, complete = (compared.with_alternative_models(other_models) for compared in (comparison, complete))
-        chances = probabilities_of_alternatives(comparison, rng)
-        verdict = decide(complete, base.chi_square, chances, p_values, rng)
-    explanation = Explanation(verdict, comparison, chances, p_values)
-    runs = [recording.run for recording in weighting.recordings]
-    if verdict == "unknown_effect" or (verdict != "no_gap" and rests_on_form(comparison)):
-        if not other_models:
-            progress("trying other damper models", 0.48)
-            tolerated = tolerated_excess(comparison.base)
-            other_models = fit_alternative_models(comparison.weighting, comparison.base, tolerated, rng)
-        stage = "looking for causes beside a wrong form"
-        # Of one stroke, nothing tells an effect from the form.
-        explanation = explain_in_part(
-            explanation,
-            list(other_models.values()),
-            [] if repeats_one_stroke(runs) else effects,
-            null_gains,
-            rng,
-            lambda fraction: progress(stage, 0.55 + 0.35 * fraction),
-        )
-        complete = compare_on_all_samples(explanation.comparison, rng)
-    return explanation, complete, singles, null_gains, other_models
+def _corrected(
+    model: DamperModel, theta_as_given: Array | None, complete: ModelComparison, before: Mapping[str, float]
+) -> CorrectedSimulator:
+    """Return the simulator with the effects; where a change was explained, with the damper as it was ``before``."""
+    as_given = {} if theta_as_given is None else dict(zip(model.names, map(float, theta_as_given), strict=True))
+    without_effects = before or complete.without_effects().best.values
+    return CorrectedSimulator(complete.best.effects, {**complete.best.values, **before}, without_effects, as_given)
 
 
-def _locate(
-    closure: Closure, residuals: Sequence[Array], rng: np.random.Generator
-) -> tuple[tuple[Region, ...], Region | None, float]:
-    """Return where the gap lies, an oscillation that has most of it, and the share that a flexible function can explain."""
+@dataclass(frozen=True)
+class _Place:
+    """Where the gap lies, an oscillation that has most of it, and the share that a flexible function can explain."""
+
+    where: tuple[Region, ...] = ()
+    oscillation: Region | None = None
+    explainable: float = float("nan")
+
+
+def _locate(closure: Closure, verdict: Verdict, rng: np.random.Generator) -> _Place:
+    """Locate the gap; of a partly explained one, what remains."""
+    if verdict == "no_gap":
+        return _Place()
+    residuals = [of_run.after if verdict == "partly_explained" else of_run.before for of_run in closure.counted]
     recordings = [residual.recording for residual in closure.counted]
     noise = [residual.noise for residual in closure.counted]
-    where = localise(recordings, noise, residuals)
-    oscillation = find_oscillation(recordings, noise, residuals)
-    return where, oscillation, explainable_fraction(recordings, residuals, [of_run.sigma for of_run in noise], rng)
+    return _Place(
+        localise(recordings, noise, residuals),
+        find_oscillation(recordings, noise, residuals),
+        explainable_fraction(recordings, residuals, [of_run.sigma for of_run in noise], rng),
+    )
 
 
 def _nearest(comparison: ModelComparison, candidates: Sequence[Candidate]) -> Candidate | None:

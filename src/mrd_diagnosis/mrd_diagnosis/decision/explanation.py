@@ -75,6 +75,30 @@ class Explanation:
     weighed: tuple[WeighedEffect, ...] = ()
 
 
+@dataclass(frozen=True)
+class Explained:
+    """An explanation with all that was fitted for it.
+
+    Attributes
+    ----------
+    explanation : Explanation
+    complete : ModelComparison
+        Its comparison on all samples.
+    singles : sequence of EffectFit
+        Each effect by itself.
+    null_gains : NullGains
+        What noise alone gives.
+    other_models : mapping
+        Other damper models without effects by name; empty where none was tried.
+    """
+
+    explanation: Explanation
+    complete: ModelComparison
+    singles: Sequence[EffectFit]
+    null_gains: NullGains
+    other_models: Mapping[str, Refit] = field(default_factory=dict)
+
+
 def probabilities_of_alternatives(comparison: ModelComparison, rng: np.random.Generator) -> Probabilities:
     """Return the probability of every alternative to each cause.
 
