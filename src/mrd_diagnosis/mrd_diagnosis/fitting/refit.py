@@ -23,6 +23,12 @@ NO_INFORMATION = 1e-6
 """Share of the information on a parameter below which the other folds say nothing about it."""
 
 
+PLAUSIBLE_STEP = 0.3
+"""Share of its range by which a parameter moves without a fold where the others do not determine it: the standard deviation
+of a normal prior around the joint optimum. A step of first order says nothing there: the travel of a loop without width went
+from one end of its range to the other, and the fold without it was predicted a hundred times as badly."""
+
+
 @dataclass(frozen=True)
 class Refit:
     """A model refitted to all runs, and to all but each fold.
@@ -192,6 +198,9 @@ def without_each(
     matrix = normal_matrices.sum(axis=0) + np.diag(prior)
     joint = np.concatenate([unit, coefficients])
     gradient = gradients.sum(axis=0) + prior * joint
+    # The scatter of the pieces' gradients tells by how much errors count less than independent ones of variance one.
+    scatter = (gradients[:, :free] ** 2).sum(axis=0) / np.maximum(np.diag(matrix)[:free], np.finfo(float).tiny)
+    hold = np.concatenate([scatter / PLAUSIBLE_STEP**2, np.zeros(len(coefficients))])
     neutral = np.concatenate([problem.unit(problem.model.defaults), np.zeros(len(coefficients))])
     lower, upper = -joint, 1.0 - joint
     lower[free:], upper[free:] = -np.inf, np.inf
@@ -203,7 +212,7 @@ def without_each(
         new = np.where(only_here & (np.diag(matrix) > 0.0), neutral, joint)
         chosen = np.flatnonzero(~only_here)
         step = bounded_step(
-            rest[np.ix_(chosen, chosen)] + 1e-9 * np.diag(np.diag(rest)[chosen]),
+            rest[np.ix_(chosen, chosen)] + np.diag(1e-9 * np.diag(rest)[chosen] + hold[chosen]),
             (gradient - gradient_of_piece)[chosen],
             lower[chosen],
             upper[chosen],
