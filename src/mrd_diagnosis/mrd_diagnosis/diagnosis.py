@@ -275,11 +275,20 @@ class AlternativeModel:
         Error on held-out data.
     closed_fraction : Interval
         Share of the explainable gap that it closes.
+    model : str
+        Id of the model.
+    law : str
+        Its current law where it is the base model with another one.
+    freed : tuple of str
+        Parameters that are fitted although they usually are not.
     """
 
     name: str
     nrmse: float
     closed_fraction: Interval
+    model: str
+    law: str = ""
+    freed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

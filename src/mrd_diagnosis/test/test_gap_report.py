@@ -197,7 +197,7 @@ def diagnosed(verdict):
         alternatives = (Alternative("coil_lag", effect, 0.07, "predicts held-out data nearly as well"),)
     nearest = candidates[0] if verdict in ("partly_explained", "unknown_effect") else None
     if nearest is not None:
-        models = (AlternativeModel("modified_dahl", last, about(0.3)),)
+        models = (AlternativeModel("modified_dahl", last, about(0.3), "modified_dahl"),)
     diagnosis = Diagnosis(
         **common,
         sentence="",
@@ -305,7 +305,7 @@ def test_the_next_command_and_step_agree_with_what_apply_does(verdict, doubt):
         diagnosis = replace(diagnosis, corrected=replace(diagnosis.corrected, effects=effects, parameters=parameters))
     command = next_command(diagnosis).splitlines()[-1]
     report = to_json(diagnosis)
-    model = AlternativeModel("modified_dahl", 0.01, about(0.9))
+    model = AlternativeModel("modified_dahl", 0.01, about(0.9), "modified_dahl")
     steps = [next_step(diagnosis)]
     if verdict == "partly_explained":
         steps.append(next_step(replace(diagnosis, alternative_models=(model,))))
@@ -326,7 +326,7 @@ def test_the_next_command_and_step_agree_with_what_apply_does(verdict, doubt):
 
 def test_the_form_comes_first_where_it_is_most_of_the_gap():
     diagnosis = diagnosed("partly_explained")
-    model = AlternativeModel("modified_dahl", 0.01, about(0.9))
+    model = AlternativeModel("modified_dahl", 0.01, about(0.9), "modified_dahl")
     weak = replace(diagnosis.nearest, closed_fraction=about(0.02))
     gap = replace(diagnosis.gap, closed_fraction=about(0.02), form_fraction=0.93)
     headline = "Most of the gap (93 %) lies in the form of the damper model"
@@ -628,7 +628,7 @@ def test_the_page_says_what_remains_beside_the_causes(tmp_path):
     ]
     places = [markup.index(text) for text in order]
     assert places == sorted(places)
-    worse = replace(diagnosis, alternative_models=(AlternativeModel("sigmoid", 0.4, about(-0.2)),))
+    worse = replace(diagnosis, alternative_models=(AlternativeModel("sigmoid", 0.4, about(-0.2), "sigmoid"),))
     assert any(line.startswith("None of the other") for line in page_content(worse)["comparison"]["remains"])
 
 
@@ -690,7 +690,7 @@ def test_the_sentence_on_an_unknown_effect_points_only_at_significant_regions():
     )
     text = with_sentence(diagnosis, where=where).sentence
     assert "None of the effects that these runs can test (15) explains the gap; 2 more cannot be tested" in text
-    model = AlternativeModel("modified_dahl", 0.01, Interval(1.0))
+    model = AlternativeModel("modified_dahl", 0.01, Interval(1.0), "modified_dahl")
     text = with_sentence(diagnosis, where=(), alternative_models=(model,)).sentence
     assert text.startswith("Most of the gap (100 %) lies in the form of the damper model")
     assert text.endswith("The model modified_dahl removes 100 %: try it next.")
@@ -721,7 +721,7 @@ def test_the_next_command_follows_from_the_verdict():
     )
     partly = diagnosed("partly_explained")
     assert next_command(partly) == next_command(diagnosed("explained"))
-    other = replace(partly, alternative_models=(AlternativeModel("modified_dahl", 0.01, about(0.9)),))
+    other = replace(partly, alternative_models=(AlternativeModel("modified_dahl", 0.01, about(0.9), "modified_dahl"),))
     assert next_command(other).splitlines() == [
         "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR",
         next_command(partly),
@@ -748,17 +748,19 @@ def test_the_next_command_follows_from_the_verdict():
     assert next_command(unknown) == ""
     unknown = replace(unknown, nearest=None)
     assert next_command(unknown) == "ros2 run mrd_diagnosis diagnose RUN... --model modified_dahl --output DIR"
-    for name, command in (
+    for name, change, command in (
         (
             "bouc_wen with quadratic current laws",
+            {"law": "quadratic"},
             "ros2 run mrd_diagnosis diagnose RUN... --model bouc_wen --law quadratic --output DIR",
         ),
         (
             "bouc_wen with exponent fitted too",
+            {"freed": ("exponent",)},
             "ros2 run mrd_identification identify RUN... --model bouc_wen --free exponent --output DIR",
         ),
     ):
-        model = AlternativeModel(name, 0.01, about(0.9))
+        model = AlternativeModel(name, 0.01, about(0.9), "bouc_wen", **change)
         assert next_command(replace(unknown, alternative_models=(model,))) == command
     assert next_command(diagnosed("no_gap")) == next_command(diagnosed("data_fault")) == ""
 

@@ -14,7 +14,7 @@ from mrd_diagnosis.decision.decision import decide
 from mrd_diagnosis.diagnosis import RunNoise
 from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
 from mrd_diagnosis.fitting.null_distribution import draw_null_errors, draw_null_gains
-from mrd_diagnosis.fitting.refit import averaged_over_period, refit, scaled_inverse, without_each
+from mrd_diagnosis.fitting.refit import PLAUSIBLE_STEP, averaged_over_period, refit, scaled_inverse, without_each
 from mrd_diagnosis.fitting.statistics import bootstrap_counts, closed_fraction, effect_parameters, probabilities
 from mrd_diagnosis.fitting.weighting import RunScatter, Weighting, sum_of_squares, whitening
 from mrd_diagnosis.search.effect_search import EffectFit, refit_with_effects, score_effect, start_values
@@ -135,6 +135,25 @@ def test_a_parameter_without_information_stays_unless_it_leaves_with_its_only_fo
     thetas, _ = without_each(problem, unit, np.empty(0), matrices, gradients)
     expected = unit[lost] if known == "by no fold" else neutral_unit[lost]
     assert problem.unit(thetas[0])[lost] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("information", [1e-6, 1e-3, 1.0, 1e3])
+def test_a_parameter_that_other_folds_do_not_determine_is_held(alone, information):
+    # Errors count as independent ones of variance one: the deviation of a parameter is 1 / sqrt(information).
+    problem, place, folds, rng = alone.problem, 1, 10, np.random.default_rng(3)
+    count = alone.normal_matrices.shape[1]
+    matrices = np.repeat(1e6 * np.eye(count)[None], folds, axis=0) / folds
+    gradients = rng.normal(0, np.sqrt(1e6 / folds), (folds, count))
+    matrices[:, place, place] = information / folds
+    gradients[:, place] = rng.normal(0, np.sqrt(information / folds), folds)
+    gradients -= gradients.mean(axis=0)
+    unit = np.full(count, 0.5)
+    thetas, _ = without_each(problem, unit, np.empty(0), matrices, gradients)
+    steps = np.abs(np.array([problem.unit(theta) for theta in thetas]) - unit)
+    assert steps[:, place].max() < PLAUSIBLE_STEP
+    plain = np.abs(gradients) / (1e6 * (folds - 1) / folds)
+    others = [other for other in range(count) if other != place]
+    assert steps[:, others] == pytest.approx(plain[:, others], rel=0.02)
 
 
 def test_gains_in_noise_follow_their_null_distribution(weighting, alone):

@@ -249,11 +249,19 @@ def list_alternative_models(
     comparison: ModelComparison, refits: Mapping[str, Refit], rng: np.random.Generator
 ) -> tuple[AlternativeModel, ...]:
     """Return other damper models in place of effects, best first."""
-    variance = _force_variance(comparison)
+    variance, base = _force_variance(comparison), comparison.base.problem.model
     ranked = sorted(refits.items(), key=lambda item: item[1].held_out_cost)
     return tuple(
-        AlternativeModel(name, _nrmse(refit, variance), closed_fraction_between(comparison.base, refit, comparison, rng))
+        AlternativeModel(
+            name,
+            _nrmse(refit, variance),
+            closed_fraction_between(comparison.base, refit, comparison, rng),
+            model.id,
+            next((law for name, law in model.laws.items() if model.id == base.id and law != base.laws[name]), ""),
+            tuple(p.name for index, p in enumerate(model.parameters) if index in refit.problem.free and not p.free),
+        )
         for name, refit in ranked
+        for model in [refit.problem.model]
     )
 
 

@@ -16,7 +16,6 @@ from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_clause, effec
 from mrd_diagnosis.wording.quantities import capitalised, format_error, format_probability, format_share, join_words
 from mrd_runs.read import run_arguments
 from mrd_sim.effects import EFFECTS
-from mrd_sim.models import MODELS
 from mrd_sim.own import folder_arguments, model_arguments
 
 MOST = 0.5
@@ -394,14 +393,13 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     commands = []
     unlimited = diagnosis.verdict == "partly_explained" or not gap_making_limitations(diagnosis.findings)
     if unlimited and (model := notable_model(diagnosis)):
-        model_id, _, change = model.name.partition(" with ")
-        if change.endswith(" fitted too"):
-            free = " ".join(f"--free {name}" for name in change.removesuffix(" fitted too").split(", "))
+        if model.freed:
+            free = " ".join(f"--free {name}" for name in model.freed)
             identify = command("mrd_identification", "identify")
-            commands.append(f"{identify} {runs}{held_out} {model_arguments(model_id, laws)} {free} --output DIR")
-        elif model_id in MODELS:
-            model_and_law = model_arguments(model_id, "quadratic" if change else "")
-            commands.append(f"{diagnose}{held_out}{reference} {model_and_law} --output DIR")
+            commands.append(f"{identify} {runs}{held_out} {model_arguments(model.model, laws)} {free} --output DIR")
+        else:
+            model_and_laws = model_arguments(model.model, model.law)
+            commands.append(f"{diagnose}{held_out}{reference} {model_and_laws} --output DIR")
     if diagnosis.verdict == "partly_explained":
         commands += [apply, *reviews]
     return "\n".join(commands)
