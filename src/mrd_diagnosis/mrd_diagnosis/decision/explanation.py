@@ -1,7 +1,7 @@
 """Explanation: causes, candidates and alternatives, with their probabilities, from a model comparison."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from mrd_diagnosis.diagnosis import (
     Cause,
     Interval,
     Member,
+    ParameterEstimate,
     UntestableEffect,
     Verdict,
     WeighedEffect,
@@ -63,6 +64,8 @@ class Explanation:
         Class of each effect that was judged beside a freer form; see `mrd_diagnosis.evidence.cause_class.class_of`.
     weighed : tuple of WeighedEffect
         All effects whose evidence was weighed beside other forms, named or not.
+    sizes : mapping
+        For effects that were judged beside other forms, their parameters with intervals around each of these.
     """
 
     verdict: Verdict
@@ -73,6 +76,7 @@ class Explanation:
     form_fraction: float = float("nan")
     classes: Mapping[str, tuple[Member, ...]] = field(default_factory=dict)
     weighed: tuple[WeighedEffect, ...] = ()
+    sizes: Mapping[str, Sequence[Mapping[str, ParameterEstimate]]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,25 @@ def name_causes(explanation: Explanation, rng: np.random.Generator) -> tuple[Cau
             )
         )
     return tuple(sorted(causes, key=lambda cause: -cause.probability * float(np.nan_to_num(cause.closed_fraction.value))))
+
+
+def whatever_the_form(cause: Cause, explanation: Explanation) -> Cause:
+    """Return a cause with intervals of its parameters that hold those around other forms as well: nobody knows the right
+    form of the damper.
+    """
+    fits = explanation.sizes.get(cause.effect, ())
+    parameters = {
+        name: replace(estimate, value=_around([estimate.value, *(fit[name].value for fit in fits if name in fit)]))
+        for name, estimate in cause.parameters.items()
+    }
+    return replace(cause, parameters=parameters)
+
+
+def _around(intervals: Sequence[Interval]) -> Interval:
+    """Return the first of intervals, as wide as all together; as it is where one of them has no ends."""
+    lower, upper = (float(end) for end in (min(i.lower for i in intervals), max(i.upper for i in intervals)))
+    finite = all(np.isfinite([interval.lower, interval.upper]).all() for interval in intervals)
+    return Interval(intervals[0].value, lower, upper) if finite else intervals[0]
 
 
 def list_alternatives(comparison: ModelComparison, chances: Probabilities) -> tuple[Alternative, ...]:

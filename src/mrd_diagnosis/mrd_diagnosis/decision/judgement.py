@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mrd_diagnosis.closure.closure import closed_fraction_between
-from mrd_diagnosis.decision.explanation import Explanation, name_causes
+from mrd_diagnosis.decision.explanation import Explanation, name_causes, whatever_the_form
 from mrd_diagnosis.decision.honesty import SEEN, Claim, Rule, clock_finding, imitating_limitations, rejecting_rule
 from mrd_diagnosis.diagnosis import AlternativeModel, Candidate, Cause, Finding, Rejected
 from mrd_diagnosis.search.model_comparison import ModelComparison, with_effects
@@ -87,7 +87,7 @@ def judge(
         else:
             named.append(cause)
     if not rejected:
-        return Judgement(explanation, complete, causes)
+        return Judgement(explanation, complete, tuple(whatever_the_form(cause, explanation) for cause in causes))
     if named:
         effects = [cause.effect for cause in named]
         explanation = replace(
@@ -97,7 +97,9 @@ def judge(
             probabilities={effect: explanation.probabilities[effect] for effect in effects},
         )
         complete = _with_only(complete, effects)
-        return Judgement(explanation, complete, name_causes(replace(explanation, comparison=complete), rng), tuple(rejected))
+        causes = name_causes(replace(explanation, comparison=complete), rng)
+        causes = tuple(whatever_the_form(cause, explanation) for cause in causes)
+        return Judgement(explanation, complete, causes, tuple(rejected))
     seen = explanation.verdict in ("explained", "ambiguous") and all(entry.rule in SEEN for entry in rejected)
     explanation = replace(explanation, verdict="ambiguous" if seen else "unknown_effect")
     return Judgement(explanation, complete, (), tuple(rejected), tuple(dict.fromkeys(faults)))

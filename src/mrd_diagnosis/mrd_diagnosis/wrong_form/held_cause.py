@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mrd_diagnosis.diagnosis import Interval, Member
+from mrd_diagnosis.diagnosis import Interval, Member, ParameterEstimate
 from mrd_diagnosis.fitting.refit import Refit, costs_of_halves
 from mrd_diagnosis.fitting.statistics import probabilities
 from mrd_diagnosis.search.model_comparison import NO_EFFECT
@@ -29,12 +29,15 @@ class HeldCause:
         Share of the gap that it closes beside the others and a freer form of the damper.
     members : tuple of Member
         The class of effects to which it belongs.
+    sizes : tuple of mapping
+        Its parameters with intervals, around other damper models.
     """
 
     probabilities: dict[str, float]
     p_value: float
     closed_fraction: Interval
     members: tuple[Member, ...]
+    sizes: tuple[Mapping[str, ParameterEstimate], ...] = ()
 
 
 def holds(probability: float, without: Refit, with_effect: Refit) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mrd_diagnosis.decision.presence import presence_of
-from mrd_diagnosis.diagnosis import Member, WeighedEffect
+from mrd_diagnosis.diagnosis import Member, ParameterEstimate, WeighedEffect
 from mrd_diagnosis.evidence.cause_class import class_of
 from mrd_diagnosis.evidence.evidence import (
     Evidence,
@@ -24,7 +24,7 @@ from mrd_diagnosis.evidence.evidence import (
 )
 from mrd_diagnosis.fitting.base_fit import BaseFit
 from mrd_diagnosis.fitting.refit import Refit, refit_on
-from mrd_diagnosis.fitting.statistics import probabilities
+from mrd_diagnosis.fitting.statistics import effect_parameters, probabilities
 from mrd_diagnosis.fitting.weighting import Weighting
 from mrd_diagnosis.recordings.limitations import contains
 from mrd_diagnosis.search.effect_search import BEST_SCORES, MOST_CAUSES, ROUGHLY_CONVERGED, EffectFit, refit_with_effects
@@ -66,6 +66,8 @@ class Weighed:
     without, fitted : Refit
         The first form with the other effects, and with this one as well.
     evidence : Evidence
+    sizes : tuple of mapping
+        Its parameters with intervals around each form.
     """
 
     effect: str
@@ -74,6 +76,7 @@ class Weighed:
     without: Refit
     fitted: Refit
     evidence: Evidence
+    sizes: tuple[Mapping[str, ParameterEstimate], ...]
 
     @property
     def presence(self) -> float:
@@ -173,7 +176,8 @@ def _weigh(
         drift=drift_over_runs(fitted, effect),
         left=left,
     )
-    return _with_presence(Weighed(effect, dict(chances), members, without, fitted, evidence))
+    sizes = tuple(effect_parameters(refits[effect]) for refits in around.values() if effect in refits)
+    return _with_presence(Weighed(effect, dict(chances), members, without, fitted, evidence, sizes))
 
 
 def _with_presence(weighed: Weighed) -> Weighed:

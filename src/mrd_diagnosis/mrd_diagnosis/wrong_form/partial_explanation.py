@@ -114,6 +114,7 @@ def explain_in_part(
         form_fraction,
         {effect: cause.members for effect, cause in causes.items()},
         explanation.weighed,
+        {effect: cause.sizes for effect, cause in causes.items()},
     )
 
 
@@ -132,7 +133,7 @@ def rests_on_form(comparison: ModelComparison) -> bool:
 def _held(found: Weighed, comparison: ModelComparison, null_gains: NullGains, rng: np.random.Generator) -> HeldCause:
     gain = found.without.held_out_cost - found.fitted.held_out_cost
     closed = closed_fraction_between(found.without, found.fitted, comparison, rng)
-    return HeldCause(found.chances, null_gains.p_value(gain, found.fitted.problem), closed, found.members)
+    return HeldCause(found.chances, null_gains.p_value(gain, found.fitted.problem), closed, found.members, found.sizes)
 
 
 def _cost_beside(remainder: tuple[Array, ...], weighting: Weighting, refitted: Refit) -> float:
