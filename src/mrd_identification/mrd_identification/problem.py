@@ -24,6 +24,9 @@ Loss = Literal["linear", "soft_l1", "huber"]
 CONSTANT = 1e-12
 """Relative. A current that varies by less is constant but for rounding."""
 
+DIFFERENCE = 1e-5
+"""Share of its range by which a parameter is moved for a difference."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -164,7 +167,8 @@ class Problem:
     def jacobian(self, unit: Array, indices: Sequence[int] | NDArray[np.intp] | None = None) -> Array:
         """Return the exact derivatives (samples, indices) of the residuals with respect to unit coordinates.
 
-        All free parameters, or those at the places ``indices`` among them.
+        All free parameters, or those at the places ``indices`` among them. A derivative that is not finite, as may be at the
+        sharpest yield, is a difference of forces.
         """
         theta = self.theta(unit)
         scale = self.scale(theta)
@@ -185,10 +189,20 @@ class Problem:
             for places, columns in zip(passes, in_threads(derivatives, passes), strict=True)
             for place, column in zip(places, columns.T, strict=True)
         }
+        for place, column in of_force.items():
+            if not np.isfinite(column).all():
+                of_force[place] = self._difference(unit, place)
         for slope, value in slopes.items():
             of_force[slope] = of_force[value] * self._constant_current * (scale[slope] / scale[value])
         columns = [self.counted(of_force[index]) for index in asked]
         return np.stack(columns, axis=1) if columns else np.empty((len(self.force), 0))
+
+    def _difference(self, unit: Array, place: int) -> Array:
+        """Return the difference of the force (samples,) over a small step of one unit coordinate into the box."""
+        moved = unit.copy()
+        moved[place] += DIFFERENCE if unit[place] < 0.5 else -DIFFERENCE
+        change = (self.forces(self.theta(moved)) - self.forces(self.theta(unit))) / (moved[place] - unit[place])
+        return np.asarray(np.nan_to_num(change, nan=0.0, posinf=0.0, neginf=0.0))
 
     @cached_property
     def _constant_current(self) -> Array:

@@ -175,6 +175,22 @@ def test_jacobian_matches_central_differences(offsets):
         assert np.linalg.norm(jacobian[:, column] - central) <= 1e-4 * np.linalg.norm(central)
 
 
+def test_a_derivative_that_is_not_finite_is_a_difference(monkeypatch):
+    problem, _ = make_problem(find_model("bouc_wen"), weighted_recordings(1.0))
+    unit = 0.6 * problem.unit(problem.model.vector(TRUTH)) + 0.2
+    exact = problem.jacobian(unit)
+    of_problem = type(problem).forces
+
+    def forces(self, theta):
+        force = of_problem(self, theta)
+        if force.ndim > 1:
+            force[100:, 2] = np.nan  # the second derivative of a pass
+        return force
+
+    monkeypatch.setattr(type(problem), "forces", forces)
+    np.testing.assert_allclose(problem.jacobian(unit), exact, rtol=1e-2, atol=1e-3 * np.abs(exact).max())
+
+
 @pytest.mark.parametrize("effect", ["", "series_compliance", "force_sensor_lag", "current_saturation", "thermal_fade"])
 @pytest.mark.parametrize("model", ["bouc_wen", "shear_thinning_bouc_wen", "polynomial"])
 def test_at_constant_currents_the_derivative_to_a_slope_is_the_same_whatever_else_is_asked_for(model, effect):
