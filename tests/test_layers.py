@@ -49,7 +49,7 @@ EXECUTABLES = {
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export"},
-    "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend"},
+    "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend", "validate"},
     "mrd_control": {"controller", "evaluate", "hybrid_test", "review", "delay"},
     "mrd_trials": {"learn", "make", "run", "score", "withhold"},
     "mrd_dashboard": {"page", "access"},

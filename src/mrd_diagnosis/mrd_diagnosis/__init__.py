@@ -5,7 +5,9 @@ from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Gap, I
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.report.sentences import next_command
+from mrd_diagnosis.report.validation_page import write_validation
 from mrd_diagnosis.trend.trend import Trend, trend
+from mrd_diagnosis.validation.validate import ValidatedRun, Validation, validate
 
 __all__ = [
     "Candidate",
@@ -16,9 +18,13 @@ __all__ = [
     "Interval",
     "Region",
     "Trend",
+    "ValidatedRun",
+    "Validation",
     "diagnose",
     "next_command",
     "read_gap_report",
     "trend",
+    "validate",
     "write_gap_report",
+    "write_validation",
 ]

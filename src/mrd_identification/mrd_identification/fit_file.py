@@ -1,5 +1,6 @@
 """The file fit.json: an identified model with its intervals, metrics and Pareto front."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mrd_base import InputError
 from mrd_identification.effect_selection import AddedEffect, Selection
 from mrd_identification.fit import Estimate, Fit
 from mrd_identification.json_file import finite_or_none, read_json, run_json, versions, write_json
@@ -157,6 +159,24 @@ def read_fit(path: str | Path) -> StoredFit:
     content = read_json(path, "mrd_identification", "fit", SCHEMA)
     values = {name: entry["value"] for name, entry in content["parameters"].items()}
     return StoredFit(content["model"], content["laws"], content["effects"], values, content)
+
+
+def fitted_sources(path: str | Path) -> list[str]:
+    """Return the files of the runs to which a fit.json or a gap_report.json was fitted.
+
+    Raises
+    ------
+    InputError
+        When the file names none.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        sources = [run["source"] for run in content["runs"]["fit"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        sources = []
+    if not sources or not all(sources):
+        raise InputError(f"{path}: names no files of runs, expected a fit.json or a gap_report.json of recorded runs")
+    return sources
 
 
 def metrics_json(metrics: Metrics) -> dict[str, Any]:

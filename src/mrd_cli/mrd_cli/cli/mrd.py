@@ -29,6 +29,7 @@ TOOLS: Mapping[str, Tool] = {
     "recover": Tool("mrd_runs.cli.recover", "make a readable bag of a damaged one"),
     "identify": Tool("mrd_identification.cli.identify", "fit a damper model to recordings"),
     "compare": Tool("mrd_identification.cli.compare", "fit several damper models and rank them"),
+    "validate": Tool("mrd_diagnosis.cli.validate", "predict new runs by a fitted damper, without a fit"),
     "diagnose": Tool("mrd_diagnosis.cli.diagnose", "explain the gap between simulator and recordings"),
     "apply": Tool("mrd_diagnosis.cli.apply", "put the cause that a diagnosis named into the simulator"),
     "trend": Tool("mrd_diagnosis.cli.trend", "follow a parameter over dated recordings"),

@@ -68,7 +68,9 @@ def compute_closure(comparison: ModelComparison, held_out: Sequence[Recording], 
     rng : numpy Generator
     """
     recordings = comparison.weighting.recordings
-    excesses = [_exceeds(recording, [*recordings[:run], *recordings[run + 1 :]]) for run, recording in enumerate(recordings)]
+    excesses = [
+        exceeded_ranges(recording, [*recordings[:run], *recordings[run + 1 :]]) for run, recording in enumerate(recordings)
+    ]
     sole_sources = _sole_sources(comparison)
     # A common remainder predicts parts of a run from its other parts, not a whole run from others.
     always = len(recordings) == 1 or any(recording.without_effects for recording in recordings)
@@ -127,8 +129,8 @@ def closed_fraction_between(before: Refit, after: Refit, comparison: ModelCompar
     return Interval(float(np.clip(gained.sum() / gap.sum(), -1.0, 1.0)), *map(float, ends))
 
 
-def _exceeds(recording: Recording, others: Sequence[Recording]) -> str:
-    """Return in which respect a run exceeds others; empty where it does not."""
+def exceeded_ranges(recording: Recording, others: Sequence[Recording]) -> str:
+    """Return in which respect a run exceeds others, such as "stroke and speed"; empty where it does not."""
 
     def ranges(of_recording: Recording) -> dict[str, float]:
         path = of_recording.path.recorded
@@ -241,7 +243,7 @@ def _set_aside(comparison: ModelComparison, held_out: Sequence[Recording], rng: 
     residuals = []
     for run, (recording, noise_of_run) in enumerate(zip(held_out, noise, strict=True), len(weighting.recordings)):
         before, after = (-error_of_run(fit.problem, fit.theta, run)[1] for fit in fits)
-        excess = _exceeds(recording, weighting.recordings)
+        excess = exceeded_ranges(recording, weighting.recordings)
         residual = _run_residual(fits[1], run, noise_of_run, before, after, excess, False)
         residuals.append(replace(residual, held_out=True))
     return residuals

@@ -50,6 +50,12 @@ def where_sentence(diagnosis: Diagnosis, error: str = "the error") -> str:
     return f"{much} ({format_share(share)}) is {oscillation.label}{also}."
 
 
+def place_sentence(where: Sequence[Region], error: str = "the error") -> str:
+    """Return where most of an error lies; empty where no place has significantly more than the others."""
+    place = headline_place(where)
+    return capitalised(_share_sentence(place, error)) if place else ""
+
+
 def headline_place(where: Sequence[Region]) -> Region | None:
     """Return the place that a headline names: the significant one on the axes of `PLACES` in which the error is densest.
 

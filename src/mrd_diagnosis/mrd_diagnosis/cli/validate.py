@@ -1,0 +1,74 @@
+"""The tool ``validate``: predict new runs by a fitted damper, without fitting it again."""
+
+import argparse
+import sys
+
+from mrd_base import InputError, run_tool
+from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
+from mrd_diagnosis.validation.validate import validate
+from mrd_identification.cli.options import add_anyway, announce, look_at_runs
+from mrd_identification.export import load_damper
+from mrd_identification.fit_file import fitted_sources
+from mrd_identification.json_file import make_folder
+from mrd_identification.low_pass import GRAMMAR, with_force_filters
+from mrd_runs import Run, read_runs
+from mrd_runs.read import describe_runs
+from mrd_sim.cli.options import add_effects_folder, add_models_folder
+
+ABOVE_LIMIT = 1
+"""Exit status where the error is above the limit."""
+
+
+def main() -> None:
+    """Entry point of ``ros2 run mrd_diagnosis validate``."""
+    run_tool(work)
+
+
+def work() -> None:
+    """Parse the arguments, predict, write the files, print the result."""
+    parser = argparse.ArgumentParser(
+        description="Predict runs by a damper as it was fitted. Nothing is fitted but the state before the first sample. "
+        f"Writes validation.html and validation.json. The exit status is {ABOVE_LIMIT} where the error is above --limit."
+    )
+    parser.add_argument("damper", metavar="FIT.json|GAP_REPORT.json|PLANT.yaml", help="file of identify, diagnose or apply")
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
+    parser.add_argument("--offsets", action="store_true", help="take out a force offset of each run")
+    parser.add_argument("--gains", action="store_true", help="take out a gain error of the force of each run")
+    parser.add_argument("--limit", type=float, metavar="PERCENT", help="largest error (NRMSE) that passes")
+    parser.add_argument("--skip", type=float, default=0.0, metavar="SECONDS", help="leave out the start of every run")
+    parser.add_argument(
+        "--force-filter",
+        action="append",
+        default=[],
+        metavar="[RUN=]FILTER",
+        help=f"filter of the recorded force: {GRAMMAR}",
+    )
+    add_anyway(parser)
+    add_effects_folder(parser)
+    add_models_folder(parser)
+    parser.add_argument("--output", required=True, metavar="DIR", help="folder for the page and the file")
+    arguments = parser.parse_args()
+    if arguments.limit is not None and not arguments.limit > 0.0:
+        raise InputError(f"--limit is {arguments.limit:g}, expected a positive number of per cent")
+    damper = load_damper(arguments.damper)
+    (runs,) = with_force_filters([read_runs(arguments.runs, arguments.skip)], arguments.force_filter, "--force-filter")
+    look_at_runs(runs, arguments.anyway, damper.model, remedy="predict them as they are with --anyway")
+    folder = make_folder(arguments.output)
+    announce(describe_runs(runs))
+    validation = validate(damper, runs, fitted=_fitted(arguments.damper), offsets=arguments.offsets, gains=arguments.gains)
+    page = write_validation(validation, folder)
+    print(validation_sentence(validation))
+    above = arguments.limit is not None and 100.0 * validation.nrmse > arguments.limit
+    if arguments.limit is not None:
+        print(f"{'Above' if above else 'Within'} the limit of {arguments.limit:g} %.")
+    print(page)
+    if above:
+        sys.exit(ABOVE_LIMIT)
+
+
+def _fitted(file: str) -> list[Run]:
+    """Return the runs to which a damper was fitted; none where the file names none or they are not there any more."""
+    try:
+        return read_runs(fitted_sources(file))
+    except InputError:
+        return []

@@ -1,0 +1,156 @@
+"""Validation: how well a damper as it is predicts runs to which it was not fitted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_diagnosis.closure.closure import exceeded_ranges
+from mrd_diagnosis.diagnosis import Region, RunNoise
+from mrd_diagnosis.localisation.localise import localise
+from mrd_diagnosis.noise.noise_model import estimate_noise
+from mrd_identification.export import load_damper
+from mrd_identification.fit import Fit, RunResult, evaluate_model
+from mrd_identification.metrics import metrics, nrmse
+from mrd_identification.parallel import in_threads
+from mrd_identification.recording import Recording, prepare_recording
+from mrd_identification.run_start import estimate_starts
+from mrd_runs import Run
+from mrd_sim.damper import Damper
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ValidatedRun:
+    """A run as it is predicted.
+
+    Attributes
+    ----------
+    result : RunResult
+        Measured and predicted force, the latter with offset and gain where these were asked for.
+    noise_floor : float
+        NRMSE that a perfect model would still have.
+    offset : float
+        Force offset in N that was taken out; 0 where none was asked for.
+    gain : float
+        Relative excess of the measured force that was taken out; 0 where none was asked for.
+    exceeds : str
+        In what the run exceeds those to which the damper was fitted, such as "stroke and speed"; empty where it does not,
+        or where these runs are not known.
+    """
+
+    result: RunResult
+    noise_floor: float
+    offset: float
+    gain: float
+    exceeds: str
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Prediction of runs by a damper whose parameters are kept.
+
+    Attributes
+    ----------
+    damper : Damper
+    runs : tuple of ValidatedRun
+    nrmse, rmse, noise_floor : float
+        Over all counted samples of the runs; the rms error in N, the others over the standard deviation of the force.
+    where : tuple of Region
+        Where the error beyond noise lies, most significant first.
+    fitted_known : bool
+        Whether the runs to which the damper was fitted are known, so that `ValidatedRun.exceeds` says something.
+    """
+
+    damper: Damper
+    runs: tuple[ValidatedRun, ...]
+    nrmse: float
+    rmse: float
+    noise_floor: float
+    where: tuple[Region, ...]
+    fitted_known: bool
+
+
+def validate(
+    damper: Damper | Fit | str | Path,
+    runs: Sequence[Run],
+    *,
+    fitted: Sequence[Run] = (),
+    offsets: bool = False,
+    gains: bool = False,
+    seed: int = 0,
+) -> Validation:
+    """Predict runs without fitting anything but the state before their first sample.
+
+    Parameters
+    ----------
+    damper : Damper, Fit or path
+        A path as of `mrd_identification.export.load_damper`: a fit.json, a gap_report.json or a plant.yaml.
+    runs : sequence of Run
+        In the order in which they were recorded.
+    fitted : sequence of Run
+        Runs to which the damper was fitted, to tell what exceeds them. Those of a `Fit` are known.
+    offsets, gains : bool
+        Take out the force offset, or the gain error, of each run.
+    seed : int
+        Of the noise model's draws.
+
+    Raises
+    ------
+    InputError
+        For no runs, or a file that does not describe a damper.
+    """
+    if not runs:
+        raise InputError("no runs to validate on, expected at least one")
+    if isinstance(damper, Fit):
+        fitted = fitted or [result.run for result in damper.fitted]
+        values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
+        damper = Damper(damper.model.id, values, damper.model.laws, {effect.id: {} for effect in damper.model.effects})
+    elif not isinstance(damper, Damper):
+        damper = load_damper(damper)
+    model, theta = damper.model, damper.theta
+    recordings = estimate_starts(model, theta, in_threads(prepare_recording, runs))
+    noise = estimate_noise(recordings, model, theta, np.random.default_rng(seed))
+    before = in_threads(prepare_recording, fitted)
+    results = evaluate_model(model, theta, recordings)
+    validated = tuple(
+        _validated(result, of_run, exceeded_ranges(recording, before), offsets, gains)
+        for result, of_run, recording in zip(results, noise, recordings, strict=True)
+    )
+    return _validation(damper, validated, recordings, noise, fitted_known=bool(fitted))
+
+
+def _validated(result: RunResult, noise: RunNoise, exceeds: str, offsets: bool, gains: bool) -> ValidatedRun:
+    """Take out offset and gain of a run where they were asked for."""
+    measured, modelled = result.measured_counted, result.modelled_counted
+    columns = [np.ones_like(modelled)] * offsets + [modelled] * gains
+    found = np.linalg.lstsq(np.stack(columns, axis=1), measured - modelled, rcond=None)[0] if columns else np.empty(0)
+    offset, gain = (float(found[0]) if offsets else 0.0), (float(found[-1]) if gains else 0.0)
+    modelled = (1.0 + gain) * result.modelled + offset
+    corrected = replace(result, modelled=modelled, metrics=metrics(measured, modelled[result.counted]))
+    return ValidatedRun(corrected, nrmse(noise.sigma, measured), offset, gain, exceeds)
+
+
+def _validation(
+    damper: Damper,
+    runs: tuple[ValidatedRun, ...],
+    recordings: Sequence[Recording],
+    noise: Sequence[RunNoise],
+    fitted_known: bool,
+) -> Validation:
+    """Join the runs, and locate their error."""
+    residuals = [run.result.measured_counted - run.result.modelled_counted for run in runs]
+    joined, force = np.concatenate(residuals), np.concatenate([recording.force for recording in recordings])
+    return Validation(
+        damper,
+        runs,
+        nrmse(joined, force),
+        float(np.sqrt(np.mean(joined**2))),
+        nrmse(np.concatenate([of_run.sigma for of_run in noise]), force),
+        localise(recordings, noise, residuals),
+        fitted_known,
+    )
