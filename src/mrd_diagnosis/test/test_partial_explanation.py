@@ -180,7 +180,7 @@ def test_the_likeness_of_a_cause_of_the_form_is_weighed_against_it(around_own_cu
 def test_of_two_effects_of_the_form_one_alone_must_close_most_of_what_can_be_closed(around_own_curve, monkeypatch):
     """The chain closes most with its second effect. Where that one does not hold, the first is named if it does alone."""
     comparison, base = around_own_curve
-    (first,) = form_causes._form_chain(comparison.weighting, base, 0.2 * base.held_out_cost, ["backlash"], False)
+    (first,) = form_causes._form_chain(comparison.weighting, base, 0.2 * base.held_out_cost, ["backlash"])
     superfluous = with_effects(comparison.weighting, first, ["channel_delay"], {})
     superfluous = replace(superfluous, held_out_squares=first.held_out_squares + 1.0)
     monkeypatch.setattr(form_causes, "_form_chain", lambda *_: [first, superfluous])

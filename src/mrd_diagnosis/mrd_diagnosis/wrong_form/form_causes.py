@@ -34,18 +34,16 @@ def name_form_causes(
     others: Sequence[Refit],
     null_gains: NullGains,
     rng: np.random.Generator,
-    complete: bool = False,
 ) -> tuple[dict[str, HeldCause], Refit]:
     """Return the effects that hold as a part of the form, and the model with them.
 
     Together they close most of what lies between the cost of ``explained``, the model with all other causes, and the cost
     that is ``reachable`` by a freer or a better form. Each is judged beside the others: the best of the ``others``, damper
     models with the best first, that lacks it does not predict better, and of the ``candidates`` that look like it, none does
-    in its place. Where two do not hold together, the first may do so alone. A second one is searched where the first does
-    not close most, or to make the form ``complete``.
+    in its place. Where two do not hold together, the first may do so alone.
     """
     weighting = comparison.weighting
-    chain = [explained, *_form_chain(weighting, explained, reachable, effects, complete)]
+    chain = [explained, *_form_chain(weighting, explained, reachable, effects)]
     while len(chain) > 1 and _closes_most(explained, chain[-1], reachable):
         *_, before, fitted = chain
         added = [effect for effect in fitted.effects if effect not in explained.effects]
@@ -88,16 +86,14 @@ def _held_cause(
     return HeldCause(chances, null_gains.p_value(gain, fitted.problem), closed, members)
 
 
-def _form_chain(
-    weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str], complete: bool
-) -> list[Refit]:
+def _form_chain(weighting: Weighting, explained: Refit, reachable: float, effects: Sequence[str]) -> list[Refit]:
     """Add effects of the form one after the other, as long as each closes a share of what can still be reached."""
     gap = explained.held_out_cost - weighting.noise_cost
     if explained.held_out_cost - reachable < THRESHOLDS.least_share_first * gap:
         return []
     chain: list[Refit] = []
     best = explained
-    while len(chain) < MOST_FORM_EFFECTS and (complete or not _closes_most(explained, best, reachable)):
+    while len(chain) < MOST_FORM_EFFECTS:
         remaining = [effect for effect in effects if effect not in best.effects]
         fits = refit_with_effects(
             weighting,

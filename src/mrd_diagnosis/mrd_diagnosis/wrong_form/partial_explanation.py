@@ -79,7 +79,8 @@ def explain_in_part(
         best_cost = explained.held_out_cost
         explained = with_effects(weighting, alone, list(causes), values)
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
-        lacked += [effect for effect in comparison.effects if effect in tried and effect not in causes]
+        known = {entry.effect for entry in weighed}
+        lacked += [effect for effect in comparison.effects if effect in tried and effect not in known]
         of_form_causes, explained = name_form_causes(
             comparison,
             explained,
@@ -89,7 +90,6 @@ def explain_in_part(
             sorted(other_models, key=lambda other: other.held_out_cost),
             null_gains,
             rng,
-            complete=True,
         )
         causes, values = causes | of_form_causes, values | explained.values
     explanation = replace(explanation, weighed=tuple(entry.summary() for entry in weighed))
