@@ -173,15 +173,15 @@ class WeighedEffect:
         That one of the class is there; learnt, see `mrd_diagnosis.decision.presence`.
     evidence : mapping
         The numbers of `mrd_diagnosis.evidence.evidence.Evidence` by name.
-    chances : mapping
-        Probability of each effect that was tried in its place, itself included, by name.
+    table : mapping
+        Probability of each effect that was tried in its place, and of none (""), by name, before anything learnt counts.
     """
 
     effect: str
     members: tuple[str, ...]
     probability: float
     evidence: Mapping[str, float]
-    chances: Mapping[str, float]
+    table: Mapping[str, float]
 
 
 @dataclass(frozen=True)

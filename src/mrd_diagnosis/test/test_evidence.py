@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_diagnosis.decision.presence import plausible_set, presence_model, presence_of
+from mrd_diagnosis.decision.presence import plausible_set, presence_model, presence_of, with_presence
 from mrd_diagnosis.evidence.evidence import AGAINST, Evidence, balance_of_folds, lead_over, share_closed
 
 
@@ -39,6 +39,14 @@ def test_an_effect_that_closes_half_of_the_gap():
     assert balance_of_folds(refit(30.0, 30.0), refit(10.0, 50.0)) == pytest.approx(0.0)
 
 
+def test_what_diverges_gains_nothing_and_all_numbers_stay_finite():
+    diverged, sound = refit(np.inf, 10.0), refit(10.0, 10.0)
+    assert share_closed(sound, diverged, 5.0) == -1.0
+    assert share_closed(diverged, sound, 5.0) == 1.0
+    assert lead_over(sound, diverged, [sound]) == pytest.approx(0.0)
+    assert np.isfinite(lead_over(diverged, sound, [diverged]))
+
+
 def test_a_fold_that_diverges_is_no_gain():
     assert balance_of_folds(refit(np.inf, 10.0), refit(10.0, 20.0)) == pytest.approx(-1.0)
 
@@ -49,6 +57,23 @@ def test_the_shipped_weights_are_those_of_the_evidence_and_have_signs_that_make_
     for name, weight in weights.items():
         assert weight <= 0.0 if name in AGAINST else weight >= 0.0
     assert presence_model().card["left out by damper"]["calibration error"] < 0.2
+
+
+@given(
+    st.dictionaries(st.sampled_from(["", *"abcdef"]), st.floats(0.0, 1.0), min_size=2).filter(
+        lambda d: sum(d.values()) > 0.1
+    ),
+    st.floats(0.0, 1.0),
+    st.data(),
+)
+def test_the_class_has_the_learnt_probability_and_nothing_gains_by_it(weights, presence, data):
+    table = {name: weight / sum(weights.values()) for name, weight in weights.items()}
+    effects = [name for name in table if name]
+    members = effects[: data.draw(st.integers(1, len(effects)))]
+    chances = with_presence(table, members, presence)
+    assert sum(chances[name] for name in members) == pytest.approx(presence)
+    assert sum(chances.values()) <= 1.0 + 1e-9
+    assert all(chances[name] <= table[name] + 1e-12 for name in effects if name not in members)
 
 
 @given(st.dictionaries(st.sampled_from("abcdef"), st.floats(0.01, 1.0), min_size=1))

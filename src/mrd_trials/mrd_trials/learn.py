@@ -14,9 +14,10 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from mrd_base import InputError
-from mrd_diagnosis.decision.presence import COVERAGE, PresenceModel, cumulative_shares
+from mrd_diagnosis.decision.presence import COVERAGE, PresenceModel, cumulative_shares, with_presence
 from mrd_diagnosis.evidence.evidence import AGAINST, Evidence
-from mrd_trials.excitation import BEFORE_AFTER, SEMIREAL
+from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_trials.excitation import SEMIREAL
 from mrd_trials.records import GroundTruth, Submission, WeighedEffect
 from mrd_trials.scoring.rates import calibration
 
@@ -62,11 +63,14 @@ def rows_of(answers: Mapping[str, GroundTruth], submissions: Mapping[str, Submis
     for plant, submission in submissions.items():
         truth = answers[plant]
         causes = frozenset(truth.causes)
-        untouched = submissions.get(truth.background) if truth.background else None
         unknown = set(truth.implied)
-        if untouched is not None:
+        measured = truth.excitation == SEMIREAL
+        if measured and truth.background:
+            untouched = submissions.get(truth.background)
+            if untouched is None or untouched.verdict == "failed":
+                continue
             unknown |= {name for entry in untouched.weighed for name in entry.members}
-        measured = truth.excitation in (SEMIREAL, BEFORE_AFTER)
+            unknown |= {name for cause in untouched.causes for name in (*cause.effects, *cause.members)}
         for entry in submission.weighed:
             row = Row(truth.base, entry, causes)
             if not row.right and ((measured and truth.kind == "null") or not unknown.isdisjoint(entry.members)):
@@ -95,6 +99,8 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
             f"found {right.sum()} right and {(~right).sum()} wrong effects with evidence, expected {LEAST_ROWS} of each at "
             "least; make larger trials"
         )
+    if len({row.damper for row in rows}) < 2:
+        raise InputError("found plants of one form of damper only, expected several: each is left out in turn")
     names = [entry.name for entry in fields(Evidence)]
     evidence = np.array([[row.weighed.evidence[name] for name in names] for row in rows])
     dampers = np.array([row.damper for row in rows])
@@ -103,7 +109,7 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
     probability = left_out[penalty]
     intercept, weights = _fit(evidence, right, names, penalty)
     measured = calibration(probability, right)
-    named = probability >= 0.5
+    named = probability >= THRESHOLDS.named_support
     card = {
         "trials": list(trials),
         "effects weighed": len(rows),
@@ -124,20 +130,28 @@ def learn(rows: Sequence[Row], trials: Sequence[Mapping[str, Any]]) -> PresenceM
         round(intercept, 4),
         _rounded(names, weights),
         _rounded(names, evidence.std(axis=0)),
-        round(set_share([row for row in rows if row.right]), 4),
+        round(set_share(rows, probability), 4),
         card,
     )
 
 
-def set_share(rows: Sequence[Row]) -> float:
+def set_share(rows: Sequence[Row], presence: Array) -> float:
     """Return the share of the probability that sets of effects must have to hold the true one as often as `COVERAGE`.
 
     Split conformal prediction (Vovk, Gammerman & Shafer, 2005): the quantile, over rows whose class is right, of the share
-    that the effects before the true one have together; 1 where one was not tried in its place.
+    that the effects before the true one have together; 1 where it was not tried in its place.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    presence : ndarray (rows,)
+        Probability of the class of each.
     """
     before = []
-    for row in rows:
-        chances = row.weighed.chances
+    for row, probability in zip(rows, presence, strict=True):
+        if not row.right:
+            continue
+        chances = with_presence(row.weighed.table, row.weighed.members, float(probability))
         ranked = sorted(chances, key=lambda name: -chances[name])
         places = [ranked.index(cause) for cause in row.causes if cause in chances]
         shares = cumulative_shares(chances)

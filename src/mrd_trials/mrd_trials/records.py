@@ -131,7 +131,7 @@ class WeighedEffect:
     members: tuple[str, ...]
     probability: float
     evidence: Mapping[str, float]
-    chances: Mapping[str, float]
+    table: Mapping[str, float]
 
 
 @dataclass(frozen=True)

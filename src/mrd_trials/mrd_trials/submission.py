@@ -155,7 +155,7 @@ def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:
         elapsed=diagnosis.elapsed,
         commitment=plant.commitment,
         weighed=tuple(
-            WeighedEffect(entry.effect, entry.members, entry.probability, entry.evidence, entry.chances)
+            WeighedEffect(entry.effect, entry.members, entry.probability, entry.evidence, entry.table)
             for entry in diagnosis.weighed
         ),
     )
@@ -184,9 +184,9 @@ def _origin(package: str) -> str:
 
 
 def _hash_sources(roots: Sequence[Path]) -> str:
-    """Return the SHA-256 of all Python sources below some folders."""
+    """Return the SHA-256 of all Python sources and JSON files below some folders."""
     digest = hashlib.sha256()
     for root in roots:
-        for file in sorted(root.rglob("*.py")):
+        for file in sorted(file for file in root.rglob("*") if file.suffix in (".py", ".json")):
             digest.update(str(file.relative_to(root.parent)).encode() + b"\0" + file.read_bytes() + b"\0")
     return digest.hexdigest()

@@ -77,11 +77,18 @@ def test_sets_hold_the_true_effect_in_nine_of_ten_cases():
         entry = WeighedEffect("end_stop", tuple(chances), 0.5, dict.fromkeys(NAMES, 0.5), chances)
         return Row("damper", entry, frozenset([list(chances)[place]]))
 
-    assert set_share([row(0)] * 100) == pytest.approx(0.0, abs=1e-3)
-    assert set_share([row(0)] * 85 + [row(1)] * 15) == pytest.approx(0.4, abs=1e-3)
-    assert set_share([row(0)] * 80 + [row(2)] * 20) == pytest.approx(0.7, abs=1e-3)
-    elsewhere = replace(row(0), causes=frozenset({"mains_hum"}))
-    assert set_share([row(0)] * 80 + [elsewhere] * 20) == 1.0
+    def share(*rows):
+        return set_share(rows, np.full(len(rows), 1.0))
+
+    assert share(*[row(0)] * 100) == pytest.approx(0.0, abs=1e-3)
+    assert share(*[row(0)] * 85, *[row(1)] * 15) == pytest.approx(0.4, abs=1e-3)
+    assert share(*[row(0)] * 80, *[row(2)] * 20) == pytest.approx(0.7, abs=1e-3)
+    elsewhere = replace(
+        row(0),
+        weighed=replace(row(0).weighed, members=("end_stop", "mains_hum"), table={"end_stop": 1.0, "mains_hum": 0.0}),
+        causes=frozenset({"mains_hum"}),
+    )
+    assert share(*[row(0)] * 80, *[elsewhere] * 20) == 1.0
 
 
 def test_the_same_trials_give_the_same_weights():
@@ -99,6 +106,11 @@ def test_evidence_against_nature_gets_no_weight():
 def test_too_few_plants_are_refused():
     with pytest.raises(InputError, match="expected 20 of each"):
         learn(drawn_rows(30), [])
+
+
+def test_one_form_of_damper_is_refused():
+    with pytest.raises(InputError, match="one form of damper only"):
+        learn([replace(row, damper="bent") for row in drawn_rows(100)], [])
 
 
 def test_a_class_is_right_with_its_member():
@@ -120,6 +132,8 @@ def test_what_nobody_knows_is_not_counted():
         "p2": Submission("p2", "x", weighed=(weighed("backlash"), weighed("end_stop"), weighed("gas_spring"))),
         "p3": Submission("p3", "x", weighed=(weighed("shear_thinning"), weighed("backlash"))),
     }
+    failed = submissions | {"p1": Submission("p1", "failed")}
+    assert [row.weighed.effect for row in rows_of(answers, failed)] == ["backlash"]
     rows = rows_of(answers, submissions)
     assert [(row.weighed.effect, row.right) for row in rows] == [
         ("end_stop", True),

@@ -58,7 +58,7 @@ def work() -> None:
     validation = validate(damper, runs, fitted=_fitted(arguments.damper), offsets=arguments.offsets, gains=arguments.gains)
     page = write_validation(validation, folder)
     print(validation_sentence(validation))
-    above = arguments.limit is not None and 100.0 * validation.nrmse > arguments.limit
+    above = arguments.limit is not None and not 100.0 * validation.nrmse <= arguments.limit
     if arguments.limit is not None:
         print(f"{'Above' if above else 'Within'} the limit of {arguments.limit:g} %.")
     print(page)

@@ -135,6 +135,11 @@ RULES = (
     Rule("undetermined", "these runs do not determine its size", _is_undetermined),
     Rule("neutral", "the interval of its size contains the value at which it is absent", _may_be_absent),
     Rule(
+        "evidence",
+        "evidence like that for it was wrong more often than right, on dampers whose effects were known",
+        lambda claim: claim.presence < THRESHOLDS.named_support,
+    ),
+    Rule(
         "other_model",
         "another damper model explains as much without any effect",
         lambda claim: claim.other_model >= claim.closed_fraction.value,
@@ -143,11 +148,6 @@ RULES = (
         "undecided",
         "other explanations are together as likely, and they have nothing in common with it",
         lambda claim: claim.level == "undecided",
-    ),
-    Rule(
-        "evidence",
-        "evidence like that for it was wrong more often than right, on dampers whose effects were known",
-        lambda claim: claim.presence < THRESHOLDS.named_support,
     ),
     Rule("other_effect", "something else explains the gap better", lambda claim: not claim.chosen),
 )

@@ -157,6 +157,8 @@ def _unrefuted(effect: str, limitations: tuple[Finding, ...], comparison: ModelC
 
     An effect that a limitation imitates does not close the gap of the runs that have none.
     """
+    if not limitations:
+        return ()
     limited = {finding.run for finding in limitations}
     recordings = comparison.weighting.recordings
     clean = [run for run, recording in enumerate(recordings) if recording.run.name not in limited]

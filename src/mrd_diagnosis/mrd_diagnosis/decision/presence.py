@@ -5,7 +5,7 @@ with the trials from which they were learnt; `ros2 run mrd_trials learn` makes t
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -66,8 +66,29 @@ def presence_of(evidence: Evidence) -> float:
     return presence_model().probability(evidence.as_dict())
 
 
+def with_presence(table: Mapping[str, float], members: Sequence[str], presence: float) -> dict[str, float]:
+    """Return the probability of each effect in a place where its class has a known one.
+
+    Members of the class share it as they do in the table. Other effects keep their probability, as long as the sum stays
+    one; what is left is that of no effect.
+
+    Parameters
+    ----------
+    table : mapping
+        Probability of each effect, and of none (""), by name.
+    members : sequence of str
+        The class.
+    presence : float
+    """
+    of_class = sum(table[name] for name in members)
+    others = {name: chance for name, chance in table.items() if name and name not in members}
+    left = min(1.0, (1.0 - presence) / max(sum(others.values()), 1e-300))
+    shares = {name: presence * table[name] / of_class if of_class > 0.0 else presence / len(members) for name in members}
+    return shares | {name: left * chance for name, chance in others.items()}
+
+
 def plausible_set(chances: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the effects among which the cause is in nine of ten cases, likeliest first.
+    """Return the effects among which the cause is in nine of ten cases where its class is right, likeliest first.
 
     Parameters
     ----------

@@ -52,17 +52,26 @@ class Evidence:
 def share_closed(without: Refit, fitted: Refit, noise_cost: float) -> float:
     """Return the share of the gap that a refit closes, between -1 and 1."""
     gap = without.held_out_cost - noise_cost
+    if not np.isfinite(fitted.held_out_cost):
+        return -1.0
     if not gap > 0.0:
         return 0.0
+    if not np.isfinite(gap):
+        return 1.0
     return float(np.clip((without.held_out_cost - fitted.held_out_cost) / gap, -1.0, 1.0))
 
 
 def lead_over(without: Refit, fitted: Refit, rivals: Sequence[Refit]) -> float:
     """Return by what share of its gain a refit is ahead of the best of others, between -1 and 1."""
-    gain = without.held_out_cost - fitted.held_out_cost
-    others = [without.held_out_cost - rival.held_out_cost for rival in rivals]
-    best = max([0.0, *others])
+    gain = _gain(without, fitted)
+    best = max([0.0, *(_gain(without, rival) for rival in rivals)])
     return float(np.clip((gain - best) / max(gain, best, 1e-300), -1.0, 1.0))
+
+
+def _gain(without: Refit, fitted: Refit) -> float:
+    """Return by how much a refit lowers the held-out cost; what diverges gains nothing."""
+    gain = without.held_out_cost - fitted.held_out_cost
+    return float(np.nan_to_num(gain, nan=0.0, posinf=1e300, neginf=0.0))
 
 
 def balance_of_halves(without: Refit, fitted: Refit) -> float:
@@ -91,14 +100,15 @@ def kept_size(complete: Refit, freed: Refit, effect: str) -> float:
         return 0.0
     beside = effect_parameters(freed)[name].value
     ratios = [(end - first.default) / size for end in (beside.lower, beside.upper)]
-    return float(np.clip(np.clip(1.0, min(ratios), max(ratios)), 0.0, LARGEST_RATIO))
+    nearest = float(np.clip(1.0, min(ratios), max(ratios)))
+    return max(min(nearest, 1.0 / nearest), 0.0) if nearest else 0.0
 
 
 def drift_over_runs(fitted: Refit, effect: str) -> float:
     """Return the standard deviation of an effect's size from run to run, over its size.
 
     The size of a run is that to which one Gauss-Newton step leads from the common one, all other parameters kept. Runs count
-    by what they tell.
+    by what they tell. A single run is divided into its folds.
     """
     problem = fitted.problem
     name = f"{effect}.{EFFECTS[effect].parameters[0].name}"
@@ -108,6 +118,8 @@ def drift_over_runs(fitted: Refit, effect: str) -> float:
     place = places[0]
     size = problem.unit(fitted.theta)[place] - problem.unit(problem.model.defaults)[place]
     runs = np.array([run for run, _ in fitted.folds])
+    if len(np.unique(runs)) == 1:
+        runs = np.arange(len(runs))
     numbers = np.unique(runs)
     information = np.array([fitted.normal_matrices[runs == run, place, place].sum() for run in numbers])
     gradients = np.array([fitted.gradients[runs == run, place].sum() for run in numbers])

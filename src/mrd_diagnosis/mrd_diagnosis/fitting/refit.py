@@ -25,8 +25,10 @@ NO_INFORMATION = 1e-6
 
 PLAUSIBLE_STEP = 0.3
 """Share of its range by which a parameter moves without a fold where the others do not determine it: the standard deviation
-of a normal prior around the joint optimum. A step of first order says nothing there: the travel of a loop without width went
-from one end of its range to the other, and the fold without it was predicted a hundred times as badly."""
+of a normal prior. A step of first order says nothing there: the travel of a loop without width went from one end of its
+range to the other, and the fold without it was predicted a hundred times as badly. The mean of the prior is the joint
+optimum for parameters of the damper, and the neutral value for the size of an effect: what other folds do not show is not
+there."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,9 @@ def without_each(
     scatter = (gradients[:, :free] ** 2).sum(axis=0) / np.maximum(np.diag(matrix)[:free], np.finfo(float).tiny)
     hold = np.concatenate([scatter / PLAUSIBLE_STEP**2, np.zeros(len(coefficients))])
     neutral = np.concatenate([problem.unit(problem.model.defaults), np.zeros(len(coefficients))])
+    sizes = {f"{effect.id}.{effect.parameters[0].name}" for effect in problem.model.effects}
+    is_size = [parameter.name in sizes for parameter in problem.parameters] + [False] * len(coefficients)
+    pull = np.where(is_size, hold * (joint - neutral), 0.0)
     lower, upper = -joint, 1.0 - joint
     lower[free:], upper[free:] = -np.inf, np.inf
     solutions = np.empty((len(normal_matrices), len(joint)))
@@ -213,7 +218,7 @@ def without_each(
         chosen = np.flatnonzero(~only_here)
         step = bounded_step(
             rest[np.ix_(chosen, chosen)] + np.diag(1e-9 * np.diag(rest)[chosen] + hold[chosen]),
-            (gradient - gradient_of_piece)[chosen],
+            (gradient - gradient_of_piece + pull)[chosen],
             lower[chosen],
             upper[chosen],
         )

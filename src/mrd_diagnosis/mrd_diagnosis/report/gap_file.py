@@ -62,7 +62,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
                 "members": list(entry.members),
                 "probability": finite_or_none(entry.probability),
                 "evidence": {name: finite_or_none(value) for name, value in entry.evidence.items()},
-                "chances": {name: finite_or_none(value) for name, value in entry.chances.items()},
+                "table": {name or "none": finite_or_none(value) for name, value in entry.table.items()},
             }
             for entry in diagnosis.weighed
         ],

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mrd_base.figures import MOST_POINTS, to_html
 from mrd_diagnosis.localisation.sentence import place_sentence
 from mrd_diagnosis.validation.validate import ValidatedRun, Validation
@@ -23,7 +25,7 @@ def validation_sentence(validation: Validation) -> str:
     count = f"{len(runs)} runs" if len(runs) > 1 else "the run"
     floor = f"a perfect model would have {format_error(validation.noise_floor)}"
     error = f"The damper predicts {count} with an error of {format_error(validation.nrmse)}; {floor}."
-    if validation.nrmse <= NEAR_NOISE * validation.noise_floor:
+    if np.isfinite(validation.nrmse) and validation.nrmse <= NEAR_NOISE * validation.noise_floor:
         error += " That is hardly more than noise."
     sentences = [error]
     worst = max(runs, key=lambda run: run.result.metrics.nrmse)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mrd_diagnosis.decision.presence import presence_of
+from mrd_diagnosis.decision.presence import presence_of, with_presence
 from mrd_diagnosis.diagnosis import Member, ParameterEstimate, WeighedEffect
 from mrd_diagnosis.evidence.cause_class import class_of
 from mrd_diagnosis.evidence.evidence import (
@@ -59,8 +59,10 @@ class Weighed:
     Attributes
     ----------
     effect : str
+    table : dict
+        Probability of each effect in the table of its place, and of none, by name.
     chances : dict
-        Probability of each effect in its place, itself included, by name.
+        Probability of each effect in its place, itself included, by name, with the learnt one of its class.
     members : tuple of Member
         Its class.
     without, fitted : Refit
@@ -71,6 +73,7 @@ class Weighed:
     """
 
     effect: str
+    table: dict[str, float]
     chances: dict[str, float]
     members: tuple[Member, ...]
     without: Refit
@@ -86,7 +89,7 @@ class Weighed:
     def summary(self) -> WeighedEffect:
         """Return what a report says of it."""
         members = tuple(member.effect for member in self.members)
-        return WeighedEffect(self.effect, members, self.presence, self.evidence.as_dict(), self.chances)
+        return WeighedEffect(self.effect, members, self.presence, self.evidence.as_dict(), self.table)
 
 
 def weigh_effects(
@@ -110,24 +113,25 @@ def weigh_effects(
         Called with the fraction of the work that is done.
     """
     chosen, singles, weighting = _search(weighting, forms[0], effects, lambda fraction: progress(0.5 * fraction))
-    ranked = [fit.effects[0] for fit in sorted(singles, key=lambda fit: fit.refit.held_out_cost)]
+    ranked = [fit.effects[-1] for fit in singles]
     present = list(chosen)
     values = chosen[present[-1]].values if present else {}
     places = []
     for place, effect in enumerate(chosen):
         others = [other for other in present if other != effect]
-        bases = [with_effects(weighting, form, others, form.values | values) for form in forms]
+        # A form that contains the effect cannot lack it.
+        lacking = [form for form in forms if not contains(form.problem.model, effect)]
+        bases = [with_effects(weighting, form, others, form.values | values) for form in lacking]
         free = [name for name in ranked if name not in others]
         alike = [name for name in free if name in EFFECTS[effect].confused_with]
         table = fit_table(weighting, bases, list(dict.fromkeys([effect, *free[:MOST_ALTERNATIVES], *alike])))
         chances = chances_of(table, rng)
         progress(0.5 + 0.5 * (place + 1) / len(chosen))
         around_first = {entry.effect: entry.refit for entry in table if entry.form == table[0].form}
-        lead = next((name for name in chances if name in around_first and name != NO_EFFECT), "")
-        present = [*others, lead] if lead else others
-        if lead:
-            values |= around_first[lead].values
-            places.append((lead, chances, table))
+        lead = next(name for name in chances if name in around_first and name != NO_EFFECT)
+        present = [*others, lead]
+        values |= around_first[lead].values
+        places.append((lead, chances, table))
     if not places:
         return []
     complete = with_effects(weighting, forms[0], present, values)
@@ -177,18 +181,13 @@ def _weigh(
         left=left,
     )
     sizes = tuple(effect_parameters(refits[effect]) for refits in around.values() if effect in refits)
-    return _with_presence(Weighed(effect, dict(chances), members, without, fitted, evidence, sizes))
+    return _with_presence(Weighed(effect, dict(chances), dict(chances), members, without, fitted, evidence, sizes))
 
 
 def _with_presence(weighed: Weighed) -> Weighed:
-    """Scale the probabilities in a place to those that were learnt: of the class, and of all other effects together."""
-    presence = presence_of(weighed.evidence)
-    alike = {member.effect for member in weighed.members}
-    of_class = sum(member.probability for member in weighed.members)
-    factors = {True: presence / of_class, False: (1.0 - presence) / max(1.0 - of_class, 1e-300)}
-    chances = {
-        name: min(chance * factors[name in alike], 1.0) for name, chance in weighed.chances.items() if name != NO_EFFECT
-    }
+    """Replace the probabilities in a place by those that follow from the learnt one of the class."""
+    alike = [member.effect for member in weighed.members]
+    chances = with_presence(weighed.chances, alike, presence_of(weighed.evidence))
     members = tuple(replace(member, probability=chances[member.effect]) for member in weighed.members)
     return replace(weighed, chances=chances, members=members)
 
@@ -222,9 +221,11 @@ def _search(
         fits.sort(key=lambda fit: fit.refit.held_out_cost)
         singles = singles or fits
         progress((1.0 + len(chosen)) / MOST_CAUSES)
+        if gap <= 0.0:
+            break
         enough = THRESHOLDS.least_share_beside_form * gap
         lead = next((fit for fit in fits if holds_in_halves(best, fit.refit)), None)
-        if lead is None or lead.held_out_gain < max(enough, 0.0):
+        if lead is None or lead.held_out_gain < enough:
             break
         chosen[lead.effects[-1]] = lead.refit
         weighting = weighting.updated(lead.refit.problem.model, lead.refit.theta)
@@ -248,7 +249,7 @@ def chances_of(table: Sequence[Hypothesis], rng: np.random.Generator) -> dict[st
     """Return the probability of each effect of a table, and of none (`NO_EFFECT`), best first."""
     best = min(table, key=lambda entry: entry.refit.held_out_cost)
     without = next(entry for entry in table if (entry.form, entry.effect) == (best.form, NO_EFFECT))
-    ordered = [best, without, *(entry for entry in table if entry is not best and entry is not without)]
+    ordered = list({id(entry): entry for entry in (best, without, *table)}.values())
     chances: dict[str, float] = {}
     for entry, chance in zip(ordered, probabilities([entry.refit for entry in ordered], rng), strict=True):
         chances[entry.effect] = chances.get(entry.effect, 0.0) + float(chance)

@@ -79,7 +79,7 @@ def explain_in_part(
         best_cost = explained.held_out_cost
         explained = with_effects(weighting, alone, list(causes), values)
         lacked = [effect for effect in contained if effect not in lacking and not contains(alone.problem.model, effect)]
-        known = {entry.effect for entry in weighed}
+        known = {member.effect for entry in weighed for member in entry.members}
         lacked += [effect for effect in comparison.effects if effect in tried and effect not in known]
         of_form_causes, explained = name_form_causes(
             comparison,
@@ -93,12 +93,12 @@ def explain_in_part(
         )
         causes, values = causes | of_form_causes, values | explained.values
     explanation = replace(explanation, weighed=tuple(entry.summary() for entry in weighed))
-    remainder = with_form_remainder(weighting, alone)[0].remainder
-    freed = _cost_beside(remainder, weighting, explained)
     progress(0.9)
     named = [*lacking, *causes]
     if explanation.verdict != "unknown_effect" and set(named) == set(comparison.effects):
         return explanation
+    remainder = with_form_remainder(weighting, alone)[0].remainder
+    freed = _cost_beside(remainder, weighting, explained)
     gap = comparison.base.held_out_cost - weighting.noise_cost
     form_fraction = float(np.clip((explained.held_out_cost - freed) / gap, 0.0, 1.0))
     if not named:
