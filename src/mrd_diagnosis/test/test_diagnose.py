@@ -130,8 +130,11 @@ def test_without_the_effect_in_the_catalogue_it_is_unknown(delayed):
     assert diagnosis.verdict == "unknown_effect"
     assert not diagnosis.causes
     assert diagnosis.where
-    assert diagnosis.sentence.startswith("Seen, not determined: the model leaves out a moving mass")
-    assert [entry.rule for entry in diagnosis.rejected if entry.seen] == ["on_bound"]
+    assert diagnosis.sentence.startswith("Most of the gap")
+    assert not any(entry.seen for entry in diagnosis.rejected)
+    # What stands in for the missing effect was weighed, and found unlikely.
+    assert {entry.effect: entry.probability < 0.5 for entry in diagnosis.weighed} == {"moving_mass": True}
+    assert "moving_mass" in {entry.effect for entry in diagnosis.rejected}
     assert {model.name for model in diagnosis.alternative_models} >= {"sigmoid", "bouc_wen with exponent fitted too"}
 
 

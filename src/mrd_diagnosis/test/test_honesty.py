@@ -244,7 +244,7 @@ def test_every_effect_that_was_tried_is_named_or_rejected():
 
 def test_an_effect_is_not_explained_where_another_damper_model_does_as_much(monkeypatch):
     """Noise explains what the effect leaves, so that nothing else asks for another model."""
-    module = importlib.import_module("mrd_diagnosis.diagnose")
+    module = importlib.import_module("mrd_diagnosis.gap")
     asked = []
 
     def as_good(effect, weighting, base, _enough, _rng):

@@ -111,7 +111,7 @@ def test_a_cause_is_named_although_the_damper_has_another_form(cause, recorded, 
     diagnosis = diagnose(runs(**recorded), "bouc_wen", effects=CANDIDATES)
     assert diagnosis.verdict == "partly_explained"
     assert [named.effect for named in diagnosis.causes] == [cause]
-    assert diagnosis.causes[0].probability > 0.8
+    assert diagnosis.causes[0].probability > 0.55
     assert diagnosis.gap.form_fraction > 0.05
     assert diagnosis.sentence
 
@@ -258,7 +258,7 @@ def test_the_best_model_of_the_catalogue_leads_to_the_same_cause():
     assert diagnosis.model.id in ("hyperbolic_tangent", "sigmoid", "algebraic")
     assert diagnosis.notes[0].startswith("Of the damper models that were tried")
     assert [named.effect for named in diagnosis.causes] == ["coil_lag"]
-    assert diagnosis.causes[0].probability > 0.9
+    assert diagnosis.causes[0].probability > 0.7
 
 
 def test_no_model_is_chosen_for_a_freedom_that_it_will_not_have(wrong_form, monkeypatch):

@@ -48,7 +48,10 @@ def plant():
 
 
 def test_trials_use_only_the_public_api_of_the_diagnosis():
-    for file in Path(mrd_trials.__file__).parent.rglob("*.py"):
+    # Only `learn` judges no diagnosis: it makes the weights of one.
+    files = [file for file in Path(mrd_trials.__file__).parent.rglob("*.py") if file.name != "learn.py"]
+    assert len(files) > 20
+    for file in files:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mrd_diagnosis"):
                 assert node.module == "mrd_diagnosis", file

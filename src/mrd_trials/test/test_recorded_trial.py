@@ -159,7 +159,13 @@ def test_the_families_alter_other_recordings_by_other_strengths(recordings):
 def cause_of(effect, probability):
     interval = SimpleNamespace(value=0.5, lower=0.4, upper=0.6)
     return SimpleNamespace(
-        effect=effect, probability=probability, closed_fraction=interval, parameters={}, level="effect", members=()
+        effect=effect,
+        probability=probability,
+        closed_fraction=interval,
+        parameters={},
+        level="effect",
+        members=(),
+        plausible=(),
     )
 
 
@@ -176,6 +182,7 @@ def stand_in(runs, model, *, effects=(), bench=None, seed=0, reference=()):
         untestable=(),
         nearest=None,
         where=(),
+        weighed=(),
         next_experiment=None,
         elapsed=1.0,
         gap=None,

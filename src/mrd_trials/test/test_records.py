@@ -92,8 +92,8 @@ def test_a_line_that_is_not_a_record_is_refused(line):
 
 
 def test_a_line_of_another_format_is_refused():
-    line = to_json(Submission("p0001", "no_gap")).replace('"format":2', '"format":1')
-    with pytest.raises(InputError, match=r"here: is not a submission \(format 1, expected 2\)"):
+    line = to_json(Submission("p0001", "no_gap")).replace('"format":3', '"format":1')
+    with pytest.raises(InputError, match=r"here: is not a submission \(format 1, expected 3\)"):
         from_json(Submission, line, "here")
     with pytest.raises(InputError, match="format 2, expected None"):
         from_json(GroundTruth, to_json(Evaluation("p0001")), "here")
