@@ -465,7 +465,7 @@ def test_what_a_wrong_form_may_imitate_is_called_unproven(monkeypatch, capsys, t
     diagnosis = diagnosed("partly_explained")
     texts = {candidate.effects[0]: describe_candidate(diagnosis, candidate) for candidate in ordered_candidates(diagnosis)}
     assert texts["channel_delay"].remark == "named as a cause"
-    assert texts["lvdt_nonlinearity"].remark == "not proven beside a freer form of the model"
+    assert texts["lvdt_nonlinearity"].remark == "not proven around other damper models"
     print_summary(diagnosis, tmp_path / "gap_report.html")
     output = capsys.readouterr().out
     assert output.startswith(f"{diagnosis.sentence}\nnext step: Add the cause to your simulator")

@@ -57,11 +57,11 @@ class Explanation:
     p_values : mapping
         For each of them, the probability of its improvement in noise alone.
     closed_fractions : mapping
-        Shares of the gap that effects close beside a freer form of the damper.
+        Shares of the gap of effects that were judged around other forms of the damper.
     form_fraction : float
         Share of the gap that a freer form of the damper would close beside the effects; nan where that was not asked.
     classes : mapping
-        Class of each effect that was judged beside a freer form; see `mrd_diagnosis.evidence.cause_class.class_of`.
+        Class of each effect that was judged around other forms; see `mrd_diagnosis.evidence.cause_class.class_of`.
     weighed : tuple of WeighedEffect
         All effects whose evidence was weighed beside other forms, named or not.
     sizes : mapping

@@ -48,7 +48,7 @@ def judge(
 ) -> Judgement:
     """Apply the honesty rules to the effects that an explanation would name.
 
-    Where all of them are rejected because of the recordings, the limitation is the answer. Where they are seen but not
+    Where none is left and the recordings are a reason for that, their limitation is the answer. Where they are seen but not
     determined, they stay in the model as what comes nearest, and the verdict is ambiguous if they close the gap. Where some
     causes remain, they explain a part of the gap.
 

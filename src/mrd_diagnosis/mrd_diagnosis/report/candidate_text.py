@@ -58,7 +58,7 @@ def _remark(diagnosis: Diagnosis, candidate: Candidate) -> str:
             return "named as a cause"
         if any((other.effect,) == candidate.effects for other in diagnosis.alternatives):
             return "an alternative to a cause"
-        return "not proven beside a freer form of the model" if candidate.closed_fraction.lower > LEAST_SHOWN else ""
+        return "not proven around other damper models" if candidate.closed_fraction.lower > LEAST_SHOWN else ""
     if candidate.indistinguishable:
         return f"fits nearly as well as {effect_names(candidate.indistinguishable)}"
     likely = {cause.effect for cause in diagnosis.causes} | {alternative.effect for alternative in diagnosis.alternatives}
@@ -77,7 +77,7 @@ def with_probabilities(diagnosis: Diagnosis) -> bool:
 
     Without a gap there is no cause, and with an unknown effect none of the candidates is the cause, so that a probability
     would mislead there. With a partly explained gap, only the causes and their alternatives have one: they were compared
-    beside a freer form of the model, the candidates without it. What is seen but not determined has none either.
+    around several damper models, the candidates around one. What is seen but not determined has none either.
     """
     return diagnosis.verdict in ("explained", "ambiguous") and bool(diagnosis.causes)
 

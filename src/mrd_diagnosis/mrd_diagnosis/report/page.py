@@ -96,7 +96,8 @@ GLOSSARY = {
     "segments of runs are held out, as in the comparison of effects; the two differ a little.",
     "probability": "How likely an effect is the cause, compared with the other effects that were fitted in its place. It "
     "compares the effects that were tried; an effect that is not in the catalogue is not among them. Where the gap is "
-    "partly explained, the effects are compared beside a freer form of the model, and around another model.",
+    "partly explained, the effects are compared around several damper models, and the probability is the share of cases in "
+    "which evidence like that was right for dampers whose effects were known.",
     "95 % interval": "The range, here in brackets or after ±, that contains the true value in 95 of 100 cases if "
     "the formula of the effect is exact. In blind trials with other formulas, it did in 9 of 14.",
     "p-value": "The probability that noise alone improves the fit to the same data so much. An effect can improve the fit "

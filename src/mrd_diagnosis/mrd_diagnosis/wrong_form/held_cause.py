@@ -26,7 +26,7 @@ class HeldCause:
     p_value : float
         Probability of its improvement in noise alone.
     closed_fraction : Interval
-        Share of the gap that it closes beside the others and a freer form of the damper.
+        Share of the gap that it closes beside the others.
     members : tuple of Member
         The class of effects to which it belongs.
     sizes : tuple of mapping

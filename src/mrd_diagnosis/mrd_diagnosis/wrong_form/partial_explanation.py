@@ -48,7 +48,7 @@ def explain_in_part(
     Parameters
     ----------
     explanation : Explanation
-        With the model alone. It is returned where it holds beside a freer form as well.
+        With the model alone. It is returned where it holds around other forms as well.
     other_models : sequence of Refit
         Other damper models, without effects.
     effects : sequence of str
