@@ -69,7 +69,7 @@ class Effect:
         ``starts(force)``: values of the first parameter from which a fit to forces in N (n,) of the reference damper may
         begin. For an effect that sets in at a threshold, or that does not change the force in proportion (a play).
     variants : sequence of mapping
-        Other values of fixed parameters, with which the effect may occur as well.
+        Other values of parameters from which a fit may begin, or with which the effect may occur where they are fixed.
     kernel : callable, optional
         ``kernel(parameters, state, dt, x, v, a, u, force)``, compiled, for real numbers and for numbers with derivatives
         (`mrd_sim.dual`). ``parameters`` (parameters,) is to be read by `mrd_sim.named.named`; ``state`` is carried from call

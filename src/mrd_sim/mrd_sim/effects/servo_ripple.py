@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 from numba import njit
 
 from mrd_sim.dual import cos, sin
@@ -11,10 +12,13 @@ from mrd_sim.parameter import Parameter
 
 _TURN = 2.0 * math.pi  # rad
 
+# In even steps of their number per stroke: between two, the phase at the ends of the stroke is off by less than 1 rad.
+_PERIODS = [1.0 / number for number in np.linspace(1 / 0.05, 1 / 3e-3, 31)]
+
 PARAMETERS = (
     Parameter("amplitude", "m", 0.0, 0.0, 4e-4, "amplitude a"),
     Parameter("phase", "rad", 0.0, 0.0, 2 * _TURN, "phase phi at mid-stroke; two turns, so that a fit can pass any"),
-    Parameter("period", "m", 2e-3 * math.pi, 3e-3, 0.05, "travel lambda after which it repeats", log=True, free=False),
+    Parameter("period", "m", 2e-3 * math.pi, 3e-3, 0.05, "travel lambda after which it repeats", log=True),
 )
 Parameters = tuple_type("Parameters", __name__, PARAMETERS)
 
@@ -41,6 +45,7 @@ EFFECT = Effect(
     source="tooth pitch of module 2: 2 pi mm; pitch errors of racks and gears 1-20 µm",
     parameters=PARAMETERS,
     typical={"amplitude": 1.5e-5, "phase": math.pi},
+    variants=[{"period": period} for period in _PERIODS],
     signature="a ripple of speed and force that is locked to the position, so that its frequency grows with speed",
     confused_with=("mains_hum", "side_load_friction", "lvdt_nonlinearity"),
     separated_by="several constant speeds, by the frequency that follows the speed",
