@@ -435,7 +435,7 @@ def cause_clause(cause: Cause) -> str:
     others = [effect_clause(member.effect, member.parameters) for member in cause.members[1:]]
     likely = [format_probability(member.probability) for member in cause.members]
     either = join_words([f"{text} ({chance})" for text, chance in zip([clause, *others], likely, strict=True)], "or")
-    name = _in_common(cause)
+    name = class_name([member.effect for member in cause.members])
     return f"{name}, which is either that {either}" if name else f"either {either}"
 
 

@@ -44,7 +44,7 @@ EFFECT = Effect(
     equation="x = x_m + a cos(2 pi x_m / lambda + phi), x_m the measured position",
     source="tooth pitch of module 2: 2 pi mm; pitch errors of racks and gears 1-20 µm",
     parameters=PARAMETERS,
-    typical={"amplitude": 1.5e-5, "phase": math.pi},
+    typical={"amplitude": 1.5e-5, "phase": math.pi, "period": 2e-3 * math.pi},
     variants=[{"period": period} for period in _PERIODS],
     signature="a ripple of speed and force that is locked to the position, so that its frequency grows with speed",
     confused_with=("mains_hum", "side_load_friction", "lvdt_nonlinearity"),
