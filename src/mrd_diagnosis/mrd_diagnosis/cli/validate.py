@@ -6,11 +6,11 @@ import sys
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
 from mrd_diagnosis.validation.validate import validate
-from mrd_identification.cli.options import add_anyway, announce, look_at_runs
+from mrd_identification.cli.options import add_anyway, add_reading_arguments, announce, look_at_runs
 from mrd_identification.export import load_damper
 from mrd_identification.fit_file import fitted_sources
 from mrd_identification.json_file import make_folder
-from mrd_identification.low_pass import GRAMMAR, with_force_filters
+from mrd_identification.low_pass import with_force_filters
 from mrd_runs import Run, read_runs
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
@@ -35,14 +35,7 @@ def work() -> None:
     parser.add_argument("--offsets", action="store_true", help="take out a force offset of each run")
     parser.add_argument("--gains", action="store_true", help="take out a gain error of the force of each run")
     parser.add_argument("--limit", type=float, metavar="PERCENT", help="largest error (NRMSE) that passes")
-    parser.add_argument("--skip", type=float, default=0.0, metavar="SECONDS", help="leave out the start of every run")
-    parser.add_argument(
-        "--force-filter",
-        action="append",
-        default=[],
-        metavar="[RUN=]FILTER",
-        help=f"filter of the recorded force: {GRAMMAR}",
-    )
+    add_reading_arguments(parser)
     add_anyway(parser)
     add_effects_folder(parser)
     add_models_folder(parser)
