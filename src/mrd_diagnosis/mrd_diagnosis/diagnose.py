@@ -25,6 +25,7 @@ from mrd_diagnosis.recordings.recording_set import RecordingSet, held_out_by
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
 from mrd_diagnosis.search.alternative_models import best_model
 from mrd_diagnosis.search.model_comparison import ModelComparison
+from mrd_diagnosis.simulator.stand_in import note_on, represent
 from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
 from mrd_identification.fit_file import StoredFit
 from mrd_identification.metrics import nrmse
@@ -34,6 +35,7 @@ from mrd_runs import Run
 from mrd_runs.scales import scales_of
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
+from mrd_sim.simulators.simulator import Simulator
 from mrd_trajectory.settings import GeneratorSettings
 
 Array = NDArray[np.float64]
@@ -71,6 +73,7 @@ def diagnose(
     held_out: Sequence[Run] = (),
     reference: Sequence[Run] = (),
     parameters: StoredFit | None = None,
+    simulator: Simulator | None = None,
     laws: str | Mapping[str, str] | None = None,
     effects: Sequence[str] = (),
     bench: GeneratorSettings | None = None,
@@ -92,6 +95,9 @@ def diagnose(
         that their own difference in motion and current does not explain. They exclude ``held_out``.
     parameters : StoredFit, optional
         Parameters of the simulator as it is (`mrd_identification.read_fit`). Without them, the model is fitted first.
+    simulator : Simulator, optional
+        A simulator of the user's own. ``model`` is then the one of the catalogue that stands for it, by default the one that
+        reproduces it best; see `mrd_diagnosis.simulator.stand_in`.
     laws : str or mapping, optional
         Current laws; see `mrd_sim.models.DamperModel.with_laws`.
     effects : sequence of str
@@ -106,7 +112,8 @@ def diagnose(
     Raises
     ------
     InputError
-        For an unknown model, law or effect, parameters out of their bounds, no runs, or both reference and held-out runs.
+        For an unknown model, law or effect, parameters out of their bounds, no runs, both reference and held-out runs, or a
+        simulator that fails.
     """
     began = time.monotonic()
     if not runs:
@@ -130,15 +137,24 @@ def diagnose(
         progress("done", 1.0)
         return _faulty(base, asked, findings)
     recordings = RecordingSet.prepare(runs, reference, held_out)
-    if model == BEST_MODEL:
+    stand_in = None
+    if simulator:
+        progress("asking the simulator", 0.02)
+        given = "" if model == BEST_MODEL else model
+        stand_in, recordings, limits = represent(simulator, recordings, scales, np.random.default_rng(seed), given)
+        findings = (*findings, *limits)
+        base, theta = stand_in.model, stand_in.theta
+    elif model == BEST_MODEL:
         progress("choosing the damper model", 0.02)
         base = best_model(base, thinned(recordings.after, MOST_SAMPLES), np.random.default_rng(seed))
     diagnosis = _diagnose_physics(base, theta, candidates, recordings, findings, bench, asked, progress)
-    chosen = (
-        f"Of the damper models that were tried, {base.id} predicts these recordings best." if model == BEST_MODEL else ""
-    )
+    chosen = ""
+    if stand_in:
+        chosen = note_on(stand_in)
+    elif model == BEST_MODEL:
+        chosen = f"Of the damper models that were tried, {base.id} predicts these recordings best."
     notes = (*filter(None, [chosen]), *diagnosis.notes, *closed_loop_notes(runs))
-    return replace(diagnosis, notes=notes)
+    return replace(diagnosis, notes=notes, stand_in=stand_in)
 
 
 @dataclass(frozen=True)

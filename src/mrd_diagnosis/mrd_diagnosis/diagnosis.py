@@ -408,6 +408,35 @@ class CorrectedSimulator:
 
 
 @dataclass(frozen=True)
+class StandIn:
+    """The damper model that stands for a simulator of the user's own.
+
+    Attributes
+    ----------
+    name : str
+        Of the simulator.
+    source : str
+        What opens it, as on the command line.
+    model : DamperModel
+    theta : ndarray (parameters,)
+        Parameters with which the model reproduces the simulator best.
+    error : float
+        Rms of what the model alone leaves of the simulator's force, over the standard deviation of that force.
+    """
+
+    name: str
+    source: str
+    model: DamperModel
+    theta: Array
+    error: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters by name."""
+        return dict(zip(self.model.names, map(float, self.theta), strict=True))
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """The gap between simulator and recordings: its place, its causes, and the share of it that they close.
 
@@ -481,3 +510,4 @@ class Diagnosis:
     next_experiment: Advice | None = None
     residuals: tuple[RunResidual, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
+    stand_in: StandIn | None = None

@@ -79,8 +79,9 @@ def _corrected_damper(file: str | Path, report: dict[str, Any]) -> Damper:
             "proven; apply it to a plant file with apply --anyway, and use that"
         )
     own = {name: value for name, value in values.items() if name.partition(".")[0] in effects or "." not in name}
+    simulator = report.get("simulator") or {}
     try:
-        return Damper(model, own, laws, effects)
+        return Damper(model, own, laws, effects, simulator.get("name", ""), simulator.get("parameters"))
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
 
@@ -110,11 +111,14 @@ def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", wit
         raise InputError(f"{output}: expected a name that ends in .c (C99 source) or .fmu (FMI 2.0 co-simulation)")
     damper = load_damper(file)
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
+    if without_effects and damper.model.stands_for:
+        raise InputError(f"{file}: corrects the simulator {damper.model.stands_for}, which is what is left without effects")
     if without_effects:
         values = {name: value for name, value in values.items() if "." not in name}
         damper = Damper(damper.model.id, values, damper.model.laws)
     source = output.suffix == ".c"
-    content = c_source(damper.model, values, prefix).encode() if source else fmu_archive(damper.model, values)
+    plain = damper.plain
+    content = c_source(damper.model, values, prefix, plain).encode() if source else fmu_archive(damper.model, values, plain)
     try:
         with output.open("xb") as stream:
             stream.write(content)

@@ -9,6 +9,7 @@ Newton's method needs.
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from string import Template
 
@@ -28,7 +29,9 @@ _ELONGATION = ("double *", "double", "double", "double", "double")
 """C types of the parameters of an effect's kernel and of an elongation, whatever their annotations."""
 
 
-def c_source(model: DamperModel, values: Mapping[str, float], prefix: str = "mrd") -> str:
+def c_source(
+    model: DamperModel, values: Mapping[str, float], prefix: str = "mrd", plain: Mapping[str, float] | None = None
+) -> str:
     """Translate a damper model into C99.
 
     Parameters
@@ -38,6 +41,10 @@ def c_source(model: DamperModel, values: Mapping[str, float], prefix: str = "mrd
         Parameters by name in SI; those not given keep the model's default.
     prefix : str
         Beginning of the names that other C files see, so that several dampers fit into one program.
+    plain : mapping, optional
+        For a model that stands for a simulator of the user's own (`DamperModel.stands_for`): its parameters by name with
+        which it reproduces that simulator without effects. ``<prefix>_step`` then has the simulator's force as its last
+        argument, and returns it with the effects.
 
     Returns
     -------
@@ -92,7 +99,50 @@ def c_source(model: DamperModel, values: Mapping[str, float], prefix: str = "mrd
         laws=laws,
         damper="force = force_in_series(s, q, dt, x, v, a);" if series else alone,
         after=after,
+        **_simulator_parts(model, plain, prefix, lag, laws, kernel),
     )
+
+
+_SIMULATOR_PARTS = (
+    "simulator_argument",
+    "plain_state",
+    "simulator_comment",
+    "simulator_parameter",
+    "excess_parameter",
+    "add_excess",
+    "plain_function",
+    "find_excess",
+    "excess_between",
+    "keep_excess",
+    "excess_now",
+)
+
+
+def _simulator_parts(
+    model: DamperModel, plain: Mapping[str, float] | None, prefix: str, lag: str, laws: str, kernel: str
+) -> dict[str, str]:
+    """Return the parts of the C file that add the force of a simulator of the user's own; empty ones without it."""
+    if not model.stands_for:
+        return dict.fromkeys(_SIMULATOR_PARTS, "")
+    without = replace(model, effects=(), stands_for="")
+    parameters = ", ".join(c_number(value) for value in without.vector(plain or {}))
+    place = without.names.index("coil_lag")
+    return {
+        "simulator_argument": ", simulator_force",
+        "simulator_parameter": ", double simulator",
+        "simulator_comment": " * The last argument is the simulator's force (N) at the sample; returned is this force with "
+        "the effects.\n",
+        "plain_state": f"    double plain[{2 + model.states}], excess;  /* of the model alone, of the simulator */\n",
+        "excess_parameter": ", double excess",
+        "excess_between": ", g * s->excess + f * excess",
+        "keep_excess": "    s->excess = excess;\n",
+        "excess_now": ", excess",
+        "add_excess": "    force += excess;\n",
+        "plain_function": Template(template("plain.c")).substitute(
+            p=prefix, parameters=parameters, place=place, lag=lag, laws=laws, kernel=kernel
+        ),
+        "find_excess": Template(template("excess.c")).substitute(),
+    }
 
 
 def _state_at_rest(model: DamperModel) -> NDArray[np.float64]:

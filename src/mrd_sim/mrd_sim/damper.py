@@ -1,6 +1,7 @@
 """A damper with its parameters: force along a whole recording, or block by block."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,10 @@ class Damper:
     effects : mapping, optional
         Effects that act with the model (`mrd_sim.effects`): for each id the values of its parameters. Those not given are
         neutral.
+    stands_for : str
+        Name of a simulator of the user's own for which the model stands, see `mrd_sim.models.DamperModel`.
+    plain : mapping, optional
+        Its parameters by name with which it reproduces that simulator without effects.
 
     Raises
     ------
@@ -77,9 +82,12 @@ class Damper:
         parameters: Mapping[str, float] | None = None,
         laws: str | Mapping[str, str] | None = None,
         effects: Mapping[str, Mapping[str, float]] | None = None,
+        stands_for: str = "",
+        plain: Mapping[str, float] | None = None,
     ) -> None:
         effects = effects or {}
-        self.model = find_model(model, laws, list(effects))
+        self.model = replace(find_model(model, laws, list(effects)), stands_for=stands_for)
+        self.plain = dict(plain or {})
         effect_values = {f"{effect}.{name}": value for effect, values in effects.items() for name, value in values.items()}
         self.theta = self.model.vector({"coil_lag": 0.0, **(parameters or {}), **effect_values})
         self._state: Array | None = None
@@ -87,20 +95,23 @@ class Damper:
     @property
     def description(self) -> str:
         """Model and effects by their ids."""
-        return " with ".join(filter(None, (self.model.id, ", ".join(effect.id for effect in self.model.effects))))
+        name = self.model.stands_for or self.model.id
+        return " with ".join(filter(None, (name, ", ".join(effect.id for effect in self.model.effects))))
 
-    def force(self, time: Array, position: Array, current: Array) -> Array:
+    def force(self, time: Array, position: Array, current: Array, simulator: Array | None = None) -> Array:
         """Return the measured force in N along a recorded motion from rest, which is smoothed as in identification.
 
         Parameters
         ----------
         time, position, current : ndarray (n,)
             s, m, A.
+        simulator : ndarray (n,), optional
+            Force in N of the simulator for which the model stands, which is corrected.
 
         Raises
         ------
         InputError
-            For series of different length, or fewer than ten samples.
+            For series of different length, fewer than ten samples, or the force of a simulator that is missing.
         """
         time, position, current = (np.asarray(series, np.float64) for series in (time, position, current))
         if not len(time) == len(position) == len(current):
@@ -108,7 +119,20 @@ class Damper:
             raise InputError(f"{lengths}, expected as many of each")
         motion = smooth_motion(time, position)
         path = make_path(time, motion.position, motion.velocity, motion.acceleration, current)
+        if self.model.stands_for:
+            path = self._with_excess(path, time, simulator)
         return self.model.force(self.theta, path)
+
+    def _with_excess(self, path: Path, time: Array, simulator: Array | None) -> Path:
+        """Return a path with what the simulator has beyond the model that stands for it."""
+        if simulator is None or len(simulator) != len(time):
+            raise InputError(
+                f"the force of the simulator {self.model.stands_for} is missing, which this damper corrects; expected one "
+                "value for each sample"
+            )
+        without = replace(self.model, effects=(), stands_for="")
+        excess = np.asarray(simulator, np.float64) - without.force(without.vector(self.plain), path)
+        return replace(path, excess=np.interp(np.cumsum(path.dt), time - time[0], excess))
 
     def advance(self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array) -> Array:
         """Return the measured force in N over the next block of equally spaced samples.
@@ -126,6 +150,8 @@ class Damper:
         self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array
     ) -> tuple[Array, Array]:
         """Return the force on the rod and the measured one, which effects of sensing change; arguments as of `advance`."""
+        if self.model.stands_for:
+            raise InputError(f"the damper corrects the simulator {self.model.stands_for}: use force, or export it")
         steps = np.full(len(position), dt)
         if self._state is None:
             steps[0] = 0.0

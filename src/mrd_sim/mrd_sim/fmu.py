@@ -25,6 +25,9 @@ INPUTS = {
 }
 """Unit and meaning of the FMU's inputs; `fmi2.c` has the same order."""
 
+SIMULATOR_FORCE = {"simulator_force": ("N", "of the simulator whose force is corrected")}
+"""The further input of the FMU of a model that stands for a simulator of the user's own."""
+
 _PLATFORMS = {
     ("Linux", "x86_64"): "linux64",
     ("Windows", "AMD64"): "win64",
@@ -34,7 +37,7 @@ _PLATFORMS = {
 _SUFFIXES = {"Windows": ".dll", "Darwin": ".dylib"}
 
 
-def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
+def fmu_archive(model: DamperModel, values: Mapping[str, float], plain: Mapping[str, float] | None = None) -> bytes:
     """Return the content of an .fmu file: description, C sources and their binary for this platform.
 
     Parameters
@@ -42,6 +45,8 @@ def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
     model : DamperModel
     values : mapping
         Parameters by name in SI; those not given keep the model's default.
+    plain : mapping, optional
+        See `mrd_sim.c_code.c_source`; the FMU then has the input ``simulator_force`` as well.
 
     Raises
     ------
@@ -53,9 +58,10 @@ def fmu_archive(model: DamperModel, values: Mapping[str, float]) -> bytes:
     Inputs are the motion and the coil's current, in SI. The output is the force at the same communication point. The
     parameters are tunable. ``fmi2.c`` describes what the binary does with them.
     """
-    damper = c_source(model, values)
+    damper = c_source(model, values, plain=plain)
     guid = f"{{{uuid.uuid5(uuid.NAMESPACE_OID, damper)}}}"
-    wrapper = Template(template("fmi2.c")).substitute(guid=guid)
+    simulator = {"simulator": "SIMULATOR, ", "simulator_now": ", s->now[SIMULATOR]"} if model.stands_for else {}
+    wrapper = Template(template("fmi2.c")).substitute({"guid": guid, "simulator": "", "simulator_now": "", **simulator})
     sources = {"damper.c": damper, "fmi2.c": wrapper}
     system, machine = platform.system(), platform.machine()
     folder = _PLATFORMS.get((system, machine), f"{machine}-{system}".lower())
@@ -95,7 +101,8 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
     )
     ElementTree.SubElement(ElementTree.SubElement(slave, "SourceFiles"), "File", name="fmi2.c")
     units = ElementTree.SubElement(root, "UnitDefinitions")
-    used = [parameter.unit for parameter in model.parameters] + [unit for unit, _ in INPUTS.values()] + ["N"]
+    inputs = INPUTS | (SIMULATOR_FORCE if model.stands_for else {})
+    used = [parameter.unit for parameter in model.parameters] + [unit for unit, _ in inputs.values()] + ["N"]
     for unit in sorted(set(used) - {""}):
         ElementTree.SubElement(units, "Unit", name=unit)
     categories = ElementTree.SubElement(root, "LogCategories")
@@ -115,12 +122,12 @@ def model_description(model: DamperModel, values: Mapping[str, float], guid: str
             min=repr(parameter.limits[0]),
             max=repr(parameter.limits[1]),
         )
-    for name, (unit, meaning) in INPUTS.items():
+    for name, (unit, meaning) in inputs.items():
         _add_variable(variables, name, "input", "continuous", meaning, unit=unit, start="0")
     _add_variable(variables, "force", "output", "continuous", "of the damper, > 0 resists extension", unit="N")
     structure = ElementTree.SubElement(root, "ModelStructure")
     force, first = str(len(variables)), len(model.parameters) + 1
-    known = " ".join(str(first + index) for index in range(len(INPUTS)))
+    known = " ".join(str(first + index) for index in range(len(inputs)))
     ElementTree.SubElement(ElementTree.SubElement(structure, "Outputs"), "Unknown", index=force, dependencies=known)
     ElementTree.SubElement(ElementTree.SubElement(structure, "InitialUnknowns"), "Unknown", index=force)
     ElementTree.indent(root)

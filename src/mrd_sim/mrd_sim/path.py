@@ -50,6 +50,8 @@ class Path:
         Samples that are vertices, where not all are; the index of any other sample is that of the last vertex before it.
     lead_in : LeadIn or None
         Motion before the first sample, whose vertices come first; without one, a model begins at rest and unloaded.
+    excess : ndarray (m,) or None
+        Force in N that a simulator of the user's own has beyond the model that stands for it.
     """
 
     dt: Array
@@ -62,6 +64,7 @@ class Path:
     smoothed: SmoothedRun | None = None
     kept: slice | None = None
     lead_in: LeadIn | None = None
+    excess: Array | None = None
     _bare: "Path | None" = None
 
     @property
@@ -92,6 +95,7 @@ class Path:
             current=current,
             samples=bare.samples + len(before),
             lead_in=lead_in,
+            excess=None if bare.excess is None else np.concatenate([np.zeros(len(before)), bare.excess]),
             _bare=bare,
         )
 
@@ -134,6 +138,7 @@ class Path:
             current=self.current[keep],
             samples=(np.cumsum(keep) - 1)[self.samples],
             kept=kept,
+            excess=None if self.excess is None else self.excess[keep],
         )
 
 
@@ -148,7 +153,12 @@ def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:
     path = make_path(
         subdivide(time, parts), *motion_between_samples(time, smoothed.motion, parts), subdivide(smoothed.current, parts)
     )
-    return replace(path, samples=path.samples[subdivided_indices(len(time), parts)])
+    excess = smoothed.excess
+    return replace(
+        path,
+        samples=path.samples[subdivided_indices(len(time), parts)],
+        excess=None if excess is None else np.interp(np.cumsum(path.dt), time - time[0], excess),
+    )
 
 
 def pieces(run: Run) -> NDArray[np.intp]:

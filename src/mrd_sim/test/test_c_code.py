@@ -296,3 +296,32 @@ def counts_states(parameters: Array, state: Array, dt: Array, x: Array, v: Array
 def test_an_effect_that_has_no_translation_is_refused(changes, words):
     with pytest.raises(InputError, match=words):
         c_source(with_effect(**changes), {})
+
+
+@needs_compiler
+@pytest.mark.parametrize("effects", [(), *((name,) for name in ("coil_lag", "joint_play", "moving_mass", "channel_delay"))])
+def test_the_force_of_a_simulator_gets_the_effects(tmp_path, effects):
+    """In C as in Python: the model stands for the simulator, and what the simulator has beyond it is added."""
+    time, x, v, a, current = motion()
+    simulated = 800.0 * v + (30.0 + 200.0 * current) * np.tanh(v / 0.01) + 20.0
+    model = replace(find_model("bouc_wen", effects=effects), stands_for="mine")
+    plain = {"yield_force": 60.0, "viscous": 700.0, "coil_lag": 0.0}
+    values = plain | {"viscous": 900.0} | typical_values(effects)
+    (tmp_path / "damper.c").write_text(c_source(model, values, plain=plain), encoding="utf-8")
+    subprocess.run([COMPILER, *STRICT, "-o", "damper.so", "damper.c", "-lm"], cwd=tmp_path, check=True)
+    library = ctypes.CDLL(tmp_path / "damper.so")
+    state = ctypes.create_string_buffer(1 << 20)
+    library.mrd_init(state)
+    library.mrd_step.argtypes = [ctypes.c_void_p, *[ctypes.c_double] * 6]
+    library.mrd_step.restype = ctypes.c_double
+    steps = np.diff(time, prepend=time[0])
+    force = [library.mrd_step(state, *row) for row in np.stack([steps, x, v, a, current, simulated], axis=1).tolist()]
+    path = make_path(time, x, v, a, current)
+    alone = replace(model, effects=(), stands_for="")
+    excess = simulated - alone.force(alone.vector(plain), path)
+    path = replace(path, excess=np.interp(np.cumsum(path.dt), time - time[0], excess))
+    expected = model.force(model.vector(values), path)
+    np.testing.assert_allclose(force, expected, atol=1e-6)
+    if not effects:
+        without = replace(model, stands_for="").force(model.vector(values), path)
+        np.testing.assert_allclose(force, without + excess, atol=1e-6)

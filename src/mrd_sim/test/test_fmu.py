@@ -5,6 +5,7 @@ import io
 import shutil
 import zipfile
 from ctypes import CFUNCTYPE, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from dataclasses import replace
 from pathlib import PurePosixPath
 from xml.etree import ElementTree
 
@@ -82,8 +83,9 @@ class Slave:
     def follow(self, time, *series):
         """Force at every sample: inputs set, force read, step made."""
         force = np.empty(len(time))
+        names = ("position", "velocity", "acceleration", "current", "simulator_force")[: len(series)]
         for k, row in enumerate(np.stack(series, axis=1).tolist()):
-            assert self.set(**dict(zip(("position", "velocity", "acceleration", "current"), row, strict=True))) == OK
+            assert self.set(**dict(zip(names, row, strict=True))) == OK
             force[k] = self.get("force")
             if k + 1 < len(time):
                 assert self.step(time[k], time[k + 1] - time[k]) == OK
@@ -129,6 +131,23 @@ def test_the_same_force_as_in_python(folders, name):
     for _ in range(2):
         assert np.abs(slave.follow(*motion()) - force).max() <= 1e-9 * np.abs(force).max()
         assert slave.call("Reset") == OK
+    slave.library.fmi2FreeInstance(c_void_p(slave.instance))
+
+
+@needs_compiler
+def test_the_force_of_a_simulator_gets_the_effects(tmp_path):
+    series = motion()
+    simulated = 500.0 * series[2] + 30.0 * np.tanh(series[2] / 0.01)
+    model = replace(find_model("bouc_wen").with_effects(EFFECTS), stands_for="mine")
+    plain = {"viscous": 600.0, "coil_lag": 0.0}
+    zipfile.ZipFile(io.BytesIO(fmu_archive(model, plain | TYPICAL, plain))).extractall(tmp_path)
+    slave = Slave(tmp_path)
+    slave.initialize()
+    path, alone = make_path(*series), replace(model, effects=(), stands_for="")
+    excess = simulated - alone.force(alone.vector(plain), path)
+    path = replace(path, excess=np.interp(np.cumsum(path.dt), series[0], excess))
+    force = model.force(model.vector(plain | TYPICAL), path)
+    assert np.abs(slave.follow(*series, simulated) - force).max() <= 1e-8 * np.abs(force).max()
     slave.library.fmi2FreeInstance(c_void_p(slave.instance))
 
 

@@ -26,6 +26,7 @@ from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
+from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
@@ -60,6 +61,7 @@ def work() -> None:
         default=BEST_MODEL,
         help=f"one of {', '.join(MODELS)}; default: {BEST_MODEL}, the one that predicts the recordings best",
     )
+    add_simulator_arguments(parser)
     parser.add_argument(
         "--parameters",
         metavar="FIT.json",
@@ -89,18 +91,23 @@ def work() -> None:
     if arguments.model != BEST_MODEL:
         find_model(arguments.model, laws)
     find_effects(effects)
+    if arguments.simulator and (arguments.parameters or laws):
+        raise InputError(
+            "--simulator: found --parameters or --law as well, which belong to a model of the catalogue; leave them out"
+        )
     parameters = read_fit(arguments.parameters) if arguments.parameters else None
     bench = read_settings(arguments.bench)
     runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
     announce(describe_runs([*runs, *held_out, *reference]))
-    with shown_progress("diagnosing") as progress:
+    with opened_simulator(arguments) as simulator, shown_progress("diagnosing") as progress:
         diagnosis = diagnose(
             runs,
             arguments.model,
             held_out=held_out,
             reference=reference,
             parameters=parameters,
+            simulator=simulator,
             laws=laws or None,
             effects=effects,
             bench=bench,

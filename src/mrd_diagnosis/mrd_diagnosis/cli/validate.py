@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from pathlib import Path
 
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
@@ -14,6 +15,9 @@ from mrd_identification.low_pass import with_force_filters
 from mrd_runs import Run, read_runs
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
+from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
+from mrd_sim.simulators.command import COMMAND
+from mrd_sim.simulators.opening import KINDS
 
 ABOVE_LIMIT = 1
 """Exit status where the error is above the limit."""
@@ -30,11 +34,17 @@ def work() -> None:
         description="Predict runs by a damper as it was fitted. Nothing is fitted but the state before the first sample. "
         f"Writes validation.html and validation.json. The exit status is {ABOVE_LIMIT} where the error is above --limit."
     )
-    parser.add_argument("damper", metavar="FIT.json|GAP_REPORT.json|PLANT.yaml", help="file of identify, diagnose or apply")
+    parser.add_argument(
+        "damper",
+        metavar="FIT.json|GAP_REPORT.json|PLANT.yaml|SIMULATOR",
+        help="file of identify, diagnose or apply; or a simulator of your own: an FMU, a Python file, a command after "
+        f"'{COMMAND}'",
+    )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
     parser.add_argument("--offsets", action="store_true", help="take out a force offset of each run")
     parser.add_argument("--gains", action="store_true", help="take out a gain error of the force of each run")
     parser.add_argument("--limit", type=float, metavar="PERCENT", help="largest error (NRMSE) that passes")
+    add_simulator_arguments(parser)
     add_reading_arguments(parser)
     add_anyway(parser)
     add_effects_folder(parser)
@@ -43,12 +53,29 @@ def work() -> None:
     arguments = parser.parse_args()
     if arguments.limit is not None and not arguments.limit > 0.0:
         raise InputError(f"--limit is {arguments.limit:g}, expected a positive number of per cent")
-    damper = load_damper(arguments.damper)
+    is_simulator = arguments.damper.startswith(COMMAND) or Path(arguments.damper).suffix.lower() in KINDS
+    if is_simulator and arguments.simulator:
+        raise InputError(f"{arguments.damper}: is a simulator, and --simulator names another one; give one of them")
+    if is_simulator:
+        arguments.simulator = [arguments.damper]
+    damper = None if is_simulator else load_damper(arguments.damper)
     (runs,) = with_force_filters([read_runs(arguments.runs, arguments.skip)], arguments.force_filter, "--force-filter")
-    look_at_runs(runs, arguments.anyway, damper.model, remedy="predict them as they are with --anyway")
+    look_at_runs(
+        runs, arguments.anyway, None if damper is None else damper.model, remedy="predict them as they are with --anyway"
+    )
     folder = make_folder(arguments.output)
     announce(describe_runs(runs))
-    validation = validate(damper, runs, fitted=_fitted(arguments.damper), offsets=arguments.offsets, gains=arguments.gains)
+    with opened_simulator(arguments) as simulator:
+        validated = damper or simulator
+        assert validated is not None
+        validation = validate(
+            validated,
+            runs,
+            simulator=simulator,
+            fitted=[] if damper is None else _fitted(arguments.damper),
+            offsets=arguments.offsets,
+            gains=arguments.gains,
+        )
     page = write_validation(validation, folder)
     print(validation_sentence(validation))
     above = arguments.limit is not None and not 100.0 * validation.nrmse <= arguments.limit

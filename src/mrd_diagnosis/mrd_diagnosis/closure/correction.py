@@ -59,6 +59,11 @@ def correction_of_report(report: Mapping[str, Any], where: str, **options: Any) 
     InputError
         As `correction` does.
     """
+    if simulator := report.get("simulator"):
+        raise InputError(
+            f"{where}: corrects the simulator {simulator['name']}, and a plant file has a damper model of the catalogue; "
+            "make an FMU or C file of the correction with export"
+        )
     refitted = report["corrected"] or {"parameters": {}, "effects": []}  # null where the recordings are faulty
     # Without effects, and where the recordings are faulty, there is no share.
     closed = report["gap"]["closed_fraction"]["value"] if report["gap"] else None

@@ -21,6 +21,7 @@ from mrd_diagnosis.diagnosis import (
     Region,
     Rejected,
     RunResidual,
+    StandIn,
 )
 from mrd_diagnosis.evidence.cause_class import class_name
 from mrd_diagnosis.wording.effect_names import parameters_of_effect
@@ -43,6 +44,7 @@ def to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "model": model.id,
         "laws": model.laws,
+        "simulator": None if diagnosis.stand_in is None else _stand_in(diagnosis.stand_in),
         "runs": {
             "fit": [residuals.get(run.name, run_json(run)) for run in diagnosis.runs],
             "held_out": [residuals.get(run.name, run_json(run)) for run in diagnosis.held_out],
@@ -97,6 +99,16 @@ def read_gap_report(path: str | Path) -> Mapping[str, Any]:
     """
     content: Mapping[str, Any] = read_json(path, "mrd_diagnosis", "gap_report", SCHEMA)
     return content
+
+
+def _stand_in(stand_in: StandIn) -> dict[str, Any]:
+    return {
+        "name": stand_in.name,
+        "source": stand_in.source,
+        "model": stand_in.model.id,
+        "parameters": stand_in.values,
+        "error": finite_or_none(stand_in.error),
+    }
 
 
 def _gap(gap: Gap) -> dict[str, Any]:

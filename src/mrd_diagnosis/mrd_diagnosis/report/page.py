@@ -129,7 +129,7 @@ def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
     command = next_command(diagnosis, folder)
     earlier = f", compared with {len(diagnosis.reference)} from before a change" if diagnosis.reference else ""
     content = {
-        "title": f"{diagnosis.model.title} model against {against}{earlier}",
+        "title": f"{_simulator(diagnosis)} against {against}{earlier}",
         "verdict": diagnosis.verdict,
         "verdict_text": _VERDICTS[diagnosis.verdict],
         "verdict_sentence": diagnosis.sentence,
@@ -148,6 +148,11 @@ def page_content(diagnosis: Diagnosis, folder: str = "DIR") -> dict[str, Any]:
     if diagnosis.gap is not None and diagnosis.corrected is not None:
         content["comparison"] = _comparison(diagnosis, diagnosis.gap, diagnosis.corrected)
     return content
+
+
+def _simulator(diagnosis: Diagnosis) -> str:
+    """Return what is compared with the recordings."""
+    return f"Simulator {diagnosis.stand_in.name}" if diagnosis.stand_in else f"{diagnosis.model.title} model"
 
 
 def _origin(diagnosis: Diagnosis) -> str:

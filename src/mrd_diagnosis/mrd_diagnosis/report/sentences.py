@@ -282,7 +282,7 @@ def _unknown_effect_sentence(diagnosis: Diagnosis, gap: Gap) -> str:
 
 def notable_model(diagnosis: Diagnosis) -> AlternativeModel | None:
     """Return the best other damper model if it closes notably more of the gap than the nearest effect."""
-    models = diagnosis.alternative_models
+    models = () if diagnosis.stand_in else diagnosis.alternative_models
     reached = diagnosis.nearest.closed_fraction.value if diagnosis.nearest is not None else 0.0
     needed = reached + THRESHOLDS.notable_alternative_model * (1.0 - reached)
     return models[0] if models and models[0].closed_fraction.value > needed else None
@@ -374,6 +374,15 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     reference = f" --reference {run_arguments(diagnosis.reference)}" if diagnosis.reference else ""
     laws = diagnosis.model.laws
     diagnose = f"{command('mrd_diagnosis', 'diagnose')} {runs}"
+    record = ""
+    if diagnosis.next_experiment is not None and diagnosis.next_experiment.experiment and has_workspace():
+        record = f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n"
+    if diagnosis.stand_in:
+        again = f"{record}{diagnose} NEW_RUN{held_out}{reference} --simulator {diagnosis.stand_in.source} --output DIR"
+        export = f"{command('mrd_identification', 'export')} {folder}/gap_report.json --output correction.fmu"
+        to_record = diagnosis.verdict == "ambiguous" and diagnosis.next_experiment is not None
+        is_proven = diagnosis.verdict in ("explained", "partly_explained") and not _is_doubtful(diagnosis)
+        return export if is_proven else again if to_record else ""
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     apply += folder_arguments()
     corrected = f"{folder}/gap_report.json"
@@ -386,7 +395,6 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     if diagnosis.verdict == "ambiguous" and diagnosis.causes:
         if diagnosis.next_experiment is None or not diagnosis.next_experiment.experiment:
             return apply if apply.endswith(" --anyway") else f"{apply} --anyway"
-        record = f"ros2 run mrd_bench_driver bench {folder}/next_experiment.yaml\n" if has_workspace() else ""
         return f"{record}{diagnose} NEW_RUN{held_out}{reference} {model_arguments(diagnosis.model.id, laws)} --output DIR"
     if diagnosis.verdict not in ("partly_explained", "unknown_effect"):
         return ""

@@ -87,7 +87,7 @@ def _alternatives(weighting: Weighting, base: Refit) -> Iterator[_AlternativeMod
     if freed and model.id != "quasi_static":  # its fixed parameters are its dimensions
         yield f"{model.id} with {', '.join(freed)} fitted too", model, freed, base.theta
     if levels > 2 and any(law == "affine" for law in model.laws.values()):
-        quadratic = find_model(model.id, "quadratic", scales=model.scales)
+        quadratic = model.with_laws("quadratic")
         values = dict(zip(model.names, base.theta, strict=True))
         start = np.array([values.get(parameter.name, parameter.default) for parameter in quadratic.parameters])
         yield f"{model.id} with quadratic current laws", quadratic, (), start

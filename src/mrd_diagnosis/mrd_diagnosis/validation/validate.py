@@ -12,6 +12,8 @@ from mrd_diagnosis.closure.closure import exceeded_ranges
 from mrd_diagnosis.diagnosis import Region, RunNoise
 from mrd_diagnosis.localisation.localise import localise
 from mrd_diagnosis.noise.noise_model import estimate_noise
+from mrd_diagnosis.recordings.recording_set import RecordingSet
+from mrd_diagnosis.simulator.stand_in import represent, simulated_forces, with_excess
 from mrd_identification.export import load_damper
 from mrd_identification.fit import Fit, RunResult, evaluate_model
 from mrd_identification.metrics import metrics, nrmse
@@ -19,7 +21,9 @@ from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.run_start import estimate_starts
 from mrd_runs import Run
+from mrd_runs.scales import scales_of
 from mrd_sim.damper import Damper
+from mrd_sim.simulators.simulator import Simulator
 
 Array = NDArray[np.float64]
 
@@ -76,9 +80,10 @@ class Validation:
 
 
 def validate(
-    damper: Damper | Fit | str | Path,
+    damper: Damper | Fit | Simulator | str | Path,
     runs: Sequence[Run],
     *,
+    simulator: Simulator | None = None,
     fitted: Sequence[Run] = (),
     offsets: bool = False,
     gains: bool = False,
@@ -88,10 +93,12 @@ def validate(
 
     Parameters
     ----------
-    damper : Damper, Fit or path
+    damper : Damper, Fit, Simulator or path
         A path as of `mrd_identification.export.load_damper`: a fit.json, a gap_report.json or a plant.yaml.
     runs : sequence of Run
         In the order in which they were recorded.
+    simulator : Simulator, optional
+        The simulator that the damper corrects, where it is that of a diagnosis with a simulator of the user's own.
     fitted : sequence of Run
         Runs to which the damper was fitted, to tell what exceeds them. Those of a `Fit` are known.
     offsets, gains : bool
@@ -102,7 +109,7 @@ def validate(
     Raises
     ------
     InputError
-        For no runs, or a file that does not describe a damper.
+        For no runs, a file that does not describe a damper, or a simulator that fails or is missing.
     """
     if not runs:
         raise InputError("no runs to validate on, expected at least one")
@@ -110,10 +117,15 @@ def validate(
         fitted = fitted or [result.run for result in damper.fitted]
         values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
         damper = Damper(damper.model.id, values, damper.model.laws, {effect.id: {} for effect in damper.model.effects})
+    recordings: Sequence[Recording] = in_threads(prepare_recording, runs)
+    if isinstance(damper, Simulator):
+        damper, recordings = _represented(damper, recordings, seed)
     elif not isinstance(damper, Damper):
         damper = load_damper(damper)
+    if damper.model.stands_for and recordings[0].smoothed.excess is None:
+        recordings = _corrected(damper, recordings, simulator)
     model, theta = damper.model, damper.theta
-    recordings = estimate_starts(model, theta, in_threads(prepare_recording, runs))
+    recordings = estimate_starts(model, theta, recordings)
     noise = estimate_noise(recordings, model, theta, np.random.default_rng(seed))
     before = in_threads(prepare_recording, fitted)
     results = evaluate_model(model, theta, recordings)
@@ -122,6 +134,25 @@ def validate(
         for result, of_run, recording in zip(results, noise, recordings, strict=True)
     )
     return _validation(damper, validated, recordings, noise, fitted_known=bool(fitted))
+
+
+def _represented(simulator: Simulator, recordings: Sequence[Recording], seed: int) -> tuple[Damper, Sequence[Recording]]:
+    """Return the damper model that stands for a simulator, and the recordings with what the simulator has beyond it."""
+    given = RecordingSet((), tuple(recordings), ())
+    scales = scales_of([recording.run for recording in recordings])
+    stand_in, represented, _ = represent(simulator, given, scales, np.random.default_rng(seed))
+    values = stand_in.values
+    return Damper(stand_in.model.id, values, stand_in.model.laws, None, simulator.name, values), represented.after
+
+
+def _corrected(damper: Damper, recordings: Sequence[Recording], simulator: Simulator | None) -> Sequence[Recording]:
+    """Return the recordings with what the simulator that a damper corrects has beyond the model that stands for it."""
+    if simulator is None:
+        raise InputError(
+            f"the diagnosis corrects the simulator {damper.model.stands_for}; give it as well, with --simulator"
+        )
+    plain = replace(damper.model, effects=(), stands_for="")
+    return with_excess(damper.model, plain.vector(damper.plain), recordings, simulated_forces(simulator, recordings))
 
 
 def _validated(result: RunResult, noise: RunNoise, exceeds: str, offsets: bool, gains: bool) -> ValidatedRun:

@@ -30,11 +30,14 @@ class SmoothedRun:
         Smoothed position, velocity and acceleration.
     current : ndarray (n,)
         Measured current in A, without the noise of its sensor.
+    excess : ndarray (n,) or None
+        Force in N of a simulator of the user's own beyond the damper model that stands for it; None without one.
     """
 
     run: Run
     motion: Motion
     current: Array
+    excess: Array | None = None
 
     @cached_property
     def current_errors(self) -> Array:
@@ -68,7 +71,7 @@ def remeasure(smoothed: SmoothedRun, rng: np.random.Generator) -> SmoothedRun:
         acceleration=acceleration,
         current=smoothed.current + draw_current_noise(run.current, rng, 1)[0],
     )
-    return SmoothedRun(measured, motion, steady_current(measured.current))
+    return replace(smoothed, run=measured, motion=motion, current=steady_current(measured.current))
 
 
 def exact_run(run: Run, acceleration: Array) -> SmoothedRun:

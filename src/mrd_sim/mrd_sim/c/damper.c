@@ -11,7 +11,7 @@ $effects *
  *   ${p}_state damper;
  *   ${p}_init(&damper);
  *   damper.parameters[$example] = ...;  // where another value than the fitted one is wanted
- *   force = ${p}_step(&damper, dt, position, velocity, acceleration, current);
+ *   force = ${p}_step(&damper, dt, position, velocity, acceleration, current$simulator_argument);
  *
  * Other files see the declarations by #define ${P}_DECLARATIONS and #include of this file.
  */
@@ -35,7 +35,7 @@ typedef struct {
     double parameters[${P}_PARAMETERS];
     double inner[$states];                             /* of the coil, the model, the effects; elongations in series, force */
     double position, velocity, acceleration, current;  /* at the sample before */
-    int moved;                                         /* whether there was such a sample */
+$plain_state    int moved;                                         /* whether there was such a sample */
 } ${p}_state;
 
 /* A damper at rest, unloaded, with the fitted parameters. Its coil has the current of the first step. */
@@ -45,9 +45,9 @@ void ${p}_init(${p}_state *s);
  * Advance the damper by dt (s) to a sample of position (m), velocity (m/s), acceleration (m/s^2) and coil current (A);
  * returns its force (N) as it is measured. The first step only sets where the damper is, whatever its dt; so does a later
  * one with dt = 0. Where the velocity has changed its sign, the turning point in between is passed too.
- */
+$simulator_comment */
 double ${p}_step(
-    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current);
+    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current$simulator_parameter);
 
 #endif
 
@@ -72,15 +72,15 @@ static const int columns[] = {$law_columns};
 static const double floors[] = {$floors};
 
 $functions
-${series}static double vertex(${p}_state *s, double dt, double x, double v, double a, double current)
+${series}static double vertex(${p}_state *s, double dt, double x, double v, double a, double current$excess_parameter)
 {
     double effective, q[COEFFICIENTS], force = 0.0;
 $before    $lag(1, s->parameters + ${P}_COIL_LAG, s->inner, &dt, &current, &effective);
     $laws(1, s->parameters, codes, columns, floors, &effective, q);
     $damper
-$after    return force;
+$add_excess$after    return force;
 }
-
+$plain_function
 void ${p}_init(${p}_state *s)
 {
     memset(s, 0, sizeof *s);
@@ -90,26 +90,27 @@ void ${p}_init(${p}_state *s)
 $start}
 
 double ${p}_step(
-    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current)
+    ${p}_state *s, double dt, double position, double velocity, double acceleration, double current$simulator_parameter)
 {
     if (!s->moved) {
         dt = 0.0;
     }
     /* Instant between both samples, from 0 to 1, at which the linear velocity is zero; rounding may put it on a sample. */
     const double f = s->velocity * velocity < 0.0 ? s->velocity / (s->velocity - velocity) : 0.0, g = 1.0 - f;
-    if (dt > 0.0 && f > 0.0 && f < 1.0) {
-        /* The turning point follows from the cubic through both samples with their velocities. */
-        vertex(s, f * dt,
-               g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
-                   + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity,
-               0.0, g * s->acceleration + f * acceleration, g * s->current + f * current);
-        dt *= g;
+    const int turns = dt > 0.0 && f > 0.0 && f < 1.0;
+    /* The turning point follows from the cubic through both samples with their velocities. */
+    const double turning = g * g * (1.0 + 2.0 * f) * s->position + f * g * g * dt * s->velocity
+                           + f * f * (1.0 + 2.0 * g) * position - f * f * g * dt * velocity;
+    const double bend = g * s->acceleration + f * acceleration, between = g * s->current + f * current;
+$find_excess    if (turns) {
+        vertex(s, f * dt, turning, 0.0, bend, between$excess_between);
     }
+    dt *= turns ? g : 1.0;
     s->position = position;
     s->velocity = velocity;
     s->acceleration = acceleration;
     s->current = current;
     s->moved = 1;
-    return vertex(s, dt, position, velocity, acceleration, current);
+$keep_excess    return vertex(s, dt, position, velocity, acceleration, current$excess_now);
 }
 #endif

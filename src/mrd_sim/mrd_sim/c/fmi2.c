@@ -33,11 +33,14 @@ typedef struct {
     fmi2ComponentEnvironment environment;
 } fmi2CallbackFunctions;
 
-enum { POSITION, VELOCITY, ACCELERATION, CURRENT, INPUTS };
+enum { POSITION, VELOCITY, ACCELERATION, CURRENT, ${simulator}INPUTS };
 enum { FIRST_INPUT = MRD_PARAMETERS, FORCE = MRD_PARAMETERS + INPUTS };
 
 typedef struct {
     mrd_state damper;     /* at the communication point before */
+    mrd_state here;       /* at the present one, if the force is known */
+    double force;         /* at the present one */
+    int known;            /* whether the force is known: no input or parameter was set since */
     double input[INPUTS]; /* as last set */
     double now[INPUTS];   /* at the present communication point */
     double elapsed;       /* s since the communication point before */
@@ -59,11 +62,17 @@ static void rest(slave *s)
     memset(s->input, 0, sizeof s->input);
     memset(s->now, 0, sizeof s->now);
     s->elapsed = 0.0;
+    s->known = 0;
 }
 
-static double pass(mrd_state *damper, const slave *s)
+static void pass(slave *s)
 {
-    return mrd_step(damper, s->elapsed, s->now[POSITION], s->now[VELOCITY], s->now[ACCELERATION], s->now[CURRENT]);
+    if (!s->known) {
+        s->here = s->damper;
+        s->force = mrd_step(
+            &s->here, s->elapsed, s->now[POSITION], s->now[VELOCITY], s->now[ACCELERATION], s->now[CURRENT]$simulator_now);
+        s->known = 1;
+    }
 }
 
 /* Life cycle of a slave */
@@ -114,15 +123,15 @@ FMI fmi2Status fmi2Reset(fmi2Component c)
 
 FMI fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference which[], size_t n, fmi2Real values[])
 {
-    const slave *s = c;
+    slave *s = c;
     for (size_t i = 0; i < n; i++) {
         if (which[i] < FIRST_INPUT) {
             values[i] = s->damper.parameters[which[i]];
         } else if (which[i] < FORCE) {
             values[i] = s->input[which[i] - FIRST_INPUT];
         } else if (which[i] == FORCE) {
-            mrd_state trial = s->damper;
-            values[i] = pass(&trial, s);
+            pass(s);
+            values[i] = s->force;
         } else {
             return refuse(s, "fmi2GetReal: unknown value reference");
         }
@@ -134,6 +143,7 @@ FMI fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference which[], si
 {
     slave *s = c;
     char message[256];
+    s->known = 0;
     for (size_t i = 0; i < n; i++) {
         if (which[i] < FIRST_INPUT) {
             const mrd_parameter *p = &mrd_parameters[which[i]];
@@ -162,7 +172,9 @@ FMI fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boo
         return refuse(s, "fmi2DoStep: the step is negative or not finite");
     }
     if (step > 0.0) {
-        pass(&s->damper, s);
+        pass(s);
+        s->damper = s->here;
+        s->known = 0;
         s->elapsed = step;
         s->now[POSITION] += step * (s->now[VELOCITY] + 0.5 * step * s->now[ACCELERATION]);
         s->now[VELOCITY] += step * s->now[ACCELERATION];

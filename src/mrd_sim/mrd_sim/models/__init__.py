@@ -1,6 +1,7 @@
 """The catalogue of damper models: one file and one line each."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -61,6 +62,11 @@ def find_model(
     return model.with_effects(find_effects(effects, scales)) if effects else model
 
 
+def restored(name: str, laws: Mapping[str, str], effects: Sequence[str], scales: Scales, stands_for: str) -> DamperModel:
+    """Return the model that has been pickled as these."""
+    return replace(find_model(name, laws, effects, scales), stands_for=stands_for)
+
+
 def load_models(folder: str | Path) -> tuple[DamperModel, ...]:
     """Add a user's own models to this process's catalogue: one from every ``*.py`` of a folder that assigns ``MODEL``.
 
@@ -81,4 +87,4 @@ def load_models(folder: str | Path) -> tuple[DamperModel, ...]:
     return tuple(loaded.values())
 
 
-__all__ = ["MODELS", "MODEL_FOLDERS", "Coefficient", "DamperModel", "Parameter", "find_model", "load_models"]
+__all__ = ["MODELS", "MODEL_FOLDERS", "Coefficient", "DamperModel", "Parameter", "find_model", "load_models", "restored"]

@@ -73,6 +73,9 @@ class DamperModel:
         Effects that act with the model, see `with_effects`.
     scales : Scales
         Scales of the damper for which the ranges of `parameters` hold; the coefficients state those of the reference damper.
+    stands_for : str
+        Name of a simulator of the user's own for which the model stands: its force is that of the model and the excess of
+        the path (`mrd_sim.path.Path`). Empty where the model is the simulator itself.
     """
 
     id: str
@@ -88,15 +91,16 @@ class DamperModel:
     observables: Callable[[Mapping[str, float]], dict[str, tuple[float, str]]] | None = None
     effects: tuple[Effect, ...] = ()
     scales: Scales = REFERENCE
+    stands_for: str = ""
 
     def __repr__(self) -> str:
         return f"<DamperModel {' with '.join([self.id, *(effect.id for effect in self.effects)])}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the ids: compiled kernels cannot be pickled, and another process has the same catalogue."""
-        from mrd_sim.models import find_model
+        from mrd_sim.models import restored
 
-        return find_model, (self.id, self.laws, tuple(effect.id for effect in self.effects), self.scales)
+        return restored, (self.id, self.laws, tuple(effect.id for effect in self.effects), self.scales, self.stands_for)
 
     def with_laws(self, laws: str | Mapping[str, str]) -> "DamperModel":
         """Return the model with other current laws.
@@ -323,6 +327,9 @@ class DamperModel:
                 self._run_in_series(parameters, state[-len(self.series_elements) - 1 :], rows, *arguments)
             else:
                 self.kernel(rows, *arguments)
+        if self.stands_for and path.excess is not None:
+            values = force.real if isinstance(force, Duals) else force
+            values += path.excess
         self._act(("fluid", "structure"), theta, path, (x, v, a, current, force), state)
         on_rod = force[path.samples[samples]]
         if not any(effect.stage == "sensing" for effect in self.effects):
@@ -424,7 +431,7 @@ class DamperModel:
     @cached_property
     def runs_in_lanes(self) -> bool:
         """Whether candidates are evaluated several at a time."""
-        return not self.effects and runs_in_lanes(self.kernel)
+        return not (self.effects or self.stands_for) and runs_in_lanes(self.kernel)
 
     def regressors(self, thetas: Array, path: Path, samples: slice = ALL) -> list[tuple[Array, Array]]:
         """Return the force's linear part and the rest of candidates: ``force = columns @ theta[linear] + rest``.
@@ -478,6 +485,8 @@ class DamperModel:
     @cached_property
     def _has_rest(self) -> bool:
         """Whether any force is left where all linear coefficients are zero, as a random motion shows."""
+        if self.stands_for:
+            return True
         rng = np.random.default_rng(0)
         dt, x, v, a, current = rng.uniform(-0.1, 0.1, (5, 100))
         path = Path(np.abs(dt), np.cumsum(x), v, a, current, np.arange(100))

@@ -1,0 +1,188 @@
+"""The gap between a simulator of the user's own and recordings."""
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_diagnosis import diagnose, validate
+from mrd_diagnosis.report.gap_file import to_json
+from mrd_diagnosis.report.page import page_content, write_gap_report
+from mrd_diagnosis.report.sentences import next_command
+from mrd_identification.export import export_damper, load_damper
+from mrd_identification.recording import prepare_recording
+from mrd_runs import read_runs
+from mrd_runs.scales import scales_of
+from mrd_sim.fmu import fmu_archive
+from mrd_sim.models import find_model
+from mrd_sim.simulators.opening import open_simulator
+from mrd_sim.simulators.simulator import signals_of
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "worn_joint"
+
+SIMULATOR = """
+import numpy as np
+PARAMETERS = {"c": 900.0, "f0": 20.0, "f1": 300.0}
+def force(time, position, velocity, current, parameters):
+    p = parameters
+    return p["c"] * velocity + (p["f0"] + p["f1"] * current) * np.tanh(velocity / 0.02)
+"""
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return read_runs(sorted(EXAMPLE.glob("*.csv")))
+
+
+@pytest.fixture(scope="module")
+def of_model(runs):
+    return diagnose(runs, "bouc_wen")
+
+
+@pytest.fixture(scope="module")
+def fmu(runs, of_model, tmp_path_factory):
+    """The fitted model without its effect, as somebody who simulates with an FMU has it."""
+    file = tmp_path_factory.mktemp("fmu") / "mine.fmu"
+    values = {name: value for name, value in of_model.corrected.without_effects.items() if "." not in name}
+    file.write_bytes(fmu_archive(find_model("bouc_wen", scales=scales_of(runs)), values))
+    return file
+
+
+@pytest.fixture(scope="module")
+def of_fmu(runs, fmu):
+    with open_simulator(fmu) as simulator:
+        return diagnose(runs, "auto", simulator=simulator)
+
+
+def test_an_fmu_gets_the_verdict_of_the_model_in_it(of_model, of_fmu):
+    assert of_fmu.verdict == of_model.verdict == "explained"
+    assert [cause.effect for cause in of_fmu.causes] == ["joint_play"]
+    (there,), (here,) = of_model.causes, of_fmu.causes
+    assert here.parameters["joint_play.play"].value.value == pytest.approx(
+        there.parameters["joint_play.play"].value.value, rel=0.01
+    )
+    assert of_fmu.stand_in.model.id == "bouc_wen"
+    assert of_fmu.stand_in.error < 1e-4
+    assert "stands for the simulator mine.fmu, whose force it reproduces exactly" in of_fmu.notes[0]
+
+
+def test_the_report_speaks_of_the_simulator(of_fmu, fmu):
+    assert page_content(of_fmu)["title"].startswith("Simulator mine.fmu against 4 runs")
+    assert next_command(of_fmu, "gap").endswith("export gap/gap_report.json --output correction.fmu")
+    assert to_json(of_fmu)["simulator"]["source"] == str(fmu)
+
+
+def test_the_correction_is_exported_and_validated(runs, fmu, of_fmu, tmp_path):
+    write_gap_report(of_fmu, tmp_path)
+    report = tmp_path / "gap_report.json"
+    damper = load_damper(report)
+    with pytest.raises(InputError, match=r"corrects the simulator mine\.fmu; give it as well, with --simulator"):
+        validate(damper, runs)
+    with open_simulator(fmu) as simulator:
+        validation = validate(damper, runs, simulator=simulator)
+        alone = validate(simulator, runs)
+    assert validation.nrmse < 0.4 * alone.nrmse
+    assert validation.damper.description == "mine.fmu with joint_play"
+    export_damper(report, tmp_path / "correction.fmu")
+    description = zipfile.ZipFile(tmp_path / "correction.fmu").read("modelDescription.xml").decode()
+    assert 'name="simulator_force"' in description
+    with pytest.raises(InputError, match=r"corrects the simulator mine\.fmu"):
+        export_damper(report, tmp_path / "without.fmu", without_effects=True)
+    with pytest.raises(InputError, match="the force of the simulator mine"):
+        damper.force(runs[0].time, runs[0].position, runs[0].current)
+
+
+def test_a_plant_file_cannot_hold_a_simulator(of_fmu, tmp_path):
+    write_gap_report(of_fmu, tmp_path)
+    arguments = ["apply", str(tmp_path / "gap_report.json"), "--plant", "plant.yaml", "--output", str(tmp_path / "new.yaml")]
+    done = subprocess.run([sys.executable, "-m", "mrd_cli.cli.mrd", *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "corrects the simulator mine.fmu, and a plant file has a damper model of the catalogue" in done.stderr
+
+
+def test_the_simulator_alone_is_the_simulator_to_the_digit(runs, tmp_path):
+    """Whatever model stands for it: without effects, the sum of model and excess is the force of the simulator."""
+    from mrd_diagnosis.recordings.recording_set import RecordingSet
+    from mrd_diagnosis.simulator.stand_in import represent
+
+    (tmp_path / "mine.py").write_text(SIMULATOR)
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        recordings = RecordingSet.prepare(runs[:2], (), ())
+        stand_in, represented, findings = represent(
+            simulator, recordings, scales_of(runs), np.random.default_rng(0), "linear_viscous"
+        )
+        assert not findings
+        assert 0.05 < stand_in.error < 1.0
+        for recording in represented.after:
+            force = stand_in.model.force(stand_in.theta, recording.path.recorded)
+            np.testing.assert_allclose(force, simulator.force(signals_of(recording.smoothed)), atol=1e-9)
+            fine = stand_in.model.force(stand_in.theta, recording.path.recorded.fine)
+            np.testing.assert_allclose(fine, force, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("-F", "its force has the other sign than the measured one"),
+        ("F / 1000", "as if it were in kN, expected N"),
+        ("F + np.random.randn(len(F))", "gives forces that differ by up to"),
+        ("0 * F", "its force is constant"),
+    ],
+)
+def test_a_fault_of_the_simulator_is_named_as_such(runs, tmp_path, change, message):
+    text = SIMULATOR.replace("return ", "F = ") + f"    return {change}\n"
+    (tmp_path / "mine.py").write_text(text)
+    with open_simulator(tmp_path / "mine.py") as simulator, pytest.raises(InputError) as error:
+        diagnose(runs[:1], "bouc_wen", simulator=simulator)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("np.concatenate([F[:1], F[:-1]])", "is late by one step (4 ms)"),
+        ("np.concatenate([F[1:], F[-1:]])", "looks ahead: its force depends on motion or current up to 4 ms later"),
+        ("F + 5e3 * np.gradient(np.sign(velocity))", "changes by"),
+    ],
+)
+def test_a_weakness_of_the_simulator_is_told(runs, tmp_path, change, message):
+    from mrd_diagnosis.simulator.self_check import check_simulator
+
+    text = SIMULATOR.replace("return ", "F = ") + f"    return {change}\n"
+    (tmp_path / "mine.py").write_text(text)
+    recordings = [prepare_recording(run) for run in runs[:1]]
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        forces = [simulator.force(signals_of(recording.smoothed)) for recording in recordings]
+        findings = check_simulator(simulator, recordings, forces)
+    assert any(message in finding.text for finding in findings)
+    assert all(finding.severity == "limitation" for finding in findings)
+
+
+def test_recorded_outputs_stand_for_a_closed_simulator(runs, fmu, tmp_path):
+    folder = tmp_path / "simulated"
+    folder.mkdir()
+    with open_simulator(fmu) as simulator:
+        for run in runs:
+            force = simulator.force(signals_of(prepare_recording(run).smoothed))
+            table = np.stack([run.time, run.position, run.current, force], axis=1)
+            np.savetxt(
+                folder / f"{run.name}.csv", table, delimiter=",", header="time_s,position_m,current_A,force_N", comments=""
+            )
+    output = tmp_path / "gap"
+    arguments = ["diagnose", *map(str, sorted(EXAMPLE.glob("*.csv"))), "--simulator", *map(str, folder.glob("*.csv"))]
+    done = subprocess.run(
+        [sys.executable, "-m", "mrd_cli.cli.mrd", *arguments, "--output", str(output)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads((output / "gap_report.json").read_text())
+    assert [cause["effect"] for cause in report["causes"]] == ["joint_play"]
+    assert report["simulator"]["name"] == "of the recordings"

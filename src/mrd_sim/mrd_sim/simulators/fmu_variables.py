@@ -1,0 +1,164 @@
+"""Which variables of an FMU are motion, current, force and parameters, and in which units."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mrd_base import InputError
+from mrd_runs.importing.units import UNITS, find_unit
+
+SIGNALS = ("time", "position", "velocity", "acceleration", "current")
+"""What can be fed to an FMU, in the order of `mrd_sim.simulators.simulator.Signals`."""
+
+_NAMES = {
+    "time": ("time", "t"),
+    "position": ("position", "displacement", "travel", "stroke", "pos", "disp", "x", "s", "u"),
+    "velocity": ("velocity", "speed", "vel", "v", "xd", "dx", "xdot", "der_x", "v_rel"),
+    "acceleration": ("acceleration", "acc", "a", "xdd", "ddx"),
+    "current": ("current", "coil_current", "coilcurrent", "i", "cur", "amps"),
+    "force": ("force", "damper_force", "damping_force", "f", "fd", "f_mr", "f_d"),
+}
+"""Names that stand for a quantity, in lower case, the plainest first."""
+
+_NUMBERS = {"2.0": ("Real",), "3.0": ("Float64",)}
+"""Types of floating-point variables by version of the standard."""
+
+
+@dataclass(frozen=True)
+class FmuVariables:
+    """Variables of an FMU.
+
+    Attributes
+    ----------
+    inputs : tuple of (str, int, float)
+        Quantity of `SIGNALS`, value reference, and factor from SI to the variable's unit.
+    output : int
+        Value reference of the force.
+    factor : float
+        From the unit of the output to N.
+    parameters : mapping
+        Value reference, value, bounds (None for none) and unit of each number that may be set, by name.
+    """
+
+    inputs: tuple[tuple[str, int, float], ...]
+    output: int
+    factor: float
+    parameters: Mapping[str, tuple[int, float, float | None, float | None, str]]
+
+
+def find_variables(description: Any, inputs: Mapping[str, str], output: str) -> FmuVariables:
+    """Find motion, current, force and parameters among the variables of an FMU.
+
+    Parameters
+    ----------
+    description : fmpy.model_description.ModelDescription
+    inputs : mapping
+        Variable of each quantity where its name does not tell, by quantity.
+    output : str
+        Variable of the force; empty where its name tells.
+
+    Raises
+    ------
+    InputError
+        When a variable does not exist, is no floating-point number, or it is not clear what an input is.
+    """
+    variables = [v for v in description.modelVariables if v.type in _NUMBERS[description.fmiVersion] and not v.dimensions]
+    ins = {v.name: v for v in variables if v.causality == "input"}
+    outs = {v.name: v for v in variables if v.causality == "output"}
+    chosen = _chosen_inputs(ins, inputs)
+    if "position" not in chosen and "velocity" not in chosen:
+        raise InputError(
+            f"no input is a position or a velocity (inputs: {_listed(ins)}); name them with --inputs position=VARIABLE,..."
+        )
+    others = [v.name for v in description.modelVariables if v.causality == "input" and v.name not in ins]
+    left = [name for name in (*ins, *others) if name not in chosen.values()]
+    if unknown := [name for name in left if others or ins[name].start is None]:
+        raise InputError(
+            f"the input {unknown[0]} is none of {', '.join(SIGNALS)} by its name, and has no start value to keep; name "
+            f"what it is with --inputs QUANTITY={unknown[0]}"
+        )
+    force = _chosen_output(outs, output)
+    return FmuVariables(
+        tuple((quantity, ins[name].valueReference, 1.0 / _factor(quantity, ins[name])) for quantity, name in chosen.items()),
+        force.valueReference,
+        _factor("force", force),
+        {
+            v.name: (v.valueReference, float(v.start), _number(v.min), _number(v.max), v.unit or "")
+            for v in variables
+            if v.causality == "parameter" and v.variability in ("fixed", "tunable") and v.start is not None
+        },
+    )
+
+
+def _chosen_inputs(ins: Mapping[str, Any], named: Mapping[str, str]) -> dict[str, str]:
+    """Return the input of each quantity: those that are named, then those whose name or unit tells."""
+    for quantity, name in named.items():
+        if quantity not in SIGNALS:
+            raise InputError(f"--inputs: unknown quantity {quantity} (known: {', '.join(SIGNALS)})")
+        if name not in ins:
+            raise InputError(f"--inputs: no input {name} (inputs: {_listed(ins)})")
+    chosen = dict(named)
+    for quantity in SIGNALS:
+        if quantity in chosen:
+            continue
+        free = [name for name in ins if name not in chosen.values()]
+        if name := _by_name(quantity, free) or _by_unit(quantity, {name: ins[name] for name in free}):
+            chosen[quantity] = name
+    return {quantity: chosen[quantity] for quantity in SIGNALS if quantity in chosen}
+
+
+def _chosen_output(outs: Mapping[str, Any], named: str) -> Any:
+    if named:
+        if named not in outs:
+            raise InputError(f"--output-variable: no output {named} (outputs: {_listed(outs)})")
+        return outs[named]
+    name = _by_name("force", list(outs)) or _by_unit("force", outs) or (next(iter(outs)) if len(outs) == 1 else "")
+    if not name:
+        raise InputError(f"no output is a force by its name (outputs: {_listed(outs)}); name it with --output-variable NAME")
+    return outs[name]
+
+
+def _by_name(quantity: str, names: Sequence[str]) -> str:
+    """Return the name that stands for a quantity most plainly; empty where none does, or two as plainly."""
+    for word in _NAMES[quantity]:
+        found = [name for name in names if _plain(name) == word]
+        if found:
+            return found[0] if len(found) == 1 else ""
+    words = [word for word in _NAMES[quantity] if len(word) > 3]
+    found = [name for name in names if any(word in re.split(r"[\W_\d]+", name.lower()) for word in words)]
+    return found[0] if len(found) == 1 else ""
+
+
+def _plain(name: str) -> str:
+    """Return the last part of a name without brackets and a unit: ``damper.x_m`` is x."""
+    last = re.split(r"[.\[\]/]", name.rstrip("]"))[-1].lower()
+    return re.sub(r"_(m|mm|mps|m_s|mm_s|mps2|a|ma|n|kn|si|in|out)$", "", last)
+
+
+def _by_unit(quantity: str, variables: Mapping[str, Any]) -> str:
+    """Return the only variable with a unit of a quantity; empty where none or several have one."""
+    found = [name for name, variable in variables.items() if variable.unit and find_unit(quantity, variable.unit)]
+    return found[0] if len(found) == 1 and quantity != "time" else ""
+
+
+def _factor(quantity: str, variable: Any) -> float:
+    """Return the factor from the unit of a variable to SI; 1 where it has none."""
+    stated = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
+    if not stated or stated == "1":
+        return 1.0
+    unit = find_unit(quantity, stated)
+    if unit is None:
+        known = ", ".join(list(UNITS[quantity])[:6])
+        raise InputError(f"variable {variable.name} is in {stated}, expected a {quantity} ({known}, ...)")
+    return UNITS[quantity][unit]
+
+
+def _number(text: str | None) -> float | None:
+    return None if text is None else float(text)
+
+
+def _listed(variables: Mapping[str, Any]) -> str:
+    return (
+        ", ".join(f"{name} in {variable.unit}" if variable.unit else name for name, variable in variables.items()) or "none"
+    )

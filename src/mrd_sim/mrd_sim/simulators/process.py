@@ -1,0 +1,174 @@
+"""A simulator in a process of its own: what it does wrong ends there, and it never runs longer than it may."""
+
+import json
+import queue
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import weakref
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_sim.simulators.messages import read_message, write_message
+from mrd_sim.simulators.simulator import Signals, Simulator, SimulatorParameter, checked_force
+
+Array = NDArray[np.float64]
+
+TIME_LIMIT = 60.0
+"""s that one answer of a simulator may take, unless another limit is given."""
+
+START_LIMIT = 60.0
+"""s that a simulator may take to load, beside the time limit of an answer."""
+
+MOST_SERIES = 64
+"""Series of signals that the process keeps, so that they are sent once."""
+
+
+class ProcessSimulator(Simulator):
+    """A simulator that a process of its own runs (`mrd_sim.simulators.worker`).
+
+    Parameters
+    ----------
+    kind : {"fmu", "python"}
+    file : Path
+    options : mapping
+        For the process, as JSON.
+    limit : float
+        s that one answer may take.
+
+    Raises
+    ------
+    InputError
+        When the simulator cannot be loaded.
+    """
+
+    def __init__(self, kind: str, file: Path, options: Mapping[str, Any], limit: float = TIME_LIMIT) -> None:
+        self.name, self.source = file.name, shlex.quote(str(file))
+        self.limit = limit
+        folder = tempfile.mkdtemp(prefix="mrd_simulator_")
+        told = json.dumps({**options, "folder": folder})
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "mrd_sim.simulators.worker", kind, str(file.resolve()), told],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        self._answers: queue.Queue[tuple[dict[str, Any], Array] | None] = queue.Queue()
+        self._said: list[str] = []
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        self._input: IO[bytes] = self._process.stdin
+        self._lock = threading.Lock()
+        self._known: dict[int, tuple[weakref.ref[Signals], int]] = {}
+        self._sent = 0
+        threading.Thread(target=_read_answers, args=(self._process.stdout, self._answers), daemon=True).start()
+        self._listener = threading.Thread(target=_read_lines, args=(self._process.stderr, self._said), daemon=True)
+        self._listener.start()
+        self._end = weakref.finalize(self, _end, self._process, folder)
+        try:
+            facts, _ = self._answer(START_LIMIT + limit, "load")
+        except InputError:
+            self.close()
+            raise
+        self.parameters = {
+            name: SimulatorParameter(
+                name,
+                float(fact["value"]),
+                -np.inf if fact["lower"] is None else float(fact["lower"]),
+                np.inf if fact["upper"] is None else float(fact["upper"]),
+                fact["unit"],
+            )
+            for name, fact in facts["parameters"].items()
+        }
+        self.facts: Mapping[str, Any] = facts
+
+    def force(self, signals: Signals, values: Mapping[str, float] | None = None) -> Array:
+        """Return the force (n,) in N; see `Simulator.force`."""
+        with self._lock:
+            if self._process.poll() is not None:
+                raise InputError(f"simulator {self.name}: has ended; load it again")
+            header: dict[str, Any] = {"values": dict(values or {})}
+            known = self._known.get(id(signals))
+            if known is not None and known[0]() is signals:
+                header["signals"], rows = known[1], np.empty(0)
+            else:
+                self._sent += 1
+                header["signals"], rows = self._sent, signals.rows()
+                header["forget"] = self._sent - MOST_SERIES
+                self._known = {
+                    key: entry
+                    for key, entry in self._known.items()
+                    if entry[1] > header["forget"] and entry[0]() is not None
+                }
+                self._known[id(signals)] = weakref.ref(signals), self._sent
+            with suppress(OSError):  # where it has ended, its last words say why
+                write_message(self._input, header, rows)
+            _, force = self._answer(self.limit, "answer")
+        return checked_force(force, len(signals), self.name)
+
+    def close(self) -> None:
+        """End the process."""
+        self._end()
+
+    def _answer(self, limit: float, what: str) -> tuple[dict[str, Any], Array]:
+        try:
+            answer = self._answers.get(timeout=limit)
+        except queue.Empty:
+            self.close()
+            raise InputError(
+                f"simulator {self.name}: did not {what} within {limit:g} s, and was ended; allow more with "
+                "--simulator-limit, or record its force and give the recordings"
+            ) from None
+        if answer is None:
+            self._process.wait()
+            self._listener.join(1.0)
+            raise InputError(f"simulator {self.name}: ended by itself ({self._last_words()})")
+        header, content = answer
+        if "error" in header:
+            raise InputError(f"simulator {self.name}: {header['error']}")
+        return header, content
+
+    def _last_words(self) -> str:
+        code = self._process.returncode
+        by = f"signal {-code}" if code < 0 else f"status {code}"
+        return f"{by}: {self._said[-1]}" if self._said else by
+
+
+def _read_answers(stream: IO[bytes], answers: "queue.Queue[tuple[dict[str, Any], Array] | None]") -> None:
+    """Pass the messages of a process on, then that it has ended."""
+    with stream:
+        try:
+            while (message := read_message(stream)) is not None:
+                answers.put(message)
+        except (OSError, ValueError):
+            pass  # the process ended in the middle of a message
+    answers.put(None)
+
+
+def _read_lines(stream: IO[bytes], lines: list[str]) -> None:
+    """Keep the last lines that a process says."""
+    with stream:
+        for line in stream:
+            if text := line.decode(errors="replace").strip():
+                lines.append(text)
+                del lines[:-20]
+
+
+def _end(process: "subprocess.Popen[bytes]", folder: str) -> None:
+    """End a process, whatever it is doing, and remove its folder."""
+    process.kill()
+    process.wait()
+    if process.stdin is not None:
+        with suppress(OSError):
+            process.stdin.close()
+    shutil.rmtree(folder, ignore_errors=True)

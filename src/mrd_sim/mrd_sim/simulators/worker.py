@@ -1,0 +1,63 @@
+"""The process of a simulator: it loads one, then answers until nobody asks any more."""
+
+import json
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base import InputError
+from mrd_sim.simulators.fmu_runner import FmuRunner
+from mrd_sim.simulators.messages import read_message, write_message
+from mrd_sim.simulators.python_runner import PythonRunner
+
+RUNNERS: dict[str, type[FmuRunner] | type[PythonRunner]] = {"fmu": FmuRunner, "python": PythonRunner}
+
+
+def main() -> None:
+    """Entry point of ``python -m mrd_sim.simulators.worker KIND FILE OPTIONS``."""
+    kind, file, options = sys.argv[1:4]
+    # What the simulator prints must not get among the answers.
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
+    serve(kind, Path(file), json.loads(options), sys.stdin.buffer, output)
+
+
+def serve(kind: str, file: Path, options: dict[str, object], questions: IO[bytes], answers: IO[bytes]) -> None:
+    """Load a simulator, say what it is, and answer questions until their stream ends."""
+    nothing = np.empty(0)
+    try:
+        runner = RUNNERS[kind](file, options)
+    except InputError as error:
+        write_message(answers, {"error": str(error)}, nothing)
+        return
+    write_message(answers, runner.facts, nothing)
+    known: dict[int, NDArray[np.float64]] = {}
+    while (question := read_message(questions)) is not None:
+        header, rows = question
+        if rows.size:
+            known[header["signals"]] = rows
+            known = {number: kept for number, kept in known.items() if number > header["forget"]}
+        try:
+            force = runner.force(known[header["signals"]], header["values"])
+        except InputError as error:
+            write_message(answers, {"error": str(error)}, nothing)
+        else:
+            write_message(answers, {}, force)
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this process once its parent has ended, whatever the simulator is doing."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,335 @@
+"""Simulators of the user's own: FMUs of other tools, Python functions, commands, recordings."""
+
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_runs import Run
+from mrd_sim.fmu import fmu_archive
+from mrd_sim.models import find_model
+from mrd_sim.path import make_path
+from mrd_sim.simulators.opening import open_simulator
+from mrd_sim.simulators.recorded import RecordedSimulator
+from mrd_sim.simulators.simulator import Signals
+
+OMEGA = 2 * np.pi * 1.3
+
+
+def signals(samples=2000, rate=1000.0):
+    time = np.arange(samples) / rate
+    position, velocity = 0.02 * np.sin(OMEGA * time), 0.02 * OMEGA * np.cos(OMEGA * time)
+    return Signals(time, position, velocity, -(OMEGA**2) * position, 0.25 + 0.2 * np.sin(0.7 * time))
+
+
+def expected(given, c=900.0):
+    return c * given.velocity + (20.0 + 300.0 * given.current) * np.tanh(given.velocity / 0.02)
+
+
+FUNCTION = """
+import numpy as np
+PARAMETERS = {"c": (900.0, 0.0, 5000.0)}
+def force(time, velocity, current, parameters):
+    print("this is no answer")
+    return parameters["c"] * velocity + (20.0 + 300.0 * current) * np.tanh(velocity / 0.02)
+"""
+
+
+def write(folder, text, name="simulator.py"):
+    file = folder / name
+    file.write_text(textwrap.dedent(text), encoding="utf-8")
+    return file
+
+
+def test_a_python_function_answers_in_its_own_process(tmp_path):
+    given = signals()
+    with open_simulator(write(tmp_path, FUNCTION)) as simulator:
+        assert simulator.name == "simulator.py"
+        assert simulator.parameters["c"].upper == 5000.0
+        np.testing.assert_allclose(simulator.force(given), expected(given), rtol=1e-12)
+        np.testing.assert_allclose(simulator.force(given, {"c": 450.0}), expected(given, 450.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("x =", "cannot be run (line 1: SyntaxError"),
+        ("y = 1 / 0", "cannot be run (line 1: ZeroDivisionError"),
+        ("def f(): pass", "has no function force(time, position, velocity, current, parameters)"),
+        ("def force(t): return t", "has the argument t, expected some of time, position"),
+        ("PARAMETERS = {'c': '1'}\ndef force(time): return time", "c is '1', expected a number or (VALUE, LOW, HIGH)"),
+    ],
+)
+def test_a_file_that_is_no_simulator_is_refused(tmp_path, text, message):
+    with pytest.raises(InputError) as error:
+        open_simulator(write(tmp_path, text))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("return 1.0", "found 1 forces for 2000 samples, expected one for each"),
+        ("return time[1:]", "found 1999 forces for 2000 samples"),
+        ("return time / 0.0", "the force at sample 0 of 2000 is nan"),
+        ("raise ValueError('no oil')", "line 4: ValueError: no oil"),
+        ("return 'fast'", "answered with str, expected an array of numbers"),
+        ("os.abort()", "ended by itself (signal 6"),
+    ],
+)
+def test_a_wrong_answer_is_one_line(tmp_path, body, message):
+    text = f"import os\nimport numpy as np\ndef force(time):\n    {body}\n"
+    with open_simulator(write(tmp_path, text)) as simulator, pytest.raises(InputError) as error:
+        simulator.force(signals())
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_simulator_that_hangs_is_ended(tmp_path):
+    file = write(tmp_path, "import time as clock\ndef force(time):\n    while True: clock.sleep(0.01)\n")
+    simulator = open_simulator(file, limit=1.0)
+    with pytest.raises(InputError, match=r"did not answer within 1 s, and was ended; allow more with --simulator-limit"):
+        simulator.force(signals())
+    with pytest.raises(InputError, match="has ended"):
+        simulator.force(signals())
+    assert not subprocess.run(["pgrep", "-f", str(file)], capture_output=True, check=False).stdout
+
+
+def test_nothing_runs_on_when_the_bench_is_killed(tmp_path):
+    file = write(tmp_path, "import time as clock\ndef force(time):\n    while True: clock.sleep(0.01)\n")
+    user = f"""
+    from mrd_sim.simulators.opening import open_simulator
+    from mrd_sim.simulators.simulator import Signals
+    import numpy as np
+    open_simulator({str(file)!r}, limit=60.0).force(Signals(*np.zeros((5, 10))))
+    """
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(user)])
+    find = ["pgrep", "-f", f"worker python {file}"]
+    until = time.monotonic() + 60.0
+    while not subprocess.run(find, capture_output=True, check=False).stdout and time.monotonic() < until:
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.kill()
+    process.wait()
+    until = time.monotonic() + 20.0
+    while subprocess.run(find, capture_output=True, check=False).stdout and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not subprocess.run(find, capture_output=True, check=False).stdout
+
+
+COMMAND = """
+import sys
+c = 900.0
+for setting in sys.argv[1:]:
+    name, _, value = setting.partition("=")
+    c = float(value)
+print("force_N")
+for line in list(sys.stdin)[1:]:
+    time, position, velocity, acceleration, current = map(float, line.split(","))
+    print(c * velocity)
+"""
+
+
+def test_a_command_reads_a_table_and_writes_forces(tmp_path):
+    given = signals()
+    with open_simulator(f"command: {sys.executable} {write(tmp_path, COMMAND)}") as simulator:
+        np.testing.assert_allclose(simulator.force(given), 900.0 * given.velocity)
+        np.testing.assert_allclose(simulator.force(given, {"c": 1.0}), given.velocity)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("command: no_such_program", "cannot be run (No such file or directory)"),
+        (f"command: {sys.executable} -c 'raise SystemExit(\"no licence\")'", "ended with status 1: no licence"),
+        (f"command: {sys.executable} -c 'print(1); print(\"x\")'", "line 2 of its answer is 'x', expected a number"),
+        ("command: ", "is empty"),
+        ("command: 'a", "cannot be read"),
+    ],
+)
+def test_a_command_that_fails_is_one_line(command, message):
+    with pytest.raises(InputError) as error:
+        open_simulator(command).force(signals())
+    assert message in str(error.value)
+
+
+def run_of(name, given, force):
+    return Run(name, given.time, given.position, given.velocity, given.current, force)
+
+
+def test_recordings_of_a_simulator_are_found_by_their_motion():
+    fast, slow = signals(), signals(1000, 500.0)
+    other = Signals(fast.time, -fast.position, -fast.velocity, -fast.acceleration, fast.current)
+    simulator = RecordedSimulator([run_of("b", other, -expected(fast)), run_of("a", fast, expected(fast))])
+    np.testing.assert_allclose(simulator.force(slow), expected(slow), atol=1e-9)
+    np.testing.assert_allclose(simulator.force(other), -expected(fast))
+
+
+def test_recordings_of_another_motion_are_refused():
+    given = signals()
+    still = Signals(given.time, 0.0 * given.position, given.velocity, given.acceleration, given.current)
+    simulator = RecordedSimulator([run_of("a", still, expected(given))])
+    with pytest.raises(InputError, match=r"none has the motion of the run of 1\.999 s"):
+        simulator.force(given)
+    with pytest.raises(InputError, match="none is as long"):
+        simulator.force(signals(3000))
+
+
+FMI_2 = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+import math
+
+class Damper2(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.x, self.v, self.i, self.F, self.c = 0.0, 0.0, 0.0, 0.0, 900.0
+        for name in ("x", "v", "i"):
+            self.register_variable(Real(name, causality=Fmi2Causality.input, start=0.0))
+        self.register_variable(
+            Real("c", causality=Fmi2Causality.parameter, variability=Fmi2Variability.tunable, start=900.0)
+        )
+        self.register_variable(Real("F", causality=Fmi2Causality.output))
+
+    def do_step(self, time, step):
+        self.F = self.c * self.v + (20.0 + 300.0 * self.i) * math.tanh(self.v / 0.02)
+        return True
+"""
+
+FMI_3 = """
+from pythonfmu3 import Float64, Fmi3Causality, Fmi3Slave, Fmi3Variability
+import math
+
+class Damper3(Fmi3Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.time, self.x, self.v, self.i, self.F, self.c = 0.0, 0.0, 0.0, 0.0, 0.0, 900.0
+        continuous, tunable = Fmi3Variability.continuous, Fmi3Variability.tunable
+        self.register_variable(Float64("time", causality=Fmi3Causality.independent, variability=continuous))
+        for name in ("x", "v", "i"):
+            self.register_variable(Float64(name, causality=Fmi3Causality.input, variability=continuous, start=0.0))
+        self.register_variable(Float64("c", causality=Fmi3Causality.parameter, variability=tunable, start=900.0))
+        self.register_variable(Float64("F", causality=Fmi3Causality.output, variability=continuous))
+
+    def do_step(self, time, step):
+        self.F = self.c * self.v + (20.0 + 300.0 * self.i) * math.tanh(self.v / 0.02)
+        return True
+"""
+
+
+def build_fmu(folder, text, exporter, name):
+    write(folder, text, f"{name.lower()}.py")
+    subprocess.run(
+        [sys.executable, "-m", exporter, "build", "-f", f"{name.lower()}.py"], cwd=folder, check=True, capture_output=True
+    )
+    return folder / f"{name}.fmu"
+
+
+@pytest.mark.parametrize(
+    ("text", "exporter", "name", "standard"),
+    [(FMI_2, "pythonfmu", "Damper2", "FMI 2.0"), (FMI_3, "pythonfmu3", "Damper3", "FMI 3.0")],
+)
+def test_fmus_of_another_exporter(tmp_path, text, exporter, name, standard):
+    given = signals()
+    with open_simulator(build_fmu(tmp_path, text, exporter, name)) as simulator:
+        assert simulator.facts["standard"] == standard
+        assert simulator.facts["inputs"] == ["position", "velocity", "current"]
+        # Its force follows the inputs after a step only, and is not late by one all the same.
+        np.testing.assert_allclose(simulator.force(given), expected(given), atol=1e-9)
+        np.testing.assert_allclose(simulator.force(given, {"c": 450.0}), expected(given, 450.0), atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def own_fmu(tmp_path_factory):
+    file = tmp_path_factory.mktemp("fmu") / "own.fmu"
+    file.write_bytes(fmu_archive(find_model("bouc_wen"), {"coil_lag": 0.0}))
+    return file
+
+
+def test_our_own_fmu_is_the_model(own_fmu):
+    given, model = signals(), find_model("bouc_wen")
+    path = make_path(given.time, given.position, given.velocity, given.acceleration, given.current)
+    with open_simulator(own_fmu) as simulator:
+        force = simulator.force(given)
+        assert np.array_equal(simulator.force(given), force)
+    np.testing.assert_allclose(force, model.force(model.vector({"coil_lag": 0.0}), path), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "output", "message"),
+    [
+        ({"position": "x"}, "", "--inputs: no input x (inputs: position in m, velocity in m/s"),
+        ({"speed": "velocity"}, "", "--inputs: unknown quantity speed (known: time, position"),
+        ({}, "moment", "--output-variable: no output moment (outputs: force in N)"),
+    ],
+)
+def test_variables_that_do_not_exist_are_refused(own_fmu, inputs, output, message):
+    with pytest.raises(InputError) as error:
+        open_simulator(own_fmu, inputs=inputs, output=output)
+    assert message in str(error.value)
+
+
+def changed_fmu(file, folder, *changes, remove=""):
+    """Copy an FMU with another text in its description, and without some of its files."""
+    import zipfile
+
+    copy = folder / "changed.fmu"
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(copy, "w") as new:
+        for entry in old.namelist():
+            content = old.read(entry)
+            if entry == "modelDescription.xml":
+                text = content.decode()
+                for before, after in changes:
+                    assert before in text
+                    text = text.replace(before, after)
+                content = text.encode()
+            if not (remove and entry.startswith(remove)):
+                new.writestr(entry, content)
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("changes", "remove", "message"),
+    [
+        ([('fmiVersion="2.0"', 'fmiVersion="1.0"')], "", "is of FMI 1.0, expected 2.0 or 3.0"),
+        ([], "binaries", "has binaries for no platform, expected"),
+        ([], "modelDescription.xml", "is no FMU that can be read"),
+        (
+            [('unit="m/s"', 'unit="rad/s"'), ('name="m/s"', 'name="rad/s"')],
+            "",
+            "variable velocity is in rad/s, expected a velo",
+        ),
+        ([('guid="{', 'guid="{0')], "", "cannot be initialised"),
+    ],
+)
+def test_fmus_that_cannot_be_used_are_refused(own_fmu, tmp_path, changes, remove, message):
+    with pytest.raises(InputError) as error:
+        open_simulator(changed_fmu(own_fmu, tmp_path, *changes, remove=remove))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_stated_units_are_converted(own_fmu, tmp_path):
+    given = signals()
+    file = changed_fmu(own_fmu, tmp_path, ('unit="N"', 'unit="kN"'), ('Unit name="N"', 'Unit name="kN"'))
+    with open_simulator(own_fmu) as simulator, open_simulator(file) as in_kn:
+        np.testing.assert_allclose(in_kn.force(given), 1e3 * simulator.force(given))
+
+
+def test_what_is_no_simulator_is_refused(tmp_path, own_fmu):
+    (tmp_path / "text.fmu").write_text("no archive")
+    for sources, options, message in [
+        (tmp_path / "text.fmu", {}, "is no FMU that can be read"),
+        (tmp_path / "none.fmu", {}, "no such file"),
+        ([], {}, "no simulator"),
+        ([own_fmu, own_fmu], {}, "expected one FMU, one Python file or one command"),
+        (own_fmu, {"limit": 0.0}, "--simulator-limit is 0 s"),
+        (write(tmp_path, FUNCTION), {"output": "force"}, "name variables of an FMU"),
+    ]:
+        with pytest.raises(InputError) as error:
+            open_simulator(sources, **options)
+        assert message in str(error.value)
