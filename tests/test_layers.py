@@ -48,7 +48,7 @@ EXECUTABLES = {
     "mrd_runs": {"recorder", "replay", "import", "export_csv", "info", "recover"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
-    "mrd_identification": {"identifier", "identify", "compare", "export"},
+    "mrd_identification": {"identifier", "identify", "compare", "export", "plot"},
     "mrd_diagnosis": {"diagnoser", "diagnose", "apply", "trend", "validate"},
     "mrd_control": {"controller", "evaluate", "hybrid_test", "review", "delay"},
     "mrd_trials": {"learn", "make", "run", "score", "withhold"},

@@ -186,3 +186,10 @@ def test_recorded_outputs_stand_for_a_closed_simulator(runs, fmu, tmp_path):
     report = json.loads((output / "gap_report.json").read_text())
     assert [cause["effect"] for cause in report["causes"]] == ["joint_play"]
     assert report["simulator"]["name"] == "of the recordings"
+
+
+def test_the_report_draws_where_the_effects_act(of_fmu):
+    chain = page_content(of_fmu)["comparison"]["chain"]
+    titles = [link.title for link in chain]
+    assert titles.index("in series with the damper") + 1 == titles.index("Simulator mine.fmu")
+    assert [link.effects for link in chain if link.effects] == [("play in a joint",)]

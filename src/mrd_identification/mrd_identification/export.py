@@ -18,7 +18,7 @@ LEAST_PROBABILITY = 0.5
 """Probability of a cause below which it is not proven, as for `apply`."""
 
 
-def load_damper(file: str | Path) -> Damper:
+def load_damper(file: str | Path, *, anyway: bool = False) -> Damper:
     """Return the damper that a file describes: ``load_damper("fit.json").force(time, position, current)``.
 
     Parameters
@@ -26,6 +26,8 @@ def load_damper(file: str | Path) -> Damper:
     file : path
         A fit.json of `identify`, a gap_report.json of `diagnose`, whose corrected simulator is meant, or a plant.yaml, for
         instance of `apply`.
+    anyway : bool
+        Take the corrected simulator of a diagnosis that does not prove it.
 
     Raises
     ------
@@ -41,7 +43,7 @@ def load_damper(file: str | Path) -> Damper:
             raise InputError(f"{file}: {error}") from None
     report = _gap_report(file)
     if report is not None:
-        return _corrected_damper(file, report)
+        return _corrected_damper(file, report, anyway)
     stored = read_fit(file)
     try:
         return Damper(stored.model, stored.values, stored.laws, {effect: {} for effect in stored.effects})
@@ -59,24 +61,24 @@ def _gap_report(file: str | Path) -> dict[str, Any] | None:
     return content if is_report else None
 
 
-def _corrected_damper(file: str | Path, report: dict[str, Any]) -> Damper:
+def _corrected_damper(file: str | Path, report: dict[str, Any], anyway: bool) -> Damper:
     """Return the corrected simulator of a diagnosis; this package knows of the file only what it reads here."""
     try:
         verdict, model, laws, corrected = (report[name] for name in ("verdict", "model", "laws", "corrected"))
         named, values = ((), {}) if corrected is None else (corrected["effects"], corrected["parameters"])
     except (KeyError, TypeError) as error:
         raise InputError(f"{file}: has no field {error}, expected a gap_report.json as diagnose writes it") from None
-    if verdict not in PROVEN:
+    if verdict not in PROVEN and not (anyway and named):
         raise InputError(
-            f"{file}: the verdict is {verdict}, so no simulator is proven; apply it to a plant file with apply --anyway, "
-            "and use that"
+            f"{file}: the verdict is {verdict}, so no simulator is proven; take what comes nearest with --anyway"
         )
     effects: dict[str, dict[str, float]] = {} if verdict == "no_gap" else {effect: {} for effect in named}
     likely = {cause["effect"] for cause in report.get("causes", ()) if (cause["probability"] or 0.0) >= LEAST_PROBABILITY}
-    if doubtful := [effect for effect in effects if "causes" in report and effect not in likely]:
+    doubtful = [effect for effect in effects if "causes" in report and effect not in likely]
+    if doubtful and not anyway:
         raise InputError(
             f"{file}: the probability of {', '.join(doubtful)} is below {100 * LEAST_PROBABILITY:g} %, so no simulator is "
-            "proven; apply it to a plant file with apply --anyway, and use that"
+            "proven; take what comes nearest with --anyway"
         )
     own = {name: value for name, value in values.items() if name.partition(".")[0] in effects or "." not in name}
     simulator = report.get("simulator") or {}
@@ -86,7 +88,9 @@ def _corrected_damper(file: str | Path, report: dict[str, Any]) -> Damper:
         raise InputError(f"{file}: {error}") from None
 
 
-def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", without_effects: bool = False) -> Damper:
+def export_damper(
+    file: str | Path, output: str | Path, prefix: str = "mrd", without_effects: bool = False, anyway: bool = False
+) -> Damper:
     """Write the damper of a file as a C file or an FMU; an existing file is never overwritten.
 
     Parameters
@@ -99,6 +103,8 @@ def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", wit
         Prefix of the names in the C file.
     without_effects : bool
         Leave out the effects that act with the model.
+    anyway : bool
+        As of `load_damper`.
 
     Raises
     ------
@@ -109,7 +115,7 @@ def export_damper(file: str | Path, output: str | Path, prefix: str = "mrd", wit
     output = Path(output)
     if output.suffix not in (".c", ".fmu"):
         raise InputError(f"{output}: expected a name that ends in .c (C99 source) or .fmu (FMI 2.0 co-simulation)")
-    damper = load_damper(file)
+    damper = load_damper(file, anyway=anyway)
     values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))
     if without_effects and damper.model.stands_for:
         raise InputError(f"{file}: corrects the simulator {damper.model.stands_for}, which is what is left without effects")

@@ -25,11 +25,12 @@ class Tool(NamedTuple):
 TOOLS: Mapping[str, Tool] = {
     "import": Tool("mrd_runs.cli.import_", "make bags of recordings in other formats"),
     "info": Tool("mrd_runs.cli.info", "show what recordings hold"),
+    "plot": Tool("mrd_identification.cli.plot", "look at recordings, and at what dampers and simulators answer to them"),
     "export_csv": Tool("mrd_runs.cli.export_csv", "write the samples of a bag as a CSV file"),
     "recover": Tool("mrd_runs.cli.recover", "make a readable bag of a damaged one"),
     "identify": Tool("mrd_identification.cli.identify", "fit a damper model to recordings"),
     "compare": Tool("mrd_identification.cli.compare", "fit several damper models and rank them"),
-    "validate": Tool("mrd_diagnosis.cli.validate", "predict new runs by a fitted damper, without a fit"),
+    "validate": Tool("mrd_diagnosis.cli.validate", "predict new runs by a fitted damper or a simulator, without a fit"),
     "diagnose": Tool("mrd_diagnosis.cli.diagnose", "explain the gap between simulator and recordings"),
     "apply": Tool("mrd_diagnosis.cli.apply", "put the cause that a diagnosis named into the simulator"),
     "trend": Tool("mrd_diagnosis.cli.trend", "follow a parameter over dated recordings"),

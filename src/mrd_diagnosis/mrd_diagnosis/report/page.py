@@ -27,6 +27,7 @@ from mrd_diagnosis.report.candidate_text import (
     ordered_candidates,
     with_probabilities,
 )
+from mrd_diagnosis.report.chain import chain_of
 from mrd_diagnosis.report.gap_file import write_gap_file
 from mrd_diagnosis.report.sentences import (
     FORM,
@@ -172,6 +173,7 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
     shown = figures.most_informative_run(diagnosis.residuals)
     return {
         "headline": _headline(diagnosis, gap),
+        "chain": chain_of([cause.effect for cause in diagnosis.causes], _simulator(diagnosis)) if diagnosis.causes else (),
         "errors": to_html(figures.error_chart(diagnosis, gap), HALF),
         "error_notes": _error_notes(diagnosis, gap),
         "held_out_by": _HELD_OUT_BY[diagnosis.held_out_by],

@@ -380,9 +380,15 @@ def next_command(diagnosis: Diagnosis, folder: str = "DIR") -> str:
     if diagnosis.stand_in:
         again = f"{record}{diagnose} NEW_RUN{held_out}{reference} --simulator {diagnosis.stand_in.source} --output DIR"
         export = f"{command('mrd_identification', 'export')} {folder}/gap_report.json --output correction.fmu"
-        to_record = diagnosis.verdict == "ambiguous" and diagnosis.next_experiment is not None
-        is_proven = diagnosis.verdict in ("explained", "partly_explained") and not _is_doubtful(diagnosis)
-        return export if is_proven else again if to_record else ""
+        if (
+            diagnosis.verdict == "ambiguous"
+            and diagnosis.next_experiment is not None
+            and diagnosis.next_experiment.experiment
+        ):
+            return again
+        if diagnosis.verdict in ("explained", "partly_explained") and not _is_doubtful(diagnosis):
+            return export
+        return f"{export} --anyway" if diagnosis.causes else ""
     apply = f"{command('mrd_diagnosis', 'apply')} {folder}/gap_report.json --plant PLANT.yaml --output CORRECTED.yaml"
     apply += folder_arguments()
     corrected = f"{folder}/gap_report.json"

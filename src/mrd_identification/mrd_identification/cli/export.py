@@ -25,6 +25,9 @@ def work() -> None:
     parser.add_argument(
         "--without-effects", action="store_true", help="export the damper model alone, without the effects that act with it"
     )
+    parser.add_argument(
+        "--anyway", action="store_true", help="take the corrected simulator of a diagnosis even if it does not prove it"
+    )
     add_effects_folder(parser)
     add_models_folder(parser)
     parser.add_argument("--output", required=True, metavar="FILE.c|FILE.fmu", help="new file; its ending selects C or FMU")
@@ -32,5 +35,5 @@ def work() -> None:
         "--prefix", default="mrd", metavar="NAME", help="prefix of the names in the C file (default %(default)s)"
     )
     arguments = parser.parse_args()
-    damper = export_damper(arguments.damper, arguments.output, arguments.prefix, arguments.without_effects)
+    damper = export_damper(arguments.damper, arguments.output, arguments.prefix, arguments.without_effects, arguments.anyway)
     print(f"{arguments.output}: {damper.description}, {len(damper.model.parameters)} parameters")

@@ -1,0 +1,36 @@
+"""The chain from the motion of the rod to the reading of the force, and where on it the effects of a diagnosis act."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_name
+from mrd_sim.effects import EFFECTS
+from mrd_sim.effects.effect import STAGES
+
+
+class Link(NamedTuple):
+    """A link of the chain: what it is, and the names of the effects that act in it."""
+
+    title: str
+    effects: tuple[str, ...]
+
+
+def chain_of(effects: Sequence[str], damper: str) -> tuple[Link, ...]:
+    """Return the chain from motion to reading.
+
+    Parameters
+    ----------
+    effects : sequence of str
+        Ids of the effects. Elements in series act before the damper: they take a part of its motion.
+    damper : str
+        Name of the damper model or of the simulator.
+    """
+    in_series = [effect for effect in effects if EFFECTS[effect].elongation is not None]
+
+    links = [
+        Link(STAGE_NAMES[stage], tuple(effect_name(e) for e in effects if EFFECTS[e].stage == stage and e not in in_series))
+        for stage in STAGES
+    ]
+    series = [Link("in series with the damper", tuple(map(effect_name, in_series)))] if in_series else []
+    before = STAGES.index("fluid")
+    return (Link("motion of the rod", ()), *links[:before], *series, Link(damper, ()), *links[before:], Link("reading", ()))
