@@ -23,7 +23,9 @@ def setup_ros_package() -> None:
         maintainer_email=maintainer.get("email") if maintainer is not None else "",
         license=description.findtext("license"),
         packages=find_packages(exclude=["test"]),
-        package_data={name: ["py.typed", "**/LICENSE", *(f"**/*.{end}" for end in "json html j2 c js css".split())]},
+        package_data={
+            name: ["py.typed", "**/LICENSE", *(f"**/*.{end}" for end in ("json", "html", "j2", "c", "js", "css"))]
+        },
         data_files=[("share/ament_index/resource_index/packages", [f"resource/{name}"]), (f"share/{name}", ["package.xml"])],
         install_requires=["setuptools"],
         zip_safe=True,
