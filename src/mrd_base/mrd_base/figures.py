@@ -2,6 +2,7 @@
 
 import html
 import re
+from collections.abc import Sequence
 
 import plotly.graph_objects as go
 
@@ -25,6 +26,13 @@ FULL, HALF, NARROW = 1130, 550, 360
 
 LEAST_COLUMN = 190
 """Width in pixels that a diagram needs at least beside others, with its labels."""
+
+
+def share_bars(rows: Sequence[tuple[str, float]], title: str) -> go.Figure:
+    """Return shares as bars, the first row at the top."""
+    names, shares = [name for name, _ in rows][::-1], [share for _, share in rows][::-1]
+    figure = go.Figure(go.Bar(x=shares, y=names, orientation="h", marker_color=ACCENT), LAYOUT)
+    return figure.update_layout(xaxis={"title": title, "tickformat": ".0%"}, height=100 + 28 * len(rows))
 
 
 def to_html(figure: go.Figure, width: int = FULL) -> str:

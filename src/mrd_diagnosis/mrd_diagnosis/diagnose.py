@@ -32,6 +32,7 @@ from mrd_identification.metrics import nrmse
 from mrd_identification.preflight import preflight
 from mrd_identification.recording import thinned
 from mrd_runs import Run
+from mrd_runs.run import checked_runs
 from mrd_runs.scales import scales_of
 from mrd_sim.effects import EFFECTS, find_effects
 from mrd_sim.models import DamperModel, find_model
@@ -116,8 +117,8 @@ def diagnose(
         simulator that fails.
     """
     began = time.monotonic()
-    if not runs:
-        raise InputError("no runs to diagnose")
+    runs, held_out = checked_runs(runs), checked_runs(held_out, "held_out", least=0)
+    reference = checked_runs(reference, "reference", least=0)
     if reference and held_out:
         raise InputError("found both reference and held-out runs, expected one kind: a change is judged on all runs in turn")
     candidates = candidates_for(effects, is_change=bool(reference))

@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from html import escape
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from mrd_identification.preflight.finding import Finding as Finding
 from mrd_identification.recording import Recording
 from mrd_runs import Run
 from mrd_sim.models import DamperModel
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 Array = NDArray[np.float64]
 Verdict = Literal["data_fault", "no_gap", "explained", "ambiguous", "partly_explained", "unknown_effect"]
@@ -436,7 +440,7 @@ class StandIn:
         return dict(zip(self.model.names, map(float, self.theta), strict=True))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
     """The gap between simulator and recordings: its place, its causes, and the share of it that they close.
 
@@ -511,3 +515,40 @@ class Diagnosis:
     residuals: tuple[RunResidual, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
     stand_in: StandIn | None = None
+
+    def __repr__(self) -> str:
+        causes = ", ".join(cause.effect for cause in self.causes)
+        return f"<Diagnosis {self.verdict}{': ' if causes else ''}{causes}>"
+
+    def _repr_html_(self) -> str:
+        rows = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in self._rows()]
+        head = "".join(f"<th>{text}</th>" for text in _COLUMNS)
+        table = f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
+        return f"<p>{escape(self.sentence)}</p>{table}"
+
+    def summary(self) -> str:
+        """Return the verdict, the findings about the recordings, and the effects that were tried, as text."""
+        rows = [_COLUMNS, *self._rows()] if self.candidates else []
+        widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))] if rows else []
+        table = ["  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        findings = [f"{finding.severity}: {finding.sentence}" for finding in self.findings]
+        return "\n".join([self.sentence, *findings, *table, *(f"note: {note}" for note in self.notes)])
+
+    def plot(self) -> "go.Figure":
+        """Return the figure of the shares of the gap that the effects remove, which a notebook shows."""
+        # Plotly is slow to import, and only few diagnoses are drawn.
+        from mrd_base.figures import share_bars
+
+        rows = [(" + ".join(c.effects), c.closed_fraction.value) for c in self.candidates[:_MOST_ROWS]]
+        return share_bars(rows, "share of the gap removed")
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        """Return the best candidates: their effects, the share of the gap that they remove, and the error that is left."""
+        return [
+            (" + ".join(entry.effects), f"{100 * entry.closed_fraction.value:.0f} %", f"{100 * entry.nrmse:.3g} %")
+            for entry in self.candidates[:_MOST_ROWS]
+        ]
+
+
+_COLUMNS = ("effects", "gap removed", "held-out error (NRMSE)")
+_MOST_ROWS = 10

@@ -3,7 +3,8 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,11 @@ from mrd_identification.identify import IdentificationTask, identify_all
 from mrd_identification.method import Method
 from mrd_identification.residual_correlation import correlation_length, independent_segments
 from mrd_runs import Run
+from mrd_runs.run import checked_runs
 from mrd_sim.models import MODELS, find_model
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 Array = NDArray[np.float64]
 
@@ -67,7 +72,10 @@ class RankedModel:
         return self.difference == 0.0 or self.difference_lower <= 0.0
 
 
-@dataclass(frozen=True)
+_COLUMNS = ("model", "held-out error (NRMSE)", "95 % interval", "parameters", "remark")
+
+
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """Models in the order of rising held-out error.
 
@@ -86,6 +94,40 @@ class Comparison:
     held_out_by: str
     resampled: str
     units: int
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {len(self.entries)} models: {self.best.name} is best, NRMSE {self.best.nrmse:.4f}>"
+
+    def _repr_html_(self) -> str:
+        rows = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in self._rows()]
+        head = "".join(f"<th>{text}</th>" for text in _COLUMNS)
+        return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+
+    def summary(self) -> str:
+        """Return the models with their errors, 95 % intervals and numbers of parameters, as text."""
+        rows = [_COLUMNS, *self._rows()]
+        widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]
+        return "\n".join(
+            "  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
+
+    def plot(self) -> "go.Figure":
+        """Return the figure of the models' errors with their intervals, which a notebook shows."""
+        from mrd_identification.figures import errors_of_models
+
+        return errors_of_models([(entry.name, entry.nrmse, entry.lower, entry.upper) for entry in self.entries])
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        return [
+            (
+                entry.name,
+                f"{100 * entry.nrmse:.3g} %",
+                f"{100 * entry.lower:.3g} to {100 * entry.upper:.3g} %" if np.isfinite(entry.lower) else "not known",
+                str(entry.free),
+                "on par with the best" if entry.on_par else "",
+            )
+            for entry in self.entries
+        ]
 
     @property
     def best(self) -> RankedModel:
@@ -129,6 +171,7 @@ def compare(
     InputError
         As `identify`; also for a single run without held-out runs, and for a model that is given twice.
     """
+    runs, held_out = checked_runs(runs, least=0), checked_runs(held_out, "held_out", least=0)
     names = list(models or MODELS)
     common = replace(method or Method(profile=False), **options)
     if len(set(names)) < len(names):

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +105,7 @@ def pooled_metrics(results: Sequence[RunResult]) -> Metrics:
     return metrics(measured, np.concatenate([result.modelled_counted for result in results]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit:
     """An identified model.
 
@@ -188,8 +190,28 @@ class Fit:
             f"{self.pooled.rmse:.1f} N, {100 * self.pooled.nrmse:.1f} % of the standard deviation of the force."
         )
 
+    def __repr__(self) -> str:
+        return f"<Fit of {self.model!r} to {len(self.fitted)} runs: NRMSE {self.pooled.nrmse:.4f}>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in row)}</tr>" for row in self._rows())
+        return f"<p>{escape(self.sentence)}</p><table>{rows}</table>"
+
+    def validate(self, runs: "Sequence[Run]", **options: Any) -> Any:
+        """Predict runs to which the model was not fitted; see `mrd_diagnosis.validate`, which takes the ``options``."""
+        # The diagnosis uses this package, and is asked only here.
+        validation = import_module("mrd_diagnosis")
+        return validation.validate(self, runs, **options)
+
     def summary(self) -> str:
         """Return the error, the parameters with their 95 % intervals, and what limits the trust in them, as text."""
+        rows = self._rows()
+        first, second = (max(len(row[column]) for row in rows) for column in range(2))
+        table = (f"{row[0]:{first}}  {row[1]:>{second}}  {row[2]}" for row in rows)
+        return "\n".join([self.sentence, *table, *(f"note: {warning}" for warning in self.warnings)])
+
+    def _rows(self) -> list[tuple[str, str, str]]:
+        """Return the parameters with their values and intervals, below a head."""
         rows = [("parameter", "value", "95 % interval")]
         for estimate in self.estimates:
             value, lower, upper = (
@@ -199,9 +221,7 @@ class Fit:
             if estimate.fixed or estimate.on_bound:
                 interval = "fixed" if estimate.fixed else "on bound"
             rows.append((estimate.parameter.name, value, interval))
-        first, second = (max(len(row[column]) for row in rows) for column in range(2))
-        table = (f"{row[0]:{first}}  {row[1]:>{second}}  {row[2]}" for row in rows)
-        return "\n".join([self.sentence, *table, *(f"note: {warning}" for warning in self.warnings)])
+        return rows
 
     def plot(self) -> "go.Figure":
         """Return the figure of measured and modelled force over velocity and position, which a notebook shows."""

@@ -24,6 +24,7 @@ from mrd_identification.recording import Recording, prepare_recording, run_weigh
 from mrd_identification.run_start import estimate_starts, fit_with_starts
 from mrd_identification.uncertainty import Uncertainty, uncertainty
 from mrd_runs import Run
+from mrd_runs.run import checked_runs
 from mrd_runs.scales import Scales, scales_of
 from mrd_sim.models import find_model
 
@@ -108,7 +109,8 @@ def identify(
     InputError
         For an unknown model, law, effect, parameter, loss or weights, no runs, or runs whose rod or force does not move.
     """
-    task = IdentificationTask(tuple(runs), model, tuple(held_out), replace(method or Method(), **options))
+    fitted, set_aside = checked_runs(runs, least=0), checked_runs(held_out, "held_out", least=0)
+    task = IdentificationTask(tuple(fitted), model, tuple(set_aside), replace(method or Method(), **options))
     return identify_all([task], scheduler=scheduler, progress=progress, watch=watch)[0]
 
 

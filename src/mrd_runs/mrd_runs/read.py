@@ -1,10 +1,11 @@
 """`read_run` and `read_runs`: runs from files of any format."""
 
+import glob
 import hashlib
 import itertools
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_runs.formats import file_format
+from mrd_runs.formats import file_format, is_own
 from mrd_runs.run import Run
 from mrd_runs.validation import make_run
 
@@ -53,12 +54,15 @@ def read_run(path: str | Path) -> Run:
     return make_run(name, recording.columns, info, where=str(path), place=recording.place)
 
 
-def read_runs(paths: Iterable[str | Path], skip: float = 0.0) -> list[Run]:
+def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0) -> list[Run]:
     """Read recordings and give each a unique name: those that share one are told apart by their folders.
 
     Parameters
     ----------
-    paths : iterable of path
+    paths : path, or iterable of paths
+        Recordings as of `read_run`, and files of other programs that need no option of the importer
+        (`mrd_runs.importing.read_passes`). A folder stands for what is in it, a pattern such as ``data/*.csv`` for what fits
+        it.
     skip : float
         s that are left out at the start of every run.
 
@@ -68,8 +72,8 @@ def read_runs(paths: Iterable[str | Path], skip: float = 0.0) -> list[Run]:
         As `read_run`; also when two paths hold the same recording, or when nothing is left of one.
     """
     runs: list[Run] = []
-    for path in paths:
-        run = read_run(path).without_start(skip)
+    for path, run in _read_each(paths):
+        run = run.without_start(skip)
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
                 raise InputError(
@@ -85,6 +89,36 @@ def read_runs(paths: Iterable[str | Path], skip: float = 0.0) -> list[Run]:
             used.add(name)
             runs[place] = replace(run, name=name)
     return runs
+
+
+def _read_each(paths: str | Path | Iterable[str | Path]) -> Iterator[tuple[Path, Run]]:
+    """Yield each recording that paths mean, with its file."""
+    if isinstance(paths, Run):
+        raise InputError(f"paths is the run {paths.name}, expected paths of recordings; it has been read already")
+    named = [paths] if isinstance(paths, str | Path) else list(paths)
+    for entry in named:
+        if not isinstance(entry, str | Path):
+            raise InputError(f"paths holds {type(entry).__name__}, expected paths of recordings")
+    if all(is_own(Path(entry)) or not _means_others(Path(entry)) for entry in named):
+        yield from ((Path(entry), read_run(entry)) for entry in named)
+        return
+    # The importer knows many libraries, and most recordings need none of them.
+    from mrd_runs.importing import find_files, read_passes
+
+    for path in find_files([Path(entry) for entry in named])[0]:
+        if is_own(path):
+            yield path, read_run(path)
+            continue
+        passes = read_passes(path)
+        for number, recording in enumerate(passes, 1):
+            name = path.stem if len(passes) == 1 else f"{path.stem}-{number}"
+            info = {**recording.info, "source": str(path), "checksum": checksum(recording.columns)}
+            yield path, make_run(name, recording.columns, info, where=str(path), place=recording.place)
+
+
+def _means_others(path: Path) -> bool:
+    """Whether a path is a pattern, a folder of recordings or a file of another program."""
+    return glob.has_magic(str(path)) if not path.exists() else path.is_dir() or path.is_file()
 
 
 def describe_runs(runs: Sequence[Run]) -> str:

@@ -1,13 +1,18 @@
 """The run: one recording from any source."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from html import escape
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 Array = NDArray[np.float64]
 
@@ -15,7 +20,7 @@ LEAST_LEFT = 0.1
 """s, the least that is left of a run; what can be learned from so little, the checks of a recording say."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """One recording: equally long, finite series in SI units.
 
@@ -55,6 +60,31 @@ class Run:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        return f"<Run {self.name}: {self.duration:.4g} s at {self.rate:.4g} Hz>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in self._facts().items())
+        return f"<table>{rows}</table>"
+
+    def summary(self) -> str:
+        """Return origin, length, ranges and noise of the run as text."""
+        facts = self._facts()
+        width = max(map(len, facts))
+        return "\n".join(f"{name:{width}}  {text}" for name, text in facts.items())
+
+    def plot(self) -> "go.Figure":
+        """Return the figure of force, position and current over time, which a notebook shows."""
+        # Plotly is slow to import, and only few runs are drawn.
+        from mrd_runs.figure import signals_over_time
+
+        return signals_over_time(self)
+
+    def _facts(self) -> dict[str, str]:
+        from mrd_runs.summary import summarise
+
+        return {"name": self.name, **summarise(self)}
 
     @property
     def rate(self) -> float:
@@ -104,3 +134,36 @@ class Run:
             temperature=None if self.temperature is None else self.temperature[first:],
             info={**self.info, "skipped_s": seconds},
         )
+
+
+def checked_runs(runs: object, name: str = "runs", least: int = 1) -> list[Run]:
+    """Return the runs of an argument of a public function as a list.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        A single run stands for a list of one.
+    name : str
+        Of the argument.
+    least : int
+        Number of runs that are needed.
+
+    Raises
+    ------
+    InputError
+        For anything else; says what was found and what was expected.
+    """
+    if isinstance(runs, Run):
+        return [runs]
+    if isinstance(runs, str | PathLike):
+        raise InputError(f"{name} is the path {runs}, expected runs: read_runs({str(runs)!r})")
+    if not isinstance(runs, Iterable):
+        raise InputError(f"{name} is {type(runs).__name__}, expected a list of runs")
+    listed = list(runs)
+    for entry in listed:
+        if not isinstance(entry, Run):
+            found = f"the path {entry}" if isinstance(entry, str | PathLike) else type(entry).__name__
+            raise InputError(f"{name} holds {found}, expected runs, as read_runs gives them")
+    if len(listed) < least:
+        raise InputError(f"{name} is empty, expected at least one run")
+    return listed

@@ -16,7 +16,7 @@ def summarise(run: Run) -> dict[str, str]:
     """Return a text for each item of the summary; items without content are omitted."""
     info, motion = run.info, smooth_motion(run.time, run.position, run.acceleration)
     rows = {
-        "source": info["source"],
+        "source": info.get("source", ""),
         "imported from": info.get("imported_from", ""),
         "experiment": info.get("experiment_name") or "",
         "recorded": info.get("started", ""),

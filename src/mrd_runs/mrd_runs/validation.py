@@ -12,6 +12,9 @@ from mrd_runs.run import Run
 
 Array = NDArray[np.float64]
 
+REQUIRED = ("time_s", "position_m", "current_A", "force_N")
+"""Columns that every run has."""
+
 # A recording with fewer samples is too short to identify a model from.
 FEWEST_SAMPLES = 50
 
@@ -67,6 +70,11 @@ def make_run(
     from mrd_runs.signals.motion import smooth_motion
 
     where = where or name
+    if missing := [key for key in REQUIRED if key not in columns]:
+        raise InputError(
+            f"{where}: has no column {missing[0]} (columns: {', '.join(map(str, columns)) or 'none'}), expected "
+            f"{', '.join(REQUIRED)}"
+        )
     columns = {key: np.ascontiguousarray(values, np.float64) for key, values in columns.items()}
     check_values(columns, where, place)
     notes = [*(info or {}).get("notes", ()), *_unit_notes(columns, where)]

@@ -21,6 +21,7 @@ from mrd_identification.parallel import in_threads
 from mrd_identification.recording import Recording, prepare_recording
 from mrd_identification.run_start import estimate_starts
 from mrd_runs import Run
+from mrd_runs.run import checked_runs
 from mrd_runs.scales import scales_of
 from mrd_sim.damper import Damper
 from mrd_sim.simulators.simulator import Simulator
@@ -111,8 +112,7 @@ def validate(
     InputError
         For no runs, a file that does not describe a damper, or a simulator that fails or is missing.
     """
-    if not runs:
-        raise InputError("no runs to validate on, expected at least one")
+    runs = checked_runs(runs)
     if isinstance(damper, Fit):
         fitted = fitted or [result.run for result in damper.fitted]
         values = dict(zip(damper.model.names, map(float, damper.theta), strict=True))

@@ -5,7 +5,7 @@ from pathlib import Path
 from mrd_base import InputError
 from mrd_base.tool import command
 from mrd_runs.formats.bag_file import BAG
-from mrd_runs.formats.csv_file import CSV
+from mrd_runs.formats.csv_file import CSV, has_own_header
 from mrd_runs.formats.recording import FileFormat, Recording
 
 FORMATS: tuple[FileFormat, ...] = (BAG, CSV)
@@ -31,4 +31,12 @@ def file_format(path: Path) -> FileFormat:
     raise InputError(f"{path}: unknown kind of file; expected {expected} (`{import_}` makes bags of other recordings)")
 
 
-__all__ = ["BAG", "CSV", "FORMATS", "FileFormat", "Recording", "file_format"]
+def is_own(path: Path) -> bool:
+    """Whether a path is a recording in one of `FORMATS`: a bag, or a CSV file with the columns of a run."""
+    if path.is_dir():
+        return (path / "metadata.yaml").exists() or any(entry.suffix.lower() in BAG.suffixes for entry in path.iterdir())
+    suffix = path.suffix.lower()
+    return suffix in BAG.suffixes or (suffix in CSV.suffixes and path.is_file() and has_own_header(path))
+
+
+__all__ = ["BAG", "CSV", "FORMATS", "FileFormat", "Recording", "file_format", "is_own"]

@@ -9,8 +9,8 @@ from mrd_base.table import read_csv
 from mrd_base.tool import command
 from mrd_runs.formats.recording import FileFormat, Recording
 from mrd_runs.text import printable
+from mrd_runs.validation import REQUIRED
 
-REQUIRED = ("time_s", "position_m", "current_A", "force_N")
 OPTIONAL = ("velocity_mps", "acceleration_mps2", "temperature_C")
 
 # Bounds of what is read into memory: bytes of a line and of a file, and lines; the last are nearly three hours at 1 kHz.
@@ -27,13 +27,14 @@ def read_csv_file(path: Path) -> Recording:
     try:
         table = read_csv(path, REQUIRED, OPTIONAL)
     except InputError as error:  # it may quote the file, which may hold anything
-        hint = "" if _has_own_header(path) else f" (`{command('mrd_runs', 'import')}` reads tables of other programs)"
+        hint = "" if has_own_header(path) else f" (`{command('mrd_runs', 'import')}` reads tables of other programs)"
         raise InputError(f"{printable(str(error))}{hint}") from None
     notes = [f"columns ignored: {', '.join(table.ignored)}"] if table.ignored else []
     return Recording(table.columns, {"format": "csv", "notes": notes, "lost": 0, "recovered": False}, table.place)
 
 
-def _has_own_header(path: Path) -> bool:
+def has_own_header(path: Path) -> bool:
+    """Whether the first line of a file names the columns of a run."""
     with path.open(encoding="utf-8", errors="replace") as stream:
         header = next((line for line in stream if line.strip()), "")
     return all(name in header for name in REQUIRED)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_runs.formats import BAG, Recording
+from mrd_runs.formats import BAG, Recording, is_own
 from mrd_runs.importing.bags import bag_recordings
 from mrd_runs.importing.finish import Mapped
 from mrd_runs.importing.hdf5 import read_hdf5_table
@@ -111,7 +111,7 @@ def find_files(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
             if not found:
                 raise InputError(f"{path}: no file fits this pattern; expected a recording")
         for each in found:
-            if not each.is_dir() or _holds_bag(each):
+            if not each.is_dir() or is_own(each):
                 files.append(each)
                 continue
             inside = sorted(entry for entry in each.iterdir() if not entry.name.startswith("."))
@@ -123,12 +123,8 @@ def find_files(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     return files, skipped
 
 
-def _holds_bag(folder: Path) -> bool:
-    return (folder / "metadata.yaml").exists() or any(entry.suffix.lower() in BAG.suffixes for entry in folder.iterdir())
-
-
 def _is_recording(path: Path) -> bool:
-    return _holds_bag(path) if path.is_dir() else path.suffix.lower() in _ENDINGS
+    return is_own(path) if path.is_dir() else path.suffix.lower() in _ENDINGS
 
 
 def _read_table(path: Path, mapped: Mapped) -> Table:
