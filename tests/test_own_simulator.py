@@ -50,7 +50,6 @@ def test_every_command_does_what_the_page_says(folder):
     assert "joint_play" in causes["gap_python"]
     assert "joint_play" in causes["gap_recorded"]
 
-
     # The lines of Python use the FMU.
     (folder / "lines.py").write_text(PAGE.rpartition("```python\n")[2].partition("```")[0])
     assert run(folder, "python lines.py").startswith("A joint has 0.399 mm")

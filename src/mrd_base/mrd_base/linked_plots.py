@@ -1,6 +1,7 @@
 """Plots over time that a reader can zoom, pan and read together, in a page that needs no network (uPlot is part of it)."""
 
 import base64
+import html
 import itertools
 import json
 from collections.abc import Sequence
@@ -21,6 +22,21 @@ COLORS = ("#00798c", "#d1495b", "#edae49", "#66a182", "#8d6a9f", "#3d6fa5", "#b7
 
 MEASURED = "measured"
 """Colour of what was measured: that of the page's small print."""
+
+
+_HELP = (
+    "Drag to zoom, turn the wheel to zoom around the pointer, hold shift and drag to move, double-click to see all. Panels "
+    "move together; the loops show the same times. Click a name to hide its line. A residual is the measured force less the "
+    "modelled one."
+)
+
+_STYLE = """
+.linked-plots .loop { display: inline-block; width: min(48%, 560px); min-width: min(100%, 320px); vertical-align: top; }
+.linked-plots .over-time { margin: 4px 0 10px; } .uplot { max-width: 100%; }
+.u-legend { font-size: 12px; color: var(--ink); text-align: left !important; padding-left: 58px; }
+.u-legend th { font-weight: normal; border: 0; } .u-legend td { border: 0; } .u-series td, .u-series th { padding: 1px 3px; }
+@media (max-width: 600px) { .linked-plots .loop { width: 100%; } }
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +74,16 @@ class Panel:
     height: int = 200
 
 
+def linked_page(panels: Sequence[Panel], title: str = "", most_bytes: int = MOST_BYTES) -> str:
+    """Return panels with all that draws them, once in a page; with a title, they are folded away below it."""
+    content = f'<p class="soft">{_HELP}</p>{linked_plots(panels, most_bytes)}'
+    if title:
+        content = f"<details><summary>{html.escape(title)}</summary>{content}</details>"
+    return content + script()
+
+
 def linked_plots(panels: Sequence[Panel], most_bytes: int = MOST_BYTES) -> str:
-    """Return panels as a part of a page whose template includes `script`.
+    """Return panels as a part of a page that has the `script`.
 
     Parameters
     ----------
@@ -83,7 +107,7 @@ def script() -> str:
     style = folder.joinpath("uplot", "uPlot.min.css").read_text(encoding="utf-8")
     library = folder.joinpath("uplot", "uPlot.iife.min.js").read_text(encoding="utf-8")
     own = folder.joinpath("linked_plots.js").read_text(encoding="utf-8")
-    return f"<style>{style}</style><script>{library}</script><script>{own}</script>"
+    return f"<style>{style}{_STYLE}</style><script>{library}</script><script>{own}</script>"
 
 
 def _panel(panel: Panel, most: int) -> dict[str, Any]:

@@ -92,3 +92,11 @@ def test_effects_that_look_alike_have_a_name_together():
     assert class_name(["joint_play", "an own effect"]) == ""
     symptoms = [effect.symptom for effect in EFFECTS.values() if effect.symptom]
     assert all(symptoms.count(symptom) > 1 for symptom in symptoms)
+
+
+def test_the_likelier_effect_of_a_stage_is_named_first():
+    members = (member("pre_yield_hysteresis", 0.04),)
+    cause = Cause("pre_yield_hysteresis", 0.04, 0.0, Interval(0.5), {}, "stage", members, ("series_compliance",))
+    assert cause_clause(cause).startswith(
+        "the cause acts in the damper fluid, more likely as compliance in series than as pre-yield hysteresis, which was"
+    )

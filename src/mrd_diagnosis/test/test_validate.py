@@ -89,7 +89,7 @@ def test_the_relative_error_does_not_depend_on_the_unit_of_force(scale):
 
 
 def test_no_runs_are_refused(damper):
-    with pytest.raises(InputError, match="no runs to validate on"):
+    with pytest.raises(InputError, match="runs is empty, expected at least one run"):
         validate(damper, [])
 
 

@@ -113,9 +113,10 @@ class Comparison:
 
     def plot(self) -> "go.Figure":
         """Return the figure of the models' errors with their intervals, which a notebook shows."""
-        from mrd_identification.figures import errors_of_models
+        # Plotly is slow to import, and only few comparisons are drawn.
+        from mrd_identification.compare_file import error_chart
 
-        return errors_of_models([(entry.name, entry.nrmse, entry.lower, entry.upper) for entry in self.entries])
+        return error_chart(self)
 
     def _rows(self) -> list[tuple[str, ...]]:
         return [

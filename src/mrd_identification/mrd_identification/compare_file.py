@@ -12,6 +12,7 @@ from mrd_identification.compare import Comparison
 from mrd_identification.fit_file import write_fit
 from mrd_identification.json_file import finite_or_none, write_json
 from mrd_identification.report import diagnose_command, render
+from mrd_identification.run_panels import closer_look
 
 SCHEMA = "mrd-comparison/3"
 COLUMNS = (
@@ -114,6 +115,10 @@ def error_chart(comparison: Comparison) -> go.Figure:
     return figure
 
 
+MOST_SHOWN = 4
+"""Models whose force is shown over time, the best ones."""
+
+
 def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
     """Write compare.json, compare.md, compare.html and the fit.json of each model; return the path of the page."""
     folder = Path(folder)
@@ -136,6 +141,9 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> Path:
         rows=list(zip(comparison.entries, ranking(comparison), strict=True)),
         error_chart=to_html(error_chart(comparison)),
         loops=to_html(figures.loops(best.held_out)),
+        closer=closer_look(
+            best.held_out[0].run, {entry.name: entry.fit.held_out[0].modelled for entry in comparison.entries[:MOST_SHOWN]}
+        ),
     )
 
 

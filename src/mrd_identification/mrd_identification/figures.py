@@ -189,14 +189,6 @@ def correlation(fit: Fit) -> go.Figure:
     return figure
 
 
-def errors_of_models(rows: Sequence[tuple[str, float, float, float]]) -> go.Figure:
-    """Return the errors of models with their intervals as bars: rows of name, error and both ends, the best first."""
-    names, errors, lower, upper = (list(column) for column in zip(*rows[::-1], strict=True))
-    below, above = np.subtract(errors, lower), np.subtract(upper, errors)
-    bar = go.Bar(x=errors, y=names, orientation="h", error_x=error_bars(below, above), marker_color=ACCENT)
-    return go.Figure(bar, LAYOUT).update_layout(xaxis_title="held-out error (NRMSE)", height=100 + 28 * len(rows))
-
-
 def error_bars(below: Sequence[float] | Array, above: Sequence[float] | Array) -> dict[str, Any]:
     """Return the settings of error bars with these lengths below and above each point."""
     bars = {"array": above, "arrayminus": below, "color": MEASURED, "thickness": 2, "width": 6}

@@ -10,11 +10,12 @@ from mrd_base.tool import command
 from mrd_identification import figures
 from mrd_identification.effect_selection import LEAST_IMPROVEMENT
 from mrd_identification.fit import Fit
+from mrd_identification.run_panels import closer_look
 from mrd_runs import Run
 from mrd_runs.read import run_arguments
 from mrd_sim.own import model_arguments
 
-MOST_RUNS = 24
+MOST_RUNS = 20
 """Runs that fit.html draws over time, those with the largest error; more would make the page too large."""
 POINTS = 6000
 """Points of all these drawings together; the lines of more runs are coarser."""
@@ -39,6 +40,7 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
             for result in by_error[:MOST_RUNS]
         ],
         omitted=len(by_error[MOST_RUNS:]),
+        closer=closer_look(by_error[0].run, {fit.model.id: by_error[0].modelled}),
         command=diagnose_command(fit),
         residuals=to_html(figures.residuals(results)),
         front=to_html(figures.pareto_front(fit), HALF),

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from mrd_base.linked_plots import Line, Panel, linked_plots, script
-from mrd_identification.plot import panels_of, write_plot
+from mrd_identification.plot import write_plot
+from mrd_identification.run_panels import panels_of
 from mrd_runs import read_runs
 from mrd_sim.damper import Damper
 

@@ -110,9 +110,13 @@
     }
     const place = document.createElement("div");
     root.appendChild(place);
-    let plots = draw(place, panels), width = root.clientWidth;
+    let plots = [], width = 0;
     const again = () => { plots.forEach((plot) => plot.destroy()); plots = draw(place, panels); };
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
-    addEventListener("resize", () => { if (root.clientWidth !== width) { width = root.clientWidth; again(); } });
+    /* What is folded away has no width, and is drawn when it is opened. */
+    const fit = () => { if (root.clientWidth && root.clientWidth !== width) { width = root.clientWidth; again(); } };
+    fit();
+    addEventListener("resize", fit);
+    root.closest("details")?.addEventListener("toggle", fit);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => width && again());
   }
 })();

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mrd_base.figures import HALF, NARROW, to_html
 from mrd_diagnosis.diagnosis import (
@@ -52,8 +53,11 @@ from mrd_diagnosis.wording.quantities import (
 from mrd_identification.json_file import make_folder
 from mrd_identification.metrics import nrmse
 from mrd_identification.report import render
+from mrd_identification.run_panels import closer_look
 from mrd_sim.effects import EFFECTS
 from mrd_sim.parameter import Parameter
+
+Array = NDArray[np.float64]
 
 MOST_REGIONS = 10
 """Regions that the page shows; more cannot be read in two minutes."""
@@ -236,11 +240,28 @@ def _comparison(diagnosis: Diagnosis, gap: Gap, corrected: CorrectedSimulator) -
         "shown_run": shown.recording.run.name,
         "loops": [to_html(figure, HALF) for figure in figures.hysteresis_loops(shown, label)],
         "over_time": to_html(figures.error_over_time(shown, label, diagnosis.oscillation)),
+        "closer": closer_look(shown.recording.run, _modelled(shown, label)),
         "unnoticed": _unnoticed(diagnosis, {card["id"] for card in nearest}),
         "untestable": sorted((EFFECTS[entry.effect].title, entry.effect, entry.why) for entry in diagnosis.untestable),
         "runs": [_run_row(residual) for residual in diagnosis.residuals],
         "noise_sources": join_words(list(dict.fromkeys(_NOISE_SOURCES[r.noise.source] for r in diagnosis.residuals))),
     }
+
+
+def _modelled(shown: RunResidual, label: str) -> dict[str, Array]:
+    """Return the modelled force (n,) in N of a run by name: of the model alone and, where there is one, corrected."""
+    run, recording = shown.recording.run, shown.recording
+    counted = run.time[recording.counted]
+
+    def force(residual: Array) -> Array:
+        modelled = np.full(len(run), np.nan)
+        modelled[recording.counted] = recording.force - residual
+        within = (run.time >= counted[0]) & (run.time <= counted[-1])
+        modelled[within] = np.interp(run.time[within], counted, recording.force - residual)
+        return modelled
+
+    forces = {"model alone": force(shown.before)}
+    return forces | {label: force(shown.after)} if label else forces
 
 
 def _parameter_columns(diagnosis: Diagnosis, corrected: CorrectedSimulator) -> list[tuple[str, Mapping[str, float]]]:

@@ -443,6 +443,10 @@ def cause_clause(cause: Cause) -> str:
     """Return a cause as a clause: the effect, or what is known of it with the effects among which nothing decides."""
     clause = effect_clause(cause.effect, cause.parameters)
     if cause.level == "stage":
+        likeliest = next(iter(cause.plausible), cause.effect)
+        if likeliest != cause.effect:
+            fitted = f"{effect_name(cause.effect)}, which was fitted ({clause})"
+            return f"{_in_common(cause)}, more likely as {effect_name(likeliest)} than as {fitted}"
         return f"{_in_common(cause)}, most likely as {effect_name(cause.effect)} ({clause})"
     if cause.level != "class":
         return clause
@@ -459,15 +463,19 @@ def _effects_tried(diagnosis: Diagnosis) -> int:
 
 def _certainty(diagnosis: Diagnosis) -> str:
     """Return the probability of the least certain cause in words."""
-    least = min((_probability(cause) for cause in diagnosis.causes), default=math.nan)
+    least = min((_probability(cause, diagnosis.alternatives) for cause in diagnosis.causes), default=math.nan)
     bound = "above " if least > 0.99 else "at least " if len(diagnosis.causes) > 1 else ""
     tried = _effects_tried(diagnosis)
     among = f"among the {tried} effects that were tried" if tried > 1 else "no other effect was tried"
     return f"probability {bound}{'99 %' if least > 0.99 else format_share(least)} {among}"
 
 
-def _probability(cause: Cause) -> float:
-    """Return the probability of what is named: an effect, or a class of them."""
+def _probability(cause: Cause, alternatives: Sequence[Alternative]) -> float:
+    """Return the probability of what is named: an effect, a class of them, or those of a stage."""
+    if cause.level == "stage":
+        stage = EFFECTS[cause.effect].stage
+        others = [other for other in alternatives if other.instead_of == cause.effect and other.effect in EFFECTS]
+        return cause.probability + sum(other.probability for other in others if EFFECTS[other.effect].stage == stage)
     return cause.class_probability if cause.level == "class" else cause.probability
 
 

@@ -12,6 +12,7 @@ from mrd_diagnosis.wording.quantities import format_error, format_quantity
 from mrd_identification import figures
 from mrd_identification.json_file import finite_or_none, make_folder, run_json, versions, write_json
 from mrd_identification.report import MOST_RUNS, POINTS, render
+from mrd_identification.run_panels import closer_look
 
 SCHEMA = "mrd-validation/1"
 
@@ -70,6 +71,7 @@ def write_validation(validation: Validation, folder: str | Path) -> Path:
             for run in by_error[:MOST_RUNS]
         ],
         residuals=to_html(figures.residuals(results)),
+        closer=closer_look(by_error[0].result.run, {validation.damper.description: by_error[0].result.modelled}),
     )
 
 
