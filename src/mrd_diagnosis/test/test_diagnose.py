@@ -407,7 +407,7 @@ def test_a_detectable_cap_is_one_that_the_force_reaches():
     [
         ({"effects": ["ghost"]}, "unknown effect ghost"),
         ({"model": "ghost"}, "unknown model ghost"),
-        ({"runs": []}, "no runs to diagnose"),
+        ({"runs": []}, "runs is empty, expected at least one run"),
         ({"parameters": StoredFit("bingham", {}, (), {}, {})}, "of the model bingham, expected bouc_wen"),
         ({"parameters": StoredFit("bouc_wen", {}, (), {"yield_force": 1e9}, {})}, "yield_force is 1e.09 N, expected"),
         (

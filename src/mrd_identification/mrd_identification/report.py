@@ -15,7 +15,7 @@ from mrd_runs import Run
 from mrd_runs.read import run_arguments
 from mrd_sim.own import model_arguments
 
-MOST_RUNS = 20
+MOST_RUNS = 16
 """Runs that fit.html draws over time, those with the largest error; more would make the page too large."""
 POINTS = 6000
 """Points of all these drawings together; the lines of more runs are coarser."""
