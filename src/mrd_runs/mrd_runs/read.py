@@ -54,7 +54,7 @@ def read_run(path: str | Path) -> Run:
     return make_run(name, recording.columns, info, where=str(path), place=recording.place)
 
 
-def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0) -> list[Run]:
+def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0, *, rig: str | Path | None = None) -> list[Run]:
     """Read recordings and give each a unique name: those that share one are told apart by their folders.
 
     Parameters
@@ -65,6 +65,8 @@ def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0) -> li
         it.
     skip : float
         s that are left out at the start of every run.
+    rig : path, optional
+        What files of other programs do not tell (`mrd_runs.importing.rig.read_rig`).
 
     Raises
     ------
@@ -72,7 +74,7 @@ def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0) -> li
         As `read_run`; also when two paths hold the same recording, or when nothing is left of one.
     """
     runs: list[Run] = []
-    for path, run in _read_each(paths):
+    for path, run in _read_each(paths, rig):
         run = run.without_start(skip)
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
@@ -91,7 +93,7 @@ def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0) -> li
     return runs
 
 
-def _read_each(paths: str | Path | Iterable[str | Path]) -> Iterator[tuple[Path, Run]]:
+def _read_each(paths: str | Path | Iterable[str | Path], rig: str | Path | None) -> Iterator[tuple[Path, Run]]:
     """Yield each recording that paths mean, with its file."""
     if isinstance(paths, Run):
         raise InputError(f"paths is the run {paths.name}, expected paths of recordings; it has been read already")
@@ -103,13 +105,15 @@ def _read_each(paths: str | Path | Iterable[str | Path]) -> Iterator[tuple[Path,
         yield from ((Path(entry), read_run(entry)) for entry in named)
         return
     # The importer knows many libraries, and most recordings need none of them.
-    from mrd_runs.importing import find_files, read_passes
+    from mrd_runs.importing import Mapped, find_files, read_passes
+    from mrd_runs.importing.rig import read_rig
 
+    mapped = Mapped() if rig is None else read_rig(rig)
     for path in find_files([Path(entry) for entry in named])[0]:
         if is_own(path):
             yield path, read_run(path)
             continue
-        passes = read_passes(path)
+        passes = read_passes(path, mapped)
         for number, recording in enumerate(passes, 1):
             name = path.stem if len(passes) == 1 else f"{path.stem}-{number}"
             info = {**recording.info, "source": str(path), "checksum": checksum(recording.columns)}

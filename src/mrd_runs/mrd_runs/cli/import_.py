@@ -13,6 +13,8 @@ from mrd_runs.bag_import import bag_folder, write_bag
 from mrd_runs.faults import find_faults
 from mrd_runs.formats import Recording
 from mrd_runs.importing import Mapped, find_files, read_passes, read_together
+from mrd_runs.importing.preparation import Preparation, prepare
+from mrd_runs.importing.rig import read_rig
 from mrd_runs.importing.units import COLUMNS, check_quantity
 from mrd_runs.read import checksum, unique_name
 
@@ -25,23 +27,25 @@ def main() -> None:
 def work() -> None:
     """Read the arguments, and make a bag of each file; no bag is left when one of them cannot be made."""
     arguments = _parser().parse_args()
+    of_rig = read_rig(arguments.rig) if arguments.rig else Mapped()
     mapped = Mapped(
-        _pairs(arguments.map, "--map"),
-        _pairs(arguments.topics, "--topics"),
-        _pairs(arguments.units, "--units"),
-        tuple(check_quantity(name, "--flip") for name in arguments.flip),
-        arguments.current,
-        arguments.rate,
+        {**of_rig.columns, **_pairs(arguments.map, "--map")},
+        {**of_rig.topics, **_pairs(arguments.topics, "--topics")},
+        {**of_rig.units, **_pairs(arguments.units, "--units")},
+        tuple(check_quantity(name, "--flip") for name in arguments.flip) or of_rig.flip,
+        of_rig.current if arguments.current is None else arguments.current,
+        of_rig.rate if arguments.rate is None else arguments.rate,
     )
     if mapped.rate is not None and not 0 < mapped.rate < 1e7:
         raise InputError(f"--rate is {mapped.rate:g}, expected a sample rate in Hz")
+    wanted = Preparation(*_crop(arguments.crop), arguments.low_pass, arguments.decimate)
     files, skipped = find_files(arguments.files)
     for path in skipped:
         print(f"{path}: not read, because of its ending", file=sys.stderr)
     written: list[Path] = []
     new = [folder for folder in (arguments.output, *arguments.output.parents) if not folder.exists()]
     try:
-        _import(files, mapped, arguments.output, written)
+        _import(files, mapped, wanted, arguments.output, written)
     except BaseException:
         for path in written:
             shutil.rmtree(path, ignore_errors=True)
@@ -51,7 +55,7 @@ def work() -> None:
         raise
 
 
-def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[Path]) -> None:
+def _import(files: Sequence[Path], mapped: Mapped, wanted: Preparation, output: Path, written: list[Path]) -> None:
     known: dict[str, Path] = {}
     names: set[str] = set()
     for file, recordings in _read_all(files, mapped):
@@ -61,6 +65,7 @@ def _import(files: Sequence[Path], mapped: Mapped, output: Path, written: list[P
             if digest in known:
                 raise InputError(f"{file}: is the same recording as {known[digest]}; give each recording once")
             name = unique_name(f"{stem}-{number}" if len(recordings) > 1 else stem, file, names)
+            recording = prepare(recording, wanted, str(file))
             run = _make_run(name, recording, file)
             path = bag_folder(name, output)
             written.append(path)
@@ -92,6 +97,17 @@ def _read_all(files: Sequence[Path], mapped: Mapped) -> Iterator[tuple[Path, lis
         return
     for file in files:
         yield file, read_passes(file, mapped)
+
+
+def _crop(text: str) -> tuple[float, float]:
+    """Return the times of FROM:TO, either of which may be left out."""
+    first, colon, last = text.partition(":")
+    try:
+        if text and not colon:
+            raise ValueError
+        return float(first or 0.0), float(last or "inf")
+    except ValueError:
+        raise InputError(f"--crop is {text}, expected FROM:TO in s, such as 2.5:20 or :20") from None
 
 
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
@@ -138,6 +154,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--current", type=float, metavar="A", help="constant coil current, where there is none")
     parser.add_argument("--rate", type=float, metavar="HZ", help="sample rate of files without time; resample a bag to it")
+    parser.add_argument(
+        "--rig",
+        metavar="FILE.yaml",
+        help="what the files of one rig do not tell, saved once: map, topics, units, flip, current, rate",
+    )
+    parser.add_argument("--crop", default="", metavar="FROM:TO", help="part to keep, in s from the first sample")
+    parser.add_argument(
+        "--low-pass", type=float, metavar="HZ", help="filter all signals alike, without delay; it hides faster effects"
+    )
+    parser.add_argument("--decimate", type=int, default=1, metavar="N", help="keep one of N samples, behind a filter")
     return parser
 
 
