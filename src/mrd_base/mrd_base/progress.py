@@ -14,6 +14,10 @@ Report = Callable[[str, float], None]
 """Takes the present stage and the finished share, 0 to 1."""
 
 
+def ignore(*_reported: object) -> None:
+    """Ignore what is reported."""
+
+
 @contextmanager
 def shown_progress(what: str) -> Iterator[Report]:
     """Show the progress of a computation on stderr as long as the context lasts; yields the function that takes it."""

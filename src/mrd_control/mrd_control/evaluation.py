@@ -13,6 +13,7 @@ from pymoo.operators.sampling.lhs import LHS
 from pymoo.optimize import minimize
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_control.controller import Actuator
 from mrd_control.excitations import Excitation
 from mrd_control.laws import LAWS, Law, find_law
@@ -202,7 +203,7 @@ def evaluate(
     excitations: Mapping[str, Excitation],
     conditions: Conditions | None = None,
     scheduler: str | None = None,
-    done: Callable[[int], None] = lambda _count: None,
+    done: Callable[[int], None] = ignore,
 ) -> Evaluation:
     """Run every law with every damper along every excitation, and constant currents beside them.
 
@@ -295,7 +296,7 @@ def optimise_gains(
     population: int = 24,
     generations: int = 12,
     seed: int = 0,
-    progress: Callable[[float], None] = lambda _share: None,
+    progress: Callable[[float], None] = ignore,
 ) -> GainFront:
     """Search the gains of a law by NSGA-II (Deb et al., 2002) for comfort against contact force, or drift without contact.
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ttest_ind
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.decision.decision import decide_change
 from mrd_diagnosis.decision.explanation import Explained, Explanation, probabilities_of_alternatives
 from mrd_diagnosis.fitting.null_distribution import draw_null_gains
@@ -37,11 +38,7 @@ a share of half the span of the force."""
 
 
 def explain_change(
-    weighting: Weighting,
-    base: Refit,
-    effects: Sequence[str],
-    rng: np.random.Generator,
-    progress: Progress = lambda _fraction: None,
+    weighting: Weighting, base: Refit, effects: Sequence[str], rng: np.random.Generator, progress: Progress = ignore
 ) -> Explained:
     """Find the effects that explain a change.
 

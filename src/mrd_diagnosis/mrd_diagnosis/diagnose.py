@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_diagnosis.change import explain_change
 from mrd_diagnosis.closure.closure import Closure, compute_closure
 from mrd_diagnosis.decision.explanation import advise_next, list_alternative_models, list_alternatives, list_candidates
@@ -63,10 +64,6 @@ MOST_SAMPLES = 10_000
 these."""
 
 
-def no_progress(_stage: str, _fraction: float) -> None:
-    """Ignore the progress."""
-
-
 def diagnose(
     runs: Sequence[Run],
     model: str,
@@ -79,7 +76,7 @@ def diagnose(
     effects: Sequence[str] = (),
     bench: GeneratorSettings | None = None,
     seed: int = 0,
-    progress: Progress = no_progress,
+    progress: Progress = ignore,
 ) -> Diagnosis:
     """Explain the gap between a simulator and recordings.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.preflight.finding import Finding as Finding
 from mrd_identification.recording import Recording
 from mrd_runs import Run
@@ -86,6 +87,11 @@ class Region:
     lift: float
     q_value: float
     label: str
+
+    @property
+    def significant(self) -> bool:
+        """Whether the bin has more error than an even distribution gives, beyond chance."""
+        return self.q_value < THRESHOLDS.q_value
 
 
 ON_BOUND = "the fit stopped at the limit of the plausible range; the true value may lie beyond it"

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.decision.decision import decide
 from mrd_diagnosis.decision.explanation import Explained, Explanation, probabilities_of_alternatives
 from mrd_diagnosis.fitting.null_distribution import draw_null_gains
@@ -26,7 +27,7 @@ def explain_gap(
     null_errors: Sequence[Array],
     effects: Sequence[str],
     rng: np.random.Generator,
-    progress: Progress = lambda _stage, _fraction: None,
+    progress: Progress = ignore,
 ) -> Explained:
     """Explain the gap of a model: by effects beside it, by another model, or by effects beside another form.
 

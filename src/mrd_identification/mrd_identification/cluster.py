@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 
 R = TypeVar("R")
 
@@ -13,10 +14,7 @@ CONNECT_TIMEOUT = 10.0
 
 
 def run_on_cluster(
-    scheduler: str,
-    function: Callable[..., R],
-    arguments: Sequence[tuple[Any, ...]],
-    done: Callable[[int], None] = lambda _count: None,
+    scheduler: str, function: Callable[..., R], arguments: Sequence[tuple[Any, ...]], done: Callable[[int], None] = ignore
 ) -> list[R]:
     """Call ``function(*arguments)`` for every tuple on the cluster, and return the results in the order of the tuples.
 

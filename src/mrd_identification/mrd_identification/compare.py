@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_identification.fit import Fit
 from mrd_identification.identify import IdentificationTask, identify_all
 from mrd_identification.method import Method
@@ -148,7 +149,7 @@ def compare(
     held_out: Sequence[Run] = (),
     method: Method | None = None,
     scheduler: str | None = None,
-    progress: Callable[[float], None] = lambda _share: None,
+    progress: Callable[[float], None] = ignore,
     **options: Any,
 ) -> Comparison:
     """Identify several models from the same runs and rank them by held-out error.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_identification.least_squares import bounded_step, levenberg_marquardt
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import Problem
@@ -178,7 +179,7 @@ def selects(effects: Sequence[str]) -> bool:
 
 
 def select_effects(
-    pose: Pose, theta: Array, given: Sequence[str] = (), progress: Callable[[float], None] = lambda _share: None
+    pose: Pose, theta: Array, given: Sequence[str] = (), progress: Callable[[float], None] = ignore
 ) -> Selection:
     """Add effects of the catalogue to a model, the best first, while the error on left-out parts of the runs falls.
 

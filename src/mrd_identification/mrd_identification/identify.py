@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_identification.cluster import run_on_cluster
 from mrd_identification.effect_selection import AUTO, Selection, select_effects
 from mrd_identification.fit import Estimate, Fit, RunResult, evaluate_model, pooled_metrics
@@ -73,8 +74,8 @@ def identify(
     held_out: Sequence[Run] = (),
     method: Method | None = None,
     scheduler: str | None = None,
-    progress: Progress = lambda _generation, _nrmse: None,
-    watch: Watch = lambda _norms: None,
+    progress: Progress = ignore,
+    watch: Watch = ignore,
     **options: Any,
 ) -> Fit:
     """Identify the parameters of a damper model from all runs jointly.
@@ -115,11 +116,7 @@ def identify(
 
 
 def identify_all(
-    tasks: Sequence[IdentificationTask],
-    *,
-    scheduler: str | None = None,
-    progress: Progress = lambda _generation, _nrmse: None,
-    watch: Watch = lambda _norms: None,
+    tasks: Sequence[IdentificationTask], *, scheduler: str | None = None, progress: Progress = ignore, watch: Watch = ignore
 ) -> list[Fit]:
     """Identify several models, or one model from several sets of runs; see `identify`.
 
@@ -198,9 +195,7 @@ class Solution:
     elapsed: float
 
 
-def search_and_fit(
-    runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = lambda _generation, _nrmse: None
-) -> Solution:
+def search_and_fit(runs: Sequence[Run], model: str, method: Method, seed: int, progress: Progress = ignore) -> Solution:
     """Search by NSGA-II from one seed, then continue by least squares."""
     return search_and_fit_from(runs, model, method, seed, None, progress)
 
@@ -211,8 +206,8 @@ def search_and_fit_from(
     method: Method,
     seed: int,
     known: Mapping[str, float] | None,
-    progress: Progress = lambda _generation, _nrmse: None,
-    watch: Watch = lambda _norms: None,
+    progress: Progress = ignore,
+    watch: Watch = ignore,
 ) -> Solution:
     """Search as `search_and_fit`, with the parameters ``known`` by name in the first population."""
     began = time.monotonic()
@@ -228,11 +223,7 @@ def search_and_fit_from(
 
 
 def select(
-    runs: Sequence[Run],
-    model: str,
-    method: Method,
-    solutions: Sequence[Solution],
-    progress: Progress = lambda _generation, _nrmse: None,
+    runs: Sequence[Run], model: str, method: Method, solutions: Sequence[Solution], progress: Progress = ignore
 ) -> Selection:
     """Select the effects that are added to those of the method, see `mrd_identification.effect_selection`."""
     began = time.monotonic()

@@ -11,6 +11,7 @@ from pymoo.core.problem import Problem as PymooProblem
 from pymoo.operators.sampling.lhs import LHS
 from pymoo.optimize import minimize
 
+from mrd_base.progress import ignore
 from mrd_identification.problem import Problem
 
 Array = NDArray[np.float64]
@@ -44,7 +45,7 @@ def search(
     seed: int,
     progress: Callable[[int, float], None] = lambda _generation, _e2: None,
     known: Array | None = None,
-    watch: Callable[[Array], None] = lambda _norms: None,
+    watch: Callable[[Array], None] = ignore,
 ) -> Front:
     """Search the nonlinear parameters by NSGA-II (Deb et al., 2002); the linear ones follow by variable projection.
 

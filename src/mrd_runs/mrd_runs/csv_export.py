@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_runs.bag import Bag, read_bag
 from mrd_runs.formats import BAG, file_format
 from mrd_runs.text import one_line
@@ -26,7 +27,7 @@ _COLUMNS = {
 }
 
 
-def export_csv(source: Path, target: Path, tell: Callable[[str], object] = lambda _: None) -> dict[Path, int]:
+def export_csv(source: Path, target: Path, tell: Callable[[str], object] = ignore) -> dict[Path, int]:
     """Write the samples of a recording as a CSV file, and its setpoints and servo states into files beside it.
 
     `read_run` reads the samples again bit by bit. The other files have their own rows, on the same time.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mrd_base.progress import ignore
 from mrd_runs import Run
 from mrd_trials.baseline_methods import run_baseline_methods
 from mrd_trials.bench_session import BenchSession, as_run
@@ -66,7 +67,7 @@ def evaluate_trial(
     submissions: Mapping[str, Submission],
     output: Path,
     workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Callable[[int, int], None] = ignore,
 ) -> dict[str, Evaluation]:
     """Evaluate every plant that has a submission; evaluations that ``output`` holds already are kept.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS as CATALOGUE
 from mrd_trials.bench_session import BenchSession, Effects
@@ -46,11 +47,7 @@ LEAST_REACHED = 0.7
 
 
 def make_trial(
-    recipe: Recipe,
-    folder: Path,
-    answers: Path,
-    workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    recipe: Recipe, folder: Path, answers: Path, workers: int = 1, progress: Callable[[int, int], None] = ignore
 ) -> list[str]:
     """Make a trial; plants that exist already are kept, so that an interrupted trial goes on.
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 
 Kind = Literal["null", "single", "pair", "absent"]
 """Kind of a plant: without effect, with one or two effects of the catalogue, with an effect that the catalogue lacks."""
@@ -305,7 +306,7 @@ def complete_records(
     path: Path,
     plants: Sequence[str],
     work: Callable[[Sequence[str]], Iterable[R]],
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Callable[[int, int], None] = ignore,
 ) -> dict[str, R]:
     """Return the records of some plants: those of a file, and new ones, each stored as soon as it is computed.
 

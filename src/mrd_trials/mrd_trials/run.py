@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_diagnosis import diagnose
 from mrd_identification.cluster import run_on_cluster
 from mrd_trials.parallel import run_in_processes
@@ -25,7 +26,7 @@ def run_trial(
     method: Method = diagnose,
     workers: int = 1,
     scheduler: str = "",
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Callable[[int, int], None] = ignore,
 ) -> dict[str, Submission]:
     """Diagnose every plant of a trial that has no verdict yet.
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from mrd_base.progress import ignore
 from mrd_sim.effects import EFFECTS
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.records import GroundTruth, Submission, complete_records
@@ -21,7 +22,7 @@ def withhold_effects(
     *,
     most: int = 2,
     workers: int = 1,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Callable[[int, int], None] = ignore,
 ) -> dict[str, Submission]:
     """Diagnose plants with one detectable effect by a catalogue that lacks it.
 

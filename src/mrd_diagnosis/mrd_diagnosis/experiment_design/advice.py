@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.diagnosis import Advice
 from mrd_diagnosis.experiment_design.experiment_library import RATE, library, sizes_of, sizes_of_bench, usual_bench
 from mrd_diagnosis.experiment_design.separation import Pair, Predictor, Separation
@@ -67,7 +68,7 @@ def advise(
     *,
     without: Refit | None = None,
     bench: GeneratorSettings | None = None,
-    progress: Callable[[float], None] = lambda _fraction: None,
+    progress: Callable[[float], None] = ignore,
 ) -> Advice | None:
     """Advise which experiment, or else which sensor, tells explanations apart.
 

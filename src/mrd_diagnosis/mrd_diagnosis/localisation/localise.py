@@ -82,7 +82,7 @@ def _rank(region: Region, highest_frequency_of_motion: float) -> tuple[bool, boo
     concentration = region.share.value * float(np.log(max(region.lift, 1e-12)))
     if region.axis in NEAR_LABELS:
         concentration *= PREFERENCE
-    return is_of_motion, region.q_value >= THRESHOLDS.q_value, region.axis not in PLACES, -concentration
+    return is_of_motion, not region.significant, region.axis not in PLACES, -concentration
 
 
 def _regions(table: ExcessTable) -> tuple[list[Region], list[float]]:

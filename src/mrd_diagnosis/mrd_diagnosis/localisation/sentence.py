@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 from mrd_diagnosis.diagnosis import Diagnosis, Interval, Region
 from mrd_diagnosis.localisation.axis_bins import NEAR_LABELS, PLACES, near_label
-from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import effect_name, effect_names
 from mrd_diagnosis.wording.quantities import capitalised, format_share, join_words
 from mrd_sim.effects import EFFECTS, Place
@@ -61,7 +60,7 @@ def headline_place(where: Sequence[Region]) -> Region | None:
 
     On an axis that counts from an event, significant bins from the event on are taken together, without a thin tail.
     """
-    significant = [region for region in where if region.axis in PLACES and _is_significant(region)]
+    significant = [region for region in where if region.axis in PLACES and region.significant]
     places = [region for region in significant if region.lift >= LEAST_LIFT]
     if not places:
         return None
@@ -74,7 +73,7 @@ def headline_place(where: Sequence[Region]) -> Region | None:
     bins = sorted((region for region in where if region.axis == first.axis), key=lambda region: region.lower)
     together: list[Region] = []
     for region in bins[:-1]:
-        if not _is_significant(region) or (together and region.lift < LEAST_DENSITY * _joined(together).lift):
+        if not region.significant or (together and region.lift < LEAST_DENSITY * _joined(together).lift):
             break
         together.append(region)
     return _joined(together) if first in together else first
@@ -95,7 +94,7 @@ def agreement_sentence(diagnosis: Diagnosis) -> str:
     for effect in dict.fromkeys(explanations):
         places = EFFECTS[effect].shows if effect in EFFECTS else ()
         near = [region for region in diagnosis.where if region.axis in places and not _is_away(region, diagnosis.where)]
-        found = [region for region in near if _is_significant(region)]
+        found = [region for region in near if region.significant]
         if "frequency" in places and diagnosis.oscillation is not None:
             as_it.append(effect)
         elif headline is not None and headline.axis in {region.axis for region in found}:
@@ -145,10 +144,6 @@ def _joined(regions: Sequence[Region]) -> Region:
 
 def _is_as_dense(run: Region, time: Region) -> bool:
     return run.share.value > AS_DENSE * time.share.value and run.lift > AS_DENSE * time.lift
-
-
-def _is_significant(region: Region) -> bool:
-    return region.q_value < THRESHOLDS.q_value
 
 
 def _is_away(region: Region, where: Sequence[Region]) -> bool:

@@ -279,7 +279,7 @@ def significant_regions(diagnosis: Diagnosis) -> list[Region]:
 
     An oscillation takes the place of the bands of frequencies, which would divide it.
     """
-    significant = [region for region in diagnosis.where if region.q_value < THRESHOLDS.q_value]
+    significant = [region for region in diagnosis.where if region.significant]
     if diagnosis.oscillation is not None:
         significant = [diagnosis.oscillation, *(region for region in significant if region.axis != "frequency")]
     return significant[:MOST_REGIONS]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.fitting.base_fit import BaseFit, with_effect
 from mrd_diagnosis.fitting.refit import CONVERGED, Refit, refit, refit_on
 from mrd_diagnosis.fitting.weighting import WeightedProblem, Weighting, sum_of_squares
@@ -80,11 +81,7 @@ class EffectFit:
 
 
 def search_effects(
-    weighting: Weighting,
-    base: Refit,
-    effects: Sequence[str],
-    null_errors: Sequence[Array] = (),
-    progress: Progress = lambda _fraction: None,
+    weighting: Weighting, base: Refit, effects: Sequence[str], null_errors: Sequence[Array] = (), progress: Progress = ignore
 ) -> tuple[list[EffectFit], list[EffectFit]]:
     """Find the effects that lower the error on held-out folds most when they are added to the model one after the other.
 
@@ -172,7 +169,7 @@ def refit_with_effects(
     effects: Sequence[str],
     most: int,
     by_itself: Mapping[str, Refit] | None = None,
-    progress: Progress = lambda _fraction: None,
+    progress: Progress = ignore,
     present: tuple[str, ...] = (),
     null_errors: Sequence[Array] = (),
     converged: float = CONVERGED,

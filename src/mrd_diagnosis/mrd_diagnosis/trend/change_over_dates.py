@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from mrd_diagnosis.diagnose import Progress, diagnose, no_progress
+from mrd_base.progress import ignore
+from mrd_diagnosis.diagnose import Progress, diagnose
 from mrd_diagnosis.diagnosis import Diagnosis
 from mrd_diagnosis.trend.calendar import Calendar
 from mrd_identification.fit_file import StoredFit
@@ -18,7 +19,7 @@ def change_over_dates(
     laws: str | Mapping[str, str] | None = None,
     parameters: StoredFit | None = None,
     seed: int = 0,
-    progress: Progress = no_progress,
+    progress: Progress = ignore,
 ) -> Diagnosis:
     """Explain the difference between the runs of the first and of the last third of the dates.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mrd_base import InputError
+from mrd_base.progress import ignore
 from mrd_diagnosis.diagnosis import Interval
 from mrd_diagnosis.trend.calendar import Calendar, make_calendar
 from mrd_diagnosis.trend.dated_fit import DatedFit, Progress, fit_dates
@@ -68,7 +69,7 @@ def trend(
     calendar: Calendar | None = None,
     limit: float | None = None,
     seed: int = 0,
-    progress: Progress = lambda _stage, _fraction: None,
+    progress: Progress = ignore,
 ) -> Trend:
     """Follow a parameter of a model, or of one of its effects, over dated runs.
 

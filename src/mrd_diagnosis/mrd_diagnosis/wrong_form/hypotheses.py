@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.decision.presence import presence_of, with_presence
 from mrd_diagnosis.diagnosis import Member, ParameterEstimate, WeighedEffect
 from mrd_diagnosis.evidence.cause_class import class_of
@@ -97,7 +98,7 @@ def weigh_effects(
     forms: Sequence[Refit],
     effects: Sequence[str],
     rng: np.random.Generator,
-    progress: Progress = lambda _fraction: None,
+    progress: Progress = ignore,
 ) -> list[Weighed]:
     """Select effects around the first form one after the other, and weigh each beside the others around all forms.
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.progress import ignore
 from mrd_diagnosis.closure.closure import closed_fraction_between
 from mrd_diagnosis.decision.explanation import Explanation
 from mrd_diagnosis.fitting.null_distribution import NullGains
@@ -39,7 +40,7 @@ def explain_in_part(
     effects: Sequence[str],
     null_gains: NullGains,
     rng: np.random.Generator,
-    progress: Progress = lambda _fraction: None,
+    progress: Progress = ignore,
 ) -> Explanation:
     """Find the effects that can be named although the form of the model may be wrong.
 
