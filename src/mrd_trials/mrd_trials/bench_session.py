@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mrd_runs import Run
-from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers
+from mrd_trials.excitation import FRESH_RUNS, commands_of_runs, read_recorded_dampers, replay
 from mrd_trials.reference_fit import ReferenceFit
 from mrd_trials.start import begin_later
 from mrd_trials.trial_design import PlantDesign
@@ -87,6 +87,13 @@ class BenchSession:
     def all_runs(self, effects: Effects) -> list[Run]:
         """Record all runs."""
         return self._as_runs(self.record(effects))
+
+    def simulated_runs(self, effects: Effects) -> list[Run]:
+        """Return what a simulator of the damper's own form, without effects, answers to the motion of the given runs."""
+        exact = replace(self.instruments.without_noise(), gain_scatter=0.0, offset_scatter=0.0)
+        given = self.given_runs(effects)
+        readings = record(self.plant, [replay(run) for run in given], exact, np.random.default_rng(self.noise_seed))
+        return [as_run(run.name, answer) for run, answer in zip(given, readings, strict=True)]
 
     def strength_of(self, reference: ReferenceFit, effects: Effects) -> float:
         """Return the signal to floor of effects."""

@@ -11,7 +11,7 @@ from mrd_runs import Run
 from mrd_trials.baseline_methods import run_baseline_methods
 from mrd_trials.bench_session import BenchSession, as_run
 from mrd_trials.closure import ClosureMeter
-from mrd_trials.excitation import BEFORE_AFTER, random_command, recommended_command
+from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX, random_command, recommended_command
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.recorded_closure import share_closed
 from mrd_trials.recorded_session import RecordedSession
@@ -110,7 +110,7 @@ def evaluate_plant(plant: DiagnosedPlant) -> Evaluation:
     """Evaluate the submission on one plant; an evaluation of a failed one is empty, as it would fail again."""
     truth, submission = plant.truth, plant.submission
     evaluation = Evaluation(truth.plant, equivalents={cause: (cause,) for cause in truth.causes})
-    if submission.verdict == "failed":
+    if submission.verdict == "failed" or truth.excitation == BLACK_BOX:  # of a black box, the names count
         return evaluation
     if truth.excitation in ALTERED_TIERS:
         return _evaluate_altered(plant, evaluation)

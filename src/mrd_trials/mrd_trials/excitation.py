@@ -31,6 +31,9 @@ STEP = 1 / 8000
 SEMIREAL, BEFORE_AFTER = "semireal", "before_after"
 """Tiers of measured recordings into which effects are put; those of the second are compared with untouched ones."""
 
+BLACK_BOX = "black_box"
+"""Tier whose simulator is no model of the catalogue, but the damper's own form without effects: its recorded outputs."""
+
 FROM_RECORDINGS = ("replay", SEMIREAL, BEFORE_AFTER)
 """Tiers that need recordings of measured dampers, and have their rate."""
 
@@ -51,7 +54,7 @@ class Tier:
     Attributes
     ----------
     excitation : str
-        ``rich``, ``paper``, ``sine``, ``replay``, ``semireal`` or ``before_after``.
+        ``rich``, ``black_box``, ``paper``, ``sine``, ``replay``, ``semireal`` or ``before_after``.
     rate : float
         Sample rate in Hz; 0 for the tiers that have the rate of their recordings.
     """
@@ -176,6 +179,7 @@ def _sine(_rng: np.random.Generator) -> Iterator[RunSpecification]:
 
 SETS: Mapping[str, Callable[[np.random.Generator], Iterator[RunSpecification]]] = {
     "rich": _rich,
+    BLACK_BOX: _rich,
     "paper": _paper,
     "sine": _sine,
 }

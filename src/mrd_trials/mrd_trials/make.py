@@ -13,6 +13,7 @@ from mrd_runs import Run
 from mrd_sim.effects import EFFECTS as CATALOGUE
 from mrd_trials.bench_session import BenchSession, Effects
 from mrd_trials.commitments import commitment, new_salt
+from mrd_trials.excitation import BLACK_BOX
 from mrd_trials.parallel import run_in_processes
 from mrd_trials.recorded_session import RecordedSession
 from mrd_trials.records import GroundTruth, append_record, read_records
@@ -116,7 +117,7 @@ def make_plant(
     list of Run
         Its recordings, the last `FRESH_RUNS` for the evaluation.
     sequence of Run
-        Recordings from before its effects came; empty without a comparison.
+        Recordings from before its effects came, or of the simulator with which it is compared; empty without a comparison.
     """
     session = session_of(design, recorded)
     effects, strength = _draw_effects(design, session) if design.effects else ({}, 0.0)
@@ -151,7 +152,10 @@ def make_plant(
         size=asdict(size),
         begins_in_motion=design.start_seed is not None,
     )
-    return truth, [size.scaled(run) for run in session.all_runs(effects)], [size.scaled(run) for run in session.reference]
+    compared: Sequence[Run] = session.reference
+    if design.tier.excitation == BLACK_BOX and isinstance(session, BenchSession):
+        compared = session.simulated_runs(effects)
+    return truth, [size.scaled(run) for run in session.all_runs(effects)], [size.scaled(run) for run in compared]
 
 
 def unit_of(name: str) -> str:

@@ -8,11 +8,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from mrd_base import InputError
 from mrd_base.version import VERSION
 from mrd_diagnosis import Diagnosis, Interval, diagnose
+from mrd_diagnosis.diagnose import BEST_MODEL
 from mrd_runs import Run
+from mrd_sim.simulators.recorded import RecordedSimulator
+from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX
 from mrd_trials.records import Explanation, GapBin, IntervalEnds, Submission, WeighedEffect
 from mrd_trials.trial_folder import PublicPlant
 
@@ -88,14 +92,19 @@ def diagnose_plant(
     effects : sequence of str
         Effects of the catalogue that are candidates, all by default.
     reference : sequence of Run
-        Recordings from before, where the question is what has changed since.
+        Recordings from before, where the question is what has changed since; or those of the plant's simulator.
     method : callable
         What diagnoses; takes what `mrd_diagnosis.diagnose` takes.
     """
     start = time.monotonic()
-    compared = {"reference": reference} if reference else {}
+    is_black_box = plant.excitation == BLACK_BOX
+    compared: dict[str, Any] = {"reference": reference} if reference and not is_black_box else {}
+    if is_black_box:
+        compared = {"simulator": RecordedSimulator(reference)}
     try:
-        diagnosis = method(runs, plant.model, effects=effects, bench=plant.size.bench, seed=seed, **compared)
+        diagnosis = method(
+            runs, BEST_MODEL if is_black_box else plant.model, effects=effects, bench=plant.size.bench, seed=seed, **compared
+        )
     except Exception as error:  # every error counts as a failure of the diagnosis
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         elapsed = time.monotonic() - start
@@ -111,13 +120,14 @@ def check_comparison(plants: Iterable[PublicPlant], method: Method) -> None:
     InputError
         When it cannot.
     """
-    if "reference" not in inspect.signature(method).parameters:
-        for plant in plants:
-            if plant.reference:
-                raise InputError(
-                    f"plant {plant.plant}: is to be compared with earlier runs, but this diagnosis takes no reference; "
-                    "make a trial without the tier before_after"
-                )
+    known = inspect.signature(method).parameters
+    for plant in plants:
+        needed = "simulator" if plant.excitation == BLACK_BOX else "reference"
+        if plant.reference and needed not in known:
+            raise InputError(
+                f"plant {plant.plant}: is to be compared with recordings as {needed}, but this diagnosis takes no {needed}; "
+                f"make a trial without the tier {BLACK_BOX if needed == 'simulator' else BEFORE_AFTER}"
+            )
 
 
 def submission_of(plant: PublicPlant, diagnosis: Diagnosis) -> Submission:

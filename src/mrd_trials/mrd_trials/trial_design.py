@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from mrd_base import InputError
-from mrd_trials.excitation import BEFORE_AFTER, FROM_RECORDINGS, SEMIREAL, Tier, parse_tier, read_recorded_dampers
+from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX, FROM_RECORDINGS, SEMIREAL, Tier, parse_tier, read_recorded_dampers
 from mrd_trials.records import GroundTruth, Kind
 from mrd_trials.size import Size, draw_size
 from mrd_trials.truth import ALTERATIONS, DAMPER_FORMS, EFFECTS, Family
@@ -219,7 +219,7 @@ def _design_tier(
     for kind, number in _numbers(recipe.shares, count):
         for place in range(number):
             damper = str(next(dampers)) if tier.excitation == "replay" else ""
-            form = next_form() if place % 2 else MODEL_FORM
+            form = next_form() if place % 2 or tier.excitation == BLACK_BOX else MODEL_FORM
             design = PlantDesign("", kind, tier, (), form, (), (), damper, family=recipe.family)
             if kind == "single":
                 design = replace(design, effects=(next_known(),), targets=(target(),))

@@ -8,7 +8,7 @@ from mrd_trials.scoring.plant_result import PlantResult, PlantResults, select
 from mrd_trials.scoring.rates import Rate
 
 VERDICTS = ("no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "data_fault", "failed")
-EXCITATIONS = ("rich", "paper", "sine", "replay", "semireal", "before_after")
+EXCITATIONS = ("rich", "black_box", "paper", "sine", "replay", "semireal", "before_after")
 
 KINDS = ("null", "null, another form", "single, weak", "single", "pair", "absent")
 
