@@ -24,6 +24,9 @@ FOLD_DURATION = 4.0
 LEAST_FOLDS = 8
 """Folds of all runs together; fewer say too little about how much the error scatters."""
 
+DIVERGED = 1e3
+"""Ratio to the largest measured force beyond which a modelled force has diverged."""
+
 MOST_FOLDS_OF_RUN = 3
 """Folds into which one of many runs is divided at most."""
 
@@ -107,6 +110,12 @@ def whitening(sigma: Array, force: Array, scatter: RunScatter, other_starts: Arr
     run_errors = np.asarray(np.linalg.solve(scaled.T @ scaled + np.eye(len(values)), scaled.T * weight), np.float64)
     run_errors *= deviations[:, None]
     return Whitening(weight, basis, 1.0 - 1.0 / np.sqrt(1.0 + values), run_errors, nuisance)
+
+
+def _bounded(force: Array, recording: Recording) -> Array:
+    """Return a modelled force (n,) that is finite: one that has diverged tells nothing about the gain of a run."""
+    largest = DIVERGED * float(np.abs(recording.force).max(initial=0.0))
+    return np.asarray(np.clip(np.nan_to_num(force, nan=0.0), -largest, largest))
 
 
 @dataclass(frozen=True)
@@ -257,7 +266,9 @@ class Weighting:
         root = np.sqrt(self.error_correlation)
         scatter = RunScatter(self.scatter.gain / root, self.scatter.offset / root)
         return tuple(
-            whitening(np.sqrt(noise.sigma**2 + self.discrepancy**2), force, scatter, recording.other_starts)
+            whitening(
+                np.sqrt(noise.sigma**2 + self.discrepancy**2), _bounded(force, recording), scatter, recording.other_starts
+            )
             for noise, force, recording in zip(self.noise, forces, self.recordings, strict=True)
         )
 
