@@ -125,6 +125,24 @@ def test_the_simulator_alone_is_the_simulator_to_the_digit(runs, tmp_path):
             np.testing.assert_allclose(fine, force, atol=1e-6)
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.03])
+def test_a_lag_behind_the_current_is_the_simulators_only_where_it_shows(runs, tmp_path, lag):
+    """A lag that was fitted although the simulator has none took up the one that it lacked: no gap was found."""
+    from mrd_diagnosis.simulator.stand_in import find_stand_in
+
+    recordings = [prepare_recording(runs[2])]
+    model = find_model("bouc_wen", scales=scales_of(runs))
+    theta = model.vector({"coil_lag": lag})
+    forces = [model.force(theta, recording.path.recorded) * 1.02 for recording in recordings]
+    (tmp_path / "mine.py").write_text(SIMULATOR)
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        found = find_stand_in(simulator, recordings, forces, scales_of(runs), np.random.default_rng(0), "hyperbolic_tangent")
+    if lag:
+        assert found.values["coil_lag"] == pytest.approx(lag, rel=0.2)
+    else:
+        assert found.values["coil_lag"] == 0.0
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
