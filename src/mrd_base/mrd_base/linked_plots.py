@@ -20,6 +20,12 @@ MOST_BYTES = 700_000
 COLORS = ("#00798c", "#d1495b", "#edae49", "#66a182", "#8d6a9f", "#3d6fa5", "#b7791f", "#7a4fa3")
 """Colours of lines, in their order."""
 
+LEAST_POINTS = 100
+"""Points of a line that are always drawn."""
+
+LOOP_POINTS_OF_STROKE = 12
+"""Points between two reversals of a loop; where there is less room, a part of the recording is drawn."""
+
 MEASURED = "measured"
 """Colour of what was measured: that of the page's small print."""
 
@@ -91,13 +97,13 @@ def linked_plots(panels: Sequence[Panel], most_bytes: int = MOST_BYTES) -> str:
     most_bytes : int
         Size of the data. Where there is more, each line is drawn by the extremes of its samples, evenly in time.
     """
-    samples = [len(line.time) for panel in panels for line in panel.lines]
-    series = sum(len(line.time) * (2 if line.x is None else 3) for panel in panels for line in panel.lines)
+    lines = [(len(line.time), 2 if line.x is None else 3) for panel in panels for line in panel.lines]
+    most = max((samples for samples, _ in lines), default=1)
     # Four bytes a number, and a third more as text.
-    share = min(1.0, most_bytes / max(series * 4 * 4 / 3, 1.0))
-    most = max(100, int(share * max(samples, default=1)))
+    while most > LEAST_POINTS and sum(min(samples, most) * series for samples, series in lines) * 16 / 3 > most_bytes:
+        most = int(0.9 * most)
     content = [_panel(panel, most) for panel in panels]
-    text = json.dumps(content).replace("</", "<\\/")
+    text = json.dumps(content).replace("<", "\\u003c")
     return f'<div class="linked-plots"><script type="application/json">{text}</script></div>'
 
 
@@ -121,7 +127,7 @@ def _panel(panel: Panel, most: int) -> dict[str, Any]:
 
 
 def _line(line: Line, most: int) -> dict[str, Any]:
-    kept = _evenly(len(line.time), most) if line.x is not None else _extremes(line.y, most)
+    kept = _extremes(line.y, most) if line.x is None else _of_loop(line.x, most)
     coded = {"time": line.time, "x": line.x, "y": line.y}
     numbers = {name: _coded(series[kept]) for name, series in coded.items() if series is not None}
     return {"name": line.name, "color": line.color, "dashed": line.dashed, **numbers}
@@ -131,8 +137,19 @@ def _coded(series: Array) -> str:
     return base64.b64encode(np.ascontiguousarray(series, np.float32).tobytes()).decode("ascii")
 
 
-def _evenly(samples: int, most: int) -> NDArray[np.intp]:
-    return np.unique(np.linspace(0, samples - 1, min(samples, most)).astype(np.intp))
+def _of_loop(x: Array, most: int) -> NDArray[np.intp]:
+    """Return the places of a loop's points: evenly, where its strokes keep their shape; else of a part from its start."""
+    if len(x) <= most:
+        return np.arange(len(x))
+    reversals = 1 + int(np.count_nonzero(np.diff(np.sign(np.diff(_smoothed(x))))))
+    part = len(x) if most >= LOOP_POINTS_OF_STROKE * reversals else int(len(x) * most / (LOOP_POINTS_OF_STROKE * reversals))
+    return np.unique(np.linspace(0, max(part, 2) - 1, min(part, most)).astype(np.intp))
+
+
+def _smoothed(x: Array) -> Array:
+    """Return a series whose noise makes no reversals."""
+    length = max(1, len(x) // 2000)
+    return np.convolve(x, np.full(length, 1 / length), "valid")[::length]
 
 
 def _extremes(series: Array, most: int) -> NDArray[np.intp]:

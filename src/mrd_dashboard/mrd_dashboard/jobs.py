@@ -247,11 +247,12 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
     from mrd_identification.identify import identify
     from mrd_identification.method import parse_method
     from mrd_identification.report import write_report
-    from mrd_runs import read_runs
+    from mrd_runs.read import read_groups
     from mrd_sim.models import find_model
 
     method = parse_method(**{**request.method, "seed": request.seed})
-    runs = read_runs([*request.runs, *request.held_out])
+    fitted, held_out = read_groups([request.runs, request.held_out])
+    runs = [*fitted, *held_out]
     model = find_model(request.model, method.laws, method.given_effects)
     look_at_runs(runs, request.anyway, model, remedy=f"tick {FIT_ANYWAY!r}, to fit them as they are")
     total = method.total_generations
@@ -265,8 +266,7 @@ def _identify(request: JobRequest, folder: Path, connection: Connection) -> dict
         stage = "assessing" if generation == total else f"generation {generation} of {total}"
         connection.send({"stage": stage, "share": generation / total, "nrmse": nrmse, "front": front})
 
-    chosen = len(request.runs)
-    fit = identify(runs[:chosen], request.model, held_out=runs[chosen:], method=method, progress=progress, watch=watch)
+    fit = identify(fitted, request.model, held_out=held_out, method=method, progress=progress, watch=watch)
     write_fit(fit, folder)
     write_report(fit, folder)
     return {"message": fit.sentence}
@@ -277,20 +277,19 @@ def _diagnose(request: JobRequest, folder: Path, connection: Connection) -> dict
     from mrd_diagnosis.report.page import write_gap_report
     from mrd_diagnosis.report.sentences import next_command
     from mrd_identification.fit_file import read_fit
-    from mrd_runs import read_runs
+    from mrd_runs.read import read_groups
     from mrd_trajectory.settings import read_settings
 
-    runs = read_runs([*request.runs, *request.held_out, *request.reference])
-    chosen, held_out = len(request.runs), len(request.held_out)
+    runs, held_out, reference = read_groups([request.runs, request.held_out, request.reference])
 
     def progress(stage: str, share: float) -> None:
         connection.send({"stage": stage, "share": share})
 
     diagnosis = diagnose(
-        runs[:chosen],
+        runs,
         request.model,
-        held_out=runs[chosen : chosen + held_out],
-        reference=runs[chosen + held_out :],
+        held_out=held_out,
+        reference=reference,
         parameters=read_fit(request.parameters) if request.parameters else None,
         bench=read_settings(request.bench or None),
         seed=request.seed,

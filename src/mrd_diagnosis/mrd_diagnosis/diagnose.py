@@ -151,7 +151,7 @@ def diagnose(
         chosen = note_on(stand_in)
     elif model == BEST_MODEL:
         chosen = f"Of the damper models that were tried, {base.id} predicts these recordings best."
-    notes = (*filter(None, [chosen]), *diagnosis.notes, *closed_loop_notes(runs))
+    notes = (*filter(None, [chosen]), *(simulator.notes if simulator else ()), *diagnosis.notes, *closed_loop_notes(runs))
     return replace(diagnosis, notes=notes, stand_in=stand_in)
 
 

@@ -10,6 +10,7 @@ from mrd_base import InputError
 from mrd_diagnosis import diagnose, validate
 from mrd_identification import compare, identify
 from mrd_runs import make_run, read_runs
+from mrd_runs.read import read_groups
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "worn_joint"
 BRIEF = {"population": 8, "generations": 2, "profile": False}
@@ -37,6 +38,13 @@ def test_files_of_other_programs_are_read(runs, tmp_path):
     read = read_runs(tmp_path)
     assert [each.name for each in read] == ["2_slow_stroke", "rig", "rig2"]
     np.testing.assert_allclose(read[1].force, run.force, rtol=1e-9)
+
+
+def test_groups_keep_their_runs(runs):
+    fitted, held_out = read_groups([EXAMPLE / "[123]*.csv", [EXAMPLE / "4_fast_sine.csv"]])
+    assert [len(fitted), len(held_out)] == [3, 1]
+    with pytest.raises(InputError, match="is the same recording as"):
+        read_groups([EXAMPLE, EXAMPLE / "4_fast_sine.csv"])
 
 
 @pytest.mark.parametrize(

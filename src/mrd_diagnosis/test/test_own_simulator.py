@@ -15,9 +15,11 @@ from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
 from mrd_identification.export import export_damper, load_damper
+from mrd_identification.plot import write_plot
 from mrd_identification.recording import prepare_recording
 from mrd_runs import read_runs
 from mrd_runs.scales import scales_of
+from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.models import find_model
 from mrd_sim.simulators.opening import open_simulator
@@ -83,6 +85,13 @@ def test_the_correction_is_exported_and_validated(runs, fmu, of_fmu, tmp_path):
     damper = load_damper(report)
     with pytest.raises(InputError, match=r"corrects the simulator mine\.fmu; give it as well, with --simulator"):
         validate(damper, runs)
+    (tmp_path / "other.py").write_text(SIMULATOR)
+    with open_simulator(tmp_path / "other.py") as other, pytest.raises(InputError, match="--simulator is other"):
+        validate(damper, runs, simulator=other)
+    with open_simulator(fmu) as simulator, pytest.raises(InputError, match="bingham corrects no simulator"):
+        validate(Damper("bingham"), runs, simulator=simulator)
+    with pytest.raises(InputError, match=r"corrects the simulator mine\.fmu, whose force it needs"):
+        write_plot(runs[:1], tmp_path, {"gap": damper})
     with open_simulator(fmu) as simulator:
         validation = validate(damper, runs, simulator=simulator)
         alone = validate(simulator, runs)
@@ -123,6 +132,28 @@ def test_the_simulator_alone_is_the_simulator_to_the_digit(runs, tmp_path):
             np.testing.assert_allclose(force, simulator.force(signals_of(recording.smoothed)), atol=1e-9)
             fine = stand_in.model.force(stand_in.theta, recording.path.recorded.fine)
             np.testing.assert_allclose(fine, force, atol=1e-6)
+
+
+def test_what_a_simulator_has_beyond_its_model_is_no_noise(runs, tmp_path):
+    """It was taken for an error of the measured motion, so that a gap of 87 % was hardly more than noise."""
+    rippled = SIMULATOR.rstrip() + " + 300.0 * np.sin(2 * np.pi * position / 4e-3)\n"
+    floors = []
+    for text in (SIMULATOR, rippled):
+        (tmp_path / "mine.py").write_text(text)
+        with open_simulator(tmp_path / "mine.py") as simulator:
+            floors.append(validate(simulator, runs[:2]).noise_floor)
+    assert floors[1] < 1.5 * floors[0]
+
+
+def test_a_simulator_that_knows_the_recorded_stroke_only_is_enough(runs, tmp_path):
+    from mrd_diagnosis.simulator.self_check import check_simulator
+
+    within = "\n    if np.abs(position).max() > 0.0155: raise ValueError('out of range')\n    p ="
+    (tmp_path / "mine.py").write_text(SIMULATOR.replace("\n    p =", within))
+    recordings = [prepare_recording(runs[3])]
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        forces = [simulator.force(signals_of(recording.smoothed)) for recording in recordings]
+        assert not check_simulator(simulator, recordings, forces)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.03])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base import InputError
 from mrd_base.linked_plots import linked_page
 from mrd_identification.metrics import metrics
 from mrd_identification.recording import Recording, consecutive_modelled_forces, prepare_recording
@@ -26,10 +27,15 @@ def predict(source: Damper | Simulator, name: str, recordings: Sequence[Recordin
     Raises
     ------
     InputError
-        When the simulator fails.
+        When the simulator fails, or a damper corrects a simulator of the user's own.
     """
     if isinstance(source, Simulator):
         return Prediction(name, tuple(source.force(signals_of(recording.smoothed)) for recording in recordings))
+    if source.model.stands_for:
+        raise InputError(
+            f"{name}: corrects the simulator {source.model.stands_for}, whose force it needs; `validate` with --simulator "
+            "shows both"
+        )
     started = estimate_starts(source.model, source.theta, recordings)
     return Prediction(name, tuple(consecutive_modelled_forces(source.model, source.theta, started)))
 

@@ -33,9 +33,11 @@ def content(html):
 
 def test_lines_keep_their_samples():
     time = np.linspace(0.0, 1.0, 200)
-    (panel,) = content(linked_plots([Panel("time, s", "force, N", (Line("</script>", time, np.sin(9 * time)),))]))
+    (panel,) = content(
+        linked_plots([Panel("time, s", "force, N", (Line("c<!--<script></script>", time, np.sin(9 * time)),))])
+    )
     np.testing.assert_allclose(panel["lines"][0]["y"], np.sin(9 * time), atol=1e-6)
-    assert panel["lines"][0]["name"] == "</script>"
+    assert panel["lines"][0]["name"] == "c<!--<script></script>"
 
 
 def test_long_lines_keep_their_peaks_and_the_page_its_size():
@@ -49,6 +51,22 @@ def test_long_lines_keep_their_peaks_and_the_page_its_size():
     assert drawn["y"].max() == 50.0
     assert drawn["y"].min() == -50.0
     assert (np.diff(drawn["time"]) >= 0.0).all()
+
+
+def test_many_lines_keep_the_size_too():
+    lines = [
+        Line(f"r{k}", np.arange(n) / 500.0, np.sin(np.arange(n) / 40.0)) for k, n in enumerate([300_000, *[10_000] * 40])
+    ]
+    assert len(linked_plots([Panel("", "force, N", tuple(lines))] * 3, 300_000)) < 450_000
+
+
+def test_a_loop_keeps_the_shape_of_its_strokes():
+    time = np.arange(30_000) / 500.0
+    x, y = np.sin(2 * np.pi * 4 * time), np.cos(2 * np.pi * 4 * time)
+    (panel,) = content(linked_plots([Panel("x", "y", (Line("a", time, y, x),))], 20_000))
+    line = panel["lines"][0]
+    middles = np.hypot((line["x"][1:] + line["x"][:-1]) / 2, (line["y"][1:] + line["y"][:-1]) / 2)
+    assert middles.min() > 0.95
 
 
 def test_the_page_needs_no_network(tmp_path):

@@ -73,9 +73,19 @@ def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0, *, ri
     InputError
         As `read_run`; also when two paths hold the same recording, or when nothing is left of one.
     """
+    return read_groups([paths], skip, rig=rig)[0]
+
+
+def read_groups(
+    groups: Sequence[str | Path | Iterable[str | Path]], skip: float = 0.0, *, rig: str | Path | None = None
+) -> list[list[Run]]:
+    """Read several groups of recordings, such as those to fit and those that are held out; the names are unique among all.
+
+    Parameters and errors are those of `read_runs`.
+    """
+    read = [[(path, run.without_start(skip)) for path, run in _read_each(group, rig)] for group in groups]
     runs: list[Run] = []
-    for path, run in _read_each(paths, rig):
-        run = run.without_start(skip)
+    for path, run in itertools.chain.from_iterable(read):
         for earlier in runs:
             if earlier.info["checksum"] == run.info["checksum"]:
                 raise InputError(
@@ -90,7 +100,8 @@ def read_runs(paths: str | Path | Iterable[str | Path], skip: float = 0.0, *, ri
             name = unique_name(run.name, run.info["source"], used)
             used.add(name)
             runs[place] = replace(run, name=name)
-    return runs
+    named = iter(runs)
+    return [list(itertools.islice(named, len(group))) for group in read]
 
 
 def _read_each(paths: str | Path | Iterable[str | Path], rig: str | Path | None) -> Iterator[tuple[Path, Run]]:

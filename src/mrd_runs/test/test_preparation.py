@@ -49,6 +49,13 @@ def test_filter_and_decimation_delay_nothing(file):
     assert np.abs(run.position - 0.01 * np.sin(2 * np.pi * 1.5 * run.time))[inside].max() < 5e-5
 
 
+def test_a_constant_stays_constant_to_its_ends(file):
+    done, bag = import_(file, "--decimate", "4", "--low-pass", "100")
+    assert done.returncode == 0, done.stderr
+    (run,) = read_runs(bag)
+    np.testing.assert_allclose(run.current, 0.3, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

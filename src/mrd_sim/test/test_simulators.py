@@ -79,15 +79,51 @@ def test_a_file_that_is_no_simulator_is_refused(tmp_path, text, message):
         ("return time / 0.0", "the force at sample 0 of 2000 is nan"),
         ("raise ValueError('no oil')", "line 4: ValueError: no oil"),
         ("return 'fast'", "answered with str, expected an array of numbers"),
+        ("os.fork() or clock.sleep(30); os.abort()", "ended by itself (signal 6"),
         ("os.abort()", "ended by itself (signal 6"),
     ],
 )
 def test_a_wrong_answer_is_one_line(tmp_path, body, message):
-    text = f"import os\nimport numpy as np\ndef force(time):\n    {body}\n"
+    text = f"import os; import time as clock\nimport numpy as np\ndef force(time):\n    {body}\n"
     with open_simulator(write(tmp_path, text)) as simulator, pytest.raises(InputError) as error:
         simulator.force(signals())
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def force(time, velocity, current, c=900.0): return c * velocity",
+        "def force(velocity, **others): return 900.0 * velocity",
+        "from __future__ import annotations\nfrom dataclasses import dataclass\n@dataclass\nclass Damper:\n"
+        "    c: float = 900.0\n"
+        "def force(velocity): return (Damper().c * velocity).tolist()",
+        "import subprocess\ndef force(velocity): subprocess.run(['cat']); return 900.0 * velocity",
+    ],
+)
+def test_usual_python_is_a_simulator(tmp_path, text):
+    given = signals()
+    with open_simulator(write(tmp_path, text), limit=20.0) as simulator:
+        np.testing.assert_allclose(simulator.force(given), 900.0 * given.velocity)
+
+
+def test_children_of_a_simulator_end_with_it(tmp_path):
+    text = "import subprocess\nsubprocess.Popen(['sleep', '347'])\ndef force(time): return time"
+    with open_simulator(write(tmp_path, text)) as simulator:
+        simulator.force(signals())
+    with pytest.raises(InputError, match="did not answer within 1 s"):
+        open_simulator("command: sh -c 'sleep 348; echo 1'", limit=1.0).force(signals())
+    time.sleep(0.5)
+    assert not subprocess.run(["pgrep", "-f", "sleep 34[78]"], capture_output=True, check=False).stdout
+
+
+def test_files_of_the_working_folder_are_no_modules_of_the_library(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "random.py").write_text("raise SystemExit('not this one')")
+    monkeypatch.chdir(tmp_path / "here")
+    with open_simulator(write(tmp_path, FUNCTION)) as simulator:
+        assert len(simulator.force(signals())) == 2000
 
 
 def test_a_simulator_that_hangs_is_ended(tmp_path):
@@ -148,6 +184,7 @@ def test_a_command_reads_a_table_and_writes_forces(tmp_path):
         ("command: no_such_program", "cannot be run (No such file or directory)"),
         (f"command: {sys.executable} -c 'raise SystemExit(\"no licence\")'", "ended with status 1: no licence"),
         (f"command: {sys.executable} -c 'print(1); print(\"x\")'", "line 2 of its answer is 'x', expected a number"),
+        (f"command: {sys.executable} -c 'import sys; sys.stdout.buffer.write(bytes([0xe4]))'", "found 0 forces for 2000"),
         ("command: ", "is empty"),
         ("command: 'a", "cannot be read"),
     ],
@@ -168,6 +205,28 @@ def test_recordings_of_a_simulator_are_found_by_their_motion():
     simulator = RecordedSimulator([run_of("b", other, -expected(fast)), run_of("a", fast, expected(fast))])
     np.testing.assert_allclose(simulator.force(slow), expected(slow), atol=1e-9)
     np.testing.assert_allclose(simulator.force(other), -expected(fast))
+
+
+def test_recordings_of_one_motion_are_told_apart_by_their_current():
+    given = signals()
+    others = [
+        Signals(given.time, given.position, given.velocity, given.acceleration, given.current + c) for c in (0.0, 0.5, 1.0)
+    ]
+    simulator = RecordedSimulator([run_of(f"r{k}", each, expected(each)) for k, each in enumerate(others)])
+    for each in others:
+        np.testing.assert_allclose(simulator.force(each), expected(each))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.002, 0.01])
+def test_a_recording_may_begin_later(late):
+    given = signals()
+    first = round(late * 1000)
+    whole = run_of("a", given, expected(given))
+    part = Run(
+        "a", *(series[first:] for series in (whole.time - late, whole.position, whole.velocity, whole.current, whole.force))
+    )
+    found = RecordedSimulator([part]).force(given)
+    np.testing.assert_allclose(found[first:], expected(given)[first:], atol=1e-6)
 
 
 def test_recordings_of_another_motion_are_refused():
@@ -313,6 +372,20 @@ def test_fmus_that_cannot_be_used_are_refused(own_fmu, tmp_path, changes, remove
     assert "\n" not in str(error.value)
 
 
+def test_an_input_of_another_type_keeps_its_start(own_fmu, tmp_path):
+    extra = '<ScalarVariable name="enable" valueReference="999" causality="input"><Boolean start="true"/></ScalarVariable>'
+    file = changed_fmu(own_fmu, tmp_path, ("</ModelVariables>", f"{extra}</ModelVariables>"))
+    with open_simulator(file) as simulator:
+        assert simulator.notes[0].endswith("force is force; enable keep their start values.")
+        assert len(simulator.force(signals())) == 2000
+
+
+def test_a_missing_current_is_told(own_fmu, tmp_path):
+    file = changed_fmu(own_fmu, tmp_path, ('name="current"', 'name="w"'), ('unit="A"', 'unit="1"'))
+    with open_simulator(file) as simulator:
+        assert "takes no current" in simulator.limitations[0]
+
+
 def test_stated_units_are_converted(own_fmu, tmp_path):
     given = signals()
     file = changed_fmu(own_fmu, tmp_path, ('unit="N"', 'unit="kN"'), ('Unit name="N"', 'Unit name="kN"'))
@@ -328,6 +401,7 @@ def test_what_is_no_simulator_is_refused(tmp_path, own_fmu):
         ([], {}, "no simulator"),
         ([own_fmu, own_fmu], {}, "expected one FMU, one Python file or one command"),
         (own_fmu, {"limit": 0.0}, "--simulator-limit is 0 s"),
+        (own_fmu, {"limit": np.inf}, "--simulator-limit is inf s"),
         (write(tmp_path, FUNCTION), {"output": "force"}, "name variables of an FMU"),
     ]:
         with pytest.raises(InputError) as error:

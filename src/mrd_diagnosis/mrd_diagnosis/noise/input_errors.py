@@ -44,6 +44,8 @@ def propagated_variance(
 ) -> Array:
     """Return the variance in N² of the model's force by errors of motion and current, at the counted samples."""
     run, smoothed = recording.run, recording.smoothed
+    # What a simulator has beyond the model is the same on all paths, and the disturbed ones do not have it.
+    model = replace(model, stands_for="")
     coarse = _error_subdivisions(smoothed)
     # Both forces need the same vertices; otherwise their difference would count as an error.
     parts = np.maximum(coarse, pieces(run)) if model.follows_force else np.full(len(run) - 1, coarse)

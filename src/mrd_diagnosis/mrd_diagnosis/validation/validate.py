@@ -122,7 +122,7 @@ def validate(
         damper, recordings = _represented(damper, recordings, seed)
     elif not isinstance(damper, Damper):
         damper = load_damper(damper)
-    if damper.model.stands_for and recordings[0].smoothed.excess is None:
+    if recordings[0].smoothed.excess is None:
         recordings = _corrected(damper, recordings, simulator)
     model, theta = damper.model, damper.theta
     recordings = estimate_starts(model, theta, recordings)
@@ -146,7 +146,17 @@ def _represented(simulator: Simulator, recordings: Sequence[Recording], seed: in
 
 
 def _corrected(damper: Damper, recordings: Sequence[Recording], simulator: Simulator | None) -> Sequence[Recording]:
-    """Return the recordings with what the simulator that a damper corrects has beyond the model that stands for it."""
+    """Return the recordings; where a damper corrects a simulator, with what this has beyond the model that stands for it."""
+    if not damper.model.stands_for:
+        if simulator is not None:
+            raise InputError(
+                f"--simulator: {damper.description} corrects no simulator; leave it out, or validate it by itself"
+            )
+        return recordings
+    if simulator is not None and simulator.name != damper.model.stands_for:
+        raise InputError(
+            f"--simulator is {simulator.name}, expected {damper.model.stands_for}, which the diagnosis corrects"
+        )
     if simulator is None:
         raise InputError(
             f"the diagnosis corrects the simulator {damper.model.stands_for}; give it as well, with --simulator"

@@ -14,6 +14,7 @@ from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
 from mrd_runs.faults import find_faults
+from mrd_runs.read import read_groups
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import DamperModel
@@ -145,8 +146,7 @@ def read_method(arguments: argparse.Namespace) -> Method:
 
 def read_arguments_runs(arguments: argparse.Namespace, *others: str) -> list[list[Run]]:
     """Read the runs to fit, the held-out runs, whose names are distinct, and the runs of ``others`` of the arguments."""
-    runs = read_runs([*arguments.runs, *arguments.held_out], arguments.skip)
-    groups = [runs[: len(arguments.runs)], runs[len(arguments.runs) :]]
+    groups = read_groups([arguments.runs, arguments.held_out], arguments.skip)
     groups += [read_runs(getattr(arguments, name), arguments.skip) for name in others]
     return with_force_filters(groups, arguments.force_filter, "--force-filter")
 

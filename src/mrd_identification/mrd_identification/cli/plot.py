@@ -4,7 +4,7 @@ import argparse
 from contextlib import ExitStack
 from pathlib import Path
 
-from mrd_base import run_tool
+from mrd_base import InputError, run_tool
 from mrd_identification.cli.options import add_reading_arguments
 from mrd_identification.export import load_damper
 from mrd_identification.json_file import make_folder
@@ -49,11 +49,14 @@ def work() -> None:
     simulators = [name for name in arguments.sources if name.startswith(COMMAND) or Path(name).suffix.lower() in KINDS]
     dampers = [name for name in arguments.sources if Path(name).suffix.lower() in DAMPER_FILES and Path(name).is_file()]
     paths = [name for name in arguments.sources if name not in (*simulators, *dampers)]
+    if not paths:
+        raise InputError("no recording to plot, expected one at least; a fit or a simulator is shown along recordings")
     (runs,) = with_force_filters([read_runs(paths, arguments.skip)], arguments.force_filter, "--force-filter")
     with ExitStack() as stack:
         shown: dict[str, Damper | Simulator] = {name: load_damper(name) for name in dampers}
         for name in simulators:
-            inputs, output = parse_inputs(arguments.inputs), arguments.output_variable
+            is_fmu = Path(name).suffix.lower() == ".fmu"
+            inputs, output = (parse_inputs(arguments.inputs), arguments.output_variable) if is_fmu else ({}, "")
             opened = open_simulator(name, inputs=inputs, output=output, limit=arguments.simulator_limit)
-            shown[opened.name] = stack.enter_context(opened)
+            shown[name if opened.name in shown else opened.name] = stack.enter_context(opened)
         print(write_plot(runs, make_folder(arguments.output), shown))

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, decimate, sosfiltfilt
+from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from mrd_base import InputError
 from mrd_runs.formats import Recording
@@ -85,7 +85,7 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
     if wanted.every > 1:
         if len(time) // wanted.every < LEAST_SAMPLES:
             raise InputError(f"{where}: --decimate {wanted.every} leaves {len(time) // wanted.every} samples, expected more")
-        columns |= {name: decimate(columns[name], wanted.every, ftype="fir", zero_phase=True) for name in signals}
+        columns |= {name: resample_poly(columns[name], 1, wanted.every, padtype="line") for name in signals}
         columns["time_s"] = time[:: wanted.every]
         notes.append(f"one of {wanted.every} samples kept, behind a filter against aliasing")
     if not notes:

@@ -14,6 +14,7 @@ from mrd_base import InputError, quantity
 from mrd_base.nodes.bench_node import BenchNode
 from mrd_base.nodes.graph import SAMPLES
 from mrd_runs import Run, read_runs
+from mrd_runs.read import read_groups
 from mrd_runs.sample_buffer import SampleBuffer
 
 
@@ -141,8 +142,8 @@ class AnalysisNode(BenchNode[AnalysisSettings]):
         Without runs to fit, these are the samples received so far.
         """
         heard = [] if request.runs else [self._buffer.run("live samples").without_start(request.skip)]
-        read = read_runs([*request.runs, *request.held_out], request.skip)
-        groups = [heard + read[: len(request.runs)], read[len(request.runs) :]]
+        runs, held_out = read_groups([request.runs, request.held_out], request.skip)
+        groups = [heard + runs, held_out]
         return groups + [read_runs(getattr(request, name), request.skip) for name in others]
 
     def health(self) -> tuple[str, dict[str, Any]]:

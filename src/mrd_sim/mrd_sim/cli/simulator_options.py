@@ -60,7 +60,11 @@ def opened_simulator(arguments: argparse.Namespace) -> Iterator[Simulator | None
         yield None
         return
     with open_simulator(
-        arguments.simulator, inputs=inputs, output=arguments.output_variable, limit=arguments.simulator_limit
+        arguments.simulator,
+        inputs=inputs,
+        output=arguments.output_variable,
+        limit=arguments.simulator_limit,
+        skip=getattr(arguments, "skip", 0.0),
     ) as simulator:
         yield simulator
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
-from mrd_sim.simulators.process import TIME_LIMIT
+from mrd_sim.simulators.process import TIME_LIMIT, end_group
 from mrd_sim.simulators.simulator import Signals, Simulator, SimulatorParameter, checked_force
 
 Array = NDArray[np.float64]
@@ -51,27 +51,29 @@ class CommandSimulator(Simulator):
         np.savetxt(text, signals.rows().T, delimiter=",", header=HEADER, comments="", fmt="%.17g")
         settings = [f"{name}={value!r}" for name, value in (values or {}).items()]
         try:
-            done = subprocess.run(
+            process = subprocess.Popen(
                 [*self._arguments, *settings],
-                input=text.getvalue(),
-                capture_output=True,
-                text=True,
-                timeout=self._limit,
-                check=False,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
             )
         except OSError as error:
             raise InputError(f"simulator {self.name}: cannot be run ({error.strerror})") from None
+        try:
+            output, said = process.communicate(text.getvalue().encode(), timeout=self._limit)
         except subprocess.TimeoutExpired:
             raise InputError(
                 f"simulator {self.name}: did not answer within {self._limit:g} s, and was ended; allow more with "
                 "--simulator-limit, or record its force and give the recordings"
             ) from None
-        if done.returncode:
-            said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-            raise InputError(
-                f"simulator {self.name}: ended with status {done.returncode}" + (f": {said[-1]}" if said else "")
-            )
-        return checked_force(_numbers(done.stdout, self.name), len(signals), self.name)
+        finally:
+            end_group(process)
+        if process.returncode:
+            words = [line.strip() for line in said.decode(errors="replace").splitlines() if line.strip()]
+            last = f": {words[-1]}" if words else ""
+            raise InputError(f"simulator {self.name}: ended with status {process.returncode}{last}")
+        return checked_force(_numbers(output.decode("utf-8-sig", errors="replace"), self.name), len(signals), self.name)
 
 
 def _numbers(text: str, name: str) -> Array:

@@ -84,6 +84,8 @@ class FmuRunner:
             "step": None if experiment is None or experiment.stepSize is None else float(experiment.stepSize),
             "feedthrough": self.feedthrough,
             "inputs": [quantity for quantity, _, _ in self.variables.inputs],
+            "mapping": dict(self.variables.mapping),
+            "kept": list(self.variables.kept),
             "parameters": {
                 name: {"value": value, "lower": lower, "upper": upper, "unit": unit}
                 for name, (_, value, lower, upper, unit) in self.variables.parameters.items()

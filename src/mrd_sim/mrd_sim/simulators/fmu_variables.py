@@ -13,7 +13,7 @@ SIGNALS = ("time", "position", "velocity", "acceleration", "current")
 
 _NAMES = {
     "time": ("time", "t"),
-    "position": ("position", "displacement", "travel", "stroke", "pos", "disp", "x", "s", "u"),
+    "position": ("position", "displacement", "travel", "stroke", "pos", "disp", "x", "s"),
     "velocity": ("velocity", "speed", "vel", "v", "xd", "dx", "xdot", "der_x", "v_rel"),
     "acceleration": ("acceleration", "acc", "a", "xdd", "ddx"),
     "current": ("current", "coil_current", "coilcurrent", "i", "cur", "amps"),
@@ -33,6 +33,10 @@ class FmuVariables:
     ----------
     inputs : tuple of (str, int, float)
         Quantity of `SIGNALS`, value reference, and factor from SI to the variable's unit.
+    mapping : mapping
+        Name of the variable of each quantity, the force among them.
+    kept : tuple of str
+        Inputs that keep their start value.
     output : int
         Value reference of the force.
     factor : float
@@ -42,6 +46,8 @@ class FmuVariables:
     """
 
     inputs: tuple[tuple[str, int, float], ...]
+    mapping: Mapping[str, str]
+    kept: tuple[str, ...]
     output: int
     factor: float
     parameters: Mapping[str, tuple[int, float, float | None, float | None, str]]
@@ -71,9 +77,9 @@ def find_variables(description: Any, inputs: Mapping[str, str], output: str) -> 
         raise InputError(
             f"no input is a position or a velocity (inputs: {_listed(ins)}); name them with --inputs position=VARIABLE,..."
         )
-    others = [v.name for v in description.modelVariables if v.causality == "input" and v.name not in ins]
-    left = [name for name in (*ins, *others) if name not in chosen.values()]
-    if unknown := [name for name in left if others or ins[name].start is None]:
+    inputs_of_any_type = [v for v in description.modelVariables if v.causality == "input"]
+    left = [v for v in inputs_of_any_type if v.name not in chosen.values()]
+    if unknown := [v.name for v in left if v.start is None]:
         raise InputError(
             f"the input {unknown[0]} is none of {', '.join(SIGNALS)} by its name, and has no start value to keep; name "
             f"what it is with --inputs QUANTITY={unknown[0]}"
@@ -81,6 +87,8 @@ def find_variables(description: Any, inputs: Mapping[str, str], output: str) -> 
     force = _chosen_output(outs, output)
     return FmuVariables(
         tuple((quantity, ins[name].valueReference, 1.0 / _factor(quantity, ins[name])) for quantity, name in chosen.items()),
+        {**chosen, "force": force.name},
+        tuple(v.name for v in left),
         force.valueReference,
         _factor("force", force),
         {

@@ -4,11 +4,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_runs.read import read_run
+from mrd_runs.read import read_runs
 from mrd_sim.simulators.command import COMMAND, CommandSimulator
 from mrd_sim.simulators.process import TIME_LIMIT, ProcessSimulator
 from mrd_sim.simulators.recorded import RecordedSimulator
 from mrd_sim.simulators.simulator import Simulator
+
+LONGEST_LIMIT = 86400.0
+"""s that an answer may take at most."""
 
 KINDS = {".fmu": "fmu", ".py": "python"}
 """Kind of simulator by the end of its name; every other file is a recording of one."""
@@ -20,6 +23,7 @@ def open_simulator(
     inputs: Mapping[str, str] | None = None,
     output: str = "",
     limit: float = TIME_LIMIT,
+    skip: float = 0.0,
 ) -> Simulator:
     """Open a simulator of the user's own.
 
@@ -34,6 +38,8 @@ def open_simulator(
         For an FMU, the variable of the force, where its name does not tell.
     limit : float
         s that one answer of the simulator may take.
+    skip : float
+        s that are left out at the start of recordings of a simulator, as they are of the runs.
 
     Raises
     ------
@@ -43,8 +49,8 @@ def open_simulator(
     named = [sources] if isinstance(sources, str | Path) else list(sources)
     if not named:
         raise InputError("no simulator, expected an FMU, a Python file, a command or recordings")
-    if limit <= 0.0:
-        raise InputError(f"--simulator-limit is {limit:g} s, expected more than 0")
+    if not 0.0 < limit <= LONGEST_LIMIT:
+        raise InputError(f"--simulator-limit is {limit:g} s, expected more than 0 and at most {LONGEST_LIMIT:g}")
     first = str(named[0])
     kind = COMMAND if first.startswith(COMMAND) else KINDS.get(Path(first).suffix.lower(), "")
     if kind and len(named) > 1:
@@ -57,4 +63,4 @@ def open_simulator(
         if not Path(first).is_file():
             raise InputError(f"{first}: no such file")
         return ProcessSimulator(kind, Path(first), {"inputs": dict(inputs or {}), "output": output}, limit)
-    return RecordedSimulator([read_run(source) for source in named])
+    return RecordedSimulator(read_runs(named, skip))

@@ -1,13 +1,16 @@
 """A simulator in a process of its own: what it does wrong ends there, and it never runs longer than it may."""
 
 import json
+import os
 import queue
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 import weakref
 from collections.abc import Mapping
 from contextlib import suppress
@@ -57,10 +60,12 @@ class ProcessSimulator(Simulator):
         folder = tempfile.mkdtemp(prefix="mrd_simulator_")
         told = json.dumps({**options, "folder": folder})
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "mrd_sim.simulators.worker", kind, str(file.resolve()), told],
+            # Without -P, a file of the user's in this folder could stand for a module of the library.
+            [sys.executable, "-P", "-m", "mrd_sim.simulators.worker", kind, str(file.resolve()), told],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            start_new_session=True,
         )
         self._answers: queue.Queue[tuple[dict[str, Any], Array] | None] = queue.Queue()
         self._said: list[str] = []
@@ -91,6 +96,19 @@ class ProcessSimulator(Simulator):
             for name, fact in facts["parameters"].items()
         }
         self.facts: Mapping[str, Any] = facts
+        if "mapping" in facts:
+            named = ", ".join(f"{quantity} is {variable}" for quantity, variable in facts["mapping"].items())
+            kept = f"; {', '.join(facts['kept'])} keep their start values" if facts["kept"] else ""
+            self.notes = (f"In {self.name}, {named}{kept}.",)
+        if "current" not in facts["inputs"]:
+            self.limitations = (
+                f"the simulator {self.name} takes no current: its force is that at one current. If it has one, name "
+                "the variable with --inputs current=VARIABLE",
+            )
+        chosen = [f"{quantity}={variable}" for quantity, variable in dict(options.get("inputs") or {}).items()]
+        self.source += f" --inputs {shlex.quote(','.join(chosen))}" if chosen else ""
+        if options.get("output"):
+            self.source += f" --output-variable {shlex.quote(str(options['output']))}"
 
     def force(self, signals: Signals, values: Mapping[str, float] | None = None) -> Array:
         """Return the force (n,) in N; see `Simulator.force`."""
@@ -122,7 +140,7 @@ class ProcessSimulator(Simulator):
 
     def _answer(self, limit: float, what: str) -> tuple[dict[str, Any], Array]:
         try:
-            answer = self._answers.get(timeout=limit)
+            answer = self._next_answer(limit)
         except queue.Empty:
             self.close()
             raise InputError(
@@ -137,6 +155,18 @@ class ProcessSimulator(Simulator):
         if "error" in header:
             raise InputError(f"simulator {self.name}: {header['error']}")
         return header, content
+
+    def _next_answer(self, limit: float) -> tuple[dict[str, Any], Array] | None:
+        """Wait for an answer; None where the process has ended, even if a child of it keeps its streams open."""
+        until = time.monotonic() + limit
+        while True:
+            try:
+                return self._answers.get(timeout=max(0.0, min(0.5, until - time.monotonic())))
+            except queue.Empty:
+                if self._process.poll() is not None and self._answers.empty():
+                    return None
+                if time.monotonic() >= until:
+                    raise
 
     def _last_words(self) -> str:
         code = self._process.returncode
@@ -164,10 +194,17 @@ def _read_lines(stream: IO[bytes], lines: list[str]) -> None:
                 del lines[:-20]
 
 
-def _end(process: "subprocess.Popen[bytes]", folder: str) -> None:
-    """End a process, whatever it is doing, and remove its folder."""
+def end_group(process: "subprocess.Popen[Any]") -> None:
+    """End a process that began a session of its own, and all children in it."""
+    with suppress(OSError, AttributeError):  # Windows knows no groups
+        os.killpg(process.pid, signal.SIGKILL)
     process.kill()
     process.wait()
+
+
+def _end(process: "subprocess.Popen[bytes]", folder: str) -> None:
+    """End a process with its children, whatever they are doing, and remove its folder."""
+    end_group(process)
     if process.stdin is not None:
         with suppress(OSError):
             process.stdin.close()

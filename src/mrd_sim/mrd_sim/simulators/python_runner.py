@@ -4,6 +4,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,8 @@ class PythonRunner:
         if specification is None or specification.loader is None:
             raise InputError("is no Python file, expected a name that ends in .py")
         module = importlib.util.module_from_spec(specification)
+        # Dataclasses and pickling look a module up by its name.
+        sys.modules[specification.name] = module
         sys.path.insert(0, str(file.parent))
         try:
             specification.loader.exec_module(module)
@@ -48,8 +51,10 @@ class PythonRunner:
         if not callable(function):
             raise InputError(f"has no function {FUNCTION}({', '.join(ARGUMENTS)})")
         self._function = function
-        arguments = list(inspect.signature(function).parameters)
-        if unknown := [name for name in arguments if name not in (*ARGUMENTS, "acceleration")]:
+        declared = inspect.signature(function).parameters.values()
+        needed = [p for p in declared if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
+        arguments = [p.name for p in needed if p.name in (*ARGUMENTS, "acceleration")]
+        if unknown := [p.name for p in needed if p.name not in arguments and p.default is p.empty]:
             raise InputError(
                 f"the function {FUNCTION} has the argument {unknown[0]}, expected some of {', '.join(ARGUMENTS)}"
             )
@@ -100,8 +105,9 @@ def _checked_parameters(declared: object) -> dict[str, dict[str, Any]]:
     checked = {}
     for name, entry in declared.items():
         numbers = list(entry) if isinstance(entry, tuple | list) else [entry]
-        if len(numbers) not in (1, 3) or not all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers):
+        if len(numbers) not in (1, 3) or not all(isinstance(n, Real) and not isinstance(n, bool) for n in numbers):
             raise InputError(f"{PARAMETERS}: {name} is {entry!r}, expected a number or (VALUE, LOW, HIGH)")
         value, lower, upper = numbers if len(numbers) == 3 else (numbers[0], None, None)
-        checked[str(name)] = {"value": float(value), "lower": lower, "upper": upper, "unit": ""}
+        bounds = [None if bound is None else float(bound) for bound in (lower, upper)]
+        checked[str(name)] = {"value": float(value), "lower": bounds[0], "upper": bounds[1], "unit": ""}
     return checked

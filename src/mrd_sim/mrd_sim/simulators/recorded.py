@@ -12,8 +12,12 @@ from mrd_sim.simulators.simulator import Signals, Simulator, SimulatorParameter
 
 Array = NDArray[np.float64]
 
-MOST_DEVIATION = 0.05
-"""Share of the stroke by which the motion of a simulator's recording may differ (rms) from that of the run it belongs to."""
+MOST_DEVIATION = 0.1
+"""Rms difference of position over the stroke, and of current over the largest one, that a simulator's recording may have to
+the run it belongs to."""
+
+FAR_BETTER = 0.3
+"""Ratio of the differences of position below which a recording is shifted in time."""
 
 MOST_MISSING = 0.02
 """s that a simulator's recording may begin later or end earlier than the run."""
@@ -38,24 +42,42 @@ class RecordedSimulator(Simulator):
         """Return the recorded force (n,) in N at the times of ``signals``; see `Simulator.force`."""
         if values:
             raise InputError("a recorded simulator has no parameters; give the simulator itself, or record it once more")
-        stroke = max(float(np.ptp(signals.position)), np.finfo(float).tiny)
-        deviations = [_deviation(run, signals) / stroke for run in self.runs]
+        deviations = [_deviation(run, signals) for run in self.runs]
         best = int(np.argmin(deviations))
         if not deviations[best] <= MOST_DEVIATION:
-            off = f"the nearest, {self.runs[best].name}, is off by {100 * deviations[best]:.2g} % of the stroke"
+            off = f"the nearest, {self.runs[best].name}, is off by {100 * deviations[best]:.2g} % of stroke and current"
             how = "none is as long" if np.isinf(deviations[best]) else off
             raise InputError(
                 f"recordings of the simulator: none has the motion of the run of {signals.time[-1] - signals.time[0]:.4g} s "
                 f"({how}); let the simulator run along the recorded position and current of each run, from its first sample"
             )
-        run = self.runs[best]
-        return np.asarray(np.interp(signals.time - signals.time[0], run.time - run.time[0], run.force))
+        return _along(self.runs[best], signals, _shift(self.runs[best], signals), self.runs[best].force)
+
+
+def _along(run: Run, signals: Signals, shift: float, series: Array) -> Array:
+    """Return a series (n,) of a recording that begins ``shift`` s later, at the times of ``signals``."""
+    return np.asarray(np.interp(signals.time - signals.time[0], run.time - run.time[0] + shift, series))
+
+
+def _off(run: Run, signals: Signals, shift: float) -> float:
+    """Return the rms difference of position over the stroke."""
+    stroke = max(float(np.ptp(signals.position)), np.finfo(float).tiny)
+    return float(np.std(_along(run, signals, shift, run.position) - signals.position)) / stroke
+
+
+def _shift(run: Run, signals: Signals) -> float:
+    """Return by how many s a recording begins later than the run: 0 unless another time fits the motion far better."""
+    step = (run.time[-1] - run.time[0]) / (len(run) - 1)
+    shifts = np.arange(-MOST_MISSING, MOST_MISSING + 0.25 * step, 0.5 * step)
+    best = float(min(shifts, key=lambda shift: _off(run, signals, float(shift))))
+    return best if _off(run, signals, best) < FAR_BETTER * _off(run, signals, 0.0) else 0.0
 
 
 def _deviation(run: Run, signals: Signals) -> float:
-    """Return the rms difference of position in m; infinite where the recording is too short."""
-    time = signals.time - signals.time[0]
-    if time[-1] > run.time[-1] - run.time[0] + MOST_MISSING:
+    """Return the rms difference of motion and current over their ranges; infinite where the recording is too short."""
+    if signals.time[-1] - signals.time[0] > run.time[-1] - run.time[0] + MOST_MISSING:
         return np.inf
-    difference = np.interp(time, run.time - run.time[0], run.position) - signals.position
-    return float(np.std(difference))
+    shift = _shift(run, signals)
+    most = max(float(np.abs(run.current).max()), float(np.abs(signals.current).max()), np.finfo(float).tiny)
+    current = float(np.sqrt(np.mean((_along(run, signals, shift, run.current) - signals.current) ** 2))) / most
+    return float(np.hypot(_off(run, signals, shift), current))

@@ -61,11 +61,17 @@ class Simulator(ABC):
         What opens it, as on the command line (`mrd_sim.simulators.opening.open_simulator`).
     parameters : mapping
         What may be changed, by name.
+    notes : tuple of str
+        What is to be known of how it is asked, such as which variables are which signals.
+    limitations : tuple of str
+        What it does not take into account, such as the current; each ends with what to do.
     """
 
     name: str
     source: str
     parameters: Mapping[str, SimulatorParameter]
+    notes: tuple[str, ...] = ()
+    limitations: tuple[str, ...] = ()
 
     @abstractmethod
     def force(self, signals: Signals, values: Mapping[str, float] | None = None) -> Array:

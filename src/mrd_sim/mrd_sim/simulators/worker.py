@@ -25,8 +25,11 @@ def main() -> None:
     # What the simulator prints must not get among the answers.
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
+    questions = os.fdopen(os.dup(0), "rb")
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
     threading.Thread(target=_end_with_parent, args=(os.getppid(),), daemon=True).start()
-    serve(kind, Path(file), json.loads(options), sys.stdin.buffer, output)
+    serve(kind, Path(file), json.loads(options), questions, output)
 
 
 def serve(kind: str, file: Path, options: dict[str, object], questions: IO[bytes], answers: IO[bytes]) -> None:
