@@ -12,9 +12,8 @@ from mrd_sim.simulators.simulator import Signals, Simulator, SimulatorParameter
 
 Array = NDArray[np.float64]
 
-MOST_DEVIATION = 0.1
-"""Rms difference of position over the stroke, and of current over the largest one, that a simulator's recording may have to
-the run it belongs to."""
+MOST_DEVIATION = 0.05
+"""Share of the stroke by which the motion of a simulator's recording may differ (rms) from that of the run it belongs to."""
 
 FAR_BETTER = 0.3
 """Ratio of the differences of position below which a recording is shifted in time."""
@@ -42,15 +41,18 @@ class RecordedSimulator(Simulator):
         """Return the recorded force (n,) in N at the times of ``signals``; see `Simulator.force`."""
         if values:
             raise InputError("a recorded simulator has no parameters; give the simulator itself, or record it once more")
-        deviations = [_deviation(run, signals) for run in self.runs]
-        best = int(np.argmin(deviations))
-        if not deviations[best] <= MOST_DEVIATION:
-            off = f"the nearest, {self.runs[best].name}, is off by {100 * deviations[best]:.2g} % of stroke and current"
-            how = "none is as long" if np.isinf(deviations[best]) else off
+        off = [_off(run, signals, _shift(run, signals)) if _is_as_long(run, signals) else np.inf for run in self.runs]
+        alike = [place for place, deviation in enumerate(off) if deviation <= MOST_DEVIATION]
+        if not alike:
+            nearest = int(np.argmin(off))
+            much = f"the nearest, {self.runs[nearest].name}, is off by {100 * off[nearest]:.2g} % of the stroke"
+            how = "none is as long" if np.isinf(off[nearest]) else much
             raise InputError(
                 f"recordings of the simulator: none has the motion of the run of {signals.time[-1] - signals.time[0]:.4g} s "
                 f"({how}); let the simulator run along the recorded position and current of each run, from its first sample"
             )
+        # Of several with the motion, such as a sine at several currents, the current tells.
+        best = min(alike, key=lambda place: (_of_current(self.runs[place], signals), off[place]))
         return _along(self.runs[best], signals, _shift(self.runs[best], signals), self.runs[best].force)
 
 
@@ -73,11 +75,10 @@ def _shift(run: Run, signals: Signals) -> float:
     return best if _off(run, signals, best) < FAR_BETTER * _off(run, signals, 0.0) else 0.0
 
 
-def _deviation(run: Run, signals: Signals) -> float:
-    """Return the rms difference of motion and current over their ranges; infinite where the recording is too short."""
-    if signals.time[-1] - signals.time[0] > run.time[-1] - run.time[0] + MOST_MISSING:
-        return np.inf
-    shift = _shift(run, signals)
-    most = max(float(np.abs(run.current).max()), float(np.abs(signals.current).max()), np.finfo(float).tiny)
-    current = float(np.sqrt(np.mean((_along(run, signals, shift, run.current) - signals.current) ** 2))) / most
-    return float(np.hypot(_off(run, signals, shift), current))
+def _is_as_long(run: Run, signals: Signals) -> bool:
+    return bool(signals.time[-1] - signals.time[0] <= run.time[-1] - run.time[0] + MOST_MISSING)
+
+
+def _of_current(run: Run, signals: Signals) -> float:
+    """Return the rms difference of current in A."""
+    return float(np.sqrt(np.mean((_along(run, signals, _shift(run, signals), run.current) - signals.current) ** 2)))
