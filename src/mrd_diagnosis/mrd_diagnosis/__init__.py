@@ -1,6 +1,6 @@
 """Diagnosis of the gap between simulator and recordings: where it lies, which effect causes it, how far it closes."""
 
-from mrd_diagnosis.diagnose import diagnose
+from mrd_diagnosis.diagnose import BEST_MODEL, diagnose
 from mrd_diagnosis.diagnosis import Candidate, Cause, Diagnosis, Finding, Gap, Interval, Region
 from mrd_diagnosis.report.gap_file import read_gap_report
 from mrd_diagnosis.report.page import write_gap_report
@@ -10,6 +10,7 @@ from mrd_diagnosis.trend.trend import Trend, trend
 from mrd_diagnosis.validation.validate import ValidatedRun, Validation, validate
 
 __all__ = [
+    "BEST_MODEL",
     "Candidate",
     "Cause",
     "Diagnosis",

@@ -12,8 +12,7 @@ from typing import Any
 
 from mrd_base import InputError
 from mrd_base.version import VERSION
-from mrd_diagnosis import Diagnosis, Interval, diagnose
-from mrd_diagnosis.diagnose import BEST_MODEL
+from mrd_diagnosis import BEST_MODEL, Diagnosis, Interval, diagnose
 from mrd_runs import Run
 from mrd_sim.simulators.recorded import RecordedSimulator
 from mrd_trials.excitation import BEFORE_AFTER, BLACK_BOX

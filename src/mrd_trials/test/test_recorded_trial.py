@@ -215,7 +215,9 @@ def test_another_method_can_diagnose_and_is_scored(trial, tmp_path):
 
 
 def test_a_comparison_needs_a_method_that_compares(trial, tmp_path):
-    with pytest.raises(InputError, match="is to be compared with earlier runs, but this diagnosis takes no reference"):
+    with pytest.raises(
+        InputError, match="is to be compared with recordings as reference, but this diagnosis takes no reference"
+    ):
         run_trial(trial[0], tmp_path, installed_diagnoser(), method=without_reference)
 
 
