@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.notebook import html_table, text_table
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_identification.preflight.finding import Finding as Finding
 from mrd_identification.recording import Recording
@@ -527,16 +528,12 @@ class Diagnosis:
         return f"<Diagnosis {self.verdict}{': ' if causes else ''}{causes}>"
 
     def _repr_html_(self) -> str:
-        rows = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in self._rows()]
-        head = "".join(f"<th>{text}</th>" for text in _COLUMNS)
-        table = f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>" if rows else ""
+        table = html_table([_COLUMNS, *self._rows()]) if self.candidates else ""
         return f"<p>{escape(self.sentence)}</p>{table}"
 
     def summary(self) -> str:
         """Return the verdict, the findings about the recordings, and the effects that were tried, as text."""
-        rows = [_COLUMNS, *self._rows()] if self.candidates else []
-        widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))] if rows else []
-        table = ["  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        table = text_table([_COLUMNS, *self._rows()]) if self.candidates else []
         findings = [f"{finding.severity}: {finding.sentence}" for finding in self.findings]
         return "\n".join([self.sentence, *findings, *table, *(f"note: {note}" for note in self.notes)])
 

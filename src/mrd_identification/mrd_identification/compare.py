@@ -3,13 +3,13 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.notebook import html_table, text_table
 from mrd_base.progress import ignore
 from mrd_identification.fit import Fit
 from mrd_identification.identify import IdentificationTask, identify_all
@@ -100,17 +100,11 @@ class Comparison:
         return f"<Comparison of {len(self.entries)} models: {self.best.name} is best, NRMSE {self.best.nrmse:.4f}>"
 
     def _repr_html_(self) -> str:
-        rows = ["".join(f"<td>{escape(text)}</td>" for text in row) for row in self._rows()]
-        head = "".join(f"<th>{text}</th>" for text in _COLUMNS)
-        return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+        return html_table([_COLUMNS, *self._rows()])
 
     def summary(self) -> str:
         """Return the models with their errors, 95 % intervals and numbers of parameters, as text."""
-        rows = [_COLUMNS, *self._rows()]
-        widths = [max(len(row[column]) for row in rows) for column in range(len(_COLUMNS))]
-        return "\n".join(
-            "  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
-        )
+        return "\n".join(text_table([_COLUMNS, *self._rows()]))
 
     def plot(self) -> "go.Figure":
         """Return the figure of the models' errors with their intervals, which a notebook shows."""

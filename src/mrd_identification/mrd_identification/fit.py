@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.notebook import html_table
 from mrd_base.quantities import quantity
 from mrd_identification.effect_selection import Selection
 from mrd_identification.method import Method
@@ -194,8 +195,7 @@ class Fit:
         return f"<Fit of {self.model!r} to {len(self.fitted)} runs: NRMSE {self.pooled.nrmse:.4f}>"
 
     def _repr_html_(self) -> str:
-        rows = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in row)}</tr>" for row in self._rows())
-        return f"<p>{escape(self.sentence)}</p><table>{rows}</table>"
+        return f"<p>{escape(self.sentence)}</p>{html_table(self._rows())}"
 
     def validate(self, runs: "Sequence[Run]", **options: Any) -> Any:
         """Predict runs to which the model was not fitted; see `mrd_diagnosis.validate`, which takes the ``options``."""
