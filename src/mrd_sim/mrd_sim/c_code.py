@@ -9,7 +9,6 @@ Newton's method needs.
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from importlib import resources
 from string import Template
 
@@ -124,9 +123,8 @@ def _simulator_parts(
     """Return the parts of the C file that add the force of a simulator of the user's own; empty ones without it."""
     if not model.stands_for:
         return dict.fromkeys(_SIMULATOR_PARTS, "")
-    without = replace(model, effects=(), stands_for="")
-    parameters = ", ".join(c_number(value) for value in without.vector(plain or {}))
-    place = without.names.index("coil_lag")
+    parameters = ", ".join(c_number(value) for value in model.alone.vector(plain or {}))
+    place = model.alone.names.index("coil_lag")
     return {
         "simulator_argument": ", simulator_force",
         "simulator_parameter": ", double simulator",

@@ -130,7 +130,7 @@ class Damper:
                 f"the force of the simulator {self.model.stands_for} is missing, which this damper corrects; expected one "
                 "value for each sample"
             )
-        without = replace(self.model, effects=(), stands_for="")
+        without = self.model.alone
         excess = np.asarray(simulator, np.float64) - without.force(without.vector(self.plain), path)
         return replace(path, excess=np.interp(np.cumsum(path.dt), time - time[0], excess))
 

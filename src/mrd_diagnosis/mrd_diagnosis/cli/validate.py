@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from mrd_base import InputError, run_tool
 from mrd_diagnosis.report.validation_page import validation_sentence, write_validation
@@ -17,7 +16,7 @@ from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
 from mrd_sim.simulators.command import COMMAND
-from mrd_sim.simulators.opening import KINDS
+from mrd_sim.simulators.opening import is_simulator
 
 ABOVE_LIMIT = 1
 """Exit status where the error is above the limit."""
@@ -53,12 +52,12 @@ def work() -> None:
     arguments = parser.parse_args()
     if arguments.limit is not None and not arguments.limit > 0.0:
         raise InputError(f"--limit is {arguments.limit:g}, expected a positive number of per cent")
-    is_simulator = arguments.damper.startswith(COMMAND) or Path(arguments.damper).suffix.lower() in KINDS
-    if is_simulator and arguments.simulator:
+    by_itself = is_simulator(arguments.damper)
+    if by_itself and arguments.simulator:
         raise InputError(f"{arguments.damper}: is a simulator, and --simulator names another one; give one of them")
-    if is_simulator:
+    if by_itself:
         arguments.simulator = [arguments.damper]
-    damper = None if is_simulator else load_damper(arguments.damper)
+    damper = None if by_itself else load_damper(arguments.damper)
     (runs,) = with_force_filters([read_runs(arguments.runs, arguments.skip)], arguments.force_filter, "--force-filter")
     look_at_runs(
         runs, arguments.anyway, None if damper is None else damper.model, remedy="predict them as they are with --anyway"

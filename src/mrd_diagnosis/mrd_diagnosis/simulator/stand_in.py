@@ -163,10 +163,9 @@ def with_excess(
     forces : sequence of ndarray (n,)
         Force in N of the simulator at the samples of each.
     """
-    alone = replace(model, effects=(), stands_for="")
 
     def of_one(recording: Recording, force: Array) -> Recording:
-        smoothed = replace(recording.smoothed, excess=force - alone.force(theta, recording.path.recorded))
+        smoothed = replace(recording.smoothed, excess=force - model.alone.force(theta, recording.path.recorded))
         return replace(recording, smoothed=smoothed, path=run_path(smoothed).led_in(recording.path.lead_in))
 
     return tuple(in_threads(lambda pair: of_one(*pair), list(zip(recordings, forces, strict=True))))

@@ -161,8 +161,8 @@ def _corrected(damper: Damper, recordings: Sequence[Recording], simulator: Simul
         raise InputError(
             f"the diagnosis corrects the simulator {damper.model.stands_for}; give it as well, with --simulator"
         )
-    plain = replace(damper.model, effects=(), stands_for="")
-    return with_excess(damper.model, plain.vector(damper.plain), recordings, simulated_forces(simulator, recordings))
+    plain = damper.model.alone.vector(damper.plain)
+    return with_excess(damper.model, plain, recordings, simulated_forces(simulator, recordings))
 
 
 def _validated(result: RunResult, noise: RunNoise, exceeds: str, offsets: bool, gains: bool) -> ValidatedRun:

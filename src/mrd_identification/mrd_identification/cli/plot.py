@@ -15,7 +15,7 @@ from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.cli.simulator_options import add_variable_arguments, parse_inputs
 from mrd_sim.damper import Damper
 from mrd_sim.simulators.command import COMMAND
-from mrd_sim.simulators.opening import KINDS, open_simulator
+from mrd_sim.simulators.opening import is_simulator, open_simulator
 from mrd_sim.simulators.simulator import Simulator
 
 DAMPER_FILES = (".json", ".yaml", ".yml")
@@ -46,7 +46,7 @@ def work() -> None:
     add_models_folder(parser)
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the page")
     arguments = parser.parse_args()
-    simulators = [name for name in arguments.sources if name.startswith(COMMAND) or Path(name).suffix.lower() in KINDS]
+    simulators = [name for name in arguments.sources if is_simulator(name)]
     dampers = [name for name in arguments.sources if Path(name).suffix.lower() in DAMPER_FILES and Path(name).is_file()]
     paths = [name for name in arguments.sources if name not in (*simulators, *dampers)]
     if not paths:

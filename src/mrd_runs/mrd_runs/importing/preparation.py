@@ -8,6 +8,7 @@ from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from mrd_base import InputError
 from mrd_runs.formats import Recording
+from mrd_runs.validation import FEWEST_SAMPLES
 
 Array = NDArray[np.float64]
 
@@ -16,9 +17,6 @@ ORDER = 2
 
 HIGHEST = 0.45
 """Share of the sampling rate below which the corner frequency must lie."""
-
-LEAST_SAMPLES = 50
-"""Samples that have to be left."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +60,10 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
     since = time - time[0]
     if wanted.start > 0.0 or np.isfinite(wanted.end):
         inside = np.flatnonzero((since >= wanted.start) & (since <= wanted.end))
-        if len(inside) < LEAST_SAMPLES:
+        if len(inside) < FEWEST_SAMPLES:
             raise InputError(
                 f"{where}: --crop leaves {len(inside)} of {len(time)} samples; it lasts {since[-1]:.4g} s, expected at "
-                f"least {LEAST_SAMPLES} samples"
+                f"least {FEWEST_SAMPLES} samples"
             )
         first = int(inside[0])
         columns = {name: series[inside] for name, series in columns.items()}
@@ -83,7 +81,7 @@ def prepare(recording: Recording, wanted: Preparation, where: str) -> Recording:
         columns |= {name: sosfiltfilt(sections, columns[name]) for name in signals}
         notes.append(f"all signals filtered alike, forward and backward, by a low-pass of {wanted.low_pass:g} Hz")
     if wanted.every > 1:
-        if len(time) // wanted.every < LEAST_SAMPLES:
+        if len(time) // wanted.every < FEWEST_SAMPLES:
             raise InputError(f"{where}: --decimate {wanted.every} leaves {len(time) // wanted.every} samples, expected more")
         columns |= {name: resample_poly(columns[name], 1, wanted.every, padtype="line") for name in signals}
         columns["time_s"] = time[:: wanted.every]

@@ -149,6 +149,11 @@ class DamperModel:
         return extended
 
     @cached_property
+    def alone(self) -> "DamperModel":
+        """The model without effects, standing for no simulator."""
+        return replace(self, effects=(), stands_for="")
+
+    @cached_property
     def laws(self) -> dict[str, str]:
         """Current law of every coefficient that may depend on current, by its name."""
         return {coefficient.name: coefficient.law for coefficient in self.coefficients if coefficient.per_ampere}

@@ -17,6 +17,11 @@ KINDS = {".fmu": "fmu", ".py": "python"}
 """Kind of simulator by the end of its name; every other file is a recording of one."""
 
 
+def is_simulator(name: str) -> bool:
+    """Return whether a name on a command line is that of an FMU, a Python file or a command, and of no recording."""
+    return name.startswith(COMMAND) or Path(name).suffix.lower() in KINDS
+
+
 def open_simulator(
     sources: str | Path | Sequence[str | Path],
     *,

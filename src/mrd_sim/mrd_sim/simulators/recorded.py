@@ -41,7 +41,10 @@ class RecordedSimulator(Simulator):
         """Return the recorded force (n,) in N at the times of ``signals``; see `Simulator.force`."""
         if values:
             raise InputError("a recorded simulator has no parameters; give the simulator itself, or record it once more")
-        off = [_off(run, signals, _shift(run, signals)) if _is_as_long(run, signals) else np.inf for run in self.runs]
+        shifts = [_shift(run, signals) if _is_as_long(run, signals) else np.nan for run in self.runs]
+        off = [
+            np.inf if np.isnan(shift) else _off(run, signals, shift) for run, shift in zip(self.runs, shifts, strict=True)
+        ]
         alike = [place for place, deviation in enumerate(off) if deviation <= MOST_DEVIATION]
         if not alike:
             nearest = int(np.argmin(off))
@@ -52,8 +55,8 @@ class RecordedSimulator(Simulator):
                 f"({how}); let the simulator run along the recorded position and current of each run, from its first sample"
             )
         # Of several with the motion, such as a sine at several currents, the current tells.
-        best = min(alike, key=lambda place: (_of_current(self.runs[place], signals), off[place]))
-        return _along(self.runs[best], signals, _shift(self.runs[best], signals), self.runs[best].force)
+        best = min(alike, key=lambda place: (_of_current(self.runs[place], signals, shifts[place]), off[place]))
+        return _along(self.runs[best], signals, shifts[best], self.runs[best].force)
 
 
 def _along(run: Run, signals: Signals, shift: float, series: Array) -> Array:
@@ -79,6 +82,6 @@ def _is_as_long(run: Run, signals: Signals) -> bool:
     return bool(signals.time[-1] - signals.time[0] <= run.time[-1] - run.time[0] + MOST_MISSING)
 
 
-def _of_current(run: Run, signals: Signals) -> float:
+def _of_current(run: Run, signals: Signals, shift: float) -> float:
     """Return the rms difference of current in A."""
-    return float(np.sqrt(np.mean((_along(run, signals, _shift(run, signals), run.current) - signals.current) ** 2)))
+    return float(np.sqrt(np.mean((_along(run, signals, shift, run.current) - signals.current) ** 2)))
