@@ -26,6 +26,7 @@ from mrd_diagnosis.recordings.recording_set import RecordingSet, held_out_by
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
 from mrd_diagnosis.search.alternative_models import best_model
 from mrd_diagnosis.search.model_comparison import ModelComparison
+from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import note_on, represent
 from mrd_diagnosis.wrong_form.flexible_remainder import explainable_fraction
 from mrd_identification.fit_file import StoredFit
@@ -72,6 +73,7 @@ def diagnose(
     reference: Sequence[Run] = (),
     parameters: StoredFit | None = None,
     simulator: Simulator | None = None,
+    free: Mapping[str, tuple[float, float] | None] | None = None,
     laws: str | Mapping[str, str] | None = None,
     effects: Sequence[str] = (),
     bench: GeneratorSettings | None = None,
@@ -96,6 +98,9 @@ def diagnose(
     simulator : Simulator, optional
         A simulator of the user's own. ``model`` is then the one of the catalogue that stands for it, by default the one that
         reproduces it best; see `mrd_diagnosis.simulator.stand_in`.
+    free : mapping, optional
+        Parameters of ``simulator`` that are refitted to the recordings first: lower and upper bound by name, or None for the
+        bounds that the simulator states.
     laws : str or mapping, optional
         Current laws; see `mrd_sim.models.DamperModel.with_laws`.
     effects : sequence of str
@@ -139,6 +144,8 @@ def diagnose(
     if simulator:
         progress("asking the simulator", 0.02)
         given = "" if model == BEST_MODEL else model
+        if free:
+            simulator = refit_parameters(simulator, recordings.fitted, free)
         stand_in, recordings, limits = represent(simulator, recordings, scales, np.random.default_rng(seed), given)
         findings = (*findings, *limits)
         base, theta = stand_in.model, stand_in.theta

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,17 @@ from mrd_diagnosis import diagnose, validate
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
+from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_identification.export import export_damper, load_damper
 from mrd_identification.plot import write_plot
 from mrd_identification.recording import prepare_recording
 from mrd_runs import read_runs
 from mrd_runs.scales import scales_of
+from mrd_sim.cli.simulator_options import parse_values_set
 from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.models import find_model
+from mrd_sim.simulators.adjusted import AdjustedSimulator
 from mrd_sim.simulators.opening import open_simulator
 from mrd_sim.simulators.simulator import signals_of
 
@@ -240,3 +244,61 @@ def test_the_report_draws_where_the_effects_act(of_fmu):
     titles = [link.title for link in chain]
     assert titles.index("in series with the damper") + 1 == titles.index("Simulator mine.fmu")
     assert [link.effects for link in chain if link.effects] == [("play in a joint",)]
+
+
+def test_free_parameters_are_refitted_first(runs, tmp_path):
+    (tmp_path / "mine.py").write_text(SIMULATOR)
+    recordings = [prepare_recording(run) for run in runs]
+    noise = np.random.default_rng(0)
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        measured = []
+        for number, recording in enumerate(recordings):
+            force = simulator.force(signals_of(recording.smoothed), {"c": 1400.0, "f1": 500.0}) + 10.0 * number
+            measured.append(prepare_recording(replace(recording.run, force=force + noise.normal(0.0, 1.0, len(force)))))
+        refitted = refit_parameters(simulator, measured, {"c": (100.0, 5000.0), "f1": None})
+        assert refitted.parameters["c"].value == pytest.approx(1400.0, rel=1e-2)
+        assert refitted.parameters["f1"].value == pytest.approx(500.0, rel=1e-2)
+        assert refitted.parameters["f0"].value == 20.0
+        assert "c from 900 to 14" in refitted.notes[-1]
+        # The command that opens it gives the same force.
+        _, _, values = refitted.source.partition(" --set ")
+        again = AdjustedSimulator(simulator, parse_values_set(values.split()))
+        along = signals_of(recordings[0].smoothed)
+        np.testing.assert_array_equal(again.force(along), refitted.force(along))
+
+        with pytest.raises(InputError, match="expected around its value"):
+            refit_parameters(simulator, measured, {"c": (1000.0, 2000.0)})
+        with pytest.raises(InputError, match="has no parameter k"):
+            refit_parameters(simulator, measured, {"k": None})
+        bounded = refit_parameters(simulator, measured, {"c": (100.0, 1000.0)})
+        assert "c from 900 to 1000, which is its bound" in bounded.notes[-1]
+
+
+def test_a_parameter_without_influence_is_no_free_one(runs, tmp_path):
+    (tmp_path / "mine.py").write_text(SIMULATOR.replace('"c": 900.0,', '"c": 900.0, "unused": 1.0, "zero": 0.0,'))
+    recordings = [prepare_recording(run) for run in runs[:1]]
+    with open_simulator(tmp_path / "mine.py") as simulator:
+        with pytest.raises(InputError, match="does not depend on the parameter unused"):
+            refit_parameters(simulator, recordings, {"c": None, "unused": None})
+        with pytest.raises(InputError, match="give them: --free zero:LOW:HIGH"):
+            refit_parameters(simulator, recordings, {"zero": None})
+
+
+@pytest.mark.timeout(600)
+def test_the_diagnosis_goes_around_the_refitted_simulator(runs, tmp_path):
+    (tmp_path / "mine.py").write_text(SIMULATOR)
+    free = ["--free", "c", "f0", "f1", "--effects", "joint_play,gas_spring", "--model", "hyperbolic_tangent"]
+    done = subprocess.run(
+        [
+            *[sys.executable, "-m", "mrd_cli.cli.mrd", "diagnose", *map(str, sorted(EXAMPLE.glob("*.csv")))],
+            *["--simulator", str(tmp_path / "mine.py"), *free, "--output", str(tmp_path / "gap")],
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "gap" / "gap_report.json").read_text())
+    assert "--set c=" in report["simulator"]["source"]
+    assert "Parameters of mine.py were refitted first: c from 900 to" in done.stdout
+    assert report["causes"][0]["effect"] == "joint_play"

@@ -10,9 +10,11 @@ import pytest
 
 from mrd_base import InputError
 from mrd_runs import Run
+from mrd_sim.cli.simulator_options import parse_free, parse_values_set
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.models import find_model
 from mrd_sim.path import make_path
+from mrd_sim.simulators.adjusted import AdjustedSimulator
 from mrd_sim.simulators.opening import open_simulator
 from mrd_sim.simulators.recorded import RecordedSimulator
 from mrd_sim.simulators.simulator import Signals
@@ -139,7 +141,8 @@ def test_a_simulator_that_hangs_is_ended(tmp_path):
 def test_nothing_runs_on_when_the_bench_is_killed(tmp_path):
     file = write(tmp_path, "import time as clock\ndef force(time):\n    while True: clock.sleep(0.01)\n")
     user = f"""
-    from mrd_sim.simulators.opening import open_simulator
+    from mrd_sim.simulators.adjusted import AdjustedSimulator
+from mrd_sim.simulators.opening import open_simulator
     from mrd_sim.simulators.simulator import Signals
     import numpy as np
     open_simulator({str(file)!r}, limit=60.0).force(Signals(*np.zeros((5, 10))))
@@ -407,3 +410,28 @@ def test_what_is_no_simulator_is_refused(tmp_path, own_fmu):
         with pytest.raises(InputError) as error:
             open_simulator(sources, **options)
         assert message in str(error.value)
+
+
+def test_set_parameters_act_in_every_answer_and_stand_in_the_source(tmp_path):
+    given = signals()
+    with AdjustedSimulator(open_simulator(write(tmp_path, FUNCTION)), {"c": 450.0}) as simulator:
+        np.testing.assert_allclose(simulator.force(given), expected(given, 450.0), rtol=1e-12)
+        assert simulator.parameters["c"].value == 450.0
+        assert simulator.source.endswith("simulator.py --set c=450.0")
+        with pytest.raises(InputError, match=r"has no parameter d \(parameters: c\)"):
+            AdjustedSimulator(simulator, {"d": 1.0})
+        with pytest.raises(InputError, match="the parameter c is 6000, expected 0 to 5000"):
+            AdjustedSimulator(simulator, {"c": 6000.0})
+
+
+@pytest.mark.parametrize("entry", ["c", "=3", "c=", "c=much", "c=inf"])
+def test_what_is_no_value_is_refused(entry):
+    with pytest.raises(InputError, match="expected NAME=VALUE"):
+        parse_values_set([entry])
+
+
+def test_free_parameters_have_bounds_or_not():
+    assert parse_free(["a.b[1]", "c:0:5e3"]) == {"a.b[1]": None, "c": (0.0, 5e3)}
+    for entry in ("c:1", "c:x:2"):
+        with pytest.raises(InputError, match="expected NAME or NAME:LOW:HIGH"):
+            parse_free([entry])

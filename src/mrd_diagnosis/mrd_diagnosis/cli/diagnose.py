@@ -26,7 +26,7 @@ from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
-from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator
+from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator, parse_free
 from mrd_sim.current import LAWS, parse_laws
 from mrd_sim.effects import find_effects
 from mrd_sim.models import MODELS, find_model
@@ -63,6 +63,13 @@ def work() -> None:
     )
     add_simulator_arguments(parser)
     parser.add_argument(
+        "--free",
+        nargs="+",
+        default=[],
+        metavar="NAME[:LOW:HIGH]",
+        help="parameters of the simulator that are refitted to the recordings first",
+    )
+    parser.add_argument(
         "--parameters",
         metavar="FIT.json",
         help="parameters of the simulator as it is, from identify; default: fit the model first",
@@ -96,6 +103,9 @@ def work() -> None:
             "--simulator: found --parameters or --law as well, which belong to a model of the catalogue; leave them out"
         )
     parameters = read_fit(arguments.parameters) if arguments.parameters else None
+    free = parse_free(arguments.free)
+    if free and not arguments.simulator:
+        raise InputError("--free: names parameters of a simulator, and there is no --simulator")
     bench = read_settings(arguments.bench)
     runs, held_out, reference = read_arguments_runs(arguments, "reference")
     folder = make_folder(arguments.output)
@@ -108,6 +118,7 @@ def work() -> None:
             reference=reference,
             parameters=parameters,
             simulator=simulator,
+            free=free,
             laws=laws or None,
             effects=effects,
             bench=bench,

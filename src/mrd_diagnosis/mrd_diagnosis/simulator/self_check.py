@@ -55,7 +55,7 @@ def check_simulator(simulator: Simulator, recordings: Sequence[Recording], force
     """
     first = signals_of(recordings[0].smoothed)
     largest = max(float(np.abs(force).max()) for force in forces)
-    _check_against(simulator.name, recordings, forces)
+    check_against_force(simulator.name, recordings, forces)
     if isinstance(simulator, RecordedSimulator):
         return ()
     again = simulator.force(first)
@@ -73,8 +73,14 @@ def check_simulator(simulator: Simulator, recordings: Sequence[Recording], force
     return (*told, *ahead, *(late or _depends_on_step(simulator, recordings[0], forces[0])))
 
 
-def _check_against(name: str, recordings: Sequence[Recording], forces: Sequence[Array]) -> None:
-    """Refuse a force of another sign or unit than the measured one."""
+def check_against_force(name: str, recordings: Sequence[Recording], forces: Sequence[Array]) -> None:
+    """Refuse a force of another sign or unit than the measured one.
+
+    Raises
+    ------
+    InputError
+        With the name of the simulator, and what its force seems to be.
+    """
     simulated = np.concatenate([force - force.mean() for force in forces])
     measured = np.concatenate([recording.run.force - recording.run.force.mean() for recording in recordings])
     size = float(np.std(simulated))

@@ -1,10 +1,12 @@
 """Options that name a simulator of the user's own."""
 
 import argparse
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from mrd_base import InputError
+from mrd_sim.simulators.adjusted import AdjustedSimulator
 from mrd_sim.simulators.command import COMMAND
 from mrd_sim.simulators.opening import open_simulator
 from mrd_sim.simulators.process import TIME_LIMIT
@@ -20,6 +22,9 @@ def add_simulator_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="a simulator of your own: an FMU, a Python file with a function force, a command after "
         f"'{COMMAND}', or recordings of a simulator, one for each run",
+    )
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="other values of the simulator's parameters"
     )
     add_variable_arguments(parser)
 
@@ -54,9 +59,10 @@ def opened_simulator(arguments: argparse.Namespace) -> Iterator[Simulator | None
         As of `mrd_sim.simulators.opening.open_simulator`; also for options of a simulator without one.
     """
     inputs = parse_inputs(arguments.inputs)
+    values = parse_values_set(arguments.set)
     if not arguments.simulator:
-        if inputs or arguments.output_variable:
-            raise InputError("--inputs and --output-variable: name variables of an FMU, and there is no --simulator")
+        if inputs or arguments.output_variable or values:
+            raise InputError("--inputs, --output-variable and --set: belong to a simulator, and there is no --simulator")
         yield None
         return
     with open_simulator(
@@ -66,7 +72,7 @@ def opened_simulator(arguments: argparse.Namespace) -> Iterator[Simulator | None
         limit=arguments.simulator_limit,
         skip=getattr(arguments, "skip", 0.0),
     ) as simulator:
-        yield simulator
+        yield AdjustedSimulator(simulator, values) if values else simulator
 
 
 def parse_inputs(text: str) -> dict[str, str]:
@@ -76,3 +82,30 @@ def parse_inputs(text: str) -> dict[str, str]:
         if not (quantity and equals and variable):
             raise InputError(f"--inputs: found {quantity}{equals}{variable}, expected QUANTITY=VARIABLE,...")
     return {quantity.strip(): variable.strip() for quantity, _, variable in pairs}
+
+
+def parse_values_set(entries: Sequence[str]) -> dict[str, float]:
+    """Read parameters by name from ``NAME=VALUE`` each."""
+    values = {}
+    for entry in entries:
+        name, _, text = entry.rpartition("=")
+        try:
+            values[name] = float(text)
+        except ValueError:
+            values[name] = math.nan
+        if not (name and math.isfinite(values[name])):
+            raise InputError(f"--set: found {entry}, expected NAME=VALUE with a number")
+    return values
+
+
+def parse_free(entries: Sequence[str]) -> dict[str, tuple[float, float] | None]:
+    """Read bounds of parameters by name from ``NAME`` or ``NAME:LOW:HIGH`` each."""
+    free: dict[str, tuple[float, float] | None] = {}
+    for entry in entries:
+        parts = entry.rsplit(":", 2)
+        try:
+            bounds = None if len(parts) == 1 else (float(parts[1]), float(parts[2]))
+        except (ValueError, IndexError):
+            raise InputError(f"--free: found {entry}, expected NAME or NAME:LOW:HIGH with two numbers") from None
+        free[parts[0]] = bounds
+    return free
