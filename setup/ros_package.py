@@ -28,6 +28,7 @@ def setup_ros_package() -> None:
         },
         data_files=[("share/ament_index/resource_index/packages", [f"resource/{name}"]), (f"share/{name}", ["package.xml"])],
         install_requires=["setuptools"],
+        extras_require={"test": ["pytest"]},  # without it, `colcon test` runs no test and reports success
         zip_safe=True,
         entry_points={"console_scripts": [f"{command} = {module}:main" for command, module in executables(name)]},
         options={"develop": {"script_dir": scripts}, "install": {"install_scripts": scripts}},

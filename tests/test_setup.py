@@ -9,6 +9,8 @@ from pathlib import Path
 
 import psutil
 import pytest
+from colcon_core.task.python.test import has_test_dependency
+from colcon_python_setup_py.package_identification.python_setup_py import get_setup_information
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHON = sys._base_executable
@@ -288,3 +290,9 @@ def test_nodes_can_be_reached_from_this_machine_only():
         node.communicate("\n", timeout=20)
     assert "127.0.0.1" in bound
     assert bound <= {"127.0.0.1", "239.255.0.1"}
+
+
+@pytest.mark.parametrize("folder", sorted((ROOT / "src").glob("*/test")), ids=lambda folder: folder.parent.name)
+def test_colcon_test_runs_the_tests_of_a_package(folder):
+    information = get_setup_information(folder.parent / "setup.py")
+    assert has_test_dependency(information, "pytest"), "colcon would run no test, and report success"
