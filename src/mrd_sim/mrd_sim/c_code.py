@@ -23,9 +23,10 @@ from mrd_sim.models import DamperModel
 from mrd_sim.path import Path
 from mrd_sim.series_elements import SHORTEST_STEP
 
+_DAMPER = ("double *",) * 7
 _KERNEL = ("double *",) * 8
 _ELONGATION = ("double *", "double", "double", "double", "double")
-"""C types of the parameters of an effect's kernel and of an elongation, whatever their annotations."""
+"""C types of the parameters of a damper model's kernel, an effect's kernel and an elongation, whatever their annotations."""
 
 
 def c_source(
@@ -62,8 +63,8 @@ def c_source(
     theta = model.vector(values)
     names = [coefficient.name for coefficient in model.coefficients]
     unit = CUnit(names, {f"{prefix}_{name}" for name in ("init", "step", "state", "parameter", "parameters")})
-    functions = (current.lagged_current, current.evaluate_coefficients, model.kernel)
-    lag, laws, kernel = (unit.function(function).name for function in functions)
+    lag, laws = (unit.function(function).name for function in (current.lagged_current, current.evaluate_coefficients))
+    kernel = unit.function(model.kernel, _DAMPER).name
     state = _state_at_rest(model)
     before = _acting(model, ("drive", "magnetics"), "current", prefix, unit)
     after = _acting(model, ("fluid", "structure", "sensing"), "effective", prefix, unit)
@@ -183,7 +184,7 @@ def _series(model: DamperModel, states: int, prefix: str, unit: CUnit) -> str:
             + "\n"
             for index, element in enumerate(elements)
         ),
-        kernel=unit.function(model.kernel).name,
+        kernel=unit.function(model.kernel, _DAMPER).name,
     )
 
 

@@ -253,8 +253,10 @@ class _Function:
 
     def _c_type(self, arg: ast.arg) -> str:
         annotation = ast.unparse(arg.annotation) if arg.annotation else ""
+        if not annotation:
+            raise self._refuse(arg, f"parameter {arg.arg} without a type (write {arg.arg}: float, int, bool or Array)")
         if annotation not in _C_TYPES:
-            raise self._refuse(arg, f"parameter {arg.arg} of type {annotation or 'unknown'}")
+            raise self._refuse(arg, f"parameter {arg.arg} of type {annotation}")
         return _C_TYPES[annotation]
 
     def _made_by(self, function: Callable[..., Any], nodes: Sequence[ast.AST]) -> dict[str, ast.Call]:

@@ -16,6 +16,8 @@ from mrd_sim.current import LAWS
 from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS, find_model
 from mrd_sim.models.model import Array
+from mrd_sim.models_page import EXAMPLE
+from mrd_sim.own import own_catalogue
 from mrd_sim.path import make_path
 
 COMPILER = shutil.which("cc")
@@ -187,9 +189,14 @@ def exchanged(a: float, b: float, scale: float = 1.0) -> tuple[float, float]:
 
 
 @njit
+def untyped(speed):  # type: ignore[no-untyped-def]
+    return 2.0 * speed
+
+
+@njit
 def awkward(q, state, dt, x, v, a, force):  # type: ignore[no-untyped-def]
     for k in range(len(x)):
-        force[k] = q[k, 0]
+        force[k] = untyped(v[k])
 
 
 @njit
@@ -240,13 +247,25 @@ def test_arithmetic_means_the_same(tmp_path):
     assert np.abs(force - expected).max() <= 1e-9 * np.abs(expected).max()
 
 
+@needs_compiler
+def test_the_model_of_ones_own_in_the_docs_has_a_translation(tmp_path):
+    (tmp_path / "mine.py").write_text(EXAMPLE)
+    with own_catalogue(str(tmp_path)):
+        model = find_model("asymmetric_bingham")
+        (tmp_path / "damper.c").write_text(c_source(model, {}), encoding="utf-8")
+    subprocess.run([COMPILER, *STRICT, "damper.c", "-o", "damper.so", "-lm"], cwd=tmp_path, check=True)
+    expected = model.force(model.defaults, make_path(*motion(300)))
+    force = Damper(ctypes.CDLL(tmp_path / "damper.so"), "mrd", model).force(*motion(300))
+    assert np.abs(force - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize(
     ("kernel", "words"),
     [
         (with_numpy, r"with_numpy, line \d+: np\.sign\(v\[k\]\) has no translation to C"),
         (truth_of_a_number, r"truth_of_a_number, line \d+: v\[k\] or 1\.0 has no translation to C"),
         (counter_outlives, r"counter_outlives, line \d+: k outside of its loop has no translation to C"),
-        (awkward, r"awkward, line \d+: parameter q of type unknown has no translation to C"),
+        (awkward, r"untyped, line \d+: parameter speed without a type \(write speed: float, int, bool or Array\)"),
     ],
 )
 def test_what_has_no_translation_is_refused(kernel, words):
