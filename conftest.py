@@ -1,5 +1,6 @@
 """All tests of one run share a ROS domain that nobody else uses, and no compiled function is older than its sources."""
 
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ settings.register_profile("fixed", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=1000)
 settings.load_profile("fixed")
 claim_domain()
+# Every process that a suite in the background (nohup, &) starts would ignore Ctrl-C, too, and some tests send it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 stale_kernels.delete_stale_kernels(Path(__file__).parent / "src")
 
 

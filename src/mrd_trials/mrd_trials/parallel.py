@@ -1,9 +1,10 @@
 """The same work for every plant on several processes."""
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from typing import Any, TypeVar
+
+from mrd_base.workers import end_workers, worker_pool
 
 R = TypeVar("R")
 
@@ -17,12 +18,13 @@ def run_in_processes(function: Callable[..., R], arguments: Sequence[tuple[Any, 
         for values in arguments:
             yield function(*values)
         return
-    # Not forked: a copy of a process with threads holds the locks that these hold, and waits for them forever.
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    pool = worker_pool(workers)
+    try:
         futures = [pool.submit(function, *values) for values in arguments]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+        for future in as_completed(futures):
+            yield future.result()
+    except BaseException:
+        # Also where the caller stops: what is computed meanwhile, nobody would hear.
+        end_workers(pool)
+        raise
+    pool.shutdown()

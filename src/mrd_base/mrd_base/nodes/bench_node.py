@@ -416,6 +416,8 @@ def seconds(stamp: Time) -> float:
 def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] = EventsExecutor) -> None:
     """Run a node until SIGINT, SIGTERM or SIGHUP (the terminal was closed), and close it in every case.
 
+    SIGINT and SIGHUP do nothing where they were ignored at the start, as under nohup and in the background of a script.
+
     The exit status is 0 after a signal, and 2 with one line on stderr when the node cannot start as configured. The events
     executor takes less than half of the processor time of the other executors, but keeps a core busy while a coroutine
     waits. Nodes with coroutines as callbacks therefore choose another executor.
@@ -423,9 +425,8 @@ def run_node(factory: Callable[[], BenchNode[Any]], executor: Callable[[], Any] 
     if {"-h", "--help"} & set(sys.argv[1:]):
         run_tool(lambda: print(describe_node(Path(sys.argv[0]).stem, factory)))
         sys.exit(0)
-    signals = {signal.SIGINT, signal.SIGTERM}
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # under nohup, the node outlives its terminal
-        signals.add(signal.SIGHUP)
+    of_terminal = {signal.SIGINT, signal.SIGHUP}
+    signals = {signal.SIGTERM, *(number for number in of_terminal if signal.getsignal(number) is not signal.SIG_IGN)}
     # A handler in Python would not run before the executor returns. All threads inherit that these signals are blocked.
     signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     with output_that_never_waits():
