@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 from plotly.offline import get_plotlyjs
 
-from mrd_base.quantities import four_figures, quantity
+from mrd_base.quantities import four_figures, per_cent, quantity
 from mrd_base.version import VERSION
 
 
@@ -26,6 +26,7 @@ def render(
         loader=jinja2.ChoiceLoader(loaders), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
     environment.filters["figures"] = four_figures
+    environment.filters["per_cent"] = per_cent
     environment.filters["quantity"] = quantity
     page = environment.get_template(f"{template}.html.j2").render(
         plotly=get_plotlyjs() if interactive else "",

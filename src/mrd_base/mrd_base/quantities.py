@@ -10,6 +10,16 @@ def four_figures(value: float) -> str:
     return f"{value:.4g}"
 
 
+def per_cent(share: float) -> str:
+    """Format a share in per cent with three significant figures, or with as many as keep it apart from the whole."""
+    percentage = 100.0 * share
+    text = f"{percentage:.3g}" if abs(percentage) < 1000.0 else f"{percentage:.0f}"
+    if percentage < 100.0 and float(text) >= 100.0:
+        digits = 1 + math.floor(-math.log10(100.0 - percentage))
+        text = f"{percentage:.{digits}f}" if digits < 6 else "more than 99.9999"
+    return text.replace("-", "\N{MINUS SIGN}") + " %"
+
+
 def quantity(value: float, unit: str) -> str:
     """Format a quantity in SI with four significant figures, and with a prefix where it is small or large: 125 µm."""
     first = unit.partition("/")[0].partition(" ")[0]

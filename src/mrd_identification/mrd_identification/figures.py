@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from mrd_base.figures import ACCENT, LAYOUT, MEASURED, MODELLED, MOST_POINTS
-from mrd_identification.fit import Fit, RunResult
+from mrd_base.quantities import per_cent
+from mrd_identification.fit import Estimate, Fit, RunResult
 
 Array = NDArray[np.float64]
 
@@ -22,7 +23,7 @@ def loops(results: Sequence[RunResult], most: int = 3) -> go.Figure:
     figure = make_subplots(
         rows=1 if single else 2,
         cols=2 if single else len(chosen),
-        subplot_titles=[] if single else [f"{r.run.name}<br>NRMSE {r.metrics.nrmse:.3f}" for r in chosen],
+        subplot_titles=[] if single else [f"{r.run.name}<br>NRMSE {per_cent(r.metrics.nrmse)}" for r in chosen],
         vertical_spacing=0.14,
         horizontal_spacing=0.08,
     )
@@ -145,9 +146,18 @@ def pareto_front(fit: Fit) -> go.Figure:
     return figure
 
 
+def has_intervals(fit: Fit) -> bool:
+    """Whether any parameter has an interval that can be drawn."""
+    return bool(_with_intervals(fit))
+
+
+def _with_intervals(fit: Fit) -> list[Estimate]:
+    return [e for e in fit.estimates if not e.fixed and np.isfinite(e.lower) and e.value != 0]
+
+
 def parameters(fit: Fit) -> go.Figure:
     """Draw each free parameter with its 95 % interval, relative to its value."""
-    shown = [e for e in fit.estimates if not e.fixed and np.isfinite(e.lower) and e.value != 0][::-1]
+    shown = _with_intervals(fit)[::-1]
     relative = np.array([[e.lower / e.value, e.upper / e.value] for e in shown]).reshape(-1, 2)
     relative.sort(axis=1)
     figure = go.Figure(

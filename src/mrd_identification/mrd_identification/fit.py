@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base.notebook import html_table
-from mrd_base.quantities import quantity
+from mrd_base.quantities import per_cent, quantity
 from mrd_identification.effect_selection import Selection
 from mrd_identification.method import Method
 from mrd_identification.metrics import Metrics, metrics
@@ -187,12 +187,12 @@ class Fit:
         fitted = "on the run that it was fitted to" if len(self.fitted) == 1 else "on the runs that it was fitted to"
         where = "on runs that it was not fitted to" if self.pooled_held_out else fitted
         return (
-            f"The model explains {self.pooled.vaf:.1f} % of the variance of the force {where}; its rms error is "
-            f"{self.pooled.rmse:.1f} N, {100 * self.pooled.nrmse:.1f} % of the standard deviation of the force."
+            f"The model explains {per_cent(0.01 * self.pooled.vaf)} of the variance of the force {where}; its rms error is "
+            f"{self.pooled.rmse:.3g} N, {per_cent(self.pooled.nrmse)} of the standard deviation of the force."
         )
 
     def __repr__(self) -> str:
-        return f"<Fit of {self.model!r} to {len(self.fitted)} runs: NRMSE {self.pooled.nrmse:.4f}>"
+        return f"<Fit of {self.model!r} to {len(self.fitted)} runs: NRMSE {per_cent(self.pooled.nrmse)}>"
 
     def _repr_html_(self) -> str:
         return f"<p>{escape(self.sentence)}</p>{html_table(self._rows())}"

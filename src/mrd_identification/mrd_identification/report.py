@@ -6,6 +6,7 @@ from typing import Any
 
 from mrd_base import page
 from mrd_base.figures import HALF, MOST_POINTS, to_html
+from mrd_base.quantities import per_cent
 from mrd_base.tool import command
 from mrd_identification import figures
 from mrd_identification.effect_selection import LEAST_IMPROVEMENT
@@ -26,6 +27,8 @@ _EVALUATED_ON = {"runs": "held-out runs", "leave-one-run-out": "each run held ou
 def write_report(fit: Fit, folder: str | Path) -> Path:
     """Write fit.html, a page that needs no network, into ``folder`` and return its path."""
     results, metrics = fit.held_out or fit.fitted, fit.pooled
+    evaluated, used_as = _EVALUATED_ON[fit.held_out_by], "held out" if fit.held_out else "fitted"
+    has_intervals = figures.has_intervals(fit)
     by_error = sorted(results, key=lambda result: -result.metrics.nrmse)
     points = min(POINTS // min(len(results), MOST_RUNS), MOST_POINTS)
     return render(
@@ -36,7 +39,10 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         sentence=fit.sentence,
         loops=to_html(figures.loops(results)),
         over_time=[
-            (f"{result.run.name}, NRMSE {result.metrics.nrmse:.4f}", to_html(figures.force_over_time(result, points)))
+            (
+                f"{result.run.name}, {used_as}, NRMSE {per_cent(result.metrics.nrmse)}",
+                to_html(figures.force_over_time(result, points)),
+            )
             for result in by_error[:MOST_RUNS]
         ],
         omitted=len(by_error[MOST_RUNS:]),
@@ -44,16 +50,16 @@ def write_report(fit: Fit, folder: str | Path) -> Path:
         command=diagnose_command(fit),
         residuals=to_html(figures.residuals(results)),
         front=to_html(figures.pareto_front(fit), HALF),
-        intervals=to_html(figures.parameters(fit), HALF),
-        correlation=to_html(figures.correlation(fit), HALF) if len(fit.correlation) > 1 else "",
+        intervals=to_html(figures.parameters(fit), HALF) if has_intervals else "",
+        correlation=to_html(figures.correlation(fit), HALF) if has_intervals and len(fit.correlation) > 1 else "",
         headline=[
-            (f"NRMSE, {_EVALUATED_ON[fit.held_out_by]}", f"{metrics.nrmse:.4f}"),
-            ("NRMSE, fitted", f"{fit.pooled_fitted.nrmse:.4f}"),
-            ("rms error", f"{metrics.rmse:.2f} N"),
-            ("variance accounted for", f"{metrics.vaf:.2f} %"),
-            ("e2", f"{metrics.e2:.4f} N"),
-            ("einf", f"{metrics.einf:.4f} N"),
-            ("samples", f"{metrics.samples}"),
+            (f"NRMSE, {evaluated}", per_cent(metrics.nrmse)),
+            ("NRMSE, fitted runs", per_cent(fit.pooled_fitted.nrmse)),
+            (f"rms error, {evaluated}", f"{metrics.rmse:.2f} N"),
+            (f"variance accounted for, {evaluated}", per_cent(0.01 * metrics.vaf)),
+            (f"e2, {evaluated}", f"{metrics.e2:.4f} N"),
+            (f"einf, {evaluated}", f"{metrics.einf:.4f} N"),
+            (f"samples, {evaluated}", f"{metrics.samples}"),
         ],
         fit=fit,
         steps=fit.selection.steps if fit.selection else [],

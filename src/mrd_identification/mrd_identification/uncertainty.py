@@ -192,6 +192,9 @@ def _with_intervals(problem: Problem, theta: Array, sandwich: SandwichCovariance
         factor = np.exp(scale / value)
         lower = np.where(problem.log, value / factor, value - scale)
         upper = np.where(problem.log, value * factor, value + scale)
+    # No parameter lies beyond its bounds: the lag of a sensor is not negative.
+    bounds = np.array([problem.model.parameters[place].limits for place in problem.free]).T
+    lower, upper = np.maximum(lower, bounds[0]), np.minimum(upper, bounds[1])
     return replace(result, lower=lower, upper=upper, correlation=correlation)
 
 

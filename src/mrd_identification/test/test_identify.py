@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_base.quantities import quantity
+from mrd_base.quantities import per_cent, quantity
 from mrd_base.version import VERSION
 from mrd_identification import figures, identify, load_damper, metrics, read_fit, write_fit
 from mrd_identification.json_file import make_folder
@@ -388,6 +388,26 @@ def test_the_errors_are_drawn_as_they_are(bouc_wen_fit):
         # A wave spends most of its time at its ends, noise in the middle.
         middle = np.argmin(np.abs(np.array(histogram.x)))
         assert (histogram.y[middle] > 0.8 * normal.y[middle]) == (errors is noise)
+
+
+def test_report_draws_no_intervals_where_there_are_none(bouc_wen_fit, tmp_path):
+    without = tuple(replace(estimate, lower=np.nan, upper=np.nan) for estimate in bouc_wen_fit.estimates)
+    page = write_report(replace(bouc_wen_fit, estimates=without), tmp_path).read_text()
+    assert "Confidence intervals" not in page
+    assert "Correlation of the estimates" not in page
+    assert "There are no intervals" in page
+
+
+def test_no_interval_reaches_beyond_what_a_parameter_can_be():
+    # The data hardly show the lag of the coil, which is 0.
+    fit = identify([simulate("bingham", {"coil_lag": 0.0}, noise=5.0)], "bingham", population=16, generations=5)
+    assert all(e.lower >= e.parameter.limits[0] for e in fit.estimates if np.isfinite(e.lower))
+
+
+def test_a_very_good_fit_does_not_explain_everything(bouc_wen_fit, tmp_path):
+    assert "explains 99.99" in bouc_wen_fit.sentence
+    page = write_report(bouc_wen_fit, tmp_path).read_text()
+    assert all(f"held out, NRMSE {per_cent(of.metrics.nrmse)}" in page for of in bouc_wen_fit.held_out)
 
 
 def test_report_says_what_it_shows_and_where_it_comes_from(bouc_wen_fit, tmp_path):

@@ -5,6 +5,7 @@ import math
 
 from mrd_base import run_tool
 from mrd_base.progress import shown_progress
+from mrd_base.quantities import per_cent
 from mrd_identification.cli.options import (
     add_anyway,
     add_method_arguments,
@@ -48,7 +49,7 @@ def work() -> None:
     with shown_progress("identifying") as show:
 
         def progress(generation: int, nrmse: float) -> None:
-            found = "" if math.isnan(nrmse) else f"NRMSE {nrmse:.4f}"
+            found = "" if math.isnan(nrmse) else f"NRMSE {per_cent(nrmse)}"
             show("assessing" if generation == total else found, generation / total)
 
         fit = identify(
