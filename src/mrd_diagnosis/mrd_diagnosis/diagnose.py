@@ -24,7 +24,7 @@ from mrd_diagnosis.recordings.closed_loop import closed_loop_notes
 from mrd_diagnosis.recordings.limitations import limitation_notes, untestable_effects
 from mrd_diagnosis.recordings.recording_set import RecordingSet, held_out_by
 from mrd_diagnosis.report.sentences import fault_sentence, imitation_note, verdict_sentence
-from mrd_diagnosis.search.alternative_models import best_model
+from mrd_diagnosis.search.alternative_models import OTHER_MODELS, best_model
 from mrd_diagnosis.search.model_comparison import ModelComparison
 from mrd_diagnosis.simulator.refit import refit_parameters
 from mrd_diagnosis.simulator.stand_in import note_on, represent
@@ -151,13 +151,14 @@ def diagnose(
         base, theta = stand_in.model, stand_in.theta
     elif model == BEST_MODEL:
         progress("choosing the damper model", 0.02)
+        tried = sorted({base.id, *OTHER_MODELS})
         base = best_model(base, thinned(recordings.after, MOST_SAMPLES), np.random.default_rng(seed))
     diagnosis = _diagnose_physics(base, theta, candidates, recordings, findings, bench, asked, progress)
     chosen = ""
     if stand_in:
         chosen = note_on(stand_in)
     elif model == BEST_MODEL:
-        chosen = f"Of the damper models that were tried, {base.id} predicts these recordings best."
+        chosen = f"Of the damper models that were tried ({', '.join(tried)}), {base.id} predicts these recordings best."
     notes = (*filter(None, [chosen]), *(simulator.notes if simulator else ()), *diagnosis.notes, *closed_loop_notes(runs))
     return replace(diagnosis, notes=notes, stand_in=stand_in)
 

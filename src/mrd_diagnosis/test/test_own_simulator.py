@@ -12,6 +12,7 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose, validate
+from mrd_diagnosis.cli.diagnose import print_summary
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.page import page_content, write_gap_report
 from mrd_diagnosis.report.sentences import next_command
@@ -302,3 +303,12 @@ def test_the_diagnosis_goes_around_the_refitted_simulator(runs, tmp_path):
     assert "--set c=" in report["simulator"]["source"]
     assert "Parameters of mine.py were refitted first: c from 900 to" in done.stdout
     assert report["causes"][0]["effect"] == "joint_play"
+
+
+def test_a_fault_is_printed_once_with_its_cure(tmp_path, capsys):
+    runs = [replace(run, force=-run.force) for run in read_runs(EXAMPLE)]
+    diagnosis = diagnose(runs, "bouc_wen")
+    print_summary(diagnosis, write_gap_report(diagnosis, tmp_path))
+    printed = capsys.readouterr().out
+    assert printed.count("the wrong sign in all runs") == 1
+    assert "import FILE... --flip force --output DIR`" in printed

@@ -24,6 +24,7 @@ from mrd_diagnosis.report.sentences import next_command, next_step, placeholders
 from mrd_identification.cli.options import add_run_arguments, announce, read_arguments_runs
 from mrd_identification.fit_file import read_fit
 from mrd_identification.json_file import make_folder
+from mrd_identification.preflight.finding import Finding
 from mrd_runs.read import describe_runs
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.cli.simulator_options import add_simulator_arguments, opened_simulator, parse_free
@@ -140,7 +141,7 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
         print(f"next command: {command}")
         for meaning in placeholders(command):
             print(f"  {meaning}")
-    for finding in diagnosis.findings:
+    for finding in shown_findings(diagnosis):
         print(f"{finding.severity}: {finding.sentence}")
     if diagnosis.candidates and nothing_removes(diagnosis):
         print(f"{len(diagnosis.candidates)} effects were tried; none removes more than {100 * LEAST_SHOWN:g} % of the gap.")
@@ -157,6 +158,17 @@ def print_summary(diagnosis: Diagnosis, page: Path) -> None:
         paths.append(page.with_name("next_experiment.yaml"))
     for path in paths:
         print(path)
+
+
+def shown_findings(diagnosis: Diagnosis) -> list[Finding]:
+    """Return the findings to print below the verdict.
+
+    Where a fault ended the diagnosis, the verdict is the first fault, and what else was found may follow from it.
+    """
+    if diagnosis.verdict != "data_fault":
+        return list(diagnosis.findings)
+    faults = [finding for finding in diagnosis.findings if finding.severity == "fault"]
+    return faults[1:] if faults else list(diagnosis.findings)
 
 
 def candidate_table(diagnosis: Diagnosis) -> Table:

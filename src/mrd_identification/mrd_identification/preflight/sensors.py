@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from mrd_base.tool import command
 from mrd_identification.preflight.alignment import cross_correlation, overlap
 from mrd_identification.preflight.channels import FEW_STROKES, CheckedRun, milli
 from mrd_identification.preflight.finding import Finding, Severity
@@ -236,10 +237,11 @@ def check_signs(runs: Sequence[CheckedRun]) -> Iterator[Finding]:
     wrong = [checked for checked in moving if relative_work(checked.run) < WRONG_SIGN_WORK]
     text = (
         "the force or the position has the wrong sign{}: F·v is negative on average, expected positive (force > 0 resists "
-        "extension, position > 0 extends). Convert the {} with the sign of the wrong channel turned."
+        "extension, position > 0 extends). Turn the wrong one with `{} {} --flip force --output DIR`, or --flip position."
     )
+    turn = command("mrd_runs", "import")
     if wrong and len(wrong) == len(moving):
-        yield Finding("rig", "fault", text.format(" in all runs", "files"), channel="force")
+        yield Finding("rig", "fault", text.format(" in all runs", turn, "FILE..."), channel="force")
         return
     for checked in wrong:
-        yield checked.finding("rig", "fault", "force", text.format("", "file"))
+        yield checked.finding("rig", "fault", "force", text.format("", turn, "FILE"))
