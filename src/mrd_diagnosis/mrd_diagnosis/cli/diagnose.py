@@ -176,10 +176,11 @@ def candidate_table(diagnosis: Diagnosis) -> Table:
     table = Table(box=None)
     table.add_column("effects")
     first = 0 if with_probabilities(diagnosis) else 1
-    for title in ("probability", "gap removed, by segments", "held-out error (NRMSE), by segments", "p-value")[first:]:
+    for title in ("probability", "gap removed, by segments", "held-out error (NRMSE), by segments")[first:]:
         table.add_column(title, justify="right")
     table.add_column("remark")
     for candidate in ordered_candidates(diagnosis)[:MOST_ROWS]:
-        columns = describe_candidate(diagnosis, candidate)[first:]
+        text = describe_candidate(diagnosis, candidate)
+        columns = (text.probability, text.removed, text.error, text.remark)[first:]
         table.add_row(escape(" + ".join(candidate.effects)), *map(escape, columns))
     return table

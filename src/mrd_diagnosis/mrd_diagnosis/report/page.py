@@ -349,7 +349,7 @@ def _flexible_function_note(diagnosis: Diagnosis, gap: Gap) -> str:
     partly = diagnosis.verdict == "partly_explained"
     error, of_what = ("remaining error", "it") if partly else ("error", "the gap")
     meaning = (
-        "at least this much is not random. A true effect has a better formula and can remove more."
+        "this much repeats with motion and current, and is no noise. The formula of the true effect can remove more."
         if removed
         else "the error does not repeat with motion and current."
     )
