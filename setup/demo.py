@@ -21,8 +21,9 @@ from rclpy.action import ActionClient
 
 from mrd_base import InputError, run_tool
 from mrd_base.domain import claim_domain
-from mrd_diagnosis.closure.correction import Correction, write_plant
+from mrd_diagnosis.closure.plant_file import write_plant
 from mrd_diagnosis.wording.quantities import format_error, format_quantity
+from mrd_identification.correction import Correction
 from mrd_identification.recording import consecutive_modelled_forces, prepare_recording
 from mrd_interfaces.action import Identify
 from mrd_runs import read_run

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from mrd_base import InputError
-from mrd_diagnosis.closure.correction import correction_of_report, write_plant
+from mrd_diagnosis.closure.plant_file import write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
+from mrd_identification.correction import correction_of_report
 
 
 def apply_report(report: Path, plant: str) -> str:

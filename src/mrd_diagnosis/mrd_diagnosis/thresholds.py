@@ -6,6 +6,8 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from mrd_identification.correction import LEAST_PROBABILITY
+
 
 def threshold(value: float, unit: str, meaning: str, chosen_on: str) -> Any:
     """Declare a threshold with its unit, its meaning and the trials on which it was chosen."""
@@ -85,7 +87,7 @@ class Thresholds:
         "measured recordings with known errors, seed 63",
     )
     named_support: float = threshold(
-        0.5,
+        LEAST_PROBABILITY,
         "",
         "probability of presence from which a class of effects is named, and share of the probability of all effects from "
         "which an effect or its class stands for them",

@@ -8,12 +8,12 @@ import pytest
 
 from mrd_base import InputError
 from mrd_diagnosis import change, diagnose
-from mrd_diagnosis.closure.correction import correction_of_report
 from mrd_diagnosis.decision.decision import decide_change
 from mrd_diagnosis.diagnose import candidates_for
 from mrd_diagnosis.report.gap_file import read_gap_report, to_json
 from mrd_diagnosis.report.page import write_gap_report
 from mrd_diagnosis.thresholds import THRESHOLDS
+from mrd_identification.correction import correction_of_report
 from mrd_identification.recording import consecutive_forces, prepare_recording
 from mrd_runs import Run
 from mrd_sim.effects import EFFECTS

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.closure.correction import correction_of_report
 from mrd_diagnosis.decision.honesty import RULES, Claim, clock_finding, imitating_limitations, markdown_table, rejecting_rule
 from mrd_diagnosis.diagnosis import ON_BOUND, UNDETERMINED, Finding, Interval, ParameterEstimate
 from mrd_diagnosis.fitting.base_fit import BaseFit
 from mrd_diagnosis.report.gap_file import to_json
 from mrd_diagnosis.report.sentences import next_command, next_step
 from mrd_diagnosis.search.effect_search import refit_with_effects
+from mrd_identification.correction import correction_of_report
 from mrd_runs.validation import make_run
 from mrd_sim.damper import Damper
 from mrd_sim.effects import EFFECTS

@@ -5,17 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from mrd_base import InputError
+from mrd_identification.correction import correction_of_report
 from mrd_identification.fit_file import read_fit
 from mrd_sim.c_code import c_source
 from mrd_sim.damper import Damper
 from mrd_sim.fmu import fmu_archive
 from mrd_sim.plant import read_damper
-
-PROVEN = ("no_gap", "explained", "partly_explained")
-"""Verdicts of a diagnosis whose corrected simulator may be used without a further decision."""
-
-LEAST_PROBABILITY = 0.5
-"""Probability of a cause below which it is not proven, as for `apply`."""
 
 
 def load_damper(file: str | Path, *, anyway: bool = False) -> Damper:
@@ -43,7 +38,10 @@ def load_damper(file: str | Path, *, anyway: bool = False) -> Damper:
             raise InputError(f"{file}: {error}") from None
     report = _gap_report(file)
     if report is not None:
-        return _corrected_damper(file, report, anyway)
+        try:
+            return correction_of_report(report, str(file), anyway=anyway).build()
+        except InputError as error:
+            raise InputError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
     stored = read_fit(file)
     try:
         return Damper(stored.model, stored.values, stored.laws, {effect: {} for effect in stored.effects})
@@ -59,33 +57,6 @@ def _gap_report(file: str | Path) -> dict[str, Any] | None:
         return None
     is_report = isinstance(content, dict) and str(content.get("schema")).startswith("mrd-gap/")
     return content if is_report else None
-
-
-def _corrected_damper(file: str | Path, report: dict[str, Any], anyway: bool) -> Damper:
-    """Return the corrected simulator of a diagnosis; this package knows of the file only what it reads here."""
-    try:
-        verdict, model, laws, corrected = (report[name] for name in ("verdict", "model", "laws", "corrected"))
-        named, values = ((), {}) if corrected is None else (corrected["effects"], corrected["parameters"])
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{file}: has no field {error}, expected a gap_report.json as diagnose writes it") from None
-    if verdict not in PROVEN and not (anyway and named):
-        raise InputError(
-            f"{file}: the verdict is {verdict}, so no simulator is proven; take what comes nearest with --anyway"
-        )
-    effects: dict[str, dict[str, float]] = {} if verdict == "no_gap" else {effect: {} for effect in named}
-    likely = {cause["effect"] for cause in report.get("causes", ()) if (cause["probability"] or 0.0) >= LEAST_PROBABILITY}
-    doubtful = [effect for effect in effects if "causes" in report and effect not in likely]
-    if doubtful and not anyway:
-        raise InputError(
-            f"{file}: the probability of {', '.join(doubtful)} is below {100 * LEAST_PROBABILITY:g} %, so no simulator is "
-            "proven; take what comes nearest with --anyway"
-        )
-    own = {name: value for name, value in values.items() if name.partition(".")[0] in effects or "." not in name}
-    simulator = report.get("simulator") or {}
-    try:
-        return Damper(model, own, laws, effects, simulator.get("name", ""), simulator.get("parameters"))
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from None
 
 
 def export_damper(

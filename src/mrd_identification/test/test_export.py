@@ -183,11 +183,11 @@ def test_an_effect_of_the_users_own_that_has_no_translation_is_refused_in_one_li
 def test_a_diagnosis_that_proves_nothing_is_not_exported(tmp_path):
     report = tmp_path / "gap_report.json"
     for change, message in (
-        ({"verdict": "ambiguous"}, "the verdict is ambiguous, so no simulator is proven"),
-        ({"verdict": "data_fault", "corrected": None}, "the verdict is data_fault"),
+        ({"verdict": "ambiguous"}, "the verdict is ambiguous, so gas_spring is not proven; record the experiment"),
+        ({"verdict": "data_fault", "corrected": None}, "the recordings are faulty, so there is nothing to apply"),
         ({"model": "nosuch"}, "gap_report.json: unknown model nosuch"),
-        ({"corrected": {}}, "has no field 'effects', expected a gap_report.json"),
-        ({"causes": [{"effect": "gas_spring", "probability": 0.42}]}, "probability of gas_spring is below 50 %, so no sim"),
+        ({"corrected": {}}, "has no field 'parameters', expected a gap_report.json"),
+        ({"causes": [{"effect": "gas_spring", "probability": 0.42}]}, "probability of gas_spring is below 50 %, so it is not proven"),
         ({"causes": [{"effect": "coil_lag", "probability": 0.9}]}, "probability of gas_spring is below 50 %"),
     ):
         report.write_text(json.dumps({**GAP, **change}))

@@ -4,8 +4,9 @@ import argparse
 
 from mrd_base import run_tool
 from mrd_base.tool import command
-from mrd_diagnosis.closure.correction import Correction, correction_of_report, write_plant
+from mrd_diagnosis.closure.plant_file import write_plant
 from mrd_diagnosis.report.gap_file import read_gap_report
+from mrd_identification.correction import Correction, correction_of_report
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.own import model_arguments
 

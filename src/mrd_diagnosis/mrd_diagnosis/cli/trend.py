@@ -14,6 +14,7 @@ from mrd_diagnosis.trend.change_over_dates import change_over_dates, parameter_t
 from mrd_diagnosis.trend.trend import trend
 from mrd_diagnosis.trend.trend_file import write_trend
 from mrd_identification.cli.options import announce
+from mrd_identification.correction import correction_of_report
 from mrd_identification.fit_file import StoredFit, read_fit
 from mrd_identification.json_file import make_folder
 from mrd_runs import Run, read_runs
@@ -117,10 +118,8 @@ def _start(arguments: argparse.Namespace) -> _Start:
     stored = None
     if arguments.report:
         report = read_gap_report(source)
-        corrected = report["corrected"]
-        if corrected is None:
-            raise InputError(f"{source}: found the verdict data_fault, expected a report of sound recordings")
-        stored = StoredFit(report["model"], report["laws"], corrected["effects"], corrected["parameters"], report)
+        found = correction_of_report(report, source, anyway=True)
+        stored = StoredFit(found.model, found.laws, tuple(found.effects), found.values, report)
         follow = follow or next(iter([*(cause["effect"] for cause in report["causes"]), *stored.effects]), None)
     elif arguments.parameters:
         stored = read_fit(source)

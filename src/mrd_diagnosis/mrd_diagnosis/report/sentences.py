@@ -5,7 +5,6 @@ import shlex
 from collections.abc import Sequence
 
 from mrd_base.tool import command, has_workspace
-from mrd_diagnosis.closure.correction import unproven_effects
 from mrd_diagnosis.decision.honesty import SEEN, gap_making_limitations
 from mrd_diagnosis.diagnosis import Alternative, AlternativeModel, Cause, Diagnosis, Finding, Gap, Rejected
 from mrd_diagnosis.evidence.cause_class import class_name
@@ -14,6 +13,7 @@ from mrd_diagnosis.recordings.closed_loop import review_commands
 from mrd_diagnosis.thresholds import THRESHOLDS
 from mrd_diagnosis.wording.effect_names import STAGE_NAMES, effect_clause, effect_name, effect_names
 from mrd_diagnosis.wording.quantities import capitalised, format_error, format_probability, format_share, join_words
+from mrd_identification.correction import unproven_effects
 from mrd_runs.read import run_arguments
 from mrd_sim.effects import EFFECTS
 from mrd_sim.own import folder_arguments, model_arguments
@@ -362,7 +362,7 @@ def _step_to_determine(diagnosis: Diagnosis) -> str:
 
 
 def _is_doubtful(diagnosis: Diagnosis) -> bool:
-    """Whether `mrd_diagnosis.closure.correction` takes an effect of the corrected simulator for not proven."""
+    """Whether `mrd_identification.correction` takes an effect of the corrected simulator for not proven."""
     effects = diagnosis.corrected.effects if diagnosis.corrected is not None else ()
     return bool(unproven_effects(effects, {cause.effect: cause.probability for cause in diagnosis.causes}))
 

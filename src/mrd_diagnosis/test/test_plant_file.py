@@ -14,8 +14,9 @@ from mrd_diagnosis.cli import apply as apply_tool
 from mrd_diagnosis.cli import diagnose as diagnose_tool
 from mrd_diagnosis.cli import trend as trend_tool
 from mrd_diagnosis.cli.apply import identify_arguments
-from mrd_diagnosis.closure.correction import Correction, correction, write_plant
+from mrd_diagnosis.closure.plant_file import write_plant
 from mrd_identification.cli import identify as identify_tool
+from mrd_identification.correction import Correction, correction
 from mrd_runs import Run, read_run
 from mrd_sim.cli import simulate as simulate_tool
 from mrd_sim.effects import EFFECTS, load_effects
