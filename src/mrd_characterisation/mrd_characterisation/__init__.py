@@ -1,0 +1,5 @@
+"""Characterisation of dampers from recordings: forces over speed, energy, response times, gas force, seal drag."""
+
+from mrd_characterisation.characterisation import QUANTITIES, Characterisation, Value
+
+__all__ = ["QUANTITIES", "Characterisation", "Value"]
