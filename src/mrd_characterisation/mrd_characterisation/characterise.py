@@ -119,7 +119,7 @@ def characterise(
 def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[list[Stroke]]:
     """Return the strokes of each run with the current of their level: the rounded mean of those that are the same."""
     steady = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
-    level_of = {}
+    level_of: dict[int, float] = {}
     for level in grouped(steady, lambda stroke: stroke.current, lambda _: tolerance):
         current = rounded(float(np.mean([stroke.current for stroke in level])), tolerance)
         level_of |= {id(stroke): current for stroke in level}

@@ -7,6 +7,7 @@ response time is that until the force has made 63.2 or 95 % of its change.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -217,7 +218,7 @@ def _measured(steps: Sequence[Step], scale: float) -> tuple[list[Value], Respons
     left_out = [_times([s for n, s in enumerate(longer) if n % parts != part], looked_at) for part in range(parts)]
     names = [step.run.run.name for step in longer]
     direction: Direction = "rebound" if longer[0].velocity > 0.0 else "compression"
-    condition = {
+    condition: dict[str, Any] = {
         "current": rounded(float(np.mean([step.after for step in longer])), SAME_CURRENT * scale),
         "current_before": rounded(float(np.mean([step.before for step in longer])), SAME_CURRENT * scale),
         "speed": float(np.mean([abs(step.velocity) for step in longer])),
@@ -260,7 +261,7 @@ def _times(steps: Sequence[Step], looked_at: float) -> dict[tuple[str, str], flo
     if not steps:
         return None
     grid, force, coil = _mean_response(steps, looked_at)
-    times = {}
+    times: dict[tuple[str, str], float] = {}
     for signal, series in (("force", force), ("current", coil)):
         times |= {(signal, name): _crossing(grid, series, share) for name, share in SHARES.items()}
     return None if any(map(math.isnan, times.values())) else times
@@ -277,7 +278,8 @@ def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Arra
     rate = max(step.run.run.rate for step in steps)
     lead = min(BEFORE * looked_at, *(min(step.lead, step.quiet) for step in steps))
     # Between two samples the current is taken to change linearly: the step is in the middle.
-    grid = (np.arange(-max(FEWEST_BEFORE, int(lead * rate)), int(looked_at * rate)) + 0.5) / rate
+    places = np.arange(-max(FEWEST_BEFORE, int(lead * rate)), int(looked_at * rate), dtype=np.float64)
+    grid: Array = (places + 0.5) / rate
     forces, coils = [], []
     for step in steps:
         run = step.run.run
@@ -285,7 +287,8 @@ def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Arra
         since = run.time[begin:end] - 0.5 * (run.time[step.first - 1] + run.time[step.first])
         forces.append(np.interp(grid, since, run.force[begin:end]))
         coils.append(np.interp(grid, since, step.run.current[begin:end]))
-    return grid, _share_of_change(grid, np.mean(forces, axis=0), drifts=True), _share_of_change(grid, np.mean(coils, axis=0))
+    force, coil = np.asarray(np.mean(forces, axis=0)), np.asarray(np.mean(coils, axis=0))
+    return grid, _share_of_change(grid, force, drifts=True), _share_of_change(grid, coil)
 
 
 def _share_of_change(grid: Array, series: Array, drifts: bool = False) -> Array:
@@ -323,7 +326,7 @@ def _crossing(grid: Array, series: Array, share: float) -> float:
     The crossing is that of a parabola through the samples around, over a third of the time to both sides.
     """
     after = grid > 0.0
-    width = max(1, np.count_nonzero(after) // 50)
+    width = max(1, int(np.count_nonzero(after)) // 50)
     smooth = np.convolve(np.pad(series, (width // 2, (width - 1) // 2), mode="edge"), np.full(width, 1.0 / width), "valid")
     reached = np.flatnonzero(after & (smooth >= share))
     if not len(reached):
@@ -347,4 +350,4 @@ def _interpolated(grid: Array, series: Array, share: float, place: int) -> float
     """Return the time in s at which a series reaches a share on its way to a sample."""
     low, high = series[place - 1], series[place]
     part = (share - low) / (high - low) if high > low else 1.0
-    return float(grid[place - 1] + (grid[place] - grid[place - 1]) * min(max(part, 0.0), 1.0))
+    return float(grid[place - 1] + (grid[place] - grid[place - 1]) * np.clip(part, 0.0, 1.0))

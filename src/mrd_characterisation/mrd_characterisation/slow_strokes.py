@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -41,9 +42,9 @@ class SlowPair:
     high: float
     run: str
 
-    def gas_force(self, position: float | Array) -> float | Array:
-        """Return the force in N with which the gas pushes the rod out at a position in m."""
-        return -0.5 * (self.rebound(position) + self.compression(position))  # type: ignore[no-any-return]
+    def gas_force(self, position: Array) -> Array:
+        """Return the force in N with which the gas pushes the rod out at positions in m."""
+        return np.asarray(-0.5 * (self.rebound(position) + self.compression(position)))
 
     def drag(self, position: float) -> float:
         """Return half the difference of both directions in N."""
@@ -112,9 +113,9 @@ def gas_values(groups: Sequence[Sequence[SlowPair]], current: float) -> tuple[li
     position = np.linspace(low, high, CURVE_POINTS)
     speed = float(np.mean([pair.speed for pair in slowest]))
     names = [pair.run for pair in slowest]
-    forces = [float(pair.gas_force(middle)) for pair in slowest]
+    forces = [float(pair.gas_force(np.array(middle))) for pair in slowest]
     stiffnesses = [_stiffness(pair, middle) for pair in slowest]
-    condition = {"current": current, "speed": speed, "position": middle}
+    condition: dict[str, Any] = {"current": current, "speed": speed, "position": middle}
     strokes = f"strokes of {1e3 * speed:.3g} mm/s at {current:.3g} A"
     gas = Value(
         "gas_force",
