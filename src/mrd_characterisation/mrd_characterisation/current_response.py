@@ -6,7 +6,7 @@ response time is that until the force has made 63.2 or 95 % of its change.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -157,7 +157,7 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     unsettled: list[float] = []
     without_response = 0
     for group in _equal_steps(steps, scale):
-        found = _measured(group, scale)
+        found = _measured(group)
         if isinstance(found, float):
             unsettled.append(found)
         elif found is None:
@@ -168,25 +168,35 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     notes = []
     if unsettled:
         notes.append(
-            f"After {len(unsettled)} kinds of current steps the force had not settled when the current or the speed "
+            f"After {_count(len(unsettled))} the force had not settled when the current or the speed "
             f"changed again, {1e3 * min(unsettled):.3g} ms or more after the step. Hold each level at constant speed for "
             "longer."
         )
     if without_response:
         notes.append(
-            f"The force does not respond to {without_response} kinds of current steps beyond its noise. Repeat the steps "
+            f"The force does not respond to {_count(without_response)} beyond its noise. Repeat the steps "
             "more often, or take larger ones."
         )
     return values, responses, notes
 
 
+def _count(kinds: int) -> str:
+    return "one kind of current step" if kinds == 1 else f"{kinds} kinds of current steps"
+
+
 def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     """Group steps of the same currents, direction and speed."""
     tolerance = 0.05 * scale
+    level_of = {
+        current: rounded(float(np.mean(level)), SAME_CURRENT * scale)
+        for level in grouped([c for step in steps for c in (step.before, step.after)], float, lambda _: tolerance)
+        for current in level
+    }
+    steps = [replace(step, before=level_of[step.before], after=level_of[step.after]) for step in steps]
     return [
         group
-        for of_before in grouped(steps, lambda step: step.before, lambda _: tolerance)
-        for of_after in grouped(of_before, lambda step: step.after, lambda _: tolerance)
+        for of_before in grouped(steps, lambda step: step.before, lambda _: 0.0)
+        for of_after in grouped(of_before, lambda step: step.after, lambda _: 0.0)
         for sign in (1.0, -1.0)
         for group in grouped(
             [step for step in of_after if sign * step.velocity > 0.0],
@@ -196,7 +206,7 @@ def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     ]
 
 
-def _measured(steps: Sequence[Step], scale: float) -> tuple[list[Value], Response] | float | None:
+def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | None:
     """Return the response times and the mean response of equal steps.
 
     The time looked at in s where the force does not settle within it; None where it does not respond beyond its noise.
@@ -219,8 +229,8 @@ def _measured(steps: Sequence[Step], scale: float) -> tuple[list[Value], Respons
     names = [step.run.run.name for step in longer]
     direction: Direction = "rebound" if longer[0].velocity > 0.0 else "compression"
     condition: dict[str, Any] = {
-        "current": rounded(float(np.mean([step.after for step in longer])), SAME_CURRENT * scale),
-        "current_before": rounded(float(np.mean([step.before for step in longer])), SAME_CURRENT * scale),
+        "current": longer[0].after,
+        "current_before": longer[0].before,
         "speed": float(np.mean([abs(step.velocity) for step in longer])),
     }
     values = []
