@@ -189,6 +189,8 @@ def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     tolerance = 0.05 * scale
     level_of = {
         current: rounded(float(np.mean(level)), SAME_CURRENT * scale)
+        if abs(np.mean(level)) > 0.5 * SAME_CURRENT * scale
+        else 0.0
         for level in grouped([c for step in steps for c in (step.before, step.after)], float, lambda _: tolerance)
         for current in level
     }
