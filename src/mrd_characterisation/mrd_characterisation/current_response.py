@@ -351,7 +351,7 @@ def _crossing(grid: Array, series: Array, share: float) -> float:
             # Within a few samples noise matters less than rounding.
             return _interpolated(grid, series, share, max(1, int(np.flatnonzero(after & (series >= share))[0])))
         parabola = Polynomial.fit(grid[near] - time, series[near] - share, 2)
-        roots = [float(root.real) for root in parabola.roots() if abs(root.imag) < 1e-9 and abs(root) <= time / 3.0]
+        roots = [root.real for root in map(complex, parabola.roots()) if abs(root.imag) < 1e-9 and abs(root) <= time / 3.0]
         if not roots:
             break
         time += min(roots, key=abs)
