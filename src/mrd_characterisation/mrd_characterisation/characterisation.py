@@ -163,10 +163,21 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class GasCurve:
-    """Gas force over the stroke: position in m (n,), and force in N (n,) with which the gas pushes the rod out."""
+    """Gas force over the stroke.
+
+    Attributes
+    ----------
+    position : ndarray (n,)
+        m.
+    force : ndarray (n,)
+        N with which the gas pushes the rod out.
+    runs : tuple of str
+        Names of the runs with slow strokes, from which gas force and seal drag are.
+    """
 
     position: Array
     force: Array
+    runs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from mrd_base.version import VERSION
 from mrd_characterisation.characterisation import Characterisation, Curve, GasCurve, Response, Value
 from mrd_characterisation.listing import COLUMNS, spreadsheet_row
 from mrd_characterisation.units import BENCH, View
+from mrd_runs import Run, read_runs
 from mrd_runs.summary import run_json
 
 SCHEMA = "mrd-characterisation/1"
@@ -44,6 +45,8 @@ def _plain(fields: dict[str, Any]) -> dict[str, Any]:
 def _plain_value(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return [finite_or_none(float(f"{number:.7g}")) for number in value]
+    if isinstance(value, tuple):
+        return list(value)
     return finite_or_none(value) if isinstance(value, float) else value
 
 
@@ -102,9 +105,35 @@ def read_characterisation(path: str | Path) -> Characterisation:
         tuple(Curve(**_read(fields)) for fields in content["curves"]),
         (),
         tuple(Response(**_read(fields)) for fields in content["responses"]),
-        GasCurve(**_read(gas)) if gas else None,
+        GasCurve(**{**_read(gas, without=("runs",)), "runs": tuple(gas["runs"])}) if gas else None,
         tuple(content["limitations"]),
     )
+
+
+def read_slow_runs(path: str | Path) -> list[Run]:
+    """Read the recordings with slow strokes from which a characterisation.json has gas force and seal drag.
+
+    A fit or a diagnosis of the same damper that has them too knows gas force and seal drag, which faster runs hardly show.
+
+    Raises
+    ------
+    InputError
+        When the characterisation has no gas force, or when a recording is not where it was.
+    """
+    content = read_json(path, "mrd_characterisation", "characterisation", SCHEMA)
+    if content["gas_curve"] is None:
+        raise InputError(
+            f"{path}: has no gas force and no seal drag, which --characterisation is about; record slow strokes at the "
+            "smallest current and characterise them"
+        )
+    sources = {run["name"]: run["source"] for run in content["runs"]}
+    missing = [name for name in content["gas_curve"]["runs"] if not Path(sources.get(name) or "nowhere").exists()]
+    if missing:
+        raise InputError(
+            f"{path}: the recording {missing[0]} is not at {sources.get(missing[0]) or 'any path'} any more; characterise "
+            "the runs once more where they are now"
+        )
+    return read_runs([sources[name] for name in content["gas_curve"]["runs"]])
 
 
 _MAY_BE_NAN = ("lower", "upper", "scatter")

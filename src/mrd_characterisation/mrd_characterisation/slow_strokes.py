@@ -137,7 +137,9 @@ def gas_values(pairs: Sequence[SlowPair], current: float) -> tuple[list[Value], 
         **condition,
     )
     curve = np.mean([pair.gas_force(position) for pair in slowest], axis=0)
-    return [gas, stiffness, _seal_drag(groups, middle, current)], GasCurve(position, curve)
+    return [gas, stiffness, _seal_drag(groups, middle, current)], GasCurve(
+        position, curve, tuple(dict.fromkeys(pair.run for group in groups for pair in group))
+    )
 
 
 def _stiffness(pair: SlowPair, middle: float) -> float:

@@ -187,7 +187,10 @@ def test_a_diagnosis_that_proves_nothing_is_not_exported(tmp_path):
         ({"verdict": "data_fault", "corrected": None}, "the recordings are faulty, so there is nothing to apply"),
         ({"model": "nosuch"}, "gap_report.json: unknown model nosuch"),
         ({"corrected": {}}, "has no field 'parameters', expected a gap_report.json"),
-        ({"causes": [{"effect": "gas_spring", "probability": 0.42}]}, "probability of gas_spring is below 50 %, so it is not proven"),
+        (
+            {"causes": [{"effect": "gas_spring", "probability": 0.42}]},
+            "probability of gas_spring is below 50 %, so it is not proven",
+        ),
         ({"causes": [{"effect": "coil_lag", "probability": 0.9}]}, "probability of gas_spring is below 50 %"),
     ):
         report.write_text(json.dumps({**GAP, **change}))

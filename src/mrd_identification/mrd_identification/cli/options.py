@@ -3,10 +3,11 @@
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 
 from mrd_base import FaultError, InputError
+from mrd_characterisation.characterisation_file import read_slow_runs
 from mrd_identification.low_pass import GRAMMAR, with_force_filters
 from mrd_identification.method import Method, parse_method
 from mrd_identification.preflight import preflight
@@ -14,7 +15,7 @@ from mrd_identification.problem import Loss
 from mrd_identification.recording import Weights
 from mrd_runs import Run, read_runs
 from mrd_runs.faults import find_faults
-from mrd_runs.read import read_groups
+from mrd_runs.read import read_groups, unique_name
 from mrd_sim.cli.options import add_effects_folder, add_models_folder
 from mrd_sim.current import LAWS
 from mrd_sim.models import DamperModel
@@ -29,6 +30,12 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the runs to fit and the held-out runs."""
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV")
     parser.add_argument("--held-out", nargs="+", default=[], metavar="RUN", help="runs not fitted, for the prediction error")
+    parser.add_argument(
+        "--characterisation",
+        metavar="FILE",
+        help="characterisation.json of the same damper: its slow strokes, from which gas force and seal drag were measured, "
+        "are fitted too",
+    )
     add_reading_arguments(parser)
 
 
@@ -147,8 +154,17 @@ def read_method(arguments: argparse.Namespace) -> Method:
 def read_arguments_runs(arguments: argparse.Namespace, *others: str) -> list[list[Run]]:
     """Read the runs to fit, the held-out runs, whose names are distinct, and the runs of ``others`` of the arguments."""
     groups = read_groups([arguments.runs, arguments.held_out], arguments.skip)
+    if arguments.characterisation:
+        groups[0] += _slow_runs(arguments.characterisation, [run for group in groups for run in group])
     groups += [read_runs(getattr(arguments, name), arguments.skip) for name in others]
     return with_force_filters(groups, arguments.force_filter, "--force-filter")
+
+
+def _slow_runs(characterisation: str, given: Sequence[Run]) -> list[Run]:
+    """Return the slow strokes of a characterisation that are not ``given`` already."""
+    checksums, used = {run.info["checksum"] for run in given}, {run.name for run in given}
+    slow = [run for run in read_slow_runs(characterisation) if run.info["checksum"] not in checksums]
+    return [replace(run, name=unique_name(run.name, run.info["source"], used)) for run in slow]
 
 
 def announce(*lines: str) -> None:
