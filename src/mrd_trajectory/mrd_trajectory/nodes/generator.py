@@ -10,14 +10,7 @@ from std_srvs.srv import Trigger
 from mrd_base import InputError
 from mrd_base.lease import Mode
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
-from mrd_base.nodes.graph import (
-    ABORT_EXPERIMENT,
-    EXPERIMENT_STATE,
-    LOAD_EXPERIMENT,
-    SAMPLES,
-    SETPOINT,
-    START_EXPERIMENT,
-)
+from mrd_base.nodes.graph import ABORT_EXPERIMENT, EXPERIMENT_STATE, LOAD_EXPERIMENT, SAMPLES, SETPOINT, START_EXPERIMENT
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
 from mrd_interfaces.msg import BenchSamples, Setpoint
 from mrd_interfaces.srv import LoadExperiment
