@@ -13,7 +13,10 @@ from mrd_base import InputError, quantity
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.settings import GeneratorSettings
 from mrd_trajectory.until import Until
-from mrd_trajectory.waveforms import Constant, Sine, Staircase, Triangle, Waveform
+from mrd_trajectory.waveforms import Constant, Waveform
+from mrd_trajectory.waveforms.sine import Sine
+from mrd_trajectory.waveforms.staircase import Staircase
+from mrd_trajectory.waveforms.triangle import Triangle
 
 Array = NDArray[np.float64]
 
@@ -138,7 +141,7 @@ def least_amplitude(speed: float, bench: GeneratorSettings) -> float:
 
 def checked_speeds(speeds: tuple[float, ...], key: str, bench: GeneratorSettings) -> tuple[float, ...]:
     """Return speeds in m/s; refuse one that is above the limit of the bench."""
-    _check(max(speeds) * 1e3, bench.limits.speed * 1e3, f"{key}", "speed")
+    _check(max(speeds) * 1e3, bench.limits.speed * 1e3, key, "speed")
     return speeds
 
 

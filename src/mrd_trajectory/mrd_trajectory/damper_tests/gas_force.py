@@ -10,4 +10,4 @@ class GasForce(SlowStrokes):
     """Gas force and its stiffness: the mean force of both directions over the whole usable stroke."""
 
     REACH = 1.0
-    CYCLE = 5.0
+    CYCLE = 4.0

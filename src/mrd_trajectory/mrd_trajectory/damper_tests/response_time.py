@@ -17,7 +17,7 @@ from mrd_trajectory.damper_tests.damper_test import (
 )
 from mrd_trajectory.experiment import Experiment
 from mrd_trajectory.settings import GeneratorSettings
-from mrd_trajectory.waveforms import Staircase
+from mrd_trajectory.waveforms.staircase import Staircase
 
 # Time in s of a default cycle: eight times the response of a slow damper, some 0.2 s.
 _CYCLE = 2.0

@@ -10,4 +10,4 @@ class SealDrag(SlowStrokes):
     """Seal drag: half the difference of the force between both directions, on a short stroke slower than the gas force's."""
 
     REACH = 0.2
-    CYCLE = 4.0
+    CYCLE = 3.0

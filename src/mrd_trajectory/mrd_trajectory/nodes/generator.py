@@ -97,7 +97,8 @@ class Generator(BenchNode[GeneratorSettings]):
             self._start = self._last = self.bench.now()
             until, self._ending = self._plan.experiment.until, ""
             begin = self._start + self._plan.body[0]
-            self._passes = until and PassMonitor(until, begin, self._plan.period, self._plan.experiment.duration)
+            duration = self._plan.experiment.duration
+            self._passes = PassMonitor(until, begin, self._plan.period, duration) if until else None
             lease = self._lease.lease
             self._number = lease.number if lease.mode is Mode.IDENTIFICATION else 0
             self._timer.reset()
@@ -108,11 +109,13 @@ class Generator(BenchNode[GeneratorSettings]):
 
     def _missing_temperature(self) -> str:
         """Return why the loaded experiment, which waits for a temperature, would wait for it in vain, or ""."""
-        until = self._plan and self._plan.experiment.until
+        until = self._plan.experiment.until if self._plan else None
         unknown = self._temperature is not None and math.isnan(self._temperature)  # without samples, nobody knows yet
         if until is None or until.temperature is None or not unknown:
             return ""
-        return "until: temperature_degC: the samples have no temperature of the damper; connect its sensor or take settled_percent"
+        return (
+            "until: temperature_degC: no sample has a temperature of the damper; connect its sensor, or use settled_percent"
+        )
 
     def _abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
