@@ -113,7 +113,7 @@ class PassMonitor:
             return f"the damper had {self._temperature - _KELVIN:.1f} °C after {passes} passes, expected {warm:g} °C"
         if limit is not None and (change := settling(self._peaks)) < limit:
             return (
-                f"the peak force settled after {passes} passes: it changed by {change:.2%} between the last "
-                f"{COMPARED_PASSES}, expected less than {limit:.2%}"
+                f"the peak force settled after {passes} passes: it changed by {100 * change:.3g} % between the last "
+                f"{COMPARED_PASSES}, expected less than {100 * limit:.3g} %"
             )
         return ""

@@ -109,8 +109,8 @@ class Endurance(DamperTest):
         if abs(change) <= self.stop_when.peak_force:
             return ""
         return (
-            f"{name}: the peak force has changed by {change:+.1%} since {first}, "
-            f"more than the {self.stop_when.peak_force:.1%} of stop_when"
+            f"{name}: the peak force has changed by {100 * change:+.3g} % since {first}, "
+            f"more than the {100 * self.stop_when.peak_force:.3g} % of stop_when"
         )
 
 
