@@ -145,12 +145,18 @@ def checked_speeds(speeds: tuple[float, ...], key: str, bench: GeneratorSettings
     return speeds
 
 
-def chosen_current(given: float | None, speed: float, bench: GeneratorSettings) -> float:
-    """Return the given current in A, or the largest one that the bench bears at a speed in m/s; 0 where it bears none."""
+def chosen_current(given: float | None, share: float, speed: float, bench: GeneratorSettings) -> float:
+    """Return the given current in A, or a share of the largest one that the bench bears at a speed in m/s.
+
+    Raises
+    ------
+    InputError
+        If the given one is outside of the limits, or if the damper exceeds the limit of the force at rest.
+    """
     if given is not None:
         return checked_currents((given,), "current_mA", bench)[0]
     current = bench.force_envelope.current(_bearable_force(_FORCE_WITH_CURRENT, bench), speed)
-    return _shown(max(0.0, min(current, bench.limits.current_max)))
+    return _shown(share * max(0.0, min(current, bench.limits.current_max)))
 
 
 def checked_currents(currents: tuple[float, ...], key: str, bench: GeneratorSettings) -> tuple[float, ...]:

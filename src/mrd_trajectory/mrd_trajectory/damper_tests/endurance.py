@@ -66,7 +66,7 @@ class Endurance(DamperTest):
     def experiments(self, bench: GeneratorSettings) -> tuple[Experiment, ...]:
         amplitude = chosen_amplitude(self.amplitude, 0.6, bench)
         speed = chosen_speed(self.speed, 0.6, amplitude, self.rate, bench)
-        current = chosen_current(self.current, speed, bench) / (1 if self.current is not None else 2)
+        current = chosen_current(self.current, 0.5, speed, bench)
 
         def characterisation(number: int) -> Experiment:
             return cycles_of(

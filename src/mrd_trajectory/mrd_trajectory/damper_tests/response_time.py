@@ -42,7 +42,7 @@ class ResponseTime(DamperTest):
         if self.speed is None:
             speed = min(speed, float(f"{4 * amplitude / _CYCLE:.3g}"))
         if self.currents is None:
-            largest = chosen_current(None, speed, bench)
+            largest = chosen_current(None, 1.0, speed, bench)
             currents: tuple[float, ...] = (largest / 2, largest)
         else:
             currents = checked_currents(self.currents, "currents_mA", bench)

@@ -57,7 +57,7 @@ class SpeedSweep(DamperTest):
         else:
             speeds = checked_speeds(self.speeds, "speeds_mm_per_s", bench)
         if self.currents is None:
-            largest = chosen_current(None, max(speeds), bench)
+            largest = chosen_current(None, 1.0, max(speeds), bench)
             currents = tuple(share * largest for share in _CURRENTS) if largest else (0.0,)
         else:
             currents = checked_currents(self.currents, "currents_mA", bench)

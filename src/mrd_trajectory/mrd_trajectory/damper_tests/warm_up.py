@@ -41,7 +41,7 @@ class WarmUp(DamperTest):
     def experiments(self, bench: GeneratorSettings) -> tuple[Experiment, ...]:
         amplitude = chosen_amplitude(self.amplitude, 0.6, bench)
         speed = chosen_speed(self.speed, 0.6, amplitude, self.rate, bench)
-        current = chosen_current(self.current, speed, bench) / (1 if self.current is not None else 2)
+        current = chosen_current(self.current, 0.5, speed, bench)
         cycles = self.cycles or _CYCLES
         if self.time is not None:
             cycles = math.ceil(self.time * speed / (2 * math.pi * amplitude))
