@@ -48,7 +48,7 @@ def test_an_acceptance_test_is_recorded_and_its_warm_up_ends_once_the_force_has_
     experiments = [one for file in sorted(steps.glob("*.yaml")) for one in read_experiments(file, bench)]
     assert first.startswith(f"short: {len(experiments)} experiments, ")
     assert [Path(line.partition(": ")[0]).name for line in lines] == [one.name for one in experiments]
-    assert last == f"recordings of the damper tests: {output}"
+    assert last == f"{len(experiments)} recordings of damper tests: {output}"
 
     warm_up, *others = experiments
     run = read_run(output / warm_up.name)
@@ -67,7 +67,7 @@ def test_an_acceptance_test_is_recorded_and_its_warm_up_ends_once_the_force_has_
 
     # What ended early is complete: nothing of it is missing.
     again = record(steps, output, "--resume")
-    assert again.stdout == f"{output}: nothing is missing\nrecordings of the damper tests: {output}\n"
+    assert again.stdout == f"{output}: nothing is missing\n{last}\n"
 
 
 def test_an_endurance_test_ends_at_its_limit_and_can_be_completed(tmp_path: Path) -> None:

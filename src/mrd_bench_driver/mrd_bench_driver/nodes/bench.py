@@ -238,9 +238,10 @@ def _work(arguments: argparse.Namespace) -> None:
 
 
 def _report(session: Session) -> None:
-    """Tell where the recordings of damper tests are, once all are there; a characterisation of them begins here."""
-    if session.tests:
-        print(f"recordings of the damper tests: {session.output}")
+    """Tell where the recordings of the damper tests are, once all are there; a characterisation of them begins here."""
+    recordings = [bag for bag in map(session.bag, session.tests) if bag.exists()]
+    if recordings:
+        print(f"{len(recordings)} recordings of damper tests: {session.output}")
 
 
 def _prepare(arguments: argparse.Namespace) -> Session:
