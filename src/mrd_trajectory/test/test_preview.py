@@ -107,7 +107,7 @@ def test_a_damper_test_is_shown_as_a_table_of_its_experiments(run, tmp_path):
     (tmp_path / "t.yaml").write_text("{name: t, test: gas_force, speed: 3}")
     status, _, err = run(tmp_path / "t.yaml")
     assert (status, err.count("\n")) == (2, 1)
-    assert "t.yaml: unknown key speed; did you mean " in err
+    assert "t.yaml: unknown key speed (known: name, " in err
 
 
 def test_lists_the_damper_tests(run):
