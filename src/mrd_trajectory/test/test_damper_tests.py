@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mrd_base import InputError
 from mrd_trajectory.damper_tests import DAMPER_TESTS, damper_test_table
+from mrd_trajectory.damper_tests.damper_test import rounded_down
 from mrd_trajectory.damper_tests.endurance import Endurance, StopWhen, peak_force_change
 from mrd_trajectory.experiment import Experiment, read_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -79,6 +80,11 @@ def test_what_a_test_chooses_keeps_the_limits_of_any_bench(test: str, bench: Gen
         assert all(peak.value <= peak.limit * (1 + 1e-6) for peak in peaks if peak.quantity != "least current")
         amplitude = experiment.rod.amplitude
         assert amplitude > 0.05 * bench.limits.reach or test == "speed_sweep"
+
+
+@given(st.floats(1e-9, 1e9))
+def test_a_chosen_level_is_never_rounded_up(value: float) -> None:
+    assert 0.99 * value < rounded_down(value) <= value * (1 + 1e-9)
 
 
 def test_the_shipped_acceptance_test_is_short_and_keeps_the_shipped_limits() -> None:

@@ -100,7 +100,7 @@ def chosen_amplitude(given: float | None, share: float, bench: GeneratorSettings
         If the given one is beyond the reach.
     """
     if given is None:
-        return _shown(share * USABLE * bench.limits.reach)
+        return rounded_down(share * USABLE * bench.limits.reach)
     if given > bench.limits.reach:
         raise InputError(
             f"amplitude_mm: found {given * 1e3:.4g}, expected at most {bench.limits.reach * 1e3:.4g}, the reach of the bench"
@@ -120,7 +120,7 @@ def chosen_speed(given: float | None, share: float, amplitude: float, rate: floa
         return checked_speeds((given,), "speed_mm_per_s", bench)[0]
     limits, envelope = bench.limits, bench.force_envelope
     frequency = min(rate / _SAMPLES_PER_CYCLE, bench.setpoint_rate / _SETPOINTS_PER_CYCLE)
-    return _shown(
+    return rounded_down(
         share
         * min(
             _SPEED_SHARE * limits.speed,
@@ -156,7 +156,7 @@ def chosen_current(given: float | None, share: float, speed: float, bench: Gener
     if given is not None:
         return checked_currents((given,), "current_mA", bench)[0]
     current = bench.force_envelope.current(_bearable_force(_FORCE_WITH_CURRENT, bench), speed)
-    return _shown(share * max(0.0, min(current, bench.limits.current_max)))
+    return rounded_down(share * max(0.0, min(current, bench.limits.current_max)))
 
 
 def checked_currents(currents: tuple[float, ...], key: str, bench: GeneratorSettings) -> tuple[float, ...]:
@@ -188,9 +188,12 @@ def _bearable_force(share: float, bench: GeneratorSettings) -> float:
     return at_rest + share * (limit - at_rest)
 
 
-def _shown(value: float) -> float:
-    """Return a value rounded to three digits, as people write it."""
-    return float(f"{value:.3g}")
+def rounded_down(value: float) -> float:
+    """Return a value ≥ 0 with three digits, as people write it, and no larger: it may be a limit."""
+    if value == 0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.floor(value / unit + 1e-9) * unit:.3g}")
 
 
 def cycles_of(

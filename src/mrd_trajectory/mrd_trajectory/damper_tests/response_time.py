@@ -13,6 +13,7 @@ from mrd_trajectory.damper_tests.damper_test import (
     chosen_speed,
     current_field,
     cycles_of,
+    rounded_down,
     speed_field,
 )
 from mrd_trajectory.experiment import Experiment
@@ -40,7 +41,7 @@ class ResponseTime(DamperTest):
         amplitude = chosen_amplitude(self.amplitude, 0.75, bench)
         speed = chosen_speed(self.speed, 0.5, amplitude, self.rate, bench)
         if self.speed is None:
-            speed = min(speed, float(f"{4 * amplitude / _CYCLE:.3g}"))
+            speed = min(speed, rounded_down(4 * amplitude / _CYCLE))
         if self.currents is None:
             largest = chosen_current(None, 1.0, speed, bench)
             currents: tuple[float, ...] = (largest / 2, largest)

@@ -11,6 +11,7 @@ from mrd_trajectory.damper_tests.damper_test import (
     chosen_amplitude,
     chosen_speed,
     cycles_of,
+    rounded_down,
     speed_field,
 )
 from mrd_trajectory.experiment import Experiment
@@ -44,7 +45,7 @@ class SlowStrokes(DamperTest):
         amplitude = chosen_amplitude(self.amplitude, self.REACH, bench)
         if self.speeds is None:
             fast = chosen_speed(None, 0.25, amplitude, self.rate, bench)
-            fast = min(fast, float(f"{4 * amplitude / self.CYCLE:.3g}"))
+            fast = min(fast, rounded_down(4 * amplitude / self.CYCLE))
             speeds: tuple[float, ...] = (fast, fast / 2)
         else:
             speeds = checked_speeds(self.speeds, "speeds_mm_per_s", bench)
