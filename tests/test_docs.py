@@ -104,6 +104,12 @@ def test_the_tables_on_control_are_those_of_the_simulated_bench():
     assert written.returncode == 0, written.stderr
 
 
+def test_the_tables_of_experiments_are_those_of_their_fields():
+    script = ROOT / "docs/tables/experiments.py"
+    written = subprocess.run([sys.executable, script, "--check"], capture_output=True, text=True)
+    assert written.returncode == 0, written.stderr
+
+
 def masked(line: str) -> str:
     """Return a line without its numbers: they differ in the last digits from machine to machine."""
     return re.sub(r"[−-]?\d+(?:\.\d+)?", "#", line).strip()

@@ -27,6 +27,7 @@ T = TypeVar("T")
 # Factor from each unit of a YAML key to SI.
 _TO_SI: dict[str, float] = {
     "": 1.0,
+    "percent": 1e-2,
     "m": 1.0,
     "mm": 1e-3,
     "mm/s": 1e-3,

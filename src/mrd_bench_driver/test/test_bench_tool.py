@@ -43,6 +43,17 @@ def run(
         (None, ["--simulated"], "x.yaml: cannot be read"),
         ("name: x", ["--simulated"], "x.yaml: duration_s is missing"),
         (GENTLE.replace("5,", "30,"), ["--simulated"], "x.yaml: "),
+        ("{name: x, test: warm_ups}", ["--simulated"], "x.yaml: unknown test warm_ups; did you mean warm_up?"),
+        (
+            "{name: x, test: warm_up, speed_mm_per_s: 300}",
+            ["--simulated"],
+            "x.yaml: speed_mm_per_s: found 300, expected at ",
+        ),
+        (
+            "{name: x, test: endurance, cycles: 2, every: 3}",
+            ["--simulated"],
+            "x.yaml: every: found 3, expected at most the 2",
+        ),
         (GENTLE, ["--simulated", "--plant", "none.yaml"], "none.yaml: no such file"),
         (GENTLE, [], "daq has backend simulated; add --simulated"),
         (GENTLE, ["--bench", "none.yaml"], "none.yaml: cannot be read"),

@@ -39,6 +39,7 @@ class FakeBench:
         self.done: list[str] = []
         self.fail = fail or {}
         self.recorded = recorded or BagSummary("/tmp/bag", 1500, 0, 60.0)
+        self.ended = ""
 
     def _do(self, step: str) -> None:
         self.done.append(step)
@@ -83,9 +84,10 @@ class FakeBench:
     def start_experiment(self) -> None:
         self._do("start_experiment")
 
-    def follow_experiment(self, duration: float, report: Callable[[float], None]) -> None:
+    def follow_experiment(self, duration: float, report: Callable[[float], None]) -> str:
         report(duration / 2)
         self._do("follow_experiment")
+        return self.ended
 
     def await_last_samples(self) -> None:
         self._do("await_last_samples")
@@ -99,6 +101,15 @@ class FakeBench:
     def stop_recording(self) -> BagSummary:
         self._do("stop_recording")
         return self.recorded
+
+
+def test_an_experiment_that_ends_early_is_a_success_and_says_why() -> None:
+    bench = FakeBench()
+    bench.ended = "the peak force settled after 5 passes"
+    outcome = run_experiment(bench, REQUEST, lambda *_report: None)
+    assert tuple(bench.done) == (*STEPS, *END)
+    assert outcome.success
+    assert outcome.message == "1500 samples in 60.0 s, none lost; ended early, the peak force settled after 5 passes"
 
 
 def test_an_experiment_goes_its_course_and_reports_it() -> None:

@@ -12,9 +12,11 @@ import yaml
 
 from mrd_base import InputError
 from mrd_base.config import yaml_key
-from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment, read_experiment
+from mrd_trajectory.damper_tests import DamperTest
+from mrd_trajectory.experiment import Experiment, format_experiment, parse_experiment
 from mrd_trajectory.plan import Peak, plan
 from mrd_trajectory.settings import GeneratorSettings
+from mrd_trajectory.steps import experiments_of, is_damper_test, read_step
 from mrd_trajectory.waveforms import CHANNEL_UNITS, waveform_type
 
 MOST_POINTS = 1000
@@ -174,12 +176,15 @@ def find_experiments(folder: Path) -> dict[str, Path]:
 
 
 def find_sets(experiments: Mapping[str, Path]) -> dict[str, list[Path]]:
-    """Return the sets among the experiments that `find_experiments` found: the files of each folder, in their order."""
+    """Return the sets among the files that `find_experiments` found.
+
+    First come the folders, with their files in their order, then the damper tests, which have several experiments.
+    """
     sets: dict[str, list[Path]] = {}
     for name, file in experiments.items():
         if folder := name.rpartition("/")[0]:
             sets.setdefault(folder, []).append(file)
-    return sets
+    return sets | {name: [file] for name, file in experiments.items() if is_damper_test(file)}
 
 
 def preview_set(files: Sequence[Path], settings: GeneratorSettings) -> list[Preview]:
@@ -188,12 +193,17 @@ def preview_set(files: Sequence[Path], settings: GeneratorSettings) -> list[Prev
     Raises
     ------
     InputError
-        For the first file that `preview` refuses.
+        For the first file that `preview` refuses, and for a damper test that may end its set, which the queue does not.
     """
     found = []
     for file in files:
+        step = read_step(file)
+        if isinstance(step, DamperTest) and step.decides:
+            raise InputError(
+                f"{file.name}: stop_when ends a set that the tool bench runs; run it there, or leave stop_when out"
+            )
         try:
-            found.append(preview(format_experiment(read_experiment(file)), settings))
+            found += [preview(format_experiment(one), settings) for one in experiments_of(step, settings)]
         except InputError as error:
             raise InputError(f"{file.name}: {error}") from None
     return found

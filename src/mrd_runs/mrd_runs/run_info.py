@@ -49,6 +49,8 @@ def read_run_info(bag: Bag) -> dict[str, Any]:
         info |= _known_kinds(json.loads(message.data))
     if info.get("experiment"):
         info["experiment_name"] = _experiment_name(str(info["experiment"]))
+    if ended := _early_end(bag):
+        info["ended"] = ended
     calibration = _last_message(bag, "calibration")
     if calibration is not None:
         info["calibration"] = describe_calibration(calibration)
@@ -97,9 +99,22 @@ def _experiment_name(text: str) -> str:
     return one_line(name) if name and isinstance(name, str) else ""
 
 
+def _early_end(bag: Bag) -> str:
+    """Return on which condition the recorded experiment ended before its last pass; "" where it did not."""
+    states = [str(getattr(message, "data", "")) for message in _messages(bag, "experiment_state")]
+    # A bag begins with the state that was the latest one then, which may be of an earlier experiment.
+    return one_line(states[-1].removeprefix("done: ")) if "running" in states and states[-1].startswith("done: ") else ""
+
+
 def _last_message(bag: Bag, name: str) -> Any:
     """Return the last message of the topic whose name ends with ``name``; None without one."""
+    messages = _messages(bag, name)
+    return messages[-1] if messages else None
+
+
+def _messages(bag: Bag, name: str) -> list[Any]:
+    """Return the messages of the topic whose name ends with ``name``."""
     for topic, entry in bag.topics.items():
         if topic.rsplit("/", 1)[-1] == name and entry.messages:
-            return bag.types.deserialize_cdr(entry.messages[-1], entry.message_type)
-    return None
+            return [bag.types.deserialize_cdr(message, entry.message_type) for message in entry.messages]
+    return []

@@ -19,6 +19,7 @@ def summarise(run: Run) -> dict[str, str]:
         "source": info.get("source", ""),
         "imported from": info.get("imported_from", ""),
         "experiment": info.get("experiment_name") or "",
+        "ended early": info.get("ended", ""),
         "recorded": info.get("started", ""),
         "seed": info.get("seed", ""),
         "duration": f"{run.duration:.3f} s",

@@ -12,6 +12,7 @@ import yaml
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
 from mrd_base.config import named_path, parse_yaml, yaml_key
 from mrd_trajectory.transition import KINDS
+from mrd_trajectory.until import FEWEST_PASSES, Until
 from mrd_trajectory.waveforms import CHANNEL_UNITS, Constant, Waveform, waveform_name, waveform_type
 
 # Default column of a trace for each channel.
@@ -27,15 +28,21 @@ class Experiment:
     rate: float = quantity(unit="Hz", doc="samples per second", lower=25, upper=2000)
     rod: Waveform = quantity(Constant(), "", "position of the rod, 0 at mid-stroke, > 0 extends")
     coil: Waveform = quantity(Constant(), "", "current of the coil")
-    repeats: int = quantity(1, "", "number of passes of the waveforms", lower=1, upper=1000)
+    repeats: int = quantity(1, "", "number of passes of the waveforms", lower=1, upper=100_000)
     transition: str = quantity("quintic", "", f"kind of transition between levels: {', '.join(KINDS)}")
     description: str = quantity("", "", "purpose of the experiment")
+    until: Until | None = quantity(None, "", "condition on which it ends before the last pass")
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", self.name):
             raise InputError(f"name: found {self.name!r}, expected 1 to 64 letters, digits, - and _")
         if self.transition not in KINDS:
             raise InputError(f"transition: found {self.transition!r}, expected one of {', '.join(KINDS)}")
+        if self.until is not None and self.repeats < FEWEST_PASSES:
+            raise InputError(
+                f"repeats: found {self.repeats}, expected at least {FEWEST_PASSES} beside until: {FEWEST_PASSES - 1} passes "
+                "to compare, and the one that runs when they have been compared"
+            )
 
 
 def read_experiment(path: str | Path) -> Experiment:
@@ -91,12 +98,16 @@ def format_experiment(experiment: Experiment) -> str:
         value = getattr(experiment, field.name)
         if isinstance(value, Waveform):
             mapping[field.name] = {"waveform": waveform_name(value), **to_mapping(value, units=CHANNEL_UNITS[field.name])}
+        elif isinstance(value, Until):
+            mapping[field.name] = to_mapping(value)
         elif value != field.default:
             mapping[yaml_key(field)[0]] = value
     return yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=120)
 
 
 def _build_experiment(mapping: dict[str, Any], where: str, folder: Path | None) -> Experiment:
+    if "test" in mapping:
+        raise InputError(f"{where}: is a damper test, which may have several experiments; expected one; run it by `bench`")
     waveforms = {
         channel: _build_waveform(mapping[channel], channel, f"{where}: {channel}", folder)
         for channel in CHANNEL_UNITS

@@ -1,6 +1,7 @@
 """From an experiment to the motion of the rod and the current of the coil, within the limits of the bench."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -114,6 +115,17 @@ class Plan:
             setpoints[derivative, after] = self.lead_out(flat[after] - end, derivative)
         setpoints[3, within] = np.where(time_in_pass < self.experiment.duration, self.coil(time_in_pass), 0.0)
         return SetpointSeries(*setpoints.reshape(4, *times.shape))
+
+    def ending_after(self, time: float) -> "Plan":
+        """Return the plan that ends with the first pass whose end comes after a time in s; until then it is the same.
+
+        A rod that is on its way from one pass to the next goes through that one.
+        """
+        first_end = self.body[1] - (self.experiment.repeats - 1) * self.period
+        passes = 1 + max(0, math.floor((time - first_end) / self.period) + 1)
+        if passes >= self.experiment.repeats:
+            return self
+        return dataclasses.replace(self, experiment=dataclasses.replace(self.experiment, repeats=passes, until=None))
 
     def times(self) -> Array:
         """Return the sample times (n,) in s of the whole plan at the rate of the experiment."""

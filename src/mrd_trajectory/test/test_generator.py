@@ -1,5 +1,6 @@
 """The generator as a process: it publishes the setpoints of a started experiment, and stops."""
 
+import dataclasses
 import signal
 import subprocess
 import time
@@ -7,14 +8,15 @@ import time
 import numpy as np
 import pytest
 import rclpy
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from mrd_base.clock import BenchClock
 from mrd_base.lease import Mode
-from mrd_base.nodes.bench_node import COMMAND, LATCHED, seconds
-from mrd_interfaces.msg import Lease, Setpoint
+from mrd_base.nodes.bench_node import COMMAND, LATCHED, RECORDED, seconds
+from mrd_interfaces.msg import BenchSamples, Lease, Setpoint
 from mrd_interfaces.srv import LoadExperiment
 from mrd_trajectory.experiment import parse_experiment
 from mrd_trajectory.force import ForceEnvelope
@@ -218,3 +220,63 @@ def test_a_wrong_parameter_is_refused_in_one_line(start_generator):
     _, err = process.communicate(timeout=20)
     assert process.returncode == 2
     assert err.startswith("error: node generator: unknown parameter setpoint_rate")
+
+
+PASSES = """
+name: passes
+duration_s: 0.2
+rate_hz: 100
+repeats: 200
+rod: {waveform: sine, amplitude_mm: 0.1, frequency_hz: 5}
+until: {settled_percent: 2}
+"""
+
+
+def publish_samples(bench, publisher, force):
+    """Publish the samples of the last 20 ms, whose force is a constant."""
+    message = BenchSamples(sample_period=0.005, position=[0.0] * 4, force=[force] * 4, coil_current=[0.0] * 4)
+    message.header.stamp = (bench.node.get_clock().now() - Duration(seconds=0.02)).to_msg()
+    publisher.publish(message)
+
+
+def test_ends_with_a_pass_once_the_samples_have_settled(bench, start_generator):
+    publisher = bench.node.create_publisher(BenchSamples, "samples", RECORDED)
+    start_generator()
+    bench.until(lambda: bench.states == ["idle"] and publisher.get_subscription_count())
+    assert bench.call("load_experiment", experiment=PASSES).success
+    expected = plan(parse_experiment(PASSES, "t"), Limits(), ForceEnvelope())
+    assert bench.call("start_experiment").success
+    begin, force = time.monotonic(), 200.0
+
+    def ended():
+        nonlocal force
+        force = max(100.0, 200.0 - 200.0 * (time.monotonic() - begin))  # settles after half a second
+        publish_samples(bench, publisher, force)
+        return bench.states[-1].startswith("done")
+
+    bench.until(ended, timeout=20.0)
+    assert "done: the peak force settled after " in bench.states[-1]
+    last = bench.setpoints[-1]
+    assert (last.position, last.velocity, last.coil_current) == (0.0, 0.0, 0.0)
+    # The way out is that of the plan, and the rod has taken it from the end of a pass.
+    times = np.array([seconds(setpoint.header.stamp) for setpoint in bench.setpoints])
+    positions = np.array([setpoint.position for setpoint in bench.setpoints])
+    passes = round((times[-1] - times[0] - expected.duration) / expected.period) + 200
+    assert 4 < passes < 100
+    short = dataclasses.replace(expected, experiment=dataclasses.replace(expected.experiment, repeats=passes))
+    assert positions == pytest.approx(short.at(times - times[0]).position, abs=1e-9)
+
+
+def test_refuses_to_wait_for_a_temperature_that_no_sample_has(bench, start_generator):
+    publisher = bench.node.create_publisher(BenchSamples, "samples", RECORDED)
+    start_generator()
+    bench.until(lambda: bench.states == ["idle"] and publisher.get_subscription_count())
+    warm = PASSES.replace("settled_percent: 2", "temperature_degC: 40")
+
+    def refused():
+        publish_samples(bench, publisher, 1.0)
+        return not bench.call("load_experiment", experiment=warm).success
+
+    bench.until(refused)
+    response = bench.call("load_experiment", experiment=warm)
+    assert response.message.startswith("until: temperature_degC: no sample has a temperature of the damper; connect its")

@@ -95,3 +95,22 @@ def test_the_table_in_the_page_about_the_standard_set_is_current(run):
     _, table, _ = run(CONFIG / "experiments/characterise", "--markdown")
     page = (CONFIG.parent / "docs/characterise.md").read_text()
     assert table in page, "run `ros2 run mrd_trajectory preview config/experiments/characterise --markdown`, put it there"
+
+
+def test_a_damper_test_is_shown_as_a_table_of_its_experiments(run, tmp_path):
+    sweep = CONFIG / "experiments/acceptance/04_speed_sweep.yaml"
+    status, out, err = run(sweep, "--markdown")
+    assert (status, err) == (0, "")
+    assert [line.split(" | ")[0] for line in out.splitlines()[2:]] == [f"| 04_speed_sweep_{n}" for n in range(1, 6)]
+    status, _, err = run(sweep, "--output", tmp_path / "sweep.html")
+    assert (status, err) == (2, f"error: {sweep}: has 5 experiments, and --output shows one\n")
+    (tmp_path / "t.yaml").write_text("{name: t, test: gas_force, speed: 3}")
+    status, _, err = run(tmp_path / "t.yaml")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "t.yaml: unknown key speed (known: name, " in err
+
+
+def test_lists_the_damper_tests(run):
+    status, out, _ = run("--tests")
+    assert status == 0
+    assert ["endurance", "every", "required"] in [line.split()[:3] for line in out.splitlines()]

@@ -155,7 +155,7 @@ SAMPLES = Topic(
     RECORDED,
     "blocks of samples, every block_ms (20 ms; a hybrid test needs less) or at the sample rate if that is lower",
     publishers=("daq", "replay"),
-    subscribers=("servo", "controller", "supervisor", "recorder", "identifier", "diagnoser", "page"),
+    subscribers=("servo", "generator", "controller", "supervisor", "recorder", "identifier", "diagnoser", "page"),
     recorded=True,
 )
 MEASUREMENT = Topic(
@@ -210,9 +210,11 @@ EXPERIMENT_STATE = Topic(
     "experiment_state",
     String,
     LATCHED,
-    "of the generator: idle, loaded, running, done, or `aborted: reason`, on every change",
+    "of the generator: idle, loaded, running, done, `done: reason` where a condition ended the experiment early, or "
+    "`aborted: reason`, on every change",
     publishers=("generator",),
-    subscribers=("supervisor", "page"),
+    subscribers=("supervisor", "recorder", "page"),
+    recorded=True,
 )
 CONTROL_STATE = Topic(
     "control_state",

@@ -2,11 +2,12 @@
 
 import argparse
 import datetime
+import itertools
 import os
 import re
 import signal
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from mrd_base.progress import shown_progress
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
 from mrd_runs import read_run
-from mrd_trajectory.experiment import Experiment, format_experiment, read_experiment
+from mrd_trajectory.damper_tests import DamperTest
+from mrd_trajectory.experiment import Experiment, format_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
+from mrd_trajectory.steps import experiments_of, read_step
 
 SHORTER = 0.5
 """Seconds by which a whole recording may be shorter than its experiment: it consists of whole blocks of samples."""
@@ -61,6 +64,8 @@ class Session:
         Parameter file of the simulated plant; None for the real bench.
     output : Path
         Folder of bags and logs.
+    tests : dict of str to DamperTest
+        The damper tests from which experiments come, by the names of these.
     """
 
     name: str
@@ -68,6 +73,7 @@ class Session:
     is_set: bool
     plant: Path | None
     output: Path
+    tests: dict[str, DamperTest] = field(default_factory=dict)
 
     @property
     def logs(self) -> Path:
@@ -77,7 +83,25 @@ class Session:
     @property
     def bags(self) -> list[Path]:
         """Folders of the bags, one for each experiment."""
-        return [self.output / (experiment.name if self.is_set else "bag") for experiment in self.experiments]
+        return [self.bag(experiment.name) for experiment in self.experiments]
+
+    def bag(self, name: str) -> Path:
+        """Return the folder of the bag of an experiment."""
+        return self.output / (name if self.is_set else "bag")
+
+    def parts(self) -> list[list[Experiment]]:
+        """Return the experiments in groups that are run in one go; after each, its damper test may end the set."""
+
+        def group(experiment: Experiment) -> str:
+            test = self.tests.get(experiment.name)
+            return experiment.name if test and test.decides else ""
+
+        return [list(part) for _, part in itertools.groupby(self.experiments, group)]
+
+    def reason_to_stop(self, name: str) -> str:
+        """Return why the set ends after the recording of an experiment, by the judgement of its damper test; or ""."""
+        test = self.tests.get(name)
+        return test.reason_to_stop(name, lambda other: read_run(self.bag(other)).force) if test else ""
 
 
 def main() -> None:
@@ -87,8 +111,8 @@ def main() -> None:
         "experiments",
         nargs="*",
         type=Path,
-        metavar="EXPERIMENT.yaml|FOLDER",
-        help="experiments, and folders of experiments in the order of their file names, to run one after the other; "
+        metavar="EXPERIMENT.yaml|TEST.yaml|FOLDER",
+        help="experiments, damper tests, and folders of them in the order of their file names, to run one after the other; "
         "without any, the bench stays up until Ctrl-C",
     )
     parser.add_argument(
@@ -157,6 +181,7 @@ def _work(arguments: argparse.Namespace) -> None:
     session = _prepare(arguments)
     if arguments.resume and not session.experiments:
         print(f"{session.output}: nothing is missing")
+        _report(session)
         return
     port = session.logs / "motor"
     specs = bench_processes(
@@ -194,7 +219,7 @@ def _work(arguments: argparse.Namespace) -> None:
                         flush=True,
                     )
                     client.stay_up(page=arguments.page)
-                result = _run(client, session, arguments.seed)
+                result, recordings, ending = _run(client, session, arguments.seed)
     except (ProcessDiedError, KeyboardInterrupt) as error:
         for bag in filter(Path.exists, session.bags):
             print(f"recorded until then: {bag}", file=sys.stderr)
@@ -202,12 +227,21 @@ def _work(arguments: argparse.Namespace) -> None:
             raise
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
-    recordings = result.recordings if session.is_set else [result] if result.bag else []
     for recorded in recordings:
         print(f"{recorded.bag}: {recorded.samples} samples, {recorded.duration:.2f} s, {recorded.lost} lost")
     if not result.success:
         print(f"error: {result.message}", file=sys.stderr)
         sys.exit(1)
+    if ending:
+        print(f"the set ends here: {ending}")
+    _report(session)
+
+
+def _report(session: Session) -> None:
+    """Tell where the recordings of the damper tests are, once all are there; a characterisation of them begins here."""
+    recordings = [bag for bag in map(session.bag, session.tests) if bag.exists()]
+    if recordings:
+        print(f"{len(recordings)} recordings of damper tests: {session.output}")
 
 
 def _prepare(arguments: argparse.Namespace) -> Session:
@@ -215,19 +249,19 @@ def _prepare(arguments: argparse.Namespace) -> Session:
     # A section without a node would leave that node on its defaults.
     check_sections(arguments.bench, NODES, others=False)
     paths: list[Path] = arguments.experiments
-    experiments = _read_experiments(paths, read_settings(arguments.bench))
-    is_set = len(paths) > 1 or any(path.is_dir() for path in paths)
+    experiments, tests = _read_experiments(paths, read_settings(arguments.bench))
+    is_set = len(paths) > 1 or any(path.is_dir() for path in paths) or bool(tests)
     name = next((experiment.name for experiment in experiments), "bench")
     if is_set:
         first = paths[0].resolve()
-        name = first.name if first.is_dir() else first.parent.name
+        name = first.name if first.is_dir() else first.stem if len(paths) == 1 else first.parent.name
     plant = None
     if arguments.simulated:
         plant = arguments.plant or arguments.bench.parent / "plant.yaml"
         if not plant.is_file():
             raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
-    session = Session(name, experiments, is_set, plant, output.resolve())
+    session = Session(name, experiments, is_set, plant, output.resolve(), tests)
     if arguments.resume:
         return replace(session, experiments=_missing(session))
     for bag in session.bags:
@@ -247,20 +281,36 @@ def _missing(session: Session) -> dict[Experiment, float]:
     if not session.is_set:
         raise InputError("--resume: expected a set, several experiments or a folder of them; one experiment is run anew")
     missing = {}
-    for (experiment, duration), bag in zip(session.experiments.items(), session.bags, strict=True):
+    for experiment, duration in session.experiments.items():
+        bag = session.bag(experiment.name)
         if not bag.exists():
             missing[experiment] = duration
             continue
-        recorded = read_run(bag).duration
-        if recorded < duration - SHORTER:
+        run = read_run(bag)
+        ended_early = experiment.until is not None and "ended" in run.info
+        if run.duration < duration - SHORTER and not ended_early:
             raise InputError(
-                f"{bag}: holds {recorded:.1f} s, expected the {duration:.1f} s of its experiment; move it away, then resume"
+                f"{bag}: holds {run.duration:.1f} s, expected the {duration:.1f} s of its experiment; "
+                "move it away, then resume"
             )
+        if ending := session.reason_to_stop(experiment.name):
+            print(f"the set has ended: {ending}")
+            break
     return missing
 
 
-def _read_experiments(paths: list[Path], settings: GeneratorSettings) -> dict[Experiment, float]:
-    """Read experiments from files and, in the order of the file names, from folders; return their durations in s."""
+def _read_experiments(
+    paths: list[Path], settings: GeneratorSettings
+) -> tuple[dict[Experiment, float], dict[str, DamperTest]]:
+    """Read experiments and damper tests from files and, in the order of the file names, from folders.
+
+    Returns
+    -------
+    durations : dict of Experiment to float
+        In s.
+    tests : dict of str to DamperTest
+        The tests among the files, by the names of their experiments.
+    """
     files: list[Path] = []
     for path in paths:
         in_path = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
@@ -268,36 +318,64 @@ def _read_experiments(paths: list[Path], settings: GeneratorSettings) -> dict[Ex
             raise InputError(f"{path}: has no experiments; put files NAME.yaml there")
         files += in_path
     durations: dict[Experiment, float] = {}
+    tests: dict[str, DamperTest] = {}
+    names: set[str] = set()
     for file in files:
-        experiment = read_experiment(file)
-        if any(experiment.name == earlier.name for earlier in durations):
-            raise InputError(f"{file}: name: {experiment.name} is the name of another experiment, too; rename one")
+        step = read_step(file)
         try:
-            durations[experiment] = plan(experiment, settings.limits, settings.force_envelope).duration
+            for experiment in experiments_of(step, settings):
+                if experiment.name in names:
+                    raise InputError(f"name: {experiment.name} is the name of another experiment, too; rename one")
+                durations[experiment] = plan(experiment, settings.limits, settings.force_envelope).duration
+                names.add(experiment.name)
+                if isinstance(step, DamperTest):
+                    tests[experiment.name] = step
         except InputError as error:
             raise InputError(f"{file}: {error}") from None
-    return durations
+    return durations, tests
 
 
-def _run(client: BenchClient, session: Session, seed: int) -> Any:
-    """Run the experiments of a session; return the result of the action."""
+def _run(client: BenchClient, session: Session, seed: int) -> tuple[Any, list[Any], str]:
+    """Run the experiments of a session.
+
+    Returns
+    -------
+    result
+        Of the last action.
+    recordings : list
+        What was recorded: the messages ``Recording`` of a set, or the result of one experiment.
+    ending : str
+        Why a damper test has ended the set, or "".
+    """
     count = f"{len(session.experiments)} experiments, " if session.is_set else ""
     print(
         f"{session.name}: {count}{sum(session.experiments.values()):.1f} s of bench time; logs: {session.logs}", flush=True
     )
-    # The texts are complete: the nodes cannot look up files relative to the experiment's file.
-    texts = [format_experiment(experiment) for experiment in session.experiments]
     durations = list(session.experiments.values())
+    recordings: list[Any] = []
+    result: Any = None
+    done = 0  # experiments of the parts before
     with shown_progress(session.name) as report:
 
         def progress(feedback: Any) -> None:
-            number = feedback.number if session.is_set else 1
-            place = f"{number} of {len(texts)}, {feedback.experiment}, " if session.is_set else ""
+            number = done + feedback.number if session.is_set else 1
+            place = f"{number} of {len(durations)}, {feedback.experiment}, " if session.is_set else ""
             report(f"{place}{feedback.phase}", (sum(durations[: number - 1]) + feedback.elapsed) / sum(durations))
 
-        if session.is_set:
-            return client.run_set(texts, session.output, seed, progress)
-        return client.run_experiment(texts[0], session.bags[0], seed, progress)
+        for part in session.parts():
+            # The texts are complete: the nodes cannot look up files relative to the experiment's file.
+            texts = [format_experiment(experiment) for experiment in part]
+            if not session.is_set:
+                result = client.run_experiment(texts[0], session.bags[0], seed, progress)
+                return result, [result] if result.bag else [], ""
+            result = client.run_set(texts, session.output, seed, progress)
+            recordings += result.recordings
+            if not result.success:
+                break
+            done += len(part)
+            if ending := session.reason_to_stop(part[-1].name):
+                return result, recordings, ending
+    return result, recordings, ""
 
 
 if __name__ == "__main__":

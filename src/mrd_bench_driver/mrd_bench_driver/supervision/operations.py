@@ -235,8 +235,8 @@ class BenchOperations:
         self._require_loaded()
         self._call(self.source.start)
 
-    def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> None:
-        """Wait for the end of the experiment and report its progress in s.
+    def follow_experiment(self, duration: float, progress: Callable[[float], None]) -> str:
+        """Wait for the end of the experiment and report its progress in s; return why it ended early, or "".
 
         Refuse if it ends otherwise or is late, if somebody stops the rod or changes the rate, or if the recording fails.
         """
@@ -260,6 +260,7 @@ class BenchOperations:
                 progress(min(elapsed, duration))
             clock.sleep_step(0.02)
         self._require_undisturbed(begin)
+        return self._told.reason
 
     def _require_recording(self) -> None:
         monitor = self._monitor

@@ -41,6 +41,7 @@ class _Experiment:
         self._duration = self._elapsed = 0.0
         self._recording = False
         self.recorded = BagSummary()
+        self.ended = ""  # why the experiment ended before its last pass
 
     def run(self) -> None:
         bench = self._bench
@@ -66,7 +67,7 @@ class _Experiment:
         # The rod is stopped first: a generator that hangs must not delay this.
         self._undo.insert(1, bench.abort_experiment)
         bench.start_experiment()
-        bench.follow_experiment(self._duration, self._follow)
+        self.ended = bench.follow_experiment(self._duration, self._follow)
         self._elapsed = self._duration
         self._undo.remove(bench.abort_experiment)  # the generator has ended by itself
         self._progress("stopping", self._duration, self._duration)
@@ -114,7 +115,8 @@ def run_experiment(bench: BenchOperations, request: RunRequest, progress: Progre
     recorded = experiment.recorded
     # A recording that fails during the experiment is also the problem of its bag.
     problems = list(dict.fromkeys(([problem] if problem else []) + failures))
-    message = "; ".join(problems) or f"{recorded.samples} samples in {recorded.duration:.1f} s, none lost"
+    ended = f"; ended early, {experiment.ended}" if experiment.ended else ""
+    message = "; ".join(problems) or f"{recorded.samples} samples in {recorded.duration:.1f} s, none lost{ended}"
     return RunOutcome(not problems, cancelled, message, recorded)
 
 

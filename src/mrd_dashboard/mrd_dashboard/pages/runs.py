@@ -55,17 +55,22 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
     form: dict[str, Any] = {key: dict(value) if isinstance(value, dict) else value for key, value in _FIRST.items()}
     ui.label("New run").classes("text-base font-medium")
     experiments = find_experiments(dashboard.experiments)
+    sets = find_sets(experiments)
     ui.select(
-        list(experiments), label="start from", with_input=True, on_change=lambda event: start_from(event.value)
+        [name for name, file in experiments.items() if sets.get(name) != [file]],
+        label="start from",
+        with_input=True,
+        on_change=lambda event: start_from(event.value),
     ).classes("w-full").props("dense").mark("start from")
     entries = ui.column().classes("w-full gap-1")
     with ui.row():
         preview_button = ui.button("Preview", on_click=lambda: look()).props("outline no-caps")
         add_button = ui.button("Add to queue", on_click=lambda: add()).props("no-caps unelevated").mark("add run")
-    sets = find_sets(experiments)
     with ui.row().classes("w-full items-end"):
         chosen_set = (
-            ui.select(list(sets), label="or a whole set", value=next(iter(sets), None)).classes("w-64").props("dense")
+            ui.select(list(sets), label="or a whole set or damper test", value=next(iter(sets), None))
+            .classes("w-64")
+            .props("dense")
         )
         set_button = ui.button("Add the set to the queue", on_click=lambda: add_set()).props("outline no-caps")
         set_button.mark("add set")

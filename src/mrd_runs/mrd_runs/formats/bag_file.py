@@ -23,7 +23,7 @@ IMPORTED_COLUMNS = ("time_s", "velocity_mps", "temperature_C")
 
 def read_bag_file(path: Path) -> Recording:
     """Read a bag folder, an ``.mcap`` or a ``.db3`` file."""
-    bag = read_bag(path, {"samples", "run_info", "calibration", *IMPORTED_COLUMNS})
+    bag = read_bag(path, {"samples", "run_info", "calibration", "experiment_state", *IMPORTED_COLUMNS})
     topic = samples_topic(bag, str(path))
     if topic.rsplit("/", 1)[-1] != "samples":  # recorded under another name, so its messages have not been read yet
         bag = read_bag(path)

@@ -16,9 +16,9 @@ from mrd_sim.effects import EFFECTS
 from mrd_sim.models import MODELS
 from mrd_sim.plant import read_damper
 from mrd_sim.simulate import measure_plans, simulate_plan, simulate_run, write_csv
-from mrd_trajectory.experiment import read_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import read_settings
+from mrd_trajectory.steps import read_experiments
 
 
 def main() -> None:
@@ -31,18 +31,19 @@ def work() -> None:
     arguments = _parser().parse_args()
     damper = _damper(arguments)
     experiments = _experiments(Path(arguments.input))
+    plans = _plans(experiments, arguments.bench)
     if arguments.noise:
         if not experiments:
             raise InputError(f"--noise: {arguments.input} was recorded and has its noise; give experiments")
         rng = np.random.default_rng(arguments.seed)
-        runs = measure_plans(_plans(experiments, arguments.bench), damper, rng)
+        runs = measure_plans(list(plans.values()), damper, rng)
     elif experiments:
-        runs = [simulate_plan(planned, damper) for planned in _plans(experiments, arguments.bench)]
+        runs = [simulate_plan(planned, damper) for planned in plans.values()]
     else:
         runs = [simulate_run(read_run(arguments.input), damper)]
     files = [Path(arguments.output)]
-    if Path(arguments.input).is_dir() and experiments:
-        files = [Path(arguments.output) / f"{file.stem}.csv" for file in experiments]
+    if (Path(arguments.input).is_dir() and experiments) or len(plans) > 1:
+        files = [Path(arguments.output) / f"{name}.csv" for name in plans]
     for run, file in zip(runs, files, strict=True):
         # A bench measures no velocity: the simulated one would be better than what can be known.
         write_csv(run, file, velocity=not arguments.noise)
@@ -70,12 +71,16 @@ def _experiments(path: Path) -> list[Path]:
     return [path] if path.suffix in {".yaml", ".yml"} else []
 
 
-def _plans(experiments: Sequence[Path], bench: str | None) -> list[Plan]:
+def _plans(experiments: Sequence[Path], bench: str | None) -> dict[str, Plan]:
+    """Return the plans of experiments and damper tests by their file's name, or that of each experiment of a test."""
     settings = read_settings(bench)
-    plans = []
+    plans: dict[str, Plan] = {}
     for file in experiments:
         try:
-            plans.append(plan(read_experiment(file), settings.limits, settings.force_envelope))
+            found = read_experiments(file, settings)
+            for experiment in found:
+                name = file.stem if len(found) == 1 else experiment.name
+                plans[name] = plan(experiment, settings.limits, settings.force_envelope)
         except InputError as error:
             raise InputError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
     return plans
@@ -88,8 +93,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "input",
-        metavar="EXPERIMENT.yaml|FOLDER|RUN",
-        help="experiment, folder of experiments that follow each other, or bag, .mcap, .db3 or CSV",
+        metavar="EXPERIMENT.yaml|TEST.yaml|FOLDER|RUN",
+        help="experiment, damper test, folder of them that follow each other, or bag, .mcap, .db3 or CSV",
     )
     damper = parser.add_mutually_exclusive_group(required=True)
     damper.add_argument("--model", help=f"one of {', '.join(MODELS)}")

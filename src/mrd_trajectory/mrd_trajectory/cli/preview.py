@@ -11,9 +11,10 @@ from rich.table import Table
 
 from mrd_base import InputError, run_tool
 from mrd_base.console import print_table
-from mrd_trajectory.experiment import read_experiment
+from mrd_trajectory.damper_tests import damper_test_table
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
+from mrd_trajectory.steps import read_experiments
 from mrd_trajectory.waveforms import waveform_table
 
 if TYPE_CHECKING:
@@ -29,16 +30,17 @@ def main() -> None:
         "experiment",
         nargs="?",
         type=Path,
-        metavar="EXPERIMENT.yaml|FOLDER",
-        help="of a folder, a table of its experiments is printed",
+        metavar="EXPERIMENT.yaml|TEST.yaml|FOLDER",
+        help="of a damper test or a folder, a table of its experiments is printed",
     )
     parser.add_argument("--bench", default=os.environ.get("MRD_BENCH"), help="file with the limits; default: $MRD_BENCH")
     parser.add_argument("--output", metavar="PREVIEW.html", help="page with position, velocity, acceleration and current")
     parser.add_argument("--markdown", action="store_true", help="print the table of a folder in Markdown")
     parser.add_argument("--waveforms", action="store_true", help="list the waveforms and their parameters")
+    parser.add_argument("--tests", action="store_true", help="list the damper tests and their parameters")
     arguments = parser.parse_args()
-    if not arguments.waveforms and not arguments.experiment:
-        parser.error("give an EXPERIMENT.yaml or a FOLDER of them, or --waveforms")
+    if not (arguments.waveforms or arguments.tests or arguments.experiment):
+        parser.error("give an EXPERIMENT.yaml or a FOLDER of them, --waveforms, or --tests")
     if arguments.experiment and arguments.experiment.is_dir() and arguments.output:
         parser.error("--output shows one experiment, not a folder of them")
     run_tool(lambda: _preview(arguments))
@@ -47,19 +49,25 @@ def main() -> None:
 def _preview(arguments: argparse.Namespace) -> None:
     if arguments.waveforms:
         _print_table(("waveform", "under rod", "under coil", "default", "meaning"), *waveform_table())
+    if arguments.tests:
+        _print_table(("test", "parameter", "default", "meaning"), *damper_test_table())
     if not arguments.experiment:
         return
     settings = read_settings(arguments.bench)
-    if arguments.experiment.is_dir():
-        plans = [_read_plan(file, settings) for file in sorted(arguments.experiment.glob("*.yaml"))]
-        if not plans:
-            raise InputError(f"{arguments.experiment}: has no experiments; put files NAME.yaml there")
+    is_folder = arguments.experiment.is_dir()
+    files = sorted(arguments.experiment.glob("*.yaml")) if is_folder else [arguments.experiment]
+    plans = [planned for file in files for planned in _read_plans(file, settings)]
+    if not plans:
+        raise InputError(f"{arguments.experiment}: has no experiments; put files NAME.yaml there")
+    if is_folder or len(plans) > 1:
+        if arguments.output:
+            raise InputError(f"{arguments.experiment}: has {len(plans)} experiments, and --output shows one")
         if arguments.markdown:
             print(_markdown(_HEADER, *map(_row, plans)))
         else:
             _print_table(_HEADER, *map(_row, plans))
         return
-    planned = _read_plan(arguments.experiment, settings)
+    (planned,) = plans
     experiment = planned.experiment
     start, end = planned.body
     print(f"{experiment.name}: {planned.duration:.2f} s, of which the waveforms {start:.2f} to {end:.2f} s\n")
@@ -70,10 +78,10 @@ def _preview(arguments: argparse.Namespace) -> None:
         print(f"\n{Path(arguments.output).resolve()}")
 
 
-def _read_plan(file: Path, settings: GeneratorSettings) -> Plan:
-    experiment = read_experiment(file)
+def _read_plans(file: Path, settings: GeneratorSettings) -> list[Plan]:
+    experiments = read_experiments(file, settings)
     try:
-        return plan(experiment, settings.limits, settings.force_envelope)
+        return [plan(experiment, settings.limits, settings.force_envelope) for experiment in experiments]
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
 
@@ -82,8 +90,9 @@ _HEADER = ("run", "s", "position, mm", "speed, mm/s", "current, mA", "force, N",
 
 
 def _row(planned: Plan) -> tuple[str, ...]:
-    """Return the row of an experiment: duration, ranges within the body, largest expected force, description."""
-    setpoints = planned.at(np.arange(*planned.body, 1e-3))
+    """Return the row of an experiment: duration, ranges within a pass, largest expected force, description."""
+    start, end = planned.body
+    setpoints = planned.at(np.arange(start, min(end, start + planned.period), 1e-3))
     position, current = setpoints.position * 1e3, setpoints.current * 1e3
     force = next(peak.value for peak in planned.peaks if peak.quantity == "expected force")
     return (

@@ -1,20 +1,23 @@
 """Generator: publishes the setpoints of a loaded experiment while it runs."""
 
+import math
 from typing import Any
 
+import numpy as np
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from mrd_base import InputError
 from mrd_base.lease import Mode
-from mrd_base.nodes.bench_node import BenchNode, run_node
-from mrd_base.nodes.graph import ABORT_EXPERIMENT, EXPERIMENT_STATE, LOAD_EXPERIMENT, SETPOINT, START_EXPERIMENT
+from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
+from mrd_base.nodes.graph import ABORT_EXPERIMENT, EXPERIMENT_STATE, LOAD_EXPERIMENT, SAMPLES, SETPOINT, START_EXPERIMENT
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
-from mrd_interfaces.msg import Setpoint
+from mrd_interfaces.msg import BenchSamples, Setpoint
 from mrd_interfaces.srv import LoadExperiment
 from mrd_trajectory.experiment import experiment_text, parse_experiment
 from mrd_trajectory.plan import Plan, plan
 from mrd_trajectory.settings import GeneratorSettings
+from mrd_trajectory.until import PassMonitor, latest_temperature
 
 
 class Generator(BenchNode[GeneratorSettings]):
@@ -23,6 +26,9 @@ class Generator(BenchNode[GeneratorSettings]):
     The rod must be at rest at mid-stroke when an experiment starts; the client that starts it is responsible for that. When
     the setpoints end early, the servo brings the rod to rest. The setpoints carry the number of the lease that the
     supervisor has granted for an experiment; without one, nobody follows them.
+
+    An experiment with a condition (`until`) ends with the pass that runs when the samples fulfil it, by the same lead-out as
+    after its last pass.
     """
 
     alone = True
@@ -33,9 +39,13 @@ class Generator(BenchNode[GeneratorSettings]):
         self._start = self._last = 0.0
         self._state = "idle"
         self._reason = ""
+        self._passes: PassMonitor | None = None  # while a condition may still end the experiment
+        self._ending = ""  # why it ends early
+        self._temperature: float | None = None  # latest one of the damper in K, nan where the samples have none
         self._setpoints = SETPOINT.publisher(self)
         self._states = EXPERIMENT_STATE.publisher(self)
         hear_emergency_stop(self, self._on_emergency_stop)
+        SAMPLES.subscription(self, self._on_samples)
         self._lease = LeaseFollower(self, self.config.stall, lambda _reason: None)
         self._number = 0  # of the lease under which the experiment was started
         LOAD_EXPERIMENT.serve(self, self._load)
@@ -49,7 +59,7 @@ class Generator(BenchNode[GeneratorSettings]):
         self._state, self._reason = state, reason
         if state != "running":
             self._timer.cancel()
-        self._states.publish(String(data=f"{state}: {reason}" if state == "aborted" else state))
+        self._states.publish(String(data=f"{state}: {reason}" if reason and state in ("done", "aborted") else state))
         self.get_logger().info(f"{state}{': ' + reason if reason else ''}")
 
     def _load(self, request: LoadExperiment.Request, response: LoadExperiment.Response) -> LoadExperiment.Response:
@@ -67,6 +77,10 @@ class Generator(BenchNode[GeneratorSettings]):
             response.message = str(error)
             self._enter("idle", response.message)
             return response
+        if reason := self._missing_temperature():
+            self._plan, response.message = None, reason
+            self._enter("idle", reason)
+            return response
         response.success, response.duration, response.rate = True, self._plan.duration, experiment.rate
         self._enter("loaded", f"{experiment.name}, {self._plan.duration:.1f} s")
         return response
@@ -76,8 +90,15 @@ class Generator(BenchNode[GeneratorSettings]):
             response.message = reason
         elif self._state != "loaded":
             response.message = f"no experiment is loaded ({self._state}); call load_experiment first"
+        elif reason := self._missing_temperature():
+            response.message = reason
         else:
+            assert self._plan is not None
             self._start = self._last = self.bench.now()
+            until, self._ending = self._plan.experiment.until, ""
+            begin = self._start + self._plan.body[0]
+            duration = self._plan.experiment.duration
+            self._passes = PassMonitor(until, begin, self._plan.period, duration) if until else None
             lease = self._lease.lease
             self._number = lease.number if lease.mode is Mode.IDENTIFICATION else 0
             self._timer.reset()
@@ -85,6 +106,16 @@ class Generator(BenchNode[GeneratorSettings]):
             self._publish(self._start)
             response.success = True
         return response
+
+    def _missing_temperature(self) -> str:
+        """Return why the loaded experiment, which waits for a temperature, would wait for it in vain, or ""."""
+        until = self._plan.experiment.until if self._plan else None
+        unknown = self._temperature is not None and math.isnan(self._temperature)  # without samples, nobody knows yet
+        if until is None or until.temperature is None or not unknown:
+            return ""
+        return (
+            "until: temperature_degC: no sample has a temperature of the damper; connect its sensor, or use settled_percent"
+        )
 
     def _abort(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
@@ -98,6 +129,20 @@ class Generator(BenchNode[GeneratorSettings]):
         # The stop is latched by the mode of the lease, which nobody but the supervisor changes.
         if message.data and self._state == "running":
             self._enter("aborted", "emergency stop")
+
+    def _on_samples(self, samples: BenchSamples) -> None:
+        force = np.asarray(samples.force)
+        # Samples without a temperature, or of an interface without one, leave it unknown.
+        temperature = np.asarray(getattr(samples, "temperature", ()), dtype=float)
+        temperature = temperature if len(temperature) == len(force) else np.full(len(force), np.nan)
+        self._temperature = latest_temperature(temperature)
+        if self._passes is None or self._state != "running" or self._plan is None:
+            return
+        time = seconds(samples.header.stamp) + samples.sample_period * np.arange(len(force))
+        if reason := self._passes.add(time, force, temperature):
+            self._passes, self._ending = None, reason
+            self._plan = self._plan.ending_after(self.bench.now() - self._start)
+            self.get_logger().info(f"ends with this pass: {reason}")
 
     def _tick(self) -> None:
         if self._state != "running":  # the timer was already due when the run ended
@@ -126,7 +171,7 @@ class Generator(BenchNode[GeneratorSettings]):
         message.header.stamp = self.stamp(now)
         self._setpoints.publish(message)
         if now - self._start >= self._plan.duration:
-            self._enter("done")
+            self._enter("done", self._ending)
 
     def health(self) -> tuple[str, dict[str, Any]]:
         values: dict[str, Any] = {"state": self._state}
