@@ -109,6 +109,13 @@ class Path:
             _bare=bare,
         )
 
+    def as_warm_as(self, other: "Path") -> "Path":
+        """Return the path with the temperature that another one has at the same times, both without their lead-in."""
+        if other.recorded.temperature is None:
+            return self
+        times = np.cumsum(self.dt), np.cumsum(other.recorded.dt)
+        return replace(self, temperature=np.interp(*times, other.recorded.temperature))
+
     @property
     def fine(self) -> "Path":
         """The same path with more vertices where the recorded force changes fast, for effects that follow the force."""

@@ -51,7 +51,7 @@ def _scale(parameters: Array, parts: NDArray, temperature: Array, q: Array) -> N
 EFFECT = Effect(
     id="temperature_dependence",
     title="Temperature dependence",
-    phrase="each kelvin takes {viscous:%} of the viscous and {yield_force:%} of the yield force",
+    phrase="the viscous force falls by {viscous:%} and the yield force by {yield_force:%} as the damper warms up",
     stage="fluid",
     equation="viscous part exp(-a (T - T_r)) + yield part (1 - b (T - T_r)) + rest, T as measured",
     source="carrier oils: viscosity falls by 1-4 % per K (Reynolds 1886, eta = eta_r exp(-a (T - T_r))); yield stress of MR "
