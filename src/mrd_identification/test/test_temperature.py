@@ -76,9 +76,7 @@ def test_both_sizes_are_found_from_a_cold_start():
 def test_a_run_without_a_temperature_is_named():
     rng = np.random.default_rng(1)
     cool, warm = record(drawn_parameters(rng), rng)
-    with pytest.raises(
-        InputError, match="^warm has no temperature of the damper, which temperature_dependence needs; record"
-    ):
+    with pytest.raises(InputError, match=r"^warm has no temperature of the damper, which temperature_dependence needs"):
         identify([cool, replace(warm, temperature=None)], "bouc_wen", effects=("temperature_dependence",))
 
 

@@ -68,9 +68,8 @@ def as_of_today(messages: Sequence[bytes], message_type: str, recorded: Typestor
         return messages
     gained = {name: kind for name, kind in now if name not in dict(before)}
     values = {name: _unknown(kind, detail) for name, (kind, detail) in gained.items()}
-    if any(value is None for value in values.values()) or [name for name, _ in before] != [
-        name for name, _ in now if name not in gained
-    ]:
+    kept = [name for name, _ in now if name not in gained]
+    if any(value is None for value in values.values()) or [name for name, _ in before] != kept:
         raise InputError(
             f"the bag defines {message_type} otherwise than the bench; replay it with the bench that recorded it"
         )

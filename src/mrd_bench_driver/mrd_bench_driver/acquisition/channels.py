@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,7 +174,7 @@ def tare(volts: Array, configured: ChannelMap) -> ChannelMap:
                 f"tare: {name} reads {channel.gain * shift:.3g} {UNITS[name]} by its zero_V, {1e3 * shift:+.3g} mV (limit "
                 f"±{1e3 * channel.tare_limit:.3g} mV); make sure that it is zero now, or correct zero_V"
             )
-    zeros = {
+    zeros: dict[str, Any] = {
         name: dataclasses.replace(channel, zero=float(np.mean(signal)))
         for (name, channel), signal in zip(configured.items(), volts, strict=True)
         if isinstance(channel, InputChannel) and channel.tare

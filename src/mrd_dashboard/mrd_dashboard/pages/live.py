@@ -106,15 +106,15 @@ def _lamps(dashboard: Dashboard, shown: Callable[[], bool]) -> None:
             "somewhat beyond the dashed lines."
         ).classes("text-xs opacity-80")
 
-    def show() -> None:
+    def refresh() -> None:
         for lamp in dashboard.bench.lamps():
             if lamp.name not in rows:  # that of the temperature comes with the first samples of a sensor
                 with card:
                     rows[lamp.name] = _LampRow(lamp)
             rows[lamp.name].show(lamp)
 
-    show()
-    ui.timer(REFRESH, lambda: shown() and show())
+    refresh()
+    ui.timer(REFRESH, lambda: refresh() if shown() else None)
 
 
 class _LampRow:

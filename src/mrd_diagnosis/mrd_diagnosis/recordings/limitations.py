@@ -21,7 +21,7 @@ SLOW_RATE = 100.0
 """Sampling rate in Hz below which time constants of coil and fluid fall between the samples."""
 
 LEAST_TEMPERATURE_CHANGE = 2.0
-"""K. Whatever the damper, a smaller change is that of the thermometer: thermocouples and their amplifiers are off by about as
+"""K. Whatever the damper, a smaller change is that of the thermometer: thermocouples and their amplifiers are off by as
 much, and vary with the room. No fluid changes by more than some per cent over it."""
 
 
