@@ -47,7 +47,7 @@ def write(folder: Path) -> None:
             part = slice(first, first + BLOCK)
             at = first * 10**9 // RATE
             series = (position[part], force[part], current[part], acceleration[part])
-            block = types[SAMPLES_TYPE](header(stamp(at // 10**9, at % 10**9), ""), 1 / RATE, first, *series)
+            block = types[SAMPLES_TYPE](header(stamp(at // 10**9, at % 10**9), ""), 1 / RATE, first, *series, np.empty(0))
             writer.write_message("/samples", at, block)
 
 

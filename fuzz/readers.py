@@ -135,7 +135,7 @@ def make_corpus() -> None:
                 for first in range(0, n, 20):
                     stamp = types["builtin_interfaces/msg/Time"](5, first * 10**6)
                     series = [np.ascontiguousarray(columns[i][first : first + 20]) for i in (1, 3, 2, 4)]
-                    block = types[SAMPLES_TYPE](types["std_msgs/msg/Header"](stamp, ""), 1e-3, first, *series)
+                    block = types[SAMPLES_TYPE](types["std_msgs/msg/Header"](stamp, ""), 1e-3, first, *series, np.empty(0))
                     writer.write(samples, first * 10**6, store.serialize_cdr(block, SAMPLES_TYPE))
             for file in Path(scratch, name).iterdir():
                 kind = file.suffix if file.suffix != ".yaml" else f"-{name}.yaml"

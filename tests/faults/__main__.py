@@ -12,11 +12,11 @@ from pathlib import Path
 
 import rclpy  # noqa: F401 - before the domain is claimed nothing of ROS runs
 
-from faults import coil, converter, hybrid_tests, machine, motor, people, processes, serial_line
+from faults import coil, converter, damper, hybrid_tests, machine, motor, people, processes, serial_line
 from faults.campaign import Bench, Fault, Reaction, measure, table
 from mrd_base.domain import claim_domain
 
-FAMILIES = (people, serial_line, motor, converter, coil, machine, processes, hybrid_tests)
+FAMILIES = (people, serial_line, motor, converter, coil, damper, machine, processes, hybrid_tests)
 
 
 def run(faults: list[Fault], moments: int, repeat: int, seed: int, folder: Path) -> list[tuple[Fault, list[Reaction]]]:

@@ -21,5 +21,7 @@ FAULTS = (
     Fault("LVDT: unplugged", in_plant("disconnect_position"), _SENSORS),
     Fault("current sensor: unplugged", in_plant("disconnect_current"), "the coil current is"),
     Fault("load cell: unplugged", in_plant("disconnect_force"), "", Ending.COMPLETE),
+    Fault("thermometer: unplugged", in_plant("disconnect_temperature"), "interlock temperature: .* reads -2[45].* degC"),
+    Fault("thermometer: broken", in_plant("saturate_temperature"), "interlock temperature: .* the end of its range"),
     Fault("LVDT and load cell exchanged", in_plant("swap_channels"), _SENSORS),
 )

@@ -49,7 +49,11 @@ _TO_SI: dict[str, float] = {
     "mA/s": 1e-3,
     "V": 1.0,
     "kg": 1.0,
-    "degC": 1.0,
+    "degC": 1.0,  # stays in degC: a factor cannot make kelvins of it
+    "J/K": 1.0,
+    "K/V": 1.0,
+    "K": 1.0,
+    "mV/K": 1e-3,
     "ohm": 1.0,
     "mH": 1e-3,
     "A/V": 1.0,

@@ -4,6 +4,9 @@ import math
 
 _PREFIXED_UNITS = ("m", "s", "N", "A", "V", "J", "W", "Pa")
 
+ZERO_CELSIUS = 273.15
+"""0 °C in K."""
+
 
 def four_figures(value: float) -> str:
     """Format a number with four significant figures."""

@@ -1,5 +1,6 @@
 """Volts to SI units and back, tare, clipping."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from mrd_bench_driver.acquisition.channels import (
     ChannelMap,
     CoilOutput,
     InputChannel,
+    TemperatureChannel,
     coil_voltage,
     count_clipped,
     tare,
@@ -117,7 +119,18 @@ def test_an_impossible_channel_map_is_refused(change: dict[str, object], line: s
         from_mapping(ChannelMap, mapping, "bench.yaml: daq: channels")
 
 
-def test_the_shipped_channel_map_is_the_default() -> None:
+def test_a_thermometer_is_the_last_channel_and_reads_kelvins() -> None:
+    assert [name for name, _ in ChannelMap().items()] == ["position", "force", "coil_current", "acceleration"]
+    channels = ChannelMap(temperature=TemperatureChannel("ai5", gain=200.0, zero_celsius=1.25))
+    volts = np.vstack([at_rest(3), [1.25, 1.375, 5.0]])
+    assert to_si(volts, channels)[-1] == pytest.approx([273.15, 298.15, math.nan], nan_ok=True)
+    assert tare(np.vstack([at_rest(), np.full(at_rest().shape[1], 1.4)]), channels).temperature == channels.temperature
+    with pytest.raises(InputError, match="input ai4 is given to two quantities"):
+        ChannelMap(temperature=TemperatureChannel("ai4"))
+
+
+def test_the_shipped_channel_map_is_the_default_with_a_thermometer() -> None:
     parameters = read_node_parameters(BENCH, "daq")
-    assert from_mapping(ChannelMap, parameters["channels"], "channels") == ChannelMap()
+    shipped = from_mapping(ChannelMap, parameters["channels"], "channels")
+    assert shipped == ChannelMap(temperature=TemperatureChannel("ai5"))
     assert from_mapping(CoilOutput, parameters["coil"], "coil") == CoilOutput()

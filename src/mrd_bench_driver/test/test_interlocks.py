@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mrd_base import from_mapping, read_node_parameters
+from mrd_base import InputError, from_mapping, read_node_parameters
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_bench_driver.supervision.errors import RefusedError, TrippedError
 from mrd_bench_driver.supervision.interlocks import (
@@ -19,6 +19,7 @@ from mrd_bench_driver.supervision.interlocks import (
     INTERLOCKS,
     RESET_INTERLOCKS,
     Tolerances,
+    check_start_temperature,
     first_trip,
 )
 from mrd_bench_driver.supervision.modes import TRANSITIONS, BenchMode, Mode
@@ -45,6 +46,8 @@ within = st.builds(
     force=st.floats(-800, 800),
     speed=st.floats(-0.25, 0.25) | st.just(math.nan),
     current=st.floats(-0.1, 1.1),
+    temperature=st.floats(213.16, 344.14),
+    has_thermometer=st.booleans(),
     servo_age=st.floats(0, 0.15),
     servo=st.builds(
         ServoStatus,
@@ -89,6 +92,10 @@ BEYOND = {
     "force": {"force": st.floats(800.1, 1e5) | st.floats(-1e5, -800.1) | st.just(math.nan)},
     "following error": {"servo_following_error": st.floats(0.0051, 1) | st.floats(-1, -0.0051) | st.just(math.nan)},
     "current": {"current": st.floats(1.1001, 10) | st.floats(-10, -0.1001) | st.just(math.nan)},
+    "temperature": {
+        "has_thermometer": st.just(True),
+        "temperature": st.floats(344.16, 1e4) | st.floats(0, 213.14) | st.just(math.nan),
+    },
 }
 
 
@@ -127,6 +134,15 @@ def test_each_limit_trips_its_interlock_and_says_value_limit_and_remedy(
             "the latest setpoint is 160 ms old, limit 150 ms; those of the generator are stamped 0.2 s before they come, so "
             "that servo or daq do not follow them; the machine's clock was set",
         ),
+        ({"temperature": 358.15, "has_thermometer": True}, "the damper has 85.0 degC, limit 71 degC; let it cool down"),
+        (
+            {"temperature": 23.15, "has_thermometer": True},
+            "the damper's thermometer reads -250 degC, which no damper has, so that the limit of 71 degC cannot be watched",
+        ),
+        (
+            {"temperature": math.nan, "has_thermometer": True},
+            "the damper's thermometer is at the end of its range, so that the limit of 71 degC cannot be watched; check",
+        ),
         ({"current": -0.2}, "-0.200 A through the coil, allowed -0.100 to 1.100 A"),
     ],
 )
@@ -134,6 +150,28 @@ def test_a_trip_names_its_source(change: dict[str, Any], line: str) -> None:
     trip = first_trip(changed(HEALTHY, **change), LIMITS, TOLERANCES)
     assert trip is not None
     assert line in trip.message
+
+
+@given(temperature=st.floats(-273.15, 1e3), has_thermometer=st.booleans())
+def test_a_run_starts_within_the_window_of_temperatures(temperature: float, has_thermometer: bool) -> None:
+    now = changed(HEALTHY, temperature=temperature + 273.15, has_thermometer=has_thermometer)
+    message = check_start_temperature(now, TOLERANCES)
+    assert (message == "") == (not has_thermometer or 0.0 <= now.temperature - 273.15 <= 60.0)
+    if message and -60 <= temperature <= 220:
+        assert "degC, allowed 0 to 60 degC; wait, or change start_temperature_low_degC" in message
+
+
+def test_without_a_thermometer_nothing_asks_for_a_temperature() -> None:
+    assert HEALTHY.has_thermometer is False
+    assert first_trip(HEALTHY, LIMITS, TOLERANCES) is None
+    assert check_start_temperature(HEALTHY, TOLERANCES) == ""
+
+
+def test_a_window_that_no_run_fits_into_is_refused() -> None:
+    with pytest.raises(InputError, match="start_temperature_low_degC is 50, start_temperature_high_degC 40 and"):
+        Tolerances(start_temperature_low=50.0, start_temperature_high=40.0)
+    with pytest.raises(InputError, match="temperature_max_degC 50, expected"):
+        Tolerances(temperature_max=50.0)
 
 
 def test_silent_sources_come_before_their_last_values() -> None:

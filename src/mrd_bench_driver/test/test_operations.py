@@ -34,6 +34,7 @@ class FakePeers:
         self.clock = BenchClock()
         self.servo = ServoStatus(position=0.0, connected=True)
         self.force, self.rate, self.state, self.recorder = 0.0, 100.0, "", "idle"
+        self.temperature = 300.0
         self.modes: list[tuple[Mode, str]] = []
         self.emergency_stops: list[bool] = []
         timeouts = {"answer_timeout": 0.2, "discovery_timeout": 0.1, "late": 1.0, "stall": 1.0}
@@ -46,7 +47,8 @@ class FakePeers:
     def publish(self) -> None:
         now, ones = self.clock.now(), np.ones(10)
         monitor = self.supervisor.monitor
-        monitor.add_samples(now - 9 / self.rate, 1 / self.rate, 0 * ones, self.force * ones, 0 * ones)
+        series = 0 * ones, self.force * ones, 0 * ones, self.temperature * ones
+        monitor.add_samples(now - 9 / self.rate, 1 / self.rate, *series)
         monitor.add_servo_status(dataclasses.replace(self.servo, time=now))
         if self.recorder:  # "" is silent
             monitor.add_recorder_state(self.recorder, "", now)
@@ -186,6 +188,17 @@ def test_a_machine_that_is_too_slow_is_named_before_and_after_a_run(
     assert not outcome.success
     assert outcome.message.startswith("not armed, this machine is too slow: 1 of 2 cycles came more than 500 ms late")
     assert "servo/enable True" not in peers.calls
+
+
+def test_no_run_starts_with_a_damper_that_is_too_warm_but_homing_does(peers: FakePeers) -> None:
+    peers.temperature = 273.15 + 65.0
+    peers.publish()
+    outcome = run(peers)
+    assert not outcome.success
+    assert outcome.message.startswith("not started, the damper has 65.0 degC, allowed 0 to 60 degC; wait, or change")
+    assert "start_recording" not in peers.calls
+    assert peers.supervisor.mode.current is Mode.IDLE
+    assert peers.supervisor.home()
 
 
 def test_cancel_and_stop_end_an_experiment(peers: FakePeers) -> None:

@@ -23,8 +23,10 @@ def test_samples_give_age_extremes_speed_and_mean_current() -> None:
     for block in range(2):
         position = 1e-3 * block + np.linspace(-5e-3, -4e-3, 20)
         force = np.array([100.0, -300.0, 200.0] + [0.0] * 17)
-        monitor.add_samples(10.0 + 0.02 * block, 1e-3, position, force, np.full(20, 0.5))
+        monitor.add_samples(10.0 + 0.02 * block, 1e-3, position, force, np.full(20, 0.5), np.linspace(300.0, 302.0, 20))
     snapshot = monitor.snapshot(10.1)
+    assert snapshot.temperature == pytest.approx(301.0)
+    assert snapshot.has_thermometer
     assert monitor.sample_period == 1e-3
     assert snapshot.sample_age == pytest.approx(10.1 - 10.039)
     assert snapshot.position == pytest.approx(-4e-3)
@@ -40,8 +42,12 @@ def test_a_gap_in_the_samples_gives_no_speed_and_an_empty_block_nothing() -> Non
     monitor.add_samples(11.0, 0.04, 5 * one, one, one)
     before = monitor.snapshot(11.0)
     assert math.isnan(before.speed)
+    assert math.isnan(before.temperature)
+    assert not before.has_thermometer
     monitor.add_samples(12.0, 0.04, one[:0], one[:0], one[:0])
-    assert dataclasses.replace(monitor.snapshot(11.0), speed=0.0) == dataclasses.replace(before, speed=0.0)
+    assert dataclasses.replace(monitor.snapshot(11.0), speed=0.0, temperature=0.0) == dataclasses.replace(
+        before, speed=0.0, temperature=0.0
+    )
 
 
 def test_the_servo_is_as_old_as_its_status() -> None:

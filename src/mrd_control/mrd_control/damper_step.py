@@ -102,6 +102,8 @@ def damper_step(damper: Damper) -> tuple[Any, ...]:
         raise InputError(
             f"damper {damper.description}: {series} in series with the damper cannot act in a loop; leave it out"
         )
+    if model.needs_temperature:
+        raise InputError(f"damper {damper.description}: a loop has no temperature on which it could depend; leave it out")
     effects = [effect for effect in model.effects if effect.kernel is not None]
     if len(effects) > MOST_EFFECTS:
         raise InputError(f"damper {damper.description}: {len(effects)} effects, expected at most {MOST_EFFECTS} in a loop")

@@ -98,10 +98,10 @@ def test_every_model_acts_in_the_loop_as_along_a_path(name, car):
 
 
 @pytest.mark.parametrize(
-    "name", [name for name, effect in EFFECTS.items() if effect.elongation is None and name != "mains_hum"]
+    "name", [name for name, effect in EFFECTS.items() if effect.kernel is not None and name != "mains_hum"]
 )
 def test_every_effect_acts_in_the_loop_as_along_a_path(name, car):
-    """All but those in series, which the loop refuses, and the hum, whose phase a loop does not know."""
+    """All but those in series or of temperature, which the loop refuses, and the hum, whose phase a loop does not know."""
     damper = Damper("bouc_wen", effects={name: dict(EFFECTS[name].typical)})
     base = Road("C", 15.0, seed=2).base(2000, RATE)
     result = run_loop(car, damper, CONSTANT, base, RATE, gains={"current": 0.3}, supply_lag=0.0)
@@ -118,6 +118,12 @@ def check_against_path(damper, result, share=1.0):
     expected = damper.model.forces(damper.theta, along, state)[0]
     error = np.abs(result.force[1:] - expected)
     assert np.quantile(error, share) < 2e-3
+
+
+def test_an_effect_of_temperature_is_refused(car):
+    damper = Damper("bouc_wen", effects={"temperature_dependence": {"viscous": 0.02}})
+    with pytest.raises(InputError, match="with temperature_dependence: a loop has no temperature on which it could depend"):
+        run_loop(car, damper, CONSTANT, np.zeros((100, 2)), RATE)
 
 
 @pytest.mark.parametrize("name", ["series_compliance", "joint_play"])

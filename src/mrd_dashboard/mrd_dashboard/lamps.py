@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mrd_base.lease import Mode
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_bench_driver.supervision.interlocks import CONTROL_INTERLOCKS, HOMING_INTERLOCKS, Tolerances
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
@@ -71,13 +72,17 @@ READINGS: dict[str, Reading] = {
         f"{now.current:.3f} A",
         f"{limits.current_min - t.current:g} to {limits.current_max + t.current:g} A",
     ),
+    "temperature": lambda now, _limits, t: (
+        f"{now.temperature - ZERO_CELSIUS:.1f} °C" if math.isfinite(now.temperature) else "none",
+        f"{t.temperature_max:g} °C",
+    ),
     "power": lambda now, _limits, t: (f"{now.power:.0f} W", f"±{t.power:g} W"),
     "energy balance": lambda now, _limits, t: (f"{now.work:.1f} J", f"≥ {-t.energy:g} J"),
 }
 
 
 def lamps(now: Snapshot, limits: Limits, tolerances: Tolerances, mode: Mode, reason: str) -> list[Lamp]:
-    """Return a lamp for each interlock.
+    """Return a lamp for each interlock; none for the temperature where there is no sensor.
 
     Parameters
     ----------
@@ -93,6 +98,8 @@ def lamps(now: Snapshot, limits: Limits, tolerances: Tolerances, mode: Mode, rea
     checks = HOMING_INTERLOCKS if mode is Mode.HOMING else CONTROL_INTERLOCKS
     found = []
     for name, reading in READINGS.items():
+        if name == "temperature" and not now.has_thermometer:
+            continue
         value, limit = reading(now, limits, tolerances)
         latched = f"interlock {name}: "
         tripped = mode is Mode.FAULT and reason.startswith(latched)

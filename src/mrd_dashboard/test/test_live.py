@@ -123,6 +123,9 @@ def test_there_is_a_lamp_for_each_interlock() -> None:
     assert READINGS.keys() == CONTROL_INTERLOCKS.keys()
     found = lamps(HEALTHY, Limits(), Tolerances(), Mode.IDLE, "started")
     assert {lamp.status for lamp in found} == {"ok"}, found
+    assert READINGS.keys() - {lamp.name for lamp in found} == {"temperature"}, "there is no thermometer"
+    warm = dataclasses.replace(HEALTHY, temperature=310.0, has_thermometer=True)
+    assert {lamp.name for lamp in lamps(warm, Limits(), Tolerances(), Mode.IDLE, "started")} == READINGS.keys()
 
 
 @pytest.mark.parametrize(
@@ -134,6 +137,8 @@ def test_there_is_a_lamp_for_each_interlock() -> None:
         ({"current": 1.25}, "current", "1.250 A", "-0.1 to 1.1 A"),
         ({"sample_age": 0.2}, "stale samples", "200 ms", "140 ms"),
         ({"position_difference": 0.003}, "position sensors", "3.00 mm", "±2 mm"),
+        ({"temperature": 353.15, "has_thermometer": True}, "temperature", "80.0 °C", "71 °C"),
+        ({"temperature": math.nan, "has_thermometer": True}, "temperature", "none", "71 °C"),
         ({"power": 130.0}, "power", "130 W", "±120 W"),
         ({"work": -9.0}, "energy balance", "-9.0 J", "≥ -2 J"),
         ({"daq_problem": "the converter is silent; check its cable"}, "daq fault", "stopped", ""),

@@ -143,7 +143,7 @@ def test_what_a_killed_recorder_leaves_is_listed_and_recovered(dashboard) -> Non
     block = writer.types.types["mrd_interfaces/msg/BenchSamples"]
     stamp = writer.types.types["builtin_interfaces/msg/Time"](0, 0)
     header, empty = writer.types.types["std_msgs/msg/Header"](stamp, ""), np.zeros(4)
-    writer.write_message("samples", 0, block(header, 1e-3, 0, empty, empty, empty, empty))
+    writer.write_message("samples", 0, block(header, 1e-3, 0, empty, empty, empty, empty, empty[:0]))
     writer.flush()
     (found,) = dashboard.recordings.search()
     assert (found.id, found.closed) == ("set/killed", False)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_runs.bag import BagWriter
 from mrd_runs.definitions import SAMPLES_TYPE
 from mrd_runs.formats.bag_file import IMPORTED_COLUMNS
@@ -33,8 +34,8 @@ def write_bag(
     """Write columns as `make_run` takes them as a bag.
 
     The samples go into blocks on the topic ``samples``, as the DAQ sends them, so that the bag can be replayed. Blocks have
-    equally spaced samples, without velocity and temperature. Topics ``imported/time_s`` and so on therefore hold these
-    columns exactly, and `read_run` returns every value bit by bit.
+    equally spaced samples, without velocity, and the temperature in K. Topics ``imported/time_s`` and so on therefore hold
+    these columns exactly, and `read_run` returns every value bit by bit.
 
     Parameters
     ----------
@@ -103,6 +104,7 @@ def _write(writer: BagWriter, columns: Mapping[str, Array], stamps: NDArray[np.i
         writer.add_topic(f"/imported/{name}", "std_msgs/msg/Float64MultiArray", depth=200)
     time = columns["time_s"]
     writer.write_message("/run_info", int(stamps[0]), types["std_msgs/msg/String"](run_info))
+    temperature = columns["temperature_C"] + ZERO_CELSIUS if "temperature_C" in columns else np.empty(0)
     no_accelerometer = np.full(len(time), np.nan)
     for first in range(0, len(time), _BLOCK):
         block = slice(first, min(first + _BLOCK, len(time)))
@@ -118,6 +120,7 @@ def _write(writer: BagWriter, columns: Mapping[str, Array], stamps: NDArray[np.i
             columns["force_N"][block],
             columns["current_A"][block],
             columns.get("acceleration_mps2", no_accelerometer)[block],
+            temperature[block],
         )
         writer.write_message("/samples", stamp, message)
         for name in exact:

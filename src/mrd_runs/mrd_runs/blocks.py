@@ -15,10 +15,13 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.store import Typestore
 
 from mrd_base import InputError
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_runs.definitions import SAMPLES_TYPE
 
 Array = NDArray[np.float64]
 SERIES = ("position", "force", "coil_current", "acceleration")
+TEMPERATURE = "temperature"
+"""Field that the blocks of older bags lack, and that is empty on a bench without a thermometer."""
 _LITTLE_ENDIAN = b"\x00\x01"
 _PERIODS = (1e-9, 1e6)  # s
 
@@ -28,8 +31,9 @@ LAYOUT = [
     ("header", (Nodetype.NAME, "std_msgs/msg/Header")),
     ("sample_period", (Nodetype.BASE, ("float64", 0))),
     ("sequence", (Nodetype.BASE, ("uint64", 0))),
-    *((name, _SERIES_TYPE) for name in SERIES),
+    *((name, _SERIES_TYPE) for name in (*SERIES, TEMPERATURE)),
 ]
+LAYOUT_WITHOUT_TEMPERATURE = LAYOUT[:-1]
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class Blocks:
     count : ndarray (m,) of int64
         Number of samples in each block.
     series : dict of str to ndarray (n,)
-        Samples of all blocks, by field of the message.
+        Samples of all blocks, by field of the message; the temperature is nan where a block has none.
     """
 
     stamp: NDArray[np.int64]
@@ -94,17 +98,21 @@ def decode_blocks(messages: Sequence[bytes], types: Typestore) -> Blocks:
     ValueError, struct.error or another error of rosbags
         For damaged bytes, or for series of unequal length in a block.
     """
-    known_layout = types.fielddefs[SAMPLES_TYPE][1] == LAYOUT
+    layout = types.fielddefs[SAMPLES_TYPE][1]
+    known_layout = layout in (LAYOUT, LAYOUT_WITHOUT_TEMPERATURE)
     parts = []
     for _, group in groupby(messages, key=len):
         same_length = list(group)
-        part = decode_as_table(same_length) if known_layout else None
+        part = decode_as_table(same_length, has_temperature=layout == LAYOUT) if known_layout else None
         parts.append(part or decode_with_rosbags(same_length, types))
     return _join(parts)
 
 
-def decode_as_table(messages: list[bytes]) -> Blocks | None:
-    """Decode messages of the same length as a table; return None when their layouts differ."""
+def decode_as_table(messages: list[bytes], *, has_temperature: bool = True) -> Blocks | None:
+    """Decode messages of the same length as a table; return None when their layouts differ.
+
+    ``has_temperature`` tells whether the messages have that field, which may be empty.
+    """
     first = messages[0]
     if len(first) < 44 or first[:2] != _LITTLE_ENDIAN:
         return None
@@ -120,32 +128,44 @@ def decode_as_table(messages: list[bytes]) -> Blocks | None:
         "offsets": [4, 8, 12, after_frame, after_frame + 8],
         "itemsize": len(first),
     }
+    counts = dict.fromkeys(SERIES, count)
     offset = after_frame + 16
-    for name in SERIES:
+    for name in (*SERIES, TEMPERATURE) if has_temperature else SERIES:
+        if name == TEMPERATURE:
+            counts[name] = int.from_bytes(first[offset : offset + 4], "little")
+            if counts[name] not in (0, count):
+                return None
+        start = 4 + -(-(offset) // 8) * 8 if counts[name] else offset + 4
         fields["names"] += [f"n_{name}", name]
-        fields["formats"] += ["<u4", ("<f8", (count,))]
-        start = 4 + -(-(offset) // 8) * 8 if count else offset + 4
+        fields["formats"] += ["<u4", ("<f8", (counts[name],))]
         fields["offsets"] += [offset, start]
-        offset = start + 8 * count
+        offset = start + 8 * counts[name]
     if offset != len(first):
         return None
     table: Any = np.frombuffer(b"".join(messages), np.dtype(fields))
-    if (table["frame"] != frame).any() or any((table[f"n_{name}"] != count).any() for name in SERIES):
+    if (table["frame"] != frame).any() or any((table[f"n_{name}"] != size).any() for name, size in counts.items()):
         return None
+    series = {name: table[name].reshape(-1) for name in SERIES}
+    no_temperature = np.full(len(messages) * count, np.nan)
+    series[TEMPERATURE] = table[TEMPERATURE].reshape(-1) if counts.get(TEMPERATURE) else no_temperature
     return Blocks(
         table["sec"].astype(np.int64) * 10**9 + table["nanosec"],
         table["period"].copy(),
         table["sequence"].astype(np.int64),
         np.full(len(messages), count, np.int64),
-        {name: table[name].reshape(-1) for name in SERIES},
+        series,
     )
 
 
 def decode_with_rosbags(messages: list[bytes], types: Typestore) -> Blocks:
     """Decode messages one by one; slower than `decode_as_table`, for any layout."""
     decoded: list[Any] = [types.deserialize_cdr(message, SAMPLES_TYPE) for message in messages]
+    temperatures = []
     for block in decoded:
         lengths = {name: len(getattr(block, name)) for name in SERIES}
+        temperature = getattr(block, TEMPERATURE, ())
+        temperatures.append(temperature if len(temperature) else np.full(len(block.position), np.nan))
+        lengths[TEMPERATURE] = len(temperatures[-1])
         if len(set(lengths.values())) > 1:
             raise ValueError(f"a block has series of unequal lengths: {lengths}")
     return Blocks(
@@ -153,7 +173,8 @@ def decode_with_rosbags(messages: list[bytes], types: Typestore) -> Blocks:
         np.array([block.sample_period for block in decoded], np.float64),
         np.array([block.sequence for block in decoded], np.uint64).astype(np.int64),
         np.array([len(block.position) for block in decoded], np.int64),
-        {name: np.concatenate([getattr(block, name) for block in decoded]) for name in SERIES},
+        {name: np.concatenate([getattr(block, name) for block in decoded]) for name in SERIES}
+        | {TEMPERATURE: np.concatenate([np.empty(0), *temperatures])},
     )
 
 
@@ -164,7 +185,7 @@ def _join(parts: list[Blocks]) -> Blocks:
         np.concatenate([np.empty(0), *(part.period for part in parts)]),
         np.concatenate([empty, *(part.sequence for part in parts)]),
         np.concatenate([empty, *(part.count for part in parts)]),
-        {name: np.concatenate([np.empty(0), *(part.series[name] for part in parts)]) for name in SERIES},
+        {name: np.concatenate([np.empty(0), *(part.series[name] for part in parts)]) for name in (*SERIES, TEMPERATURE)},
     )
 
 
@@ -183,7 +204,8 @@ def sample_columns(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[s
     columns : dict of str to ndarray (n,)
     timing : dict
         ``lost`` (number of missing samples), ``jitter_s`` (standard deviation of the stamps about the sample clock),
-        ``first_stamp_s``.
+        ``first_stamp_s``; ``unread_temperatures``, the number of samples without a temperature where others have one: then
+        there is no such column.
     """
     columns = {
         "position_m": blocks.series["position"],
@@ -194,6 +216,9 @@ def sample_columns(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[s
     # A bench without accelerometer sends NaN.
     if np.isnan(columns["acceleration_mps2"]).all():
         del columns["acceleration_mps2"]
+    unread = np.isnan(blocks.series[TEMPERATURE])
+    if not unread.any():
+        columns["temperature_C"] = blocks.series[TEMPERATURE] - ZERO_CELSIUS
     if len(blocks.stamp) == 0:
         return {"time_s": np.empty(0), **columns}, {"lost": 0, "jitter_s": 0.0}
     usable = (blocks.period > _PERIODS[0]) & (blocks.period < _PERIODS[1])
@@ -202,6 +227,8 @@ def sample_columns(blocks: Blocks, where: str) -> tuple[dict[str, Array], dict[s
         raise InputError(f"{where}: block {index} has the sample period {blocks.period[index]} s, expected one of a bench")
     time, jitter = _sample_times(blocks)
     timing = {"lost": blocks.lost, "jitter_s": jitter, "first_stamp_s": float(blocks.stamp[0] * 1e-9)}
+    if unread.any() and not unread.all():
+        timing["unread_temperatures"] = int(unread.sum())
     return {"time_s": time, **columns}, timing
 
 

@@ -1,16 +1,20 @@
 """Message definitions that a bag contains, as rosbags types; no ROS is needed."""
 
+import math
 import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mrd_base import InputError
 
+_NUMBERS = ("float64", "float32", "uint64", "int64", "uint32", "int32", "uint16", "int16", "uint8", "int8")
 SAMPLES_TYPE = "mrd_interfaces/msg/BenchSamples"
 
 
@@ -50,12 +54,12 @@ def as_of_today(messages: Sequence[bytes], message_type: str, recorded: Typestor
     messages : sequence of bytes
     message_type : str
     recorded : Typestore
-        Types as the bag defines them. Numbers that a type has gained since are 0.
+        Types as the bag defines them. Whole numbers that a type has gained since are 0, others nan, and series empty.
 
     Raises
     ------
     InputError
-        When the two definitions differ by more than numbers that were added.
+        When the two definitions differ by more than numbers and series of numbers that were added.
     """
     today = typestore()
     _, before = recorded.fielddefs[message_type]
@@ -63,17 +67,27 @@ def as_of_today(messages: Sequence[bytes], message_type: str, recorded: Typestor
     if before == now:
         return messages
     gained = {name: kind for name, kind in now if name not in dict(before)}
-    is_number = all(kind == Nodetype.BASE and detail[0] != "string" for kind, detail in gained.values())
-    if not is_number or [name for name, _ in before] != [name for name, _ in now if name not in gained]:
+    values = {name: _unknown(kind, detail) for name, (kind, detail) in gained.items()}
+    kept = [name for name, _ in now if name not in gained]
+    if any(value is None for value in values.values()) or [name for name, _ in before] != kept:
         raise InputError(
             f"the bag defines {message_type} otherwise than the bench; replay it with the bench that recorded it"
         )
     converted = []
     for cdr in messages:
         message = recorded.deserialize_cdr(cdr, message_type)
-        fields = {name: getattr(message, name) for name, _ in before} | dict.fromkeys(gained, 0)
+        fields = {name: getattr(message, name) for name, _ in before} | values
         converted.append(bytes(today.serialize_cdr(today.types[message_type](**fields), message_type)))
     return converted
+
+
+def _unknown(kind: Nodetype, detail: Any) -> Any:
+    """Return what stands for a number or a series that was not recorded; None for a field of another type."""
+    if kind == Nodetype.SEQUENCE and detail[0][0] == Nodetype.BASE and detail[0][1][0] in _NUMBERS:
+        return np.empty(0, detail[0][1][0])
+    if kind != Nodetype.BASE or detail[0] == "string":
+        return None
+    return math.nan if detail[0].startswith("float") else 0
 
 
 def definition(store: Typestore, message_type: str) -> str:

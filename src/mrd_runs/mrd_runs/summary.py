@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_runs.run import Run
 from mrd_runs.signals.motion import smooth_motion
 
@@ -31,6 +32,9 @@ def summarise(run: Run) -> dict[str, str]:
         "reversals": count_reversals(motion.velocity),
         "force": f"{run.force.min():.2f} to {run.force.max():.2f} N",
         "current": f"{run.current.min() * 1e3:.1f} to {run.current.max() * 1e3:.1f} mA",
+        "temperature": ""
+        if run.temperature is None
+        else f"{run.temperature.min() - ZERO_CELSIUS:.1f} to {run.temperature.max() - ZERO_CELSIUS:.1f} °C",
         "position noise": f"{motion.position_noise * 1e6:.3g} µm",
         "clocks": ""
         if run.clocks_agree()

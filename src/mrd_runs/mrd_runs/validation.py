@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_base.table import check_columns
 from mrd_runs.run import Run
 
@@ -92,7 +93,7 @@ def make_run(
         columns["current_A"],
         columns["force_N"],
         columns.get("acceleration_mps2"),
-        None if temperature is None else temperature + 273.15,
+        None if temperature is None else temperature + ZERO_CELSIUS,
         {**(info or {}), "notes": tuple(notes)},
     )
 

@@ -44,6 +44,7 @@ def block_message(columns: dict[str, np.ndarray], first: int, last: int, start: 
         columns["force_N"][first:last],
         columns["current_A"][first:last],
         columns["acceleration_mps2"][first:last],
+        columns["temperature_C"][first:last] + 273.15 if "temperature_C" in columns else np.empty(0),
     )
 
 

@@ -2,12 +2,14 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import textwrap
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from rosbags.typesys import get_types_from_msg
 from mrd_base import InputError
 from mrd_runs import read_run
 from mrd_runs.bag import FLUSH_PERIOD, BagWriter, read_bag
-from mrd_runs.blocks import LAYOUT, SERIES, decode_as_table, decode_blocks, decode_with_rosbags
+from mrd_runs.blocks import LAYOUT, SERIES, TEMPERATURE, decode_as_table, decode_blocks, decode_with_rosbags
 from mrd_runs.completeness import check_completeness
 from mrd_runs.definitions import SAMPLES_TYPE, as_of_today, empty_typestore, interface_folder, typestore
 
@@ -339,26 +341,91 @@ def test_layout_is_that_of_the_definition() -> None:
 
 
 @settings(max_examples=80)
-@given(st.lists(st.integers(0, 5), min_size=1, max_size=6), st.text("abc/", max_size=9), st.integers(0, 2**40))
-def test_table_decoder_agrees_with_rosbags(counts: list[int], frame: str, sequence: int) -> None:
+@given(
+    st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=6),
+    st.text("abc/", max_size=9),
+    st.integers(0, 2**40),
+)
+def test_table_decoder_agrees_with_rosbags(blocks: list[tuple[int, bool]], frame: str, sequence: int) -> None:
+    """With and without a thermometer."""
     types = TYPES.types
     rng = np.random.default_rng(0)
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](-5, 999), frame)
     messages = [
         bytes(
             TYPES.serialize_cdr(
-                types[SAMPLES_TYPE](header, 1e-3, sequence, *(rng.normal(size=count) for _ in SERIES)), SAMPLES_TYPE
+                types[SAMPLES_TYPE](
+                    header, 1e-3, sequence, *(rng.normal(size=count) for _ in SERIES), rng.normal(size=count * is_measured)
+                ),
+                SAMPLES_TYPE,
             )
         )
-        for count in counts
+        for count, is_measured in blocks
     ]
     expected = decode_with_rosbags(messages, TYPES)
     decoded = decode_blocks(messages, TYPES)
-    assert decode_as_table(messages[:1]) is not None or counts[0] == 0
+    assert decode_as_table(messages[:1]) is not None or blocks[0][0] == 0
     for name in ("stamp", "period", "sequence", "count"):
         np.testing.assert_array_equal(getattr(decoded, name), getattr(expected, name))
-    for name in SERIES:
+    for name in (*SERIES, TEMPERATURE):
         np.testing.assert_array_equal(decoded.series[name], expected.series[name])
+
+
+@pytest.fixture
+def old_definitions(tmp_path: Path) -> Path:
+    """Definitions of the messages before they had the damper's temperature."""
+    folder = tmp_path / "old"
+    folder.mkdir()
+    for file in interface_folder().glob("*.msg"):
+        lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+        is_new = file.stem in ("BenchSamples", "Measurement")
+        kept = [line for line in lines if not (is_new and " temperature " in line)]
+        assert len(kept) == len(lines) - is_new
+        (folder / file.name).write_text("".join(kept), encoding="utf-8")
+    return folder
+
+
+def test_a_bag_from_before_the_temperature_is_read(tmp_path: Path, columns, monkeypatch, old_definitions) -> None:
+    with monkeypatch.context() as before:
+        before.setattr("mrd_runs.definitions.interface_folder", lambda: old_definitions)
+        with BagWriter(tmp_path / "run") as writer:
+            types = writer.types.types
+            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](5, 0), "")
+            writer.add_topic("/samples", SAMPLES_TYPE)
+            writer.add_topic("/measurement", "mrd_interfaces/msg/Measurement")
+            writer.write_message("/measurement", 1, types["mrd_interfaces/msg/Measurement"](header, 1.0, 2.0, 3.0, 4.0, 5.0))
+            for first in range(0, 1000, 20):
+                series = (columns[name][first : first + 20] for name in ("position_m", "force_N", "current_A"))
+                block = types[SAMPLES_TYPE](header, 1e-3, first, *series, np.full(20, np.nan))
+                writer.write_message("/samples", 1 + first, block)
+    bag = read_bag(tmp_path / "run")
+    assert "temperature" not in dict(bag.types.fielddefs[SAMPLES_TYPE][1])
+    run = read_run(tmp_path / "run")
+    assert run.temperature is None
+    np.testing.assert_array_equal(run.force, columns["force_N"])
+
+    def of_today(topic: str) -> Any:
+        entry = bag.topics[topic]
+        messages = as_of_today(entry.messages, entry.message_type, bag.types)
+        return TYPES.deserialize_cdr(messages[0], entry.message_type)
+
+    assert np.isnan(of_today("/measurement").temperature)
+    assert of_today("/measurement").acceleration == 5.0
+    assert len(of_today("/samples").temperature) == 0
+    np.testing.assert_array_equal(of_today("/samples").force, columns["force_N"][:20])
+
+
+def test_the_temperature_of_a_bag(tmp_path: Path, columns, fill_bag) -> None:
+    warm = columns | {"temperature_C": np.linspace(20.0, 60.0, 1000)}
+    fill_bag(tmp_path / "run", warm).close()
+    run = read_run(tmp_path / "run")
+    assert run.temperature == pytest.approx(warm["temperature_C"] + 273.15)
+    assert "temperature  20.0 to 60.0 °C" in re.sub(r" {3,}", "  ", run.summary())
+    warm["temperature_C"][500:503] = np.nan
+    fill_bag(tmp_path / "gap", warm).close()
+    run = read_run(tmp_path / "gap")
+    assert run.temperature is None
+    assert "the temperature is left out: the thermometer could not be read at 3 samples" in run.info["notes"]
 
 
 def test_blocks_of_unequal_series(tmp_path: Path, columns, make_block) -> None:

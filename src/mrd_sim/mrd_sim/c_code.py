@@ -56,10 +56,14 @@ def c_source(
     Raises
     ------
     InputError
-        For an unknown parameter, a value out of bounds, a prefix that is no C name, or code that cannot be translated.
+        For an unknown parameter, a value out of bounds, a prefix that is no C name, an effect that needs the temperature, or
+        code that cannot be translated.
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", prefix):
         raise InputError(f"prefix {prefix!r} is no C name, expected letters, digits and _")
+    if model.needs_temperature:
+        effects = ", ".join(effect.id for effect in model.effects if effect.coefficients is not None)
+        raise InputError(f"{effects} needs the temperature, which exported code is not given; export without it")
     theta = model.vector(values)
     names = [coefficient.name for coefficient in model.coefficients]
     unit = CUnit(names, {f"{prefix}_{name}" for name in ("init", "step", "state", "parameter", "parameters")})

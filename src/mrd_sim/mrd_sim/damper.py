@@ -98,7 +98,9 @@ class Damper:
         name = self.model.stands_for or self.model.id
         return " with ".join(filter(None, (name, ", ".join(effect.id for effect in self.model.effects))))
 
-    def force(self, time: Array, position: Array, current: Array, simulator: Array | None = None) -> Array:
+    def force(
+        self, time: Array, position: Array, current: Array, simulator: Array | None = None, temperature: Array | None = None
+    ) -> Array:
         """Return the measured force in N along a recorded motion from rest, which is smoothed as in identification.
 
         Parameters
@@ -107,11 +109,14 @@ class Damper:
             s, m, A.
         simulator : ndarray (n,), optional
             Force in N of the simulator for which the model stands, which is corrected.
+        temperature : ndarray (n,), optional
+            Temperature of the damper in K, for effects that depend on it.
 
         Raises
         ------
         InputError
-            For series of different length, fewer than ten samples, or the force of a simulator that is missing.
+            For series of different length, fewer than ten samples, or the force of a simulator or a temperature that is
+            missing.
         """
         time, position, current = (np.asarray(series, np.float64) for series in (time, position, current))
         if not len(time) == len(position) == len(current):
@@ -119,6 +124,8 @@ class Damper:
             raise InputError(f"{lengths}, expected as many of each")
         motion = smooth_motion(time, position)
         path = make_path(time, motion.position, motion.velocity, motion.acceleration, current)
+        if temperature is not None:
+            path = replace(path, temperature=np.interp(np.cumsum(path.dt), time - time[0], temperature))
         if self.model.stands_for:
             path = self._with_excess(path, time, simulator)
         return self.model.force(self.theta, path)
@@ -134,7 +141,15 @@ class Damper:
         excess = np.asarray(simulator, np.float64) - without.force(without.vector(self.plain), path)
         return replace(path, excess=np.interp(np.cumsum(path.dt), time - time[0], excess))
 
-    def advance(self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array) -> Array:
+    def advance(
+        self,
+        dt: float,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        current: Array,
+        temperature: Array | None = None,
+    ) -> Array:
         """Return the measured force in N over the next block of equally spaced samples.
 
         Parameters
@@ -143,11 +158,19 @@ class Damper:
             s between samples. They have to be so close that no reversal between two of them matters.
         position, velocity, acceleration, current : ndarray (m,)
             SI units.
+        temperature : ndarray (m,), optional
+            K, for effects that depend on it.
         """
-        return self.forces(dt, position, velocity, acceleration, current)[1]
+        return self.forces(dt, position, velocity, acceleration, current, temperature)[1]
 
     def forces(
-        self, dt: float, position: Array, velocity: Array, acceleration: Array, current: Array
+        self,
+        dt: float,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        current: Array,
+        temperature: Array | None = None,
     ) -> tuple[Array, Array]:
         """Return the force on the rod and the measured one, which effects of sensing change; arguments as of `advance`."""
         if self.model.stands_for:
@@ -155,7 +178,7 @@ class Damper:
         steps = np.full(len(position), dt)
         if self._state is None:
             steps[0] = 0.0
-        path = Path(steps, position, velocity, acceleration, current, np.arange(len(position)))
+        path = Path(steps, position, velocity, acceleration, current, np.arange(len(position)), temperature=temperature)
         if self._state is None:
             self._state = self.model.initial_state(path)
         return self.model.forces(self.theta, path, self._state)

@@ -114,6 +114,8 @@ Write one file for each effect and name their folder with `--effects-folder FOLD
 block; `dt[0] == 0` begins a path.
 Write bounds and typical values for the reference damper ([ranges](#ranges)). Use the functions
 of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a fit needs.
+Instead of a kernel, an effect may have `coefficients`, which changes the coefficients of the damper model by the measured
+temperature, as `temperature_dependence` does.
 An effect that is not neutral at its parameters' defaults is
 refused. Reports describe the effect with its `phrase`, and compare the place of the error with the places that
 `shows` lists, which are any of

@@ -138,6 +138,8 @@ whose bounds are its default: then both follow the scales of any damper. `q` hol
 each sample, which are read by name; `state` is carried on from block to block; `dt[0] == 0` begins a path. Use the
 functions of `mrd_sim.dual` instead of `math`'s and compare `.real`: then the kernel also carries the derivatives that a
 fit needs.
+What scales the viscous or the yield part of the force says so by `part`, for the effect `temperature_dependence`; without
+it, coefficients in N s/m and Pa s count as viscous, and those in N, but for a constant force, as yield.
 
 A model is tried when it is loaded. One whose force or derivative is not finite within the bounds is refused. So is one that
 lacks a property that it claims: `odd` (turning the motion round turns the force round) and `dissipative` (no closed cycle

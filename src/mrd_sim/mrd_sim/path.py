@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from mrd_runs import Run
 from mrd_runs.signals.mains import MAINS_LINES, Line, mains_lines
@@ -23,6 +24,11 @@ MOST_PIECES = 8
 
 COARSE_STEP = 0.05
 """Share of the largest speed, current and force that none of them passes by between two vertices of a coarse path."""
+
+
+TEMPERATURE_WINDOW = 1.0
+"""s, the length of the moving average over the measured temperature. No damper warms up by a kelvin in such a time: even the
+largest dissipate less than a kilowatt in each kilogram."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +58,8 @@ class Path:
         Motion before the first sample, whose vertices come first; without one, a model begins at rest and unloaded.
     excess : ndarray (m,) or None
         Force in N that a simulator of the user's own has beyond the model that stands for it.
+    temperature : ndarray (m,) or None
+        Measured temperature of the damper in K.
     """
 
     dt: Array
@@ -65,6 +73,7 @@ class Path:
     kept: slice | None = None
     lead_in: LeadIn | None = None
     excess: Array | None = None
+    temperature: Array | None = None
     _bare: "Path | None" = None
 
     @property
@@ -96,8 +105,16 @@ class Path:
             samples=bare.samples + len(before),
             lead_in=lead_in,
             excess=None if bare.excess is None else np.concatenate([np.zeros(len(before)), bare.excess]),
+            temperature=None if bare.temperature is None else np.pad(bare.temperature, (len(before), 0), mode="edge"),
             _bare=bare,
         )
+
+    def as_warm_as(self, other: "Path") -> "Path":
+        """Return the path with the temperature that another one has at the same times, both without their lead-in."""
+        if other.recorded.temperature is None:
+            return self
+        times = np.cumsum(self.dt), np.cumsum(other.recorded.dt)
+        return replace(self, temperature=np.interp(*times, other.recorded.temperature))
 
     @property
     def fine(self) -> "Path":
@@ -139,6 +156,7 @@ class Path:
             samples=(np.cumsum(keep) - 1)[self.samples],
             kept=kept,
             excess=None if self.excess is None else self.excess[keep],
+            temperature=None if self.temperature is None else self.temperature[keep],
         )
 
 
@@ -153,12 +171,23 @@ def _along(smoothed: SmoothedRun, parts: int | NDArray[np.intp]) -> Path:
     path = make_path(
         subdivide(time, parts), *motion_between_samples(time, smoothed.motion, parts), subdivide(smoothed.current, parts)
     )
-    excess = smoothed.excess
+
+    def on_vertices(series: Array | None) -> Array | None:
+        return None if series is None else np.interp(np.cumsum(path.dt), time - time[0], series)
+
     return replace(
         path,
         samples=path.samples[subdivided_indices(len(time), parts)],
-        excess=None if excess is None else np.interp(np.cumsum(path.dt), time - time[0], excess),
+        excess=on_vertices(smoothed.excess),
+        temperature=on_vertices(_without_noise(smoothed.run)),
     )
+
+
+def _without_noise(run: Run) -> Array | None:
+    """Return the temperature of a run in K averaged over `TEMPERATURE_WINDOW`: its noise is none of the fluid."""
+    if run.temperature is None:
+        return None
+    return np.asarray(uniform_filter1d(run.temperature, max(1, round(TEMPERATURE_WINDOW * run.rate)), mode="nearest"))
 
 
 def pieces(run: Run) -> NDArray[np.intp]:

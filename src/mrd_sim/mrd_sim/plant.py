@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
 from mrd_base.config import from_mapping, read_node_parameters
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_sim.current import parse_laws
 from mrd_sim.damper import Damper, parse_effects, parse_values
 from mrd_sim.effects import load_effects
+from mrd_sim.heating import Heating
 from mrd_sim.models import load_models
 from mrd_sim.motor.servo_axis import RATE, MotorConfig
 from mrd_sim.motor.smart_motor import LINE_FAULTS, SmartMotor
@@ -42,6 +44,8 @@ CONVERTER_FAULTS = {
     "disconnect_position": "the LVDT is unplugged: its terminal reads 0 V",
     "disconnect_force": "the load cell is unplugged: its terminal reads 0 V",
     "disconnect_current": "the current sensor is unplugged: its terminal reads 0 V",
+    "disconnect_temperature": "the thermocouple is unplugged: its terminal reads 0 V",
+    "saturate_temperature": "the thermocouple is broken: its amplifier reads the end of the terminal's range",
     "reverse_force": "the two wires of the load cell are exchanged",
 }
 _LEAK = 0.3  # A
@@ -51,6 +55,8 @@ COIL_FAULTS = {
     "short_coil": "the cable of the coil is shorted behind the sensor: what the supply can give flows, but not in the coil",
     "leak_coil": "the supply lets 0.3 A or more through the coil, whatever is commanded",
 }
+DAMPER_FAULTS = {"hot_damper": "the damper is heated to 150 degC, and is as cool as the room again afterwards"}
+_HOT = 150.0 + ZERO_CELSIUS
 FAULTS = {
     "": "no fault",
     **LINE_FAULTS,
@@ -58,6 +64,7 @@ FAULTS = {
     **MOTOR_FAULTS,
     **CONVERTER_FAULTS,
     **COIL_FAULTS,
+    **DAMPER_FAULTS,
 }
 """Faults that can be set on purpose, with what they do. A fault acts as long as it is set."""
 
@@ -118,6 +125,7 @@ class PlantConfig:
     start_position: float = quantity(-0.008, "mm", "initial position of the rod", lower=-0.5, upper=0.5)
     fault: str = quantity("", "", f"one of: {', '.join(filter(None, FAULTS))}")
     damper: DamperConfig = field(default_factory=DamperConfig)
+    heating: Heating = field(default_factory=Heating)
     motor: MotorConfig = field(default_factory=MotorConfig)
     supply: CoilSupply = field(default_factory=CoilSupply)
     sensors: SensorsConfig = field(default_factory=SensorsConfig)
@@ -155,7 +163,7 @@ class Block:
         Terminals of the converter.
     voltage : ndarray (channels, n)
         V at the terminals.
-    position, velocity, acceleration, force, current : ndarray (m,)
+    position, velocity, acceleration, force, current, temperature : ndarray (m,)
         True values, at the motor's rate. The last one belongs to the last sample of the converter.
     """
 
@@ -169,6 +177,7 @@ class Block:
     acceleration: Array
     force: Array
     current: Array
+    temperature: Array
 
 
 class Plant:
@@ -204,14 +213,12 @@ class Plant:
         )
         self._decimation = int(RATE / config.hardware_rate)
         self._sensors = MeasuringChain(
-            [getattr(config.sensors, entry.name) for entry in fields(config.sensors)],
-            RATE,
-            self._decimation,
-            np.random.default_rng(sensor_seed),
+            list(config.sensors.wired().values()), RATE, self._decimation, np.random.default_rng(sensor_seed)
         )
         self._start = start
         self._sequence = 0
         self._current = 0.0
+        self._temperature = config.heating.ambient_kelvin
         self._slipped = 0.0  # m by which the rod has stayed behind the motor
         self._volts = 0.0
         self._commands: list[tuple[float, float]] = []
@@ -222,6 +229,11 @@ class Plant:
     def time(self) -> float:
         """Bench time in s up to which the bench is simulated."""
         return self._start + self._sequence / self.config.hardware_rate
+
+    @property
+    def temperature(self) -> float:
+        """Present temperature of the damper in K."""
+        return self._temperature
 
     @property
     def fault(self) -> str:
@@ -242,6 +254,8 @@ class Plant:
         axis.supply_voltage = 12.0 if fault == "low_voltage" else self.config.motor.supply_voltage
         if "overheat" in (fault, self._fault):
             axis.temperature = 95.0 if fault == "overheat" else self.config.motor.ambient
+        if "hot_damper" in (fault, self._fault):
+            self._temperature = _HOT if fault == "hot_damper" else self.config.heating.ambient_kelvin
         self._fault = fault
 
     def command_coil(self, volts: float, time: float) -> None:
@@ -279,7 +293,11 @@ class Plant:
             measured_current = np.where(config.supply.target(volts) > 0.0, config.supply.current_limit, 0.0)
 
         # Fluid: motion and current become damper force. The damper's effects act in here, those of sensing on `measured`.
-        force, measured = self.damper.forces(dt, position, velocity, acceleration, current)
+        # Within a block the fluid keeps the temperature that it has at the start.
+        fluid = np.full(count, self._temperature)
+        force, measured = self.damper.forces(dt, position, velocity, acceleration, current, fluid)
+        temperature = config.heating.warmed(self._temperature, force * velocity, dt)
+        self._temperature = float(temperature[-1])
         # The load acts in the next block. The servo is so stiff that the delay hardly moves the rod.
         self.motor.axis.load = float(force[-1])
 
@@ -288,7 +306,8 @@ class Plant:
 
         # Sensing: everything becomes volts at the converter's terminals.
         supply = np.full(count, config.sensors.current.supply)
-        voltage = self._sensors.read(np.stack([position, measured, measured_current, supply, acceleration]))
+        values = [position, measured, measured_current, supply, acceleration, temperature]
+        voltage = self._sensors.read(np.stack(values[: len(self._sensors.channels)]))
         self._disturb(voltage)
 
         first = self._sequence
@@ -304,6 +323,7 @@ class Plant:
             acceleration=acceleration,
             force=force,
             current=current,
+            temperature=temperature,
         )
 
     def _behind_pinion(self, dt: float, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array, Array]:
@@ -316,12 +336,12 @@ class Plant:
 
     def _disturb(self, voltage: Array) -> None:
         """Change the readings (channels, n) as the present fault of the converter or its wiring does."""
-        names = [entry.name for entry in fields(self.config.sensors)]
+        names = list(self.config.sensors.wired())
         kind, _, name = self._fault.partition("_")
         if self._fault == "swap_channels":
             wired = [names.index("position"), names.index("force")]
             voltage[wired] = voltage[wired[::-1]]
-        elif kind in ("saturate", "disconnect"):
+        elif kind in ("saturate", "disconnect") and name in names:
             end = getattr(self.config.sensors, name).converter_range
             voltage[names.index(name)] = end if kind == "saturate" else 0.0
         elif kind == "reverse":

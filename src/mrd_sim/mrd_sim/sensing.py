@@ -10,7 +10,7 @@ cells, Allegro ACS714, Freescale MMA7361L, NI USB-6216).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_sim.named import named_row
 
 Array = NDArray[np.float64]
@@ -212,6 +213,37 @@ class Accelerometer:
 
 
 @dataclass(frozen=True)
+class Thermometer:
+    """Temperature of the damper's body: type K thermocouple behind an AD8495, 5 mV/K around 1.25 V at 0 °C.
+
+    Initial error 1 to 3 °C (grades A and C), gain 0.3 %; the time constant of a glued junction is about a second.
+    """
+
+    channel: str = quantity("ai5", "", "terminal; empty where there is no sensor")
+    converter_range: float = quantity(5.0, "V", "± range of the terminal", lower=0.2, upper=10)
+    sensitivity: float = quantity(0.005, "mV/K", "of the amplifier", lower=1e-5, upper=1)
+    zero: float = quantity(1.25, "V", "at 0 degC", lower=-10, upper=10)
+    gain_error: float = quantity(0.003, "", "relative", lower=-0.5, upper=0.5)
+    offset: float = quantity(0.002, "V", "beyond the zero", lower=-1, upper=1)
+    noise: float = quantity(0.2, "K", "rms", lower=0, upper=10)
+    bandwidth: float = quantity(1.0, "Hz", "-3 dB", lower=0.01, upper=1e5)
+
+    @property
+    def rails(self) -> tuple[float, float]:
+        """Ground and supply in V."""
+        return 0.0, 5.0
+
+    @property
+    def noise_volts(self) -> float:
+        """Noise in V rms."""
+        return self.noise * self.sensitivity
+
+    def volts(self, value: Array) -> Array:
+        """Return the output in V for a temperature in K."""
+        return self.zero + self.offset + (1.0 + self.gain_error) * self.sensitivity * (value - ZERO_CELSIUS)
+
+
+@dataclass(frozen=True)
 class SensorsConfig:
     """All sensors of the bench, in the order in which `MeasuringChain.read` takes their values."""
 
@@ -220,6 +252,12 @@ class SensorsConfig:
     current: CurrentSensor = field(default_factory=CurrentSensor)
     supply: SupplyMonitor = field(default_factory=SupplyMonitor)
     acceleration: Accelerometer = field(default_factory=Accelerometer)
+    temperature: Thermometer = field(default_factory=Thermometer)
+
+    def wired(self) -> dict[str, Sensor]:
+        """Return the sensors that are there, by quantity."""
+        sensors = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return {name: sensor for name, sensor in sensors.items() if name != "temperature" or sensor.channel}
 
 
 _CONVERTER_NOISE = {0.2: 12e-6, 1.0: 26e-6, 5.0: 118e-6, 10.0: 229e-6}

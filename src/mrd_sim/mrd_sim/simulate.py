@@ -2,18 +2,20 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from mrd_base import InputError
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_runs import Run, make_run
 from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.damper import Damper
-from mrd_sim.path import make_path, run_path
+from mrd_sim.heating import Heating
+from mrd_sim.path import Path, make_path, run_path
 from mrd_trajectory.plan import Plan
 
 Array = NDArray[np.float64]
@@ -32,8 +34,8 @@ class Instruments:
 
     Attributes
     ----------
-    position_noise, force_noise, current_noise, acceleration_noise : float
-        m, N, A, m/s² rms of every sample; white.
+    position_noise, force_noise, current_noise, acceleration_noise, temperature_noise : float
+        m, N, A, m/s², K rms of every sample; white.
     acceleration_gain, acceleration_offset : float
         Error of the accelerometer: relative, and in m/s².
     bandwidth : float
@@ -53,6 +55,7 @@ class Instruments:
     acceleration_offset: float = 0.02
     bandwidth: float = 250.0
     supply_lag: float = 0.003
+    temperature_noise: float = 0.2
     run_gain: float = 0.01
     run_offset: float = 2.0
 
@@ -70,6 +73,7 @@ def simulate_run(run: Run, damper: Damper) -> Run:
         run.current,
         force,
         motion.acceleration,
+        run.temperature,
         info={"source": f"{damper.description} along {run.name}"},
     )
 
@@ -77,14 +81,18 @@ def simulate_run(run: Run, damper: Damper) -> Run:
 def simulate_plan(plan: Plan, damper: Damper) -> Run:
     """Simulate a damper along the setpoints of a plan, as if rod and coil followed them exactly.
 
-    The force is integrated at `LEAST_RATE` or more and sampled at the experiment's rate.
+    The force is integrated at `LEAST_RATE` or more and sampled at the experiment's rate. A damper whose effects depend on
+    its temperature starts at that of the room and warms up by the power that it dissipates, as `Heating` has it by default.
     """
     steps = int(np.ceil(LEAST_RATE / plan.experiment.rate))
     samples = slice(None, None, steps)
     time = np.arange((len(plan.times()) - 1) * steps + 1) / (steps * plan.experiment.rate)
     at = plan.at(time)
     path = make_path(time, at.position, at.velocity, at.acceleration, at.current)
-    force = damper.model.force(damper.theta, path)
+    model = damper.model
+    if model.needs_temperature:
+        path = warmed_path(path, damper, model.initial_state(path), Heating(), Heating().ambient_kelvin)
+    force = model.force(damper.theta, path)
     return Run(
         f"{plan.experiment.name}_{damper.model.id}",
         time[samples],
@@ -93,17 +101,56 @@ def simulate_plan(plan: Plan, damper: Damper) -> Run:
         at.current[samples],
         force[samples],
         at.acceleration[samples],
+        None if path.temperature is None else path.temperature[path.samples][samples],
         info={"source": f"{damper.description} along the setpoints of {plan.experiment.name}"},
     )
 
 
-def measure_plan(plan: Plan, damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None) -> Run:
+def warmed_path(path: Path, damper: Damper, state: Array, heating: Heating, start: float) -> Path:
+    """Return a path with the temperature of a damper that warms up along it by the power that it dissipates.
+
+    The power is that of a damper that stays at the temperature at the start: what heat takes from the force changes the heat
+    to second order.
+
+    Parameters
+    ----------
+    path : Path
+    damper : Damper
+    state : ndarray
+        Of its model at the start; not changed.
+    heating : Heating
+    start : float
+        Temperature at the start in K.
+    """
+    cold = replace(path, temperature=np.full(len(path.dt), start), samples=np.arange(len(path.dt)))
+    force, _ = damper.model.forces(damper.theta, cold, state.copy())
+    # On equal steps, which the vertices at reversals divide.
+    time = np.cumsum(path.dt)
+    even = np.linspace(time[0], time[-1], len(time))
+    power = np.interp(even, time, force * path.velocity)
+    temperature = np.append(start, heating.warmed(start, power[1:], float(even[1] - even[0])))
+    return replace(path, temperature=np.interp(time, even, temperature))
+
+
+def measure_plan(
+    plan: Plan,
+    damper: Damper,
+    rng: np.random.Generator,
+    *,
+    instruments: Instruments | None = None,
+    heating: Heating | None = None,
+) -> Run:
     """Return a plan as a bench would have recorded it with a fresh damper; see `measure_plans`."""
-    return measure_plans([plan], damper, rng, instruments=instruments)[0]
+    return measure_plans([plan], damper, rng, instruments=instruments, heating=heating)[0]
 
 
 def measure_plans(
-    plans: Sequence[Plan], damper: Damper, rng: np.random.Generator, *, instruments: Instruments | None = None
+    plans: Sequence[Plan],
+    damper: Damper,
+    rng: np.random.Generator,
+    *,
+    instruments: Instruments | None = None,
+    heating: Heating | None = None,
 ) -> list[Run]:
     """Return plans as a bench would have recorded them, one after the other.
 
@@ -119,6 +166,9 @@ def measure_plans(
     rng : numpy Generator
         Source of noise and run scatter. A run does not depend on those after it.
     instruments : Instruments, optional
+    heating : Heating, optional
+        How the damper warms up by the power that it dissipates; its temperature is recorded, and goes on from run to run.
+        Without it, there is a thermometer only where effects of the damper depend on the temperature.
 
     Returns
     -------
@@ -127,6 +177,9 @@ def measure_plans(
     """
     instruments = instruments or Instruments()
     model, state = damper.model, None
+    if model.needs_temperature:
+        heating = heating or Heating()
+    temperature = heating.ambient_kelvin if heating else 0.0
     runs = []
     for plan in plans:
         (run_rng,) = rng.spawn(1)
@@ -139,6 +192,8 @@ def measure_plans(
         current = _lagged(at.current, instruments.supply_lag, step)
         path = make_path(time, at.position, at.velocity, at.acceleration, current)
         state = model.initial_state(path) if state is None else model.next_state(state, path)
+        if heating:
+            path = warmed_path(path, damper, state, heating, temperature)
         force = model.force(damper.theta, path, state)
         filtered = _lagged(
             np.stack([at.position, force, current, at.acceleration]), 0.5 / (math.pi * instruments.bandwidth), step
@@ -154,6 +209,11 @@ def measure_plans(
             + instruments.acceleration_offset
             + run_rng.normal(0.0, instruments.acceleration_noise, samples),
         }
+        if path.temperature is not None:
+            temperature = float(path.temperature[-1])
+            measured = path.temperature[path.samples].reshape(samples, steps).mean(axis=1)
+            noise = run_rng.normal(0.0, instruments.temperature_noise, samples)
+            columns["temperature_C"] = measured - ZERO_CELSIUS + noise
         source = f"{damper.description} along {plan.experiment.name}, as measured"
         runs.append(make_run(plan.experiment.name, columns, {"source": source}))
     return runs
@@ -170,7 +230,7 @@ def _lagged(series: Array, lag: float, step: float) -> Array:
     return np.asarray(filtered, np.float64)
 
 
-def write_csv(run: Run, path: str | Path, *, velocity: bool = True) -> None:
+def write_csv(run: Run, path: str | FilePath, *, velocity: bool = True) -> None:
     """Write a run as a CSV file that `mrd_runs.read_run` reads; refuse to overwrite a file.
 
     Without ``velocity``, readers take the velocity from the positions, as they do where no bench has measured it.
@@ -180,9 +240,11 @@ def write_csv(run: Run, path: str | Path, *, velocity: bool = True) -> None:
         columns["velocity_mps"] = run.velocity
     if run.acceleration is not None:
         columns["acceleration_mps2"] = run.acceleration
+    if run.temperature is not None:
+        columns["temperature_C"] = run.temperature - ZERO_CELSIUS
     try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        with Path(path).open("x", encoding="utf-8") as stream:
+        FilePath(path).parent.mkdir(parents=True, exist_ok=True)
+        with FilePath(path).open("x", encoding="utf-8") as stream:
             np.savetxt(stream, np.stack(list(columns.values()), axis=1), "%.12g", ",", header=",".join(columns), comments="")
     except FileExistsError:
         raise InputError(f"{path}: exists already; choose another name") from None

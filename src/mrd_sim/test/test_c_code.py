@@ -53,8 +53,11 @@ CASES |= {
 }
 ONE_OF_EACH_STAGE = ("servo_ripple", "coil_lag", "shear_thinning", "seal_friction", "channel_delay")
 IN_SERIES = tuple(effect.id for effect in EFFECTS.values() if effect.elongation)
-EFFECT_SETS = {name: (name,) for name in EFFECTS}
-EFFECT_SETS |= {"one_of_each_stage": ONE_OF_EACH_STAGE, "all_in_series": IN_SERIES, "all": tuple(EFFECTS)}
+OF_TEMPERATURE = tuple(effect.id for effect in EFFECTS.values() if effect.coefficients)
+"""C code is not given a temperature."""
+EXPORTED = tuple(name for name in EFFECTS if name not in OF_TEMPERATURE)
+EFFECT_SETS = {name: (name,) for name in EXPORTED}
+EFFECT_SETS |= {"one_of_each_stage": ONE_OF_EACH_STAGE, "all_in_series": IN_SERIES, "all": EXPORTED}
 CASES |= {
     f"with_{name}": (find_model("bouc_wen", effects=effects), typical_values(effects))
     for name, effects in EFFECT_SETS.items()
@@ -344,3 +347,9 @@ def test_the_force_of_a_simulator_gets_the_effects(tmp_path, effects):
     if not effects:
         without = replace(model, stands_for="").force(model.vector(values), path)
         np.testing.assert_allclose(force, without + excess, atol=1e-6)
+
+
+@pytest.mark.parametrize("effect", OF_TEMPERATURE)
+def test_an_effect_of_temperature_is_refused(effect):
+    with pytest.raises(InputError, match=f"^{effect} needs the temperature, which exported code is not given"):
+        c_source(find_model("bouc_wen", effects=[effect]), {})

@@ -2,6 +2,7 @@
 
 import math
 import operator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -81,7 +82,8 @@ def _path():
     x = 8e-3 * np.sin(w * time) + 1e-3 * np.sin(u * time)
     v = 8e-3 * w * np.cos(w * time) + 1e-3 * u * np.cos(u * time)
     a = -8e-3 * w**2 * np.sin(w * time) - 1e-3 * u**2 * np.sin(u * time)
-    return make_path(time, x, v, a, 0.3 + 0.2 * np.sin(3.0 * time))
+    path = make_path(time, x, v, a, 0.3 + 0.2 * np.sin(3.0 * time))
+    return replace(path, temperature=300.0 + 10.0 * np.cumsum(path.dt))
 
 
 CASES = [(name, ()) for name in MODELS] + [("bouc_wen", (effect,)) for effect in EFFECTS]

@@ -16,7 +16,8 @@ from mrd_runs.signals.smoothed_run import smooth_run
 from mrd_sim.dual_type import along, as_duals
 from mrd_sim.effects import EFFECTS, FAULTS, NEEDS, PLACES, STAGES, find_effects
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.path import Path, make_path, run_path
+from mrd_sim.path import Path, run_path
+from mrd_sim.path import make_path as make_bare_path
 
 EVERY = pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 BY_NAME = pytest.mark.parametrize("name", EFFECTS)  # a failing random example then shows a name and a seed only
@@ -41,6 +42,7 @@ PUBLIC = {
         "rate_dependent_hysteresis",
         "pre_yield_hysteresis",
         "thermal_fade",
+        "temperature_dependence",
         "settling",
     ),
     "structure": ("seal_friction", "side_load_friction", "end_stop", "joint_play", "moving_mass"),
@@ -56,6 +58,12 @@ def seeds(count):
         return settings(max_examples=count, phases=phases)(given(seed=st.integers(0, 2**32 - 1))(test))
 
     return decorate
+
+
+def make_path(*series):
+    """A path along which the damper warms up by 10 K in a second, from 300 K."""
+    path = make_bare_path(*series)
+    return replace(path, temperature=300.0 + 10.0 * np.cumsum(path.dt))
 
 
 def rich(rate=1000.0, seconds=3.0):
@@ -146,7 +154,7 @@ def test_declaration(effect):
         assert parameter.is_constant or parameter.lower < typical < parameter.upper
     assert effect.parameters[0].default == 0.0
     assert effect.typical[effect.parameters[0].name] != 0.0
-    assert (effect.kernel is None) != (effect.elongation is None)
+    assert sum(function is not None for function in (effect.kernel, effect.elongation, effect.coefficients)) == 1
     for text in (effect.title, effect.equation, effect.source, effect.signature, effect.separated_by):
         assert text
         assert text.isprintable()
@@ -246,14 +254,16 @@ def test_block_by_block_equals_at_once(name, examples, seed):
     model, theta = affected(examples, rng, effect, models=SMOOTH if effect.elongation else None)
     time, *series = examples.two_tones(**examples.motion(rng))
     dt = np.diff(time, prepend=time[0])
-    whole = Path(dt, *series, np.arange(len(time)))
+    temperature = 300.0 + 10.0 * (time - time[0])
+    whole = Path(dt, *series, np.arange(len(time)), temperature=temperature)
     at_once = model.force(theta, whole)
     size = int(rng.integers(1, 78))
     state = model.initial_state(whole)
     close = TINY * np.max(np.abs(at_once)) + (1e-4 if effect.elongation else 0.0)  # a root is found to within 1e-6 N
     for first in range(0, len(time), size):
         part = slice(first, first + size)
-        block = Path(dt[part], *(values[part] for values in series), np.arange(len(time[part])))
+        samples = np.arange(len(time[part]))
+        block = Path(dt[part], *(values[part] for values in series), samples, temperature=temperature[part])
         assert np.allclose(model.force(theta, block, state), at_once[part], rtol=0, atol=close)
 
 
@@ -692,3 +702,60 @@ def test_channel_crosstalk_copies_position_and_current():
     x, u = np.linspace(-0.02, 0.02, 10), np.linspace(0, 1, 10)
     found = act("channel_crosstalk", {"from_position": 500.0, "from_current": 10.0}, dt=steps(10, 10.0), x=x, u=u)["force"]
     assert np.allclose(found, 500 * x + 10 * u)
+
+
+def test_temperature_changes_viscous_and_yield_part_apart():
+    """The damper of the known equation, with other coefficients at every instant."""
+    bare = make_bare_path(*rich())
+    warmer = np.linspace(-10.0, 60.0, len(bare.dt))
+    path = replace(bare, temperature=298.15 + warmer)
+    model, theta = switched_on("bingham", "temperature_dependence", viscous=0.02, yield_force=0.004)
+    base = find_model("bingham")
+    known = dict(zip(base.names, base.defaults, strict=True))
+
+    def force(**changed):
+        return base.force(base.vector(known | changed), bare)
+
+    rest = force(viscous=0.0, viscous_per_A=0.0, yield_force=0.0, yield_force_per_A=0.0)
+    viscous = force(yield_force=0.0, yield_force_per_A=0.0) - rest
+    of_yield = force(viscous=0.0, viscous_per_A=0.0) - rest
+    along_samples = warmer[bare.samples]
+    expected = viscous * np.exp(-0.02 * along_samples) + of_yield * (1.0 - 0.004 * along_samples) + rest
+    assert np.allclose(model.force(theta, path), expected, rtol=0, atol=1e-9 * np.max(np.abs(expected)))
+
+
+def test_every_model_has_a_viscous_part_and_all_but_one_a_yield_part():
+    path = make_path(*rich())
+    for name in MODELS:
+        base = find_model(name)
+        theta = base.defaults
+        if name == "polynomial":  # whose constant terms are zero by default
+            theta = base.vector({"a0_rising": 100.0, "a0_falling": -100.0})
+        force = base.force(theta, path)
+        for part in ("viscous", "yield_force"):
+            model = find_model(name, effects=["temperature_dependence"])
+            known = dict(zip(base.names, theta, strict=True))
+            changed = model.force(model.vector(known | {f"temperature_dependence.{part}": 0.005}), path)
+            missing = name == "linear_viscous" and part == "yield_force"
+            assert (rms(changed - force) > 1e-3 * rms(force)) != missing, (name, part)
+
+
+def test_an_effect_of_temperature_without_a_temperature_is_refused():
+    model, theta = switched_on("bouc_wen", "temperature_dependence")
+    line = "the motion has no temperature of the damper, which temperature_dependence needs; record it, or try without"
+    with pytest.raises(InputError, match=line):
+        model.force(theta, make_bare_path(*rich()))
+
+
+@pytest.mark.parametrize("rate", [20.0, 500.0])
+def test_the_path_of_a_run_has_its_temperature_without_noise(rate):
+    time, x, v, a, current = rich(rate=rate, seconds=20.0)
+    force = 300.0 * np.tanh(50.0 * v)
+    true = 300.0 + 2.0 * time
+    noise = np.random.default_rng(1).normal(0.0, 0.5, len(time))
+    run = Run("run", time, x, v, current, force, a, true + noise)
+    path = run_path(smooth_run(run))
+    window = np.sqrt(rate)
+    assert rms((path.temperature[path.samples] - true)[20:-20]) < 2.0 * 0.5 / window
+    assert len(path.fine.temperature) == len(path.fine.dt)
+    assert len(path.coarse(slice(0, None, 5)).temperature) == len(path.coarse(slice(0, None, 5)).dt)

@@ -107,7 +107,7 @@ def test_loaded_again_an_effect_takes_the_place_of_the_one_before(tmp_path):
         ('title="', 'needs=("steps",), title="', r"mine\.py: needs holds 'steps', expected any of changing current, "),
         ('title="', 'imitated_by=("lag",), title="', r"mine\.py: imitated_by holds 'lag', expected any of timing, clocks, "),
         ('title="', 'shows=("reversals",), title="', r"mine\.py: shows holds 'reversals', expected any of reversal, "),
-        ("elongation=elongation", "kernel=None", r"mine\.py: expected either kernel or elongation"),
+        ("elongation=elongation", "kernel=None", r"mine\.py: has [02] of kernel, elongation and coefficients, expected one"),
         ('title="', 'phrase="{ghost} of give", title="', r"mine\.py: phrase '{ghost} of give' names ghost, expected"),
         ('title="', 'phrase="{softness of give", title="', r"mine\.py: phrase '{softness of give' cannot be filled in"),
         ("0.0, 0.0, 1e-5", "0.0, 1e-6, 1e-5", r"mine\.py: softness has default 0, typical 1e-06, expected both within"),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mrd_sim.effects import EFFECTS
 from mrd_sim.lead_in import moving_lead_in, resting_lead_in
 from mrd_sim.models import MODELS, find_model
-from mrd_sim.path import make_path
+from mrd_sim.path import Path, make_path
 
 RATE = 500.0
 REACHES = 5e-3 * 3.0 ** -np.arange(4.0)
@@ -27,6 +27,11 @@ def motion(current: float, phase: float) -> tuple[np.ndarray, ...]:
         angle = w * time + phase * frequency
         x, v, a = x + amplitude * np.sin(angle), v + amplitude * w * np.cos(angle), a - amplitude * w**2 * np.sin(angle)
     return time, x, v, a, np.full(len(time), current)
+
+
+def warm_path(*series: np.ndarray) -> Path:
+    path = make_path(*series)
+    return replace(path, temperature=np.full(len(path.dt), 330.0))
 
 
 def cut_while_moving(v: np.ndarray, first: int) -> int:
@@ -46,8 +51,8 @@ def test_a_cut_recording_gives_the_force_of_the_uncut_one(model: str, effect: st
     theta = damper.vector(values)
     series = motion(current, phase)
     begin = cut_while_moving(series[2], first)
-    uncut = damper.force(theta, make_path(*series))[begin:]
-    cut = make_path(*(part[begin:] for part in series))
+    uncut = damper.force(theta, warm_path(*series))[begin:]
+    cut = warm_path(*(part[begin:] for part in series))
     from_rest, *led_ins = (
         damper.force(theta, path) - uncut
         for path in (cut, *(cut.led_in(moving_lead_in(cut.velocity[0], reach, 5e-3)) for reach in REACHES))

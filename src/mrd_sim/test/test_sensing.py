@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from mrd_base import InputError
-from mrd_sim.sensing import Accelerometer, CurrentSensor, LoadCell, Lvdt, MeasuringChain, SensorsConfig, SupplyMonitor
+from mrd_sim.sensing import (
+    Accelerometer,
+    CurrentSensor,
+    LoadCell,
+    Lvdt,
+    MeasuringChain,
+    SensorsConfig,
+    SupplyMonitor,
+    Thermometer,
+)
 
 RATE, DECIMATION = 8000.0, 4
 
@@ -36,6 +45,7 @@ def code(span):
         (CurrentSensor(supply=5.2, **IDEAL), 1.0, 2.6 + 0.185 * 1.04),
         (SupplyMonitor(noise=0.0), 5.01, 5.01),
         (Accelerometer(density_ug_per_sqrt_hz=0.0, offset=0.0, gain_error=0.0), 9.80665, 2.45),
+        (Thermometer(**IDEAL), 313.15, 1.45),
     ],
 )
 def test_volts_of_a_known_value(sensor, value, volts):

@@ -15,7 +15,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -166,6 +166,13 @@ MEASUREMENT = Topic(
     publishers=("daq", "replay"),
     subscribers=("recorder",),
     recorded=True,
+)
+TEMPERATURE = Topic(
+    "temperature",
+    Temperature,
+    RECORDED,
+    "temperature of the damper in degC, nan while the sensor cannot be read; at most 10 Hz, and only with a sensor",
+    publishers=("daq",),
 )
 SERVO_STATE = Topic(
     "servo_state",

@@ -1,5 +1,6 @@
 """Means of blocks of samples, as scalars for plots."""
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -37,14 +38,14 @@ class BlockMeans:
             Bench time in s of the first sample.
         period : float
             Sample period in s.
-        samples : ndarray (len(UNITS), n)
-            Samples in SI units, in the order of `UNITS`.
+        samples : ndarray (channels, n)
+            Samples in SI units, in the order of `UNITS`; the last of these may be missing, whose mean is then nan.
         """
         count = samples.shape[1]
         if abs(time - self._next_time) > 0.5 * period:  # samples are missing, or the rate has changed
             self._blocks.clear()
         self._next_time = time + count * period
-        means = dict(zip(UNITS, samples.mean(axis=1).tolist(), strict=True))
+        means = dict.fromkeys(UNITS, math.nan) | dict(zip(UNITS, samples.mean(axis=1).tolist(), strict=False))
         self._blocks.append(Means(time + (count - 1) / 2 * period, means))
         if len(self._blocks) < 3:
             return None

@@ -5,17 +5,19 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mrd_base import InputError, quantity
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_trajectory.limits import Limits
 
 Array = NDArray[np.float64]
 
-# Quantities in the order of the channel map, with their SI units.
-UNITS = {"position": "m", "force": "N", "coil_current": "A", "acceleration": "m/s^2"}
+# Quantities in the order of the channel map, with their SI units. A bench may have no temperature, which is the last.
+UNITS = {"position": "m", "force": "N", "coil_current": "A", "acceleration": "m/s^2", "temperature": "K"}
 # Terminal configurations and input ranges (± V) of the USB-6216.
 TERMINALS = ("DIFF", "RSE", "NRSE")
 INPUT_RANGES = (10.0, 5.0, 1.0, 0.2)
@@ -41,14 +43,46 @@ class InputChannel:
     tare_limit: float = quantity(0.02, "V", "largest distance of a tared zero from zero_V", lower=1e-4, upper=10)
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"ai\d+", self.input):
-            raise InputError(f"input is {self.input!r}, expected a terminal such as ai0")
-        if self.terminal not in TERMINALS:
-            raise InputError(f"terminal is {self.terminal!r}, expected one of {', '.join(TERMINALS)}")
-        if self.range not in INPUT_RANGES:
-            raise InputError(f"range_V is {self.range:g}, expected one of {', '.join(f'{r:g}' for r in INPUT_RANGES)}")
-        if self.gain == 0:
-            raise InputError("gain is 0, expected the unit of the quantity per volt")
+        _check_input(self.input, self.terminal, self.range, self.gain)
+
+
+@dataclass(frozen=True)
+class TemperatureChannel:
+    """The analog input of the damper's temperature, behind the amplifier of a thermocouple or an RTD.
+
+    The temperature is 0 °C + gain · (voltage − zero_celsius). It is never tared.
+    """
+
+    input: str = quantity("", doc="terminal of the converter; empty where there is no sensor")
+    terminal: str = quantity("DIFF", doc="DIFF, RSE or NRSE")
+    range: float = quantity(5.0, "V", "input range, ±; the USB-6216 has 10, 5, 1 and 0.2 V")
+    gain: float = quantity(200.0, "K/V", "kelvins per volt; 200 of an AD8495 with 5 mV/K")
+    zero_celsius: float = quantity(1.25, "V", "voltage at 0 degC", lower=-10, upper=10)
+    tare: ClassVar[bool] = False
+    rest: ClassVar[float] = math.inf
+    tare_limit: ClassVar[float] = 0.0
+
+    def __post_init__(self) -> None:
+        _check_input(self.input or "ai0", self.terminal, self.range, self.gain)
+
+    @property
+    def zero(self) -> float:
+        """Voltage at 0 K, so that value = gain · (voltage − zero) in K as for every channel."""
+        return self.zero_celsius - ZERO_CELSIUS / self.gain
+
+
+def _check_input(terminal_name: str, terminal: str, voltage_range: float, gain: float) -> None:
+    if not re.fullmatch(r"ai\d+", terminal_name):
+        raise InputError(f"input is {terminal_name!r}, expected a terminal such as ai0")
+    if terminal not in TERMINALS:
+        raise InputError(f"terminal is {terminal!r}, expected one of {', '.join(TERMINALS)}")
+    if voltage_range not in INPUT_RANGES:
+        raise InputError(f"range_V is {voltage_range:g}, expected one of {', '.join(f'{r:g}' for r in INPUT_RANGES)}")
+    if gain == 0:
+        raise InputError("gain is 0, expected the unit of the quantity per volt")
+
+
+AnyChannel = InputChannel | TemperatureChannel
 
 
 @dataclass(frozen=True)
@@ -65,6 +99,7 @@ class ChannelMap:
     acceleration: InputChannel = InputChannel(
         "ai4", range=5.0, gain=12.2583125, zero=1.65, tare=True, rest=0.03, tare_limit=1.0
     )
+    temperature: TemperatureChannel = TemperatureChannel()
 
     def __post_init__(self) -> None:
         inputs = [channel.input for _, channel in self.items()]
@@ -72,10 +107,12 @@ class ChannelMap:
         if duplicates:
             raise InputError(f"input {', '.join(sorted(duplicates))} is given to two quantities, expected one terminal each")
 
-    def items(self) -> Iterator[tuple[str, InputChannel]]:
-        """Iterate over quantities and channels in the order of the blocks."""
+    def items(self) -> Iterator[tuple[str, AnyChannel]]:
+        """Iterate over quantities and channels in the order of the blocks; without the temperature where it has no input."""
         for field in dataclasses.fields(self):
-            yield field.name, getattr(self, field.name)
+            channel = getattr(self, field.name)
+            if channel.input:
+                yield field.name, channel
 
 
 @dataclass(frozen=True)
@@ -92,22 +129,27 @@ class CoilOutput:
 
 
 def to_si(volts: Array, channels: ChannelMap) -> Array:
-    """Convert volts (4, n) to position in m, force in N, coil current in A and acceleration in m/s² (4, n)."""
+    """Convert volts (channels, n) to position in m, force in N, coil current in A, acceleration in m/s², temperature in K.
+
+    The temperature is nan where its voltage is at an end of the range: unlike a force that is too large, it tells nothing.
+    """
     gain = np.array([channel.gain for _, channel in channels.items()])
     zero = np.array([channel.zero for _, channel in channels.items()])
     si: Array = gain[:, None] * (volts - zero[:, None])
+    if channels.temperature.input:
+        si[-1, np.abs(volts[-1]) >= channels.temperature.range * (1 - CLIPPING_MARGIN)] = math.nan
     return si
 
 
 def count_clipped(volts: Array, channels: ChannelMap) -> NDArray[np.int64]:
-    """Count the readings per channel (4,) at an end of the input range; their true values may lie beyond it."""
+    """Count the readings per channel (channels,) at an end of the input range; their true values may lie beyond it."""
     ends = np.array([channel.range * (1 - CLIPPING_MARGIN) for _, channel in channels.items()])
     clipped: NDArray[np.int64] = np.count_nonzero(np.abs(volts) >= ends[:, None], axis=1)
     return clipped
 
 
 def tare(volts: Array, configured: ChannelMap) -> ChannelMap:
-    """Return the channel map with the mean of ``volts`` (4, n) as zero of each channel that is marked for a tare.
+    """Return the channel map with the mean of ``volts`` (channels, n) as zero of each channel that is marked for a tare.
 
     Raises
     ------
@@ -132,12 +174,12 @@ def tare(volts: Array, configured: ChannelMap) -> ChannelMap:
                 f"tare: {name} reads {channel.gain * shift:.3g} {UNITS[name]} by its zero_V, {1e3 * shift:+.3g} mV (limit "
                 f"±{1e3 * channel.tare_limit:.3g} mV); make sure that it is zero now, or correct zero_V"
             )
-    return ChannelMap(
-        **{
-            name: dataclasses.replace(channel, zero=float(np.mean(signal))) if channel.tare else channel
-            for (name, channel), signal in zip(configured.items(), volts, strict=True)
-        }
-    )
+    zeros: dict[str, Any] = {
+        name: dataclasses.replace(channel, zero=float(np.mean(signal)))
+        for (name, channel), signal in zip(configured.items(), volts, strict=True)
+        if isinstance(channel, InputChannel) and channel.tare
+    }
+    return dataclasses.replace(configured, **zeros)
 
 
 def coil_voltage(current: float, coil: CoilOutput, limits: Limits) -> float:

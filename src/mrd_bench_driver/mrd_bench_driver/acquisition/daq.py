@@ -15,7 +15,7 @@ from mrd_base import BenchClock, InputError
 from mrd_base.lease import is_timely
 from mrd_bench_driver.acquisition.averaging import Averager, averaging_ratio
 from mrd_bench_driver.acquisition.backend import AcquisitionError, Backend, VoltBlock
-from mrd_bench_driver.acquisition.channels import UNITS, ChannelMap, coil_voltage, count_clipped, tare, to_si
+from mrd_bench_driver.acquisition.channels import ChannelMap, coil_voltage, count_clipped, tare, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
 from mrd_bench_driver.acquisition.output import OutputSilentError, OutputWriter
 
@@ -76,7 +76,8 @@ class Daq:
         self._averager = self._make_averager(config.rate)
         self._recent: collections.deque[VoltBlock] = collections.deque()  # readings for a tare
         self._recent_count = 0
-        self._clipped = np.zeros(len(UNITS), np.int64)
+        self._quantities = [name for name, _ in config.channels.items()]
+        self._clipped = np.zeros(len(self._quantities), np.int64)
         self._lost_before = 0  # readings lost at earlier sample rates
 
         self._emergency_stop = ""  # reason of the latched stop
@@ -171,12 +172,13 @@ class Daq:
         # With the reading before it, because a short block may hold a single one.
         volts = np.hstack([*(earlier.volts[:, -1:] for earlier in list(self._recent)[-1:]), block.volts])
         for (name, channel), count in zip(self.channels.items(), count_clipped(volts, self.channels), strict=True):
-            if count > 1 and name != "acceleration":  # an accelerometer may be overdriven without danger
+            # An accelerometer may be overdriven without danger, and of the temperature the supervisor knows the limit.
+            if count > 1 and name not in ("acceleration", "temperature"):
                 self.emergency_stop(
                     f"{channel.input} ({name}) reads the end of its range, ±{channel.range:g} V; check the sensor, its "
                     "supply and wiring"
                 )
-        force, limit = to_si(volts, self.channels)[list(UNITS).index("force")], self._config.limits.force
+        force, limit = to_si(volts, self.channels)[self._quantities.index("force")], self._config.limits.force
         beyond = force[np.abs(force) > limit]
         if len(beyond) > 1:
             self.emergency_stop(
@@ -189,7 +191,7 @@ class Daq:
         It is compared with all that was commanded within `coil_response`. Before the first tare, the sensor may be off by
         what a tare may take away.
         """
-        current = float(to_si(block.volts, self.channels)[list(UNITS).index("coil_current")].mean())
+        current = float(to_si(block.volts, self.channels)[self._quantities.index("coil_current")].mean())
         lowest, highest = self._commanded_since(block.time - self._config.coil_response)
         channel = self._config.channels.coil_current
         untared = abs(channel.gain) * channel.tare_limit if channel.tare and not self._tared else 0.0
@@ -221,7 +223,7 @@ class Daq:
         with self._lock:
             if self._volts != 0:
                 raise InputError(f"tare: the coil is driven ({self._volts:.3g} V); stop the setpoints first")
-            blocks = [block.volts for block in self._recent] or [np.zeros((len(UNITS), 0))]
+            blocks = [block.volts for block in self._recent] or [np.zeros((len(self._quantities), 0))]
             self.channels = tare(np.hstack(blocks), self._config.channels)
             self._tared = True
             self.tare_time = self._clock.now()
@@ -345,4 +347,5 @@ class Daq:
             "lost_readings": self.lost,
             "refused": self._refused,
         }
-        return self.problem, values | dict(zip((f"clipped_{name}" for name in UNITS), self._clipped.tolist(), strict=True))
+        clipped = (f"clipped_{name}" for name in self._quantities)
+        return self.problem, values | dict(zip(clipped, self._clipped.tolist(), strict=True))

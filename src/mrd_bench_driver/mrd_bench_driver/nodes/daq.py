@@ -1,10 +1,12 @@
 """The node ``daq``: it publishes samples in SI units and sets the coil current."""
 
 import array
+import math
 from typing import Any, ClassVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import Temperature
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -21,18 +23,23 @@ from mrd_base.nodes.graph import (
     MEASUREMENT,
     SAMPLES,
     SETPOINT,
+    TEMPERATURE,
 )
 from mrd_base.nodes.lease import LeaseFollower, hear_emergency_stop
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_bench_driver.acquisition import ConverterSettings, Simulated, VoltBlock, make_backend
-from mrd_bench_driver.acquisition.block_means import BlockMeans
+from mrd_bench_driver.acquisition.block_means import BlockMeans, Means
 from mrd_bench_driver.acquisition.channels import UNITS, to_si
 from mrd_bench_driver.acquisition.config import DaqConfig
 from mrd_bench_driver.acquisition.daq import Daq
 from mrd_interfaces.msg import AnalogInput, AnalogOutput, BenchSamples, Calibration, Measurement, Setpoint
 
+# Bench time in s between two messages of the temperature, which changes by a fraction of a kelvin meanwhile.
+_TEMPERATURE_PERIOD = 0.1
+
 
 class DaqNode(BenchNode[DaqConfig]):
-    """Publishes ``samples``, ``measurement`` and ``calibration``; follows the coil current of ``setpoint``.
+    """Publishes ``samples``, ``measurement``, ``temperature`` and ``calibration``; follows the coil current of ``setpoint``.
 
     Current flows only under the supervisor's lease, and none once the lease is no longer renewed. ``daq_state`` tells at
     once when the DAQ has stopped.
@@ -46,6 +53,7 @@ class DaqNode(BenchNode[DaqConfig]):
         config = self.config
         self._samples, self._measurement = SAMPLES.publisher(self), MEASUREMENT.publisher(self)
         self._means = BlockMeans()
+        self._temperature, self._temperature_time = TEMPERATURE.publisher(self), -math.inf
         self._calibration = CALIBRATION.publisher(self)
         self._state = DAQ_STATE.publisher(self)
         wiring = ConverterSettings(config.device, config.channels, config.coil, config.hardware_rate, config.block)
@@ -92,20 +100,29 @@ class DaqNode(BenchNode[DaqConfig]):
         message = BenchSamples(sample_period=1 / self._daq.rate, sequence=block.sequence)
         message.header.stamp = self.stamp(block.time)
         samples = to_si(block.volts, self._daq.channels)
-        for name, values in zip(UNITS, samples, strict=True):
+        for (name, _), values in zip(self._daq.channels.items(), samples, strict=True):
             setattr(message, name, array.array("d", values.tobytes()))
         self._samples.publish(message)
         means = self._means.add(block.time, message.sample_period, samples)
         if means is not None:
             scalars = Measurement(**means.values)
+            self._publish_temperature(means)
             scalars.header.stamp = self.stamp(means.time)
             self._measurement.publish(scalars)
 
+    def _publish_temperature(self, means: Means) -> None:
+        if not self.config.channels.temperature.input or means.time - self._temperature_time < _TEMPERATURE_PERIOD:
+            return
+        self._temperature_time = means.time
+        message = Temperature(temperature=means.values["temperature"] - ZERO_CELSIUS)
+        message.header.stamp = self.stamp(means.time)
+        self._temperature.publish(message)
+
     def _publish_calibration(self) -> None:
-        channels = [channel for _, channel in self._daq.channels.items()]
+        quantities, channels = zip(*self._daq.channels.items(), strict=True)
         message = Calibration(
-            quantity=list(UNITS),
-            unit=list(UNITS.values()),
+            quantity=quantities,
+            unit=[UNITS[name] for name in quantities],
             channel=[channel.input for channel in channels],
             gain=[channel.gain for channel in channels],
             zero=[channel.zero for channel in channels],

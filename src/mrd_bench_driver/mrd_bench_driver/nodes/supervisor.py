@@ -188,6 +188,7 @@ class SupervisorNode(BenchNode[SupervisorConfig]):
             np.asarray(samples.position),
             np.asarray(samples.force),
             np.asarray(samples.coil_current),
+            np.asarray(samples.temperature),
         )
         self._supervisor.check_interlocks()
 

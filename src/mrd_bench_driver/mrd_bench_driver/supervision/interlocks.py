@@ -7,10 +7,13 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from mrd_base import quantity
+from mrd_base import InputError, quantity
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_bench_driver.supervision.snapshot import Snapshot
 from mrd_trajectory.limits import Limits
 
+# Lowest and highest degC that a damper can have: oils and seals freeze or burn beyond. What reads more is no damper.
+_POSSIBLE = (-60.0, 220.0)
 # Why the time of one node may differ from that of another, and what helps.
 _CLOCK = "the machine's clock was set after one node and before another was started: restart the bench"
 
@@ -23,6 +26,15 @@ class Tolerances:
     current: float = quantity(0.1, "A", "measured coil current beyond limits.current", lower=0, upper=2)
     following_error: float = quantity(0.005, "mm", "setpoint minus rod position", lower=1e-5, upper=0.1)
     position_difference: float = quantity(0.002, "mm", "LVDT minus encoder of a homed rod", lower=1e-4, upper=0.1)
+    temperature_max: float = quantity(
+        71.0, "degC", "highest temperature of the damper, where there is a sensor", lower=-60, upper=220
+    )
+    start_temperature_low: float = quantity(
+        0.0, "degC", "lowest temperature of the damper at which a run starts", lower=-60, upper=220
+    )
+    start_temperature_high: float = quantity(
+        60.0, "degC", "highest temperature of the damper at which a run starts", lower=-60, upper=220
+    )
     samples_stale: float = quantity(0.14, "ms", "age of the latest sample", lower=0.08, upper=1)
     servo_stale: float = quantity(0.15, "ms", "age of the latest servo_state", lower=0.02, upper=1)
     setpoint_stale: float = quantity(0.15, "ms", "age of the latest setpoint of an experiment", lower=0.02, upper=1)
@@ -33,6 +45,14 @@ class Tolerances:
         "energy that the damper of a hybrid test may seem to give in half a second, more than it can store",
         lower=0.01,
     )
+
+    def __post_init__(self) -> None:
+        low, high, most = self.start_temperature_low, self.start_temperature_high, self.temperature_max
+        if not low < high <= most:
+            raise InputError(
+                f"start_temperature_low_degC is {low:g}, start_temperature_high_degC {high:g} and temperature_max_degC "
+                f"{most:g}, expected the first below the second, and that at most the third"
+            )
 
 
 @dataclass(frozen=True)
@@ -168,6 +188,38 @@ def check_current(now: Snapshot, limits: Limits, tolerances: Tolerances) -> str:
     )
 
 
+def check_temperature(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
+    """Trip if the damper is too hot, or if its thermometer cannot be right; without one there is nothing to check."""
+    highest = tolerances.temperature_max
+    return _unreadable_temperature(now, tolerances) or _outside(now, -math.inf, highest, "let it cool down")
+
+
+def check_start_temperature(now: Snapshot, tolerances: Tolerances) -> str:
+    """Return why a run may not start at the damper's temperature, or ""."""
+    low, high = tolerances.start_temperature_low, tolerances.start_temperature_high
+    remedy = "wait, or change start_temperature_low_degC and start_temperature_high_degC"
+    return _unreadable_temperature(now, tolerances) or _outside(now, low, high, remedy)
+
+
+def _unreadable_temperature(now: Snapshot, tolerances: Tolerances) -> str:
+    celsius = now.temperature - ZERO_CELSIUS
+    if not now.has_thermometer or _POSSIBLE[0] <= celsius <= _POSSIBLE[1]:
+        return ""
+    found = "is at the end of its range" if math.isnan(celsius) else f"reads {celsius:.0f} degC, which no damper has"
+    return (
+        f"the damper's thermometer {found}, so that the limit of {tolerances.temperature_max:g} degC cannot be watched; "
+        "check the sensor, its amplifier and wiring"
+    )
+
+
+def _outside(now: Snapshot, low: float, high: float, remedy: str) -> str:
+    celsius = now.temperature - ZERO_CELSIUS
+    if not now.has_thermometer or low <= celsius <= high:
+        return ""
+    limit = f"limit {high:g} degC" if low == -math.inf else f"allowed {low:g} to {high:g} degC"
+    return f"the damper has {celsius:.1f} degC, {limit}; {remedy}"
+
+
 def check_power(now: Snapshot, _limits: Limits, tolerances: Tolerances) -> str:
     """Trip if the damper of a hybrid test takes too much power."""
     if abs(now.power) <= tolerances.power:
@@ -203,6 +255,7 @@ INTERLOCKS: Interlocks = {
     "force": check_force,
     "following error": check_following_error,
     "current": check_current,
+    "temperature": check_temperature,
 }
 
 # A hybrid test has limits of its own, which a rod that follows a plan cannot reach unseen.

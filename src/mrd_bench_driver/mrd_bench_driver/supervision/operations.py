@@ -22,6 +22,7 @@ from mrd_bench_driver.supervision.interlocks import (
     STALE_SAMPLES,
     Interlocks,
     Trip,
+    check_start_temperature,
     first_trip,
 )
 from mrd_bench_driver.supervision.modes import BenchMode, Mode
@@ -173,6 +174,11 @@ class BenchOperations:
         self._peers.require(
             ("servo", "daq", self.source.node, "recorder"), self._config.discovery_timeout, self._interruption
         )
+
+    def require_start_temperature(self) -> None:
+        """Refuse to start a run with a damper that is too hot or too cold, as far as a sensor tells."""
+        if problem := check_start_temperature(self._monitor.snapshot(self._clock.now()), self._config.interlocks):
+            raise RefusedError(f"not started, {problem}")
 
     def require_ready_to_move(self) -> None:
         """Wait until servo and DAQ are present and healthy; refuse unless the bench is idle."""

@@ -54,6 +54,7 @@ class _Experiment:
         bench.enter(Mode.HOMING, bench.source.action)
         self._undo.append(bench.halt)
         bench.require_prepared()  # nobody can load another experiment any more
+        bench.require_start_temperature()
         bench.centre(require=bench.require_prepared)
         # From here on, nobody else homes, records or tares. Nothing moves without the setpoints, which come last.
         bench.enter(bench.source.mode, bench.source.action, bench.source.node)

@@ -18,6 +18,7 @@ _MAX_BLOCK_DISTANCE = 0.5
 _TRACK_LENGTH = 64
 # Samples of the LVDT that wait for the encoder, at most: those of a servo that has fallen silent.
 _MOST_UNCOMPARED = 1000
+_NO_SAMPLES = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,10 @@ class Snapshot:
         homed.
     speed, current : float
         Speed of the rod in m/s between the means of the last two blocks, and mean coil current in A of the latest block.
+    temperature : float
+        Mean temperature of the damper in K over the latest block; nan without a sensor, or where it cannot be read.
+    has_thermometer : bool
+        Whether the latest block has a temperature at all.
     servo_age : float
         Age in s of the latest servo status.
     servo : ServoStatus
@@ -58,6 +63,8 @@ class Snapshot:
     position_difference: float = math.nan
     speed: float = math.nan
     current: float = math.nan
+    temperature: float = math.nan
+    has_thermometer: bool = False
     servo_age: float = math.inf
     servo: ServoStatus = ServoStatus()
     setpoint_age: float = 0.0
@@ -133,9 +140,18 @@ class BenchMonitor:
         self._samples = Snapshot()  # only the values of the samples are filled in
 
     def add_samples(
-        self, time: float, period: float, position: NDArray[Any], force: NDArray[Any], current: NDArray[Any]
+        self,
+        time: float,
+        period: float,
+        position: NDArray[Any],
+        force: NDArray[Any],
+        current: NDArray[Any],
+        temperature: NDArray[Any] = _NO_SAMPLES,
     ) -> None:
-        """Add a block of samples, the first at ``time``, ``period`` s apart: position in m, force in N, current in A."""
+        """Add a block of samples, the first at ``time``, ``period`` s apart.
+
+        Position in m, force in N, current in A, and temperature in K, which is empty without a sensor.
+        """
         count = len(position)
         if not count:
             return
@@ -151,6 +167,8 @@ class BenchMonitor:
             force=_largest_magnitude(force),
             speed=(mean - last_mean) / elapsed if 0 < elapsed < _MAX_BLOCK_DISTANCE else math.nan,
             current=float(np.mean(current)),
+            temperature=float(np.mean(temperature)) if len(temperature) else math.nan,
+            has_thermometer=len(temperature) > 0,
             position_difference=self._position_difference(time + period * np.arange(count), position),
         )
 

@@ -265,7 +265,7 @@ class Page(BenchNode[PageConfig]):
         time, period = seconds(block.header.stamp), block.sample_period
         series = np.asarray(block.position), np.asarray(block.force), np.asarray(block.coil_current)
         self._view.hear(DAQ)
-        self._view.monitor.add_samples(time, period, *series)
+        self._view.monitor.add_samples(time, period, *series, np.asarray(block.temperature))
         self._view.samples.add(block.sequence, time, period, *series)
 
     def _on_control_cycle(self, cycle: ControlCycle) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from nicegui import ui
 
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_bench_driver.servo.status import ServoStatus
 from mrd_dashboard.bench_view import DAQ, SERVO, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import CALLS, FRAME_PERIOD, Dashboard, Visitor
@@ -97,20 +98,23 @@ def _plots(dashboard: Dashboard, who: Visitor, shown: Callable[[], bool]) -> Non
 
 
 def _lamps(dashboard: Dashboard, shown: Callable[[], bool]) -> None:
-    with ui.card().classes("w-full gap-0 p-3"):
+    rows: dict[str, _LampRow] = {}
+    with ui.card().classes("w-full gap-0 p-3") as card:
         ui.label("Interlocks").classes("text-base font-medium")
         ui.label(
             "While the rod may move, the bench stops beyond these limits. Those of position, speed and current lie "
             "somewhat beyond the dashed lines."
         ).classes("text-xs opacity-80")
-        rows = {lamp.name: _LampRow(lamp) for lamp in dashboard.bench.lamps()}
 
     def refresh() -> None:
-        if shown():
-            for lamp in dashboard.bench.lamps():
-                rows[lamp.name].show(lamp)
+        for lamp in dashboard.bench.lamps():
+            if lamp.name not in rows:  # that of the temperature comes with the first samples of a sensor
+                with card:
+                    rows[lamp.name] = _LampRow(lamp)
+            rows[lamp.name].show(lamp)
 
-    ui.timer(REFRESH, refresh)
+    refresh()
+    ui.timer(REFRESH, lambda: refresh() if shown() else None)
 
 
 class _LampRow:
@@ -212,7 +216,9 @@ def _others_text(dashboard: Dashboard) -> str:
     rate = f"{1 / monitor.sample_period:.0f} Hz" if sampled else "no samples yet"
     age = _age(dashboard, DAQ) if sampled else ""
     recorder = monitor.recorder_state or "not heard yet"
+    now = monitor.snapshot(dashboard.bench.bench_time)
+    damper = f"\ndamper: {now.temperature - ZERO_CELSIUS:.1f} °C" if now.has_thermometer else ""
     return (
-        f"DAQ{age}: {monitor.daq_problem or rate}\nrecorder: {monitor.recording_problem or recorder}\n"
+        f"DAQ{age}: {monitor.daq_problem or rate}{damper}\nrecorder: {monitor.recording_problem or recorder}\n"
         f"experiment: {monitor.experiment_state or 'none'}"
     )

@@ -36,6 +36,7 @@ SENSORS: Mapping[tuple[str, ...], str] = {
     ("thermal_fade", "settling"): (
         "Record the damper's temperature too, and the same run with a cold damper, with a warm one and after a rest."
     ),
+    ("temperature_dependence",): "Heat the damper from outside, and record the same run with it cold and hot.",
     ("backlash", "joint_play", "series_compliance"): "Add a second displacement sensor across the damper itself.",
     ("channel_delay", "force_sensor_lag"): (
         "Disconnect the drive, give the rod one sharp blow, and record position and force at 10 kHz or more, for example "

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -178,7 +178,8 @@ class Predictor:
         """Return the run as each explanation predicts it; None where a force in N is too large."""
         times = planned.times()
         setpoint = planned.at(times)
-        path = make_path(times, setpoint.position, setpoint.velocity, setpoint.acceleration, setpoint.current)
+        motion = setpoint.position, setpoint.velocity, setpoint.acceleration
+        path = self._at_last_temperature(make_path(times, *motion, setpoint.current))
         shifts = np.linspace(-0.5, 0.5, DRAWS) / planned.experiment.rate
         wrong_paths = [
             self._path_with_errors(planned, drawn, shift) for drawn, shift in zip(self.motion_errors, shifts, strict=True)
@@ -221,6 +222,10 @@ class Predictor:
         setpoint = planned.at(times)
         position, velocity, acceleration = (np.interp(times % drawn[0, -1], drawn[0], series) for series in drawn[1:])
         current = planned.at(times + shift).current
-        return make_path(
-            times, setpoint.position + position, setpoint.velocity + velocity, setpoint.acceleration + acceleration, current
-        )
+        motion = setpoint.position + position, setpoint.velocity + velocity, setpoint.acceleration + acceleration
+        return self._at_last_temperature(make_path(times, *motion, current))
+
+    def _at_last_temperature(self, path: Path) -> Path:
+        """Return a path along which the damper is as warm as at the end of the recorded runs, where that is known."""
+        recorded = self.weighting.recordings[-1].path.temperature
+        return path if recorded is None else replace(path, temperature=np.full(len(path.dt), recorded[-1]))

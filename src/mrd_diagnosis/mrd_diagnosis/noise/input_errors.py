@@ -62,7 +62,8 @@ def propagated_variance(
         )
         current, instants = _subdivided_current(used + error, switches, parts, rng)
         path = _switched_path(time, (position, velocity, acceleration), current, instants, rng)
-        path = replace(path, samples=path.samples[places], mains=recording.path.mains).led_in(recording.path.lead_in)
+        path = replace(path, samples=path.samples[places], mains=recording.path.mains).as_warm_as(recording.path)
+        path = path.led_in(recording.path.lead_in)
         squares += recording.as_recorded(model.force(theta, path) - expected) ** 2
     return squares[recording.counted] / draws
 

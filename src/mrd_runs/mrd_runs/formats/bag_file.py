@@ -46,6 +46,8 @@ def read_bag_file(path: Path) -> Recording:
         notes.append(f"the bag was not closed: {len(columns['time_s'])} samples recovered")
     if timing["lost"]:
         notes.append(f"{timing['lost']} samples are missing by their sequence numbers")
+    if unread := timing.pop("unread_temperatures", 0):
+        notes.append(f"the temperature is left out: the thermometer could not be read at {unread} samples")
     info |= timing | {"format": bag.file.suffix.lstrip("."), "topic": topic, "recovered": bag.recovered, "notes": notes}
     return Recording(columns, info)
 

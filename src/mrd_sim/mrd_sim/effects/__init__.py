@@ -30,6 +30,7 @@ EFFECTS: dict[str, Effect] = {
         "rate_dependent_hysteresis",
         "pre_yield_hysteresis",
         "thermal_fade",
+        "temperature_dependence",
         "settling",
         "seal_friction",
         "side_load_friction",

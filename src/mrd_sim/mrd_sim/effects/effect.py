@@ -31,13 +31,17 @@ PLACES: dict[Place, str] = {
 }
 """Places of recordings in which an effect shows, in words. They are axes over which a diagnosis locates the error."""
 
-Need = Literal["changing current", "several currents", "mains frequency"]
+Need = Literal["changing current", "several currents", "mains frequency", "changing temperature"]
 NEEDS: dict[Need, str] = {
     "changing current": "the current never changes within a run",
     "several currents": "all runs have the same current",
     "mains frequency": "the sampling rate does not show the mains frequency",
+    "changing temperature": "no temperature of the damper that changes was recorded in every run",
 }
 """What recordings must have, or else say nothing about an effect; and why they do not, where they lack it."""
+
+VISCOUS, YIELD = 1, 2
+"""Parts of a damper's force as the function `Effect.coefficients` is told them; 0 is any other."""
 
 Fault = Literal["timing", "clocks", "clipped force", "clipped position", "clipped current"]
 FAULTS: dict[Fault, str] = {
@@ -85,7 +89,11 @@ class Effect:
     elongation : callable, optional
         ``elongation(parameters, before, dt, force, x)``, compiled likewise: the elongation in m of an element in series with
         the damper, after ``dt`` under ``force`` with the rod at ``x``, from the elongation ``before``. It must never fall
-        with the force. An effect has either this or a ``kernel``.
+        with the force.
+    coefficients : callable, optional
+        ``coefficients(parameters, parts, temperature, q)``, compiled likewise: changes the coefficients of the damper model,
+        ``q`` (m, coefficients), in place, by the measured temperature (m,) in K. ``parts`` (coefficients,) says whether each
+        belongs to the `VISCOUS` or the `YIELD` part of the force. An effect has one of ``kernel``, ``elongation`` and this.
     follows_force : bool
         Whether the effect depends on the course of the force from sample to sample, as elements in series always do.
     signature : str
@@ -133,6 +141,7 @@ class Effect:
     begin: Callable[[Path], Array] | None = None
     outlasts_run: bool = False
     elongation: Callable[[Any, Any, Any, Any, Any], Any] | None = None
+    coefficients: Callable[[Any, Any, Any, Any], None] | None = None
     follows_force: bool = False
     symptom: str = ""
     phrase: str = ""

@@ -100,15 +100,20 @@ def _check_phrase(file: Path, effect: Effect) -> None:
 
 
 def _check_function(file: Path, effect: Effect) -> None:
-    """Refuse a kernel or an elongation that is not compiled, that fails on a few samples, or that acts at the defaults."""
-    function: Any = effect.kernel or effect.elongation
-    if function is None or (effect.kernel is not None and effect.elongation is not None):
-        raise InputError(f"{file}: expected either kernel or elongation")
+    """Refuse a function that is not compiled, that fails on a few samples, or that acts at the defaults."""
+    functions: list[Any] = [given for given in (effect.kernel, effect.elongation, effect.coefficients) if given is not None]
+    if len(functions) != 1:
+        raise InputError(f"{file}: has {len(functions)} of kernel, elongation and coefficients, expected one")
+    (function,) = functions
     if not hasattr(function, "py_func"):
         raise InputError(f"{file}: {function.__name__} is not compiled, expected numba's @njit")
     defaults = np.array([parameter.default for parameter in effect.parameters])
     try:
-        if effect.kernel is None:
+        if effect.coefficients is not None:
+            rows = np.ones((4, 3))
+            function(defaults, np.arange(3), np.linspace(250.0, 350.0, 4), rows)
+            changed = not np.allclose(rows, 1.0, rtol=1e-9)
+        elif effect.kernel is None:
             changed = function(defaults, 0.0, 1e-3, 100.0, 0.01) != 0.0
         else:
             before = np.linspace([-0.01, 0.1, 1.0, 0.5, 100.0], [0.01, 0.2, 2.0, 1.0, 300.0], 4).T

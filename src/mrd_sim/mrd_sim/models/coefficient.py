@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from mrd_sim.current import LAWS
+from mrd_sim.effects.effect import VISCOUS, YIELD
 from mrd_sim.parameter import Parameter
 
 SATURATION_CURRENT = (1.5, 0.1, 10.0)
@@ -30,6 +31,9 @@ class Coefficient:
         coefficient never falls below the least value that any damper may have.
     absolute : str
         See `Parameter`.
+    part : str
+        Part of the force that is in proportion to it: ``viscous``, ``yield``, or empty for neither. ``by unit`` takes what
+        is in N s/m or Pa s for viscous and what is in N, but for a constant force, for yield.
     law : str
         Id of its current law (`mrd_sim.current.LAWS`); without a slope the law is "constant".
     """
@@ -47,6 +51,16 @@ class Coefficient:
     multiplies: Literal["", "x", "v", "1", "term"] = ""
     law: str = "affine"
     absolute: str = ""
+    part: Literal["", "viscous", "yield", "by unit"] = "by unit"
+
+    @property
+    def part_code(self) -> int:
+        """`VISCOUS`, `YIELD`, or 0 for neither part of the force."""
+        part = self.part
+        if part == "by unit":
+            of_yield = self.unit == "N" and self.multiplies != "1"
+            part = "viscous" if self.unit in ("N s/m", "Pa s") else "yield" if of_yield else ""
+        return {"viscous": VISCOUS, "yield": YIELD}.get(part, 0)
 
     @property
     def code(self) -> int:

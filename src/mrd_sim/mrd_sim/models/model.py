@@ -304,11 +304,20 @@ class DamperModel:
             this one ended.
         samples : slice
             Samples of the path whose force is returned.
+
+        Raises
+        ------
+        InputError
+            For an effect that needs the temperature, along a path without one.
         """
         return self.forces(theta, path, state, samples)[1]
 
     def forces(self, theta: Array, path: Path, state: Array | None = None, samples: slice = ALL) -> tuple[Array, Array]:
         """Return the force in N on the rod, and the measured force after the effects of sensing; arguments as of `force`."""
+        if self.needs_temperature and path.temperature is None:
+            name = path.smoothed.run.name if path.smoothed else "the motion"
+            effects = ", ".join(effect.id for effect in self.effects if effect.coefficients is not None)
+            raise InputError(f"{name} has no temperature of the damper, which {effects} needs; record it, or try without")
         if state is None:
             state = self.initial_state(path)
         if self.follows_force:
@@ -328,6 +337,8 @@ class DamperModel:
         for block in _blocks(path.dt) if in_blocks else [ALL]:
             arguments = inner, path.dt[block], x[block], v[block], a[block], force[block]
             rows = self._coefficients_along(theta, current[block])
+            if path.temperature is not None:
+                self._change_coefficients(theta, path.temperature[block], rows)
             if self.series_elements:
                 self._run_in_series(parameters, state[-len(self.series_elements) - 1 :], rows, *arguments)
             else:
@@ -341,6 +352,23 @@ class DamperModel:
             return on_rod, on_rod
         self._act(("sensing",), theta, path, (x, v, a, current, force), state)
         return on_rod, force[path.samples[samples]]
+
+    @cached_property
+    def needs_temperature(self) -> bool:
+        """Whether effects act by the temperature of the path."""
+        return any(effect.coefficients is not None for effect in self.effects)
+
+    @cached_property
+    def _parts(self) -> NDArray[np.intp]:
+        """Part of the force to which each coefficient belongs, (coefficients,)."""
+        return np.array([coefficient.part_code for coefficient in self.coefficients], dtype=np.intp)
+
+    def _change_coefficients(self, theta: Array, temperature: Array, rows: Array) -> None:
+        """Let effects change the coefficients (m, coefficients) in place, by the temperature (m,) in K."""
+        for effect in self.effects:
+            if effect.coefficients is not None:
+                (parameters,) = self._effect_parameters([effect])
+                effect.coefficients(theta[parameters], self._parts, temperature, rows)
 
     def _lagged(self, theta: Array, state: Array, dt: Array, current: Array) -> Array:
         """Return the effective current in A behind the coil lag of the model."""

@@ -14,7 +14,16 @@ from mrd_sim.named import named_row, tuple_type
 
 COEFFICIENTS = (
     Coefficient(
-        "bristle_stiffness", "sigma_0", "N/m", "bristle stiffness", 1e6, 0.0, 2e7, (8e6, 0.0, 5e7), multiplies="term"
+        "bristle_stiffness",
+        "sigma_0",
+        "N/m",
+        "bristle stiffness",
+        1e6,
+        0.0,
+        2e7,
+        (8e6, 0.0, 5e7),
+        multiplies="term",
+        part="yield",
     ),
     Coefficient(
         "a0", "a0", "1/m", "1 / yield travel of the bristles", 1e4, 5e2, 5e5, (0.0, -1e5, 1e5), log=True, law="constant"

@@ -37,6 +37,7 @@ def _branch(name: str, condition: str) -> tuple[Coefficient, ...]:
             2000.0,
             (500.0 if i == 1 else 0.0, -4000.0, 4000.0),
             multiplies="term",
+            part="viscous" if i else "yield",
         )
         for i in range(TERMS)
     )

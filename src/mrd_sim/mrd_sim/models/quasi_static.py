@@ -1,5 +1,6 @@
 """Quasi-static model: a Bingham fluid pressed through the gap around the piston. Geometry in, force out."""
 
+from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -25,7 +26,10 @@ COEFFICIENTS = (
     _geometry("poles", "N", "", "number of poles", 2.0, 1.0, 8.0),
     _geometry("coil_length", "L_c", "m", "length of the gap where there is no field", 0.015, 0.0, 0.05),
     _geometry("iron_share", "phi", "", "volume share of iron in the fluid", 0.32, 0.1, 0.5),
-    _geometry("carrier", "C", "", "constant of the carrier fluid: oil 1, water 1.16, silicone oil 0.95", 1.0, 0.9, 1.2),
+    replace(
+        _geometry("carrier", "C", "", "constant of the carrier fluid: oil 1, water 1.16, silicone oil 0.95", 1.0, 0.9, 1.2),
+        part="yield",
+    ),
     Coefficient(
         "viscosity", "eta", "Pa s", "viscosity of the fluid without field", 0.1, 0.01, 2.0, log=True, absolute="of the fluid"
     ),
@@ -40,7 +44,7 @@ COEFFICIENTS = (
         (1.2e5, 1e4, 5e5),
         absolute="of the circuit",
     ),
-    Coefficient("friction", "F_f", "N", "friction of the seal", 50.0, 0.0, 300.0, multiplies="term"),
+    Coefficient("friction", "F_f", "N", "friction of the seal", 50.0, 0.0, 300.0, multiplies="term", part=""),
     Coefficient("creep_speed", "v_e", "m/s", "speed at which friction is 76 % developed", 2e-3, 5e-4, 5e-3, log=True),
     PRELOAD,
 )

@@ -32,7 +32,17 @@ COEFFICIENTS = (
     ),
     Coefficient("steepness_decay", "k0", "s/m", "loss of this slope with the peak speed", 2.0, 0.0, 50.0),
     Coefficient("loop_half_width", "k4", "", "half the loop width, per peak speed", 0.05, 0.0, 0.5, (0.05, -0.5, 0.5)),
-    Coefficient("viscous_growth", "k1", "s/m", "growth of the force after the bend", 6.0, 0.0, 50.0, (-2.0, -50.0, 50.0)),
+    Coefficient(
+        "viscous_growth",
+        "k1",
+        "s/m",
+        "growth of the force after the bend",
+        6.0,
+        0.0,
+        50.0,
+        (-2.0, -50.0, 50.0),
+        part="viscous",
+    ),
     Coefficient("viscous_decay", "a4", "s/m", "loss of this growth with the peak speed", 2.0, 0.0, 20.0),
     Coefficient(
         "highest_peak_speed",

@@ -14,6 +14,7 @@ from mrd_base.barrier import Barrier
 from mrd_base.barrier_clock import BarrierClock
 from mrd_base.nodes.bench_node import BenchNode, run_node, seconds
 from mrd_base.nodes.graph import ANALOG_INPUT, ANALOG_OUTPUT, CLOCK, TRUE_STATE
+from mrd_base.quantities import ZERO_CELSIUS
 from mrd_interfaces.msg import AnalogInput, AnalogOutput
 from mrd_sim.motor import MotorSerialPort
 from mrd_sim.plant import Block, Plant, PlantConfig, check_fault
@@ -128,13 +129,17 @@ class PlantNode(BenchNode[PlantConfig]):
         self._time_topic.publish(Clock(clock=state.header.stamp))
 
     def health(self) -> tuple[str, dict[str, object]]:
-        """Return a problem, and port and temperature."""
+        """Return a problem, the port, and the temperatures of motor and damper."""
         problem = ""
         if not self._stepper.is_alive():
             problem = "the simulation has stopped; its error is on stderr"
         elif self.plant.fault:
             problem = f"fault on purpose: {self.plant.fault}"
-        return problem, {"port": self.port.link, "temperature, degC": round(self.plant.motor.axis.temperature, 1)}
+        return problem, {
+            "port": self.port.link,
+            "temperature, degC": round(self.plant.motor.axis.temperature, 1),
+            "damper, degC": round(self.plant.temperature - ZERO_CELSIUS, 1),
+        }
 
     def close(self) -> None:
         """Stop the simulation and remove the serial port."""
