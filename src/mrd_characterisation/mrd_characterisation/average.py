@@ -1,0 +1,50 @@
+"""Means over cycles and runs, with their intervals."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+RUNS_FOR_INTERVAL = 3
+"""From this number of runs on, the interval follows from the differences between runs, which those between cycles of a run
+do not show."""
+
+
+class Average(NamedTuple):
+    """Mean of a number over cycles and runs, as the fields of a `Value`: with 95 % interval, standard deviation and counts."""
+
+    value: float
+    lower: float
+    upper: float
+    scatter: float
+    cycles: int
+    runs: int
+
+
+def average(numbers: Sequence[float], runs: Sequence[str]) -> Average:
+    """Average a number over cycles.
+
+    Parameters
+    ----------
+    numbers : sequence of float
+        One of each cycle, at least one.
+    runs : sequence of str
+        Name of the run of each.
+
+    Returns
+    -------
+    Average
+        Its interval is that of Student's t distribution: over the means of the runs where there are at least
+        `RUNS_FOR_INTERVAL`, else over the cycles.
+    """
+    values, names = np.asarray(numbers, np.float64), np.asarray(runs)
+    value, distinct = float(values.mean()), np.unique(names)
+    if len(values) < 2:
+        return Average(value, math.nan, math.nan, math.nan, len(values), len(distinct))
+    units = values
+    if len(distinct) >= RUNS_FOR_INTERVAL:
+        units = np.array([values[names == name].mean() for name in distinct])
+    half = float(student.ppf(0.975, len(units) - 1) * units.std(ddof=1) / math.sqrt(len(units)))
+    return Average(value, value - half, value + half, float(values.std(ddof=1)), len(values), len(distinct))

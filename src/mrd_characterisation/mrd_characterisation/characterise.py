@@ -1,0 +1,205 @@
+"""Characterise a damper: all numbers that its recordings show, and what they do not show."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mrd_base import InputError
+from mrd_characterisation.average import Average, average
+from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, Characterisation, Loop, Value
+from mrd_characterisation.current_response import response_values, steps_of
+from mrd_characterisation.cycles import asymmetries, cycle_values, dynamic_ranges, representative_loop
+from mrd_characterisation.force_speed import (
+    DIRECTIONS,
+    check_speeds,
+    curve_of,
+    forces_at_speeds,
+    peak_and_mean_forces,
+    round_speeds,
+)
+from mrd_characterisation.slow_strokes import SLOW, gas_values, slow_pairs
+from mrd_characterisation.strokes import Cycle, Stroke, cycles_of, grouped, strokes_of
+from mrd_runs import Run
+from mrd_runs.run import checked_runs
+from mrd_runs.signals.current import current_noise
+from mrd_runs.signals.smoothed_run import smooth_run
+
+SPEED_GROUP, STROKE_GROUP = 0.05, 0.05
+"""Relative differences up to which cycles have the same peak speed and the same stroke."""
+
+ENOUGH_CYCLES = 3
+"""Cycles below which the scatter of a mean is hardly known."""
+
+
+def characterise(
+    runs: Sequence[Run] | Run, *, name: str = "damper", speeds: Sequence[float] | None = None, round_to: float = 1e-3
+) -> Characterisation:
+    """Characterise a damper by any number of its recordings.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Of one damper.
+    name : str
+        Name or serial number of the damper.
+    speeds : sequence of float, optional
+        Speeds in m/s at which the force is given; by default round ones within those that were recorded.
+    round_to : float
+        Unit in m/s in which the default speeds are round.
+
+    Returns
+    -------
+    Characterisation
+
+    Raises
+    ------
+    InputError
+        When nothing can be characterised, or when no stroke at steady current shows the force at one of ``speeds``.
+    """
+    listed = checked_runs(runs)
+    smoothed = [smooth_run(run) for run in listed]
+    scale = max(float(np.quantile(np.abs(one.current), 0.99)) for one in smoothed)
+    moved = [np.abs(one.motion.velocity) for one in smoothed]
+    fast = max(float(np.quantile(speed, 0.95)) for speed in moved)
+    of_runs = [strokes_of(one, scale) for one in smoothed]
+    tolerance = max(SAME_CURRENT * scale, 2.0 * max(current_noise(run.current) for run in listed))
+    of_runs = _at_levels(of_runs, tolerance)
+    strokes = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
+    cycles = [cycle for of_run in of_runs for cycle in cycles_of(of_run)]
+    steps = [step for one in smoothed for step in steps_of(one, scale, fast)] if scale > 0.0 else []
+    if not strokes and not steps:
+        raise InputError(
+            f"{listed[0].name}: holds no stroke between two reversals at steady current and no current step at constant speed, "
+            f"nor do the other {len(listed) - 1} runs; record sines or triangles at constant currents"
+            if len(listed) > 1
+            else f"{listed[0].name}: holds no stroke between two reversals at steady current and no current step at constant speed; "
+            "record sines or triangles at constant currents"
+        )
+    levels = [[stroke for stroke in strokes if stroke.current == level] for level in sorted({s.current for s in strokes})]
+    groups = _equal_cycles(cycles)
+    if speeds:
+        check_speeds(speeds, strokes)
+    forces = forces_at_speeds(levels, speeds or round_speeds(strokes, round_to)) if strokes else []
+    pairs = slow_pairs(levels[0], fast) if levels else []
+    gas, gas_curve = gas_values(pairs, levels[0][0].current if levels else 0.0)
+    times, responses, notes = response_values(steps, scale)
+    values = [
+        *peak_and_mean_forces(groups),
+        *cycle_values(groups),
+        *forces,
+        *asymmetries(forces),
+        *dynamic_ranges(forces),
+        *times,
+        *gas,
+        *_extent(listed),
+    ]
+    order = list(QUANTITIES)
+    values.sort(
+        key=lambda v: (
+            order.index(v.quantity),
+            v.current or 0.0,
+            v.direction != "rebound",
+            v.speed or 0.0,
+        )
+    )
+    curves = [
+        curve
+        for level in levels
+        for direction in DIRECTIONS
+        if (curve := curve_of([stroke for stroke in level if stroke.direction == direction]))
+    ]
+    return Characterisation(
+        name,
+        tuple(listed),
+        tuple(values),
+        tuple(curves),
+        tuple(_loops(groups)),
+        tuple(responses),
+        gas_curve,
+        tuple([*_limitations(levels, groups, bool(gas), bool(steps), fast), *notes]),
+    )
+
+
+def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[list[Stroke]]:
+    """Return the strokes of each run with the current of their level: the rounded mean of those that are the same."""
+    steady = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
+    level_of = {}
+    for level in grouped(steady, lambda stroke: stroke.current, lambda _: tolerance):
+        current = float(np.mean([stroke.current for stroke in level]))
+        decimals = 1 - math.floor(math.log10(tolerance)) if tolerance > 0.0 else 6
+        level_of |= {id(stroke): round(current, decimals) + 0.0 for stroke in level}
+    return [[replace(stroke, current=level_of.get(id(stroke), math.nan)) for stroke in of_run] for of_run in of_runs]
+
+
+def _equal_cycles(cycles: Sequence[Cycle]) -> list[list[Cycle]]:
+    """Group cycles of the same current, peak speed and stroke."""
+    return [
+        equal
+        for level in sorted({cycle.current for cycle in cycles})
+        for of_speed in grouped([c for c in cycles if c.current == level], lambda cycle: cycle.peak_speed, lambda speed: SPEED_GROUP * speed)
+        for equal in grouped(of_speed, lambda cycle: cycle.length, lambda length: STROKE_GROUP * length)
+    ]
+
+
+def _loops(groups: Sequence[Sequence[Cycle]]) -> list[Loop]:
+    return [representative_loop(cycles) for cycles in groups]
+
+
+def _extent(runs: Sequence[Run]) -> list[Value]:
+    """Return the stroke that was used, and the temperatures that were recorded."""
+    nan = float("nan")
+    position = np.concatenate([run.position for run in runs])
+    low, high = np.quantile(position, [0.001, 0.999])
+    once = (nan, nan, nan, 0, len(runs))
+    values = [
+        Value("stroke_used", *Average(float(high - low), *once), "Distance of the extreme positions of all runs (quantiles of 0.1 and 99.9 %).")
+    ]
+    warm = [run.temperature for run in runs if run.temperature is not None]
+    if warm:
+        temperature = np.concatenate(warm)
+        text = "{} temperature of the damper in the runs that recorded it."
+        once = (nan, nan, nan, 0, len(warm))
+        values.append(Value("temperature_least", float(temperature.min()), *once, text.format("Lowest")))
+        values.append(Value("temperature_largest", float(temperature.max()), *once, text.format("Highest")))
+    return values
+
+
+def _limitations(
+    levels: Sequence[Sequence[Stroke]], groups: Sequence[Sequence[Cycle]], has_gas: bool, has_steps: bool, fast: float
+) -> list[str]:
+    """Return what the recordings do not show, and what to record for it."""
+    sentences = []
+    if not levels:
+        sentences.append(
+            "No strokes at steady current, so no forces over speed. Record sines or triangles, at least three cycles each, at constant currents."
+        )
+    if levels and not groups:
+        sentences.append(
+            "No cycle at steady current is repeated, so there are no peak forces, no energy and no loops. Record at least three "
+            "equal cycles of a sine or a triangle at each current."
+        )
+    few = [group for group in groups if len(group) < ENOUGH_CYCLES]
+    if few:
+        sentences.append(
+            f"{len(few)} of {len(groups)} combinations of current, speed and stroke have fewer than {ENOUGH_CYCLES} cycles, so that "
+            "their scatter is hardly known. Record more cycles of each."
+        )
+    if len(levels) == 1:
+        current = levels[0][0].current
+        sentences.append(
+            f"Only one steady current, {current:.3g} A, so no dynamic range. Repeat the strokes at the smallest and at the largest current."
+        )
+    if levels and not has_gas:
+        slowest = 1e3 * min(stroke.peak_speed for stroke in levels[0])
+        sentences.append(
+            f"No slow strokes in both directions at the smallest current, so no gas force and no seal drag: the slowest has {slowest:.3g} mm/s. "
+            f"Record triangles over the whole stroke at {1e3 * SLOW * fast:.2g} mm/s or less, best at two speeds."
+        )
+    if not has_steps:
+        sentences.append(
+            "No current steps at constant speed, so no response times. Record triangles while the current steps between levels, "
+            "each held until the force has settled."
+        )
+    return sentences
