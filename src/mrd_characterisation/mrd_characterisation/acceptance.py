@@ -13,7 +13,7 @@ from mrd_characterisation.characterisation import QUANTITIES, Characterisation, 
 from mrd_characterisation.characterise import characterise
 from mrd_characterisation.damper_test import DamperTest
 from mrd_characterisation.limits import Limit, resisting
-from mrd_characterisation.wording import SI, Units, band_text, conditions_text, number_text
+from mrd_characterisation.wording import SI, Units, band_text, conditions_text, number_text, range_text
 from mrd_runs import Run
 
 Outcome = Literal["pass", "fail", "not_decided", "not_measured"]
@@ -71,10 +71,9 @@ class Check:
             side = "above" if self.excess > 0.0 else "below"
             return f"{number_text(abs(self.excess), unit, units)} {side} the limit"
         if self.outcome == "not_decided":
-            lower, upper = self.interval
-            if math.isnan(lower):
-                return f"without interval: {self.value.cycles} cycle or step"
-            return f"its interval, {number_text(lower, unit, units)} to {number_text(upper, unit, units)}, crosses a limit"
+            if math.isnan(self.interval[0]):
+                return f"no interval from {self.value.cycles} cycle or step"
+            return "its interval crosses a limit"
         return ""
 
 
@@ -145,7 +144,7 @@ def check_row(check: Check, units: Units = SI) -> tuple[str, ...]:
         QUANTITIES[limit.quantity].title,
         conditions_text(value or limit, units),
         "–" if value is None else number_text(value.value, limit.unit, units),
-        "–" if math.isnan(lower) else f"{number_text(lower, limit.unit, units)} to {number_text(upper, limit.unit, units)}",
+        "–" if math.isnan(lower) else range_text(lower, upper, limit.unit, units),
         band_text(limit, units),
         check.why(units),
     )

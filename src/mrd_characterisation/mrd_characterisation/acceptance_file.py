@@ -49,15 +49,19 @@ def diagnose_command(acceptance: Acceptance, folder: str | Path) -> str:
 
 def _check(check: Check) -> dict[str, Any]:
     limit, value = check.limit, check.value
-    holds = value or limit
+
+    def condition(name: str) -> Any:
+        # That of the limit where it has one: it is the same in all tests against these limits.
+        return getattr(limit, name) if getattr(limit, name) is not None else getattr(value, name, None)
+
     return {
         "quantity": limit.quantity,
         "unit": limit.unit,
-        "current_A": holds.current,
-        "current_before_A": holds.current_before,
-        "direction": holds.direction,
-        "speed_m_per_s": holds.speed,
-        "stroke_m": holds.stroke,
+        "current_A": condition("current"),
+        "current_before_A": condition("current_before"),
+        "direction": condition("direction"),
+        "speed_m_per_s": condition("speed"),
+        "stroke_m": condition("stroke"),
         "outcome": check.outcome,
         "value": None if value is None else finite_or_none(value.value),
         "ci95": [finite_or_none(end) for end in check.interval],

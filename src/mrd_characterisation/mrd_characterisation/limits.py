@@ -11,17 +11,18 @@ from mrd_base.config import from_mapping, quantity, read_yaml, unknown_key
 from mrd_characterisation.characterisation import QUANTITIES, Direction, Value
 
 COMPARED = (
-    "peak_force",
-    "force_at_speed",
-    "energy_per_cycle",
-    "dynamic_range",
-    "response_time_63",
-    "response_time_95",
     "gas_force",
     "seal_drag",
+    "response_time_63",
+    "response_time_95",
+    "dynamic_range",
+    "energy_per_cycle",
+    "peak_force",
+    "force_at_speed",
 )
-"""What is compared with a golden damper. The others follow from these, are small differences of which a tolerance in per cent
-says nothing (asymmetry, width of the hysteresis, gas stiffness), or belong to the bench (stroke, temperature, current)."""
+"""What is compared with a golden damper, in the order in which it is listed: what is of the whole damper first. The others follow
+from these, are small differences of which a tolerance in per cent says nothing (asymmetry, width of the hysteresis, gas stiffness),
+or belong to the bench (stroke, temperature, current)."""
 
 _OF_THE_DAMPER = ("gas_force", "seal_drag")  # hardly depend on how slow the slow strokes were
 
@@ -102,9 +103,10 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
     if not 0.0 < tolerance < math.inf:
         raise InputError(f"--tolerance is {100 * tolerance:g}, expected a positive number of per cent")
     limits = []
-    for value in map(resisting, golden):
+    compared = [value for value in golden if value.quantity in COMPARED]
+    for value in map(resisting, sorted(compared, key=lambda value: COMPARED.index(value.quantity))):
         half = max(tolerance * abs(value.value), 0.0 if math.isnan(value.scatter) else value.scatter)
-        if value.quantity in COMPARED and 0.0 < half < math.inf:
+        if 0.0 < half < math.inf:
             names = () if value.quantity in _OF_THE_DAMPER else ("current", "current_before", "direction", "speed", "stroke")
             conditions = {name: getattr(value, name) for name in names}
             limits.append(Limit(value.quantity, value.value - half, value.value + half, **conditions))
