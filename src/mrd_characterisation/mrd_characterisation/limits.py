@@ -91,9 +91,10 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
     Parameters
     ----------
     golden : sequence of Value
+        A value of a single cycle or step has no interval, and is left out.
     tolerance : float
-        Half the width of the bands over the golden value. They are at least as wide as the golden value scatters over its cycles
-        and runs, since a damper cannot be told from another one by less.
+        By how much a damper may differ from the golden one, over the golden value; at least as much as this scatters over its
+        cycles and runs. It counts from the ends of the golden value's interval, within which the golden damper may be anywhere.
 
     Raises
     ------
@@ -103,13 +104,13 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
     if not 0.0 < tolerance < math.inf:
         raise InputError(f"--tolerance is {100 * tolerance:g}, expected a positive number of per cent")
     limits = []
-    compared = [value for value in golden if value.quantity in COMPARED]
+    compared = [value for value in golden if value.quantity in COMPARED and math.isfinite(value.upper - value.lower)]
     for value in map(resisting, sorted(compared, key=lambda value: COMPARED.index(value.quantity))):
-        half = max(tolerance * abs(value.value), 0.0 if math.isnan(value.scatter) else value.scatter)
-        if 0.0 < half < math.inf:
+        margin = max(tolerance * abs(value.value), value.scatter)
+        if margin > 0.0:
             names = () if value.quantity in _OF_THE_DAMPER else ("current", "current_before", "direction", "speed", "stroke")
             conditions = {name: getattr(value, name) for name in names}
-            limits.append(Limit(value.quantity, value.value - half, value.value + half, **conditions))
+            limits.append(Limit(value.quantity, value.lower - margin, value.upper + margin, **conditions))
     if not limits:
         raise InputError(f"the golden damper has no number to compare with, expected one of {', '.join(COMPARED)}")
     return tuple(limits)
