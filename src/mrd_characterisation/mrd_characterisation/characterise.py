@@ -19,8 +19,8 @@ from mrd_characterisation.force_speed import (
     peak_and_mean_forces,
     round_speeds,
 )
-from mrd_characterisation.slow_strokes import SLOW, gas_values, slow_pairs
-from mrd_characterisation.strokes import Cycle, Stroke, cycles_of, grouped, strokes_of
+from mrd_characterisation.slow_strokes import SLOW, gas_values, long_strokes, slow_pairs
+from mrd_characterisation.strokes import Cycle, Stroke, cycles_of, grouped, rounded, strokes_of
 from mrd_runs import Run
 from mrd_runs.run import checked_runs
 from mrd_runs.signals.current import current_noise
@@ -79,9 +79,12 @@ def characterise(
         )
     levels = [[stroke for stroke in strokes if stroke.current == level] for level in sorted({s.current for s in strokes})]
     groups = _equal_cycles(cycles)
+    periodic = {id(stroke) for cycle in cycles for stroke in (cycle.first, cycle.second)}
+    read = [[stroke for stroke in level if stroke.constant_speed or id(stroke) in periodic] for level in levels]
+    readable = [stroke for level in read for stroke in level]
     if speeds:
-        check_speeds(speeds, strokes)
-    forces = forces_at_speeds(levels, speeds or round_speeds(strokes, round_to)) if strokes else []
+        check_speeds(speeds, readable)
+    forces = forces_at_speeds(read, speeds or round_speeds(readable, round_to)) if readable else []
     pairs = slow_pairs(levels[0], fast) if levels else []
     gas, gas_curve = gas_values(pairs, levels[0][0].current if levels else 0.0)
     times, responses, notes = response_values(steps, scale)
@@ -106,7 +109,7 @@ def characterise(
     )
     curves = [
         curve
-        for level in levels
+        for level in read
         for direction in DIRECTIONS
         if (curve := curve_of([stroke for stroke in level if stroke.direction == direction]))
     ]
@@ -127,9 +130,8 @@ def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[li
     steady = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
     level_of = {}
     for level in grouped(steady, lambda stroke: stroke.current, lambda _: tolerance):
-        current = float(np.mean([stroke.current for stroke in level]))
-        decimals = 1 - math.floor(math.log10(tolerance)) if tolerance > 0.0 else 6
-        level_of |= {id(stroke): round(current, decimals) + 0.0 for stroke in level}
+        current = rounded(float(np.mean([stroke.current for stroke in level])), tolerance)
+        level_of |= {id(stroke): current for stroke in level}
     return [[replace(stroke, current=level_of.get(id(stroke), math.nan)) for stroke in of_run] for of_run in of_runs]
 
 
@@ -192,7 +194,7 @@ def _limitations(
             f"Only one steady current, {current:.3g} A, so no dynamic range. Repeat the strokes at the smallest and at the largest current."
         )
     if levels and not has_gas:
-        slowest = 1e3 * min(stroke.peak_speed for stroke in levels[0])
+        slowest = 1e3 * min(stroke.peak_speed for stroke in long_strokes(levels[0]))
         sentences.append(
             f"No slow strokes in both directions at the smallest current, so no gas force and no seal drag: the slowest has {slowest:.3g} mm/s. "
             f"Record triangles over the whole stroke at {1e3 * SLOW * fast:.2g} mm/s or less, best at two speeds."

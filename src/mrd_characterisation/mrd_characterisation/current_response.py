@@ -13,8 +13,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from mrd_characterisation.average import Average, average
-from mrd_characterisation.characterisation import SAME_SPEED, Direction, Response, Value
-from mrd_characterisation.strokes import grouped
+from mrd_characterisation.characterisation import SAME_CURRENT, SAME_SPEED, Direction, Response, Value
+from mrd_characterisation.strokes import grouped, rounded
 from mrd_runs.signals.current_steps import LEAST_STEP, current_steps
 from mrd_runs.signals.smoothed_run import SmoothedRun
 
@@ -41,6 +41,9 @@ LENGTHS = 4.0
 BEFORE, TAIL = 0.25, 0.6
 """The force before a step is that of this share of the time looked at; the settled force that from this share on."""
 
+TAIL_PASSES, SETTLED_TAIL = 3, 1e-3
+"""Times that the exponential of the tail is fitted; share of the change that is left when a tail has settled."""
+
 SETTLES = 0.7
 """Largest response time over the time looked at; beyond, the force has not settled, and its change is not known."""
 
@@ -57,8 +60,8 @@ SHARES = {"63": 1.0 - math.exp(-1.0), "95": 0.95}
 
 _METHOD = (
     "Time from the step of the measured current, the middle of the sampling interval in which it begins, until {what} has made {share} "
-    "of its change, of the mean of equal steps while the speed is constant within 5 %. {drift}The end of the change is the mean of "
-    "the last 40 % of {time} ms after the step."
+    "of its change, of the mean of equal steps while the speed is constant within 5 %. {drift}The end of the change is the level that "
+    "an exponential through the last 40 % of {time} ms after the step approaches."
 )
 _DRIFT = "A drift of the force along the stroke, the same before and after the step, is taken out. "
 
@@ -150,20 +153,27 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     """
     values: list[Value] = []
     responses: list[Response] = []
-    unsettled = []
+    unsettled: list[float] = []
+    without_response = 0
     for group in _equal_steps(steps, scale):
-        found = _measured(group)
+        found = _measured(group, scale)
         if isinstance(found, float):
             unsettled.append(found)
-        elif found is not None:
+        elif found is None:
+            without_response += 1
+        else:
             values += found[0]
             responses.append(found[1])
     notes = []
     if unsettled:
         notes.append(
             f"After {len(unsettled)} kinds of current steps the force had not settled when the current or the speed changed again, "
-            f"{1e3 * min(unsettled):.3g} ms or more after the step, or its change is lost in noise. Hold each level at constant "
-            "speed for longer, and repeat the steps."
+            f"{1e3 * min(unsettled):.3g} ms or more after the step. Hold each level at constant speed for longer."
+        )
+    if without_response:
+        notes.append(
+            f"The force does not respond to {without_response} kinds of current steps beyond its noise. Repeat the steps more often, or "
+            "take larger ones."
         )
     return values, responses, notes
 
@@ -184,13 +194,15 @@ def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     ]
 
 
-def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | None:
+def _measured(steps: Sequence[Step], scale: float) -> tuple[list[Value], Response] | float | None:
     """Return the response times and the mean response of equal steps.
 
-    The time looked at in s where the force does not settle within it; None where too little was recorded.
+    The time looked at in s where the force does not settle within it; None where it does not respond beyond its noise.
     """
     hold = float(np.quantile([step.hold for step in steps], USUAL_HOLD, method="lower"))
     chosen = _long_enough(steps, hold)
+    if not _responds(chosen, hold):
+        return None
     first = _times(chosen, hold)
     if first is None:
         return hold
@@ -205,8 +217,8 @@ def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | N
     names = [step.run.run.name for step in longer]
     direction: Direction = "rebound" if longer[0].velocity > 0.0 else "compression"
     condition = {
-        "current": float(np.mean([step.after for step in longer])),
-        "current_before": float(np.mean([step.before for step in longer])),
+        "current": rounded(float(np.mean([step.after for step in longer])), SAME_CURRENT * scale),
+        "current_before": rounded(float(np.mean([step.before for step in longer])), SAME_CURRENT * scale),
         "speed": float(np.mean([abs(step.velocity) for step in longer])),
     }
     values = []
@@ -247,15 +259,16 @@ def _times(steps: Sequence[Step], looked_at: float) -> dict[tuple[str, str], flo
     if not steps:
         return None
     grid, force, coil = _mean_response(steps, looked_at)
-    before = force[grid < 0.0]
-    noise = float(before.std()) if len(before) > 2 else 0.0
-    if not np.isfinite(force).all() or noise * LEAST_CHANGE > 1.0:
-        return None
     times = {}
-    for name, share in SHARES.items():
-        times["force", name] = _crossing(grid, force, share)
-        times["current", name] = _crossing(grid, coil, share)
+    for signal, series in (("force", force), ("current", coil)):
+        times |= {(signal, name): _crossing(grid, series, share) for name, share in SHARES.items()}
     return None if any(map(math.isnan, times.values())) else times
+
+
+def _responds(steps: Sequence[Step], looked_at: float) -> bool:
+    """Return whether the change of the force is clear of its noise, in the mean of the steps."""
+    grid, force, _ = _mean_response(steps, looked_at)
+    return bool(np.isfinite(force).all() and LEAST_CHANGE * float(force[grid < 0.0].std()) < 1.0)
 
 
 def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Array, Array]:
@@ -275,12 +288,33 @@ def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Arra
 
 
 def _share_of_change(grid: Array, series: Array, drifts: bool = False) -> Array:
-    """Return a series as share of its change: 0 before the step, 1 in the tail; a drift that is the same in both is taken out."""
+    """Return a series as share of its change: 0 before the step, 1 at the end; a drift that is the same in both is taken out.
+
+    Where the tail has not settled, it is an exponential, whose time constant follows from the crossings so far; so is what the
+    step before has left.
+    """
     before, tail = grid < 0.0, grid >= TAIL * grid[-1]
     used = before | tail
     columns = [np.ones(len(grid)), tail.astype(float)] + ([grid] if drifts else [])
+    share = _without_drift(grid, series, columns, used)
+    for _ in range(TAIL_PASSES):
+        early, late = _crossing(grid, share, SHARES["63"]), _crossing(grid, share, SHARES["95"])
+        constant = (late - early) / math.log((1.0 - SHARES["63"]) / (1.0 - SHARES["95"]))
+        # Of a tail that has settled, the exponential would only fit the noise.
+        if not constant > 0.0 or math.exp(-TAIL * grid[-1] / constant) < SETTLED_TAIL:
+            break
+        decays = [
+            np.where(part, np.exp(-(grid - grid[part][0]) / constant), 0.0)
+            for part in (tail, before)
+        ]
+        share = _without_drift(grid, series, [*columns, *decays], used)
+    return share
+
+
+def _without_drift(grid: Array, series: Array, columns: Sequence[Array], used: NDArray[np.bool_]) -> Array:
+    """Return a series without its level before the step and its drift, over its change; by least squares of the used samples."""
     coefficients = np.linalg.lstsq(np.column_stack(columns)[used], series[used], rcond=None)[0]
-    drift = coefficients[2] * grid if drifts else 0.0
+    drift = coefficients[2] * grid if columns[2:] and columns[2] is grid else 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray((series - coefficients[0] - drift) / coefficients[1])
 

@@ -39,7 +39,7 @@ def cycle_values(groups: Sequence[Sequence[Cycle]]) -> list[Value]:
     for cycles in groups:
         names = [cycle.run.run.name for cycle in cycles]
         condition = {
-            "current": float(np.mean([cycle.current for cycle in cycles])),
+            "current": cycles[0].current,
             "speed": float(np.mean([cycle.peak_speed for cycle in cycles])),
             "stroke": float(np.mean([cycle.length for cycle in cycles])),
         }

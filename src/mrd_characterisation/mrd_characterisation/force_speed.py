@@ -48,7 +48,8 @@ MEAN_FORCE = (
 FORCE_AT_SPEED = (
     "Mean of the accelerating and the decelerating branch of a stroke at this speed, so that a stiffness cancels: of each the line "
     "through the unfiltered force at smoothed speeds within 10 % of it. Of a stroke of constant speed, the mean over the middle "
-    "half of its way. Mean over all strokes of steady current that pass the speed at 25 to 95 % of their peak speed."
+    "half of its way. Mean over all strokes of constant speed within 2 % of it, and of periodic cycles that pass it at 25 to 95 % of "
+    "their peak speed, at the same current."
 )
 
 
@@ -67,7 +68,7 @@ def peak_and_mean_forces(groups: Sequence[Sequence[Cycle]]) -> list[Value]:
             names = [stroke.run.run.name for stroke in strokes]
             condition = {
                 "direction": direction,
-                "current": _mean(strokes, "current"),
+                "current": strokes[0].current,
                 "speed": _mean(strokes, "peak_speed"),
                 "stroke": _mean(strokes, "length"),
             }
@@ -143,8 +144,7 @@ def forces_at_speeds(levels: Sequence[Sequence[Stroke]], speeds: Sequence[float]
                 found = [(stroke, force) for stroke, force in found if not math.isnan(force)]
                 if found:
                     mean = average([force for _, force in found], [stroke.run.run.name for stroke, _ in found])
-                    current = float(np.mean([stroke.current for stroke, _ in found]))
-                    condition = {"current": current, "direction": direction, "speed": speed}
+                    condition = {"current": strokes[0].current, "direction": direction, "speed": speed}
                     values.append(Value("force_at_speed", *mean, FORCE_AT_SPEED, **condition))
     return values
 
@@ -157,6 +157,8 @@ def check_speeds(speeds: Sequence[float], strokes: Sequence[Stroke]) -> None:
     InputError
         Names the first speed that no stroke shows.
     """
+    if not strokes:
+        raise InputError("--speeds: no stroke at steady current is periodic or of constant speed; record cycles, or leave it out")
     reach = [_reach(stroke) for stroke in strokes]
     for speed in speeds:
         if not speed > 0.0:
@@ -237,5 +239,4 @@ def curve_of(strokes: Sequence[Stroke]) -> Curve | None:
         with np.errstate(invalid="ignore"):
             means.append(np.histogram(speeds, edges, weights=forces)[0] / counts)
     first = chosen[0][0]
-    current = float(np.mean([stroke.current for stroke, _ in chosen]))
-    return Curve(current, first.direction, 0.5 * (edges[1:] + edges[:-1]), *means)
+    return Curve(first.current, first.direction, 0.5 * (edges[1:] + edges[:-1]), *means)

@@ -16,14 +16,15 @@ Array = NDArray[np.float64]
 SLOW = 0.2
 """Peak speed of a slow stroke over the speed of the fast strokes. By then a viscous force has fallen to a fifth."""
 
-CENTRAL_SPEED = 0.8
-"""Share of its peak speed that a slow stroke has at least where its force is read: away from the reversals."""
+CENTRAL_SPEED, CENTRAL_WAY = 0.8, 0.8
+"""Where the force of a slow stroke is read, away from the reversals: least share of its peak speed, and middle share of its
+way."""
 
 MOST_SPEEDS = 3
 """Slow speeds, from the slowest on, through which the seal drag is extrapolated to standstill."""
 
 LONG = 0.5
-"""Strokes shorter than this share of the longest slow one tell nothing of the stiffness over the stroke."""
+"""Strokes shorter than this share of the longest one tell nothing of the stiffness over the stroke."""
 
 CURVE_POINTS = 41
 
@@ -58,10 +59,7 @@ def slow_pairs(strokes: Sequence[Stroke], fast: float) -> list[list[SlowPair]]:
     fast : float
         m/s, speed of the fast strokes of all recordings.
     """
-    slow = [stroke for stroke in strokes if stroke.peak_speed <= SLOW * fast]
-    longest = max((stroke.length for stroke in slow), default=0.0)
-    slow = [stroke for stroke in slow if stroke.length >= LONG * longest]
-    pairs = []
+    slow, pairs = [stroke for stroke in long_strokes(strokes) if stroke.peak_speed <= SLOW * fast], []
     for first, second in zip(slow[:-1], slow[1:], strict=True):
         alike = abs(first.peak_speed - second.peak_speed) <= SAME_SPEED * first.peak_speed
         if first.run is second.run and first.direction != second.direction and alike:
@@ -72,10 +70,18 @@ def slow_pairs(strokes: Sequence[Stroke], fast: float) -> list[list[SlowPair]]:
     return grouped(pairs, lambda pair: pair.speed, lambda speed: SAME_SPEED * speed)
 
 
+def long_strokes(strokes: Sequence[Stroke]) -> list[Stroke]:
+    """Return the strokes that are at least `LONG` of the longest."""
+    longest = max((stroke.length for stroke in strokes), default=0.0)
+    return [stroke for stroke in strokes if stroke.length >= LONG * longest]
+
+
 def _pair(rebound: Stroke, compression: Stroke) -> SlowPair:
     polynomials, ends = [], []
     for stroke in (rebound, compression):
+        middle = 0.5 * (stroke.position[0] + stroke.position[-1])
         central = np.abs(stroke.velocity) >= CENTRAL_SPEED * stroke.peak_speed
+        central &= np.abs(stroke.position - middle) <= 0.5 * CENTRAL_WAY * stroke.length
         position = stroke.position[central]
         polynomials.append(Polynomial.fit(position, stroke.force[central], 3))
         ends.append((position.min(), position.max()))

@@ -256,3 +256,8 @@ def grouped(items: Sequence[T], size: Callable[[T], float], same: Callable[[floa
         else:
             groups.append([item])
     return groups
+
+
+def rounded(number: float, tolerance: float) -> float:
+    """Return a number without the digits that are far below a tolerance: a measured 0.3998 A is 0.4 A."""
+    return round(number, 1 - math.floor(math.log10(tolerance))) + 0.0 if tolerance > 0.0 else number

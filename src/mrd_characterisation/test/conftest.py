@@ -44,6 +44,11 @@ class SimulatedDamper:
         """Return the force in N of extension at a speed, without gas."""
         return self.viscous * speed + self.yield_force * current / self.current + self.drag
 
+    def gas_spring(self, position: float) -> float:
+        """Return the force in N of extension that the gas adds at a position in m."""
+        rate = 0.3 / self.stroke / 2.2
+        return self.gas_stiffness / (1.2 * rate) * (1.0 - (1.0 + rate * position) ** -1.2)
+
     def record(self, name: str, position: Array, current: Array, seed: int = 0) -> Run:
         """Record the damper along a motion in m at `RATE`, both with the noise of their sensors."""
         random = np.random.default_rng(seed)

@@ -172,6 +172,16 @@ def test_slow_ramp_of_coarse_steps_is_smooth() -> None:
     np.testing.assert_allclose(smoothed.velocity[200:-200], 1e-3, rtol=0.05)
 
 
+def test_few_reversals_of_a_long_run_are_not_rounded() -> None:
+    """Most of the run is straight, so that only a look at all of it shows how little may be smoothed."""
+    time = np.arange(100_000) / 1000.0
+    triangle = 0.01 * np.abs((time / 25.0 + 0.5) % 2 - 1)
+    noise = 1e-6
+    motion = smooth_motion(time, triangle + np.random.default_rng(2).normal(0.0, noise, len(time)))
+    assert np.abs(motion.position - triangle).max() < 10 * noise
+    assert np.median(np.abs(motion.velocity)) == pytest.approx(0.01 / 25.0, rel=1e-3)
+
+
 def test_gap_in_time() -> None:
     t = np.arange(4000) / 1000
     kept = (t < 1.5) | (t > 1.55)

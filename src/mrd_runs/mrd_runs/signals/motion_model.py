@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 # The likelihood of a long run is summed over this number of evenly spread segments, each of this number of samples.
 _SEGMENTS, _SEGMENT_LENGTH = 8, 2048
+# Variance of the errors of prediction over the whole run, over that in the segments, beyond which the whole run is summed over.
+_UNSEEN = 2.0
 ORDERS = (3, 4, 5)
 # Longest time constant of the smoother, in sampling intervals.
 _LONGEST_TIME_CONSTANT = 1000.0
@@ -109,7 +111,16 @@ class Segment:
 
 def fit_position_model(readings: Segment, least_noise: float) -> MotionModel:
     """Fit the model to positions alone; their noise variance is at least ``least_noise``."""
-    return max((_fit_order(readings, least_noise, order) for order in ORDERS), key=lambda model: model.log_likelihood)
+    segments = readings.spread(_SEGMENT_LENGTH)
+    model = _fit_orders(segments, least_noise)
+    # The segments may miss what the rest of a long run holds, such as the few reversals of slow strokes.
+    if len(segments) > 1 and _evaluate([readings], least_noise, model).noise > _UNSEEN * model.noise:
+        return _fit_orders([readings], least_noise)
+    return model
+
+
+def _fit_orders(segments: Sequence[Segment], least_noise: float) -> MotionModel:
+    return max((_fit_order(segments, least_noise, order) for order in ORDERS), key=lambda model: model.log_likelihood)
 
 
 def fit_accelerometer_model(readings: Segment, least_noise: float, position_model: MotionModel) -> tuple[MotionModel, str]:
@@ -178,9 +189,8 @@ def _log_interval_bounds(order: int) -> tuple[float, float]:
     return -math.log(_LONGEST_TIME_CONSTANT), math.log(_LARGEST_DENSITY) / (2 * order)
 
 
-def _fit_order(readings: Segment, least_noise: float, order: int) -> MotionModel:
+def _fit_order(segments: Sequence[Segment], least_noise: float, order: int) -> MotionModel:
     """Fit the relative interval of a model of positions."""
-    segments = readings.spread(_SEGMENT_LENGTH)
 
     def model(log_interval: float) -> MotionModel:
         return _evaluate(segments, least_noise, MotionModel(order, math.exp(log_interval)))
