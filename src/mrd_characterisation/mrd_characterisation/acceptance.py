@@ -1,4 +1,4 @@
-"""Acceptance of a damper: its numbers against limits. A number passes only where its whole 95 % interval lies within them."""
+"""Acceptance of a damper by limits. A number passes where its whole 95 % interval lies within them."""
 
 import contextlib
 import math
@@ -13,7 +13,8 @@ from mrd_characterisation.characterisation import QUANTITIES, Characterisation, 
 from mrd_characterisation.characterise import characterise
 from mrd_characterisation.damper_test import DamperTest
 from mrd_characterisation.limits import Limit, resisting
-from mrd_characterisation.wording import SI, Units, band_text, conditions_text, number_text, range_text
+from mrd_characterisation.units import BENCH, View
+from mrd_characterisation.wording import band_text, conditions_text, difference_text, number_text, range_text
 from mrd_runs import Run
 
 Outcome = Literal["pass", "fail", "not_decided", "not_measured"]
@@ -62,14 +63,14 @@ class Check:
             return math.nan
         return max(self.value.value - self.limit.upper, 0.0) + min(self.value.value - self.limit.lower, 0.0)
 
-    def why(self, units: Units = SI) -> str:
+    def why(self, view: View = BENCH) -> str:
         """Return what keeps it from passing; empty where it passes."""
         unit = self.limit.unit
         if self.value is None:
             return "the recordings do not show it"
         if self.outcome == "fail":
             side = "above" if self.excess > 0.0 else "below"
-            return f"{number_text(abs(self.excess), unit, units)} {side} the limit"
+            return f"{difference_text(abs(self.excess), unit, view)} {side} the limit"
         if self.outcome == "not_decided":
             if math.isnan(self.interval[0]):
                 return f"no interval from {self.value.cycles} cycle or step"
@@ -135,18 +136,18 @@ HEAD = ("verdict", "quantity", "conditions", "value", "95 % interval", "limits",
 """Head of the table whose rows `check_row` makes."""
 
 
-def check_row(check: Check, units: Units = SI) -> tuple[str, ...]:
+def check_row(check: Check, view: View = BENCH) -> tuple[str, ...]:
     """Return a check as a row of a table."""
     limit, value = check.limit, check.value
     lower, upper = check.interval
     return (
         check.outcome.replace("_", " "),
         QUANTITIES[limit.quantity].title,
-        conditions_text(value or limit, units),
-        "–" if value is None else number_text(value.value, limit.unit, units),
-        "–" if math.isnan(lower) else range_text(lower, upper, limit.unit, units),
-        band_text(limit, units),
-        check.why(units),
+        conditions_text(value or limit, view),
+        "–" if value is None else number_text(value.value, limit.unit, view),
+        "–" if math.isnan(lower) else range_text(lower, upper, limit.unit, view),
+        band_text(limit, view),
+        check.why(view),
     )
 
 

@@ -4,10 +4,12 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from mrd_base.json_file import finite_or_none, write_json
 from mrd_base.tool import command
+from mrd_base.version import VERSION
 from mrd_characterisation.acceptance import Acceptance, Check
-from mrd_identification.json_file import finite_or_none, run_json, versions, write_json
 from mrd_runs.read import run_arguments
+from mrd_runs.summary import run_json
 
 SCHEMA = "mrd-acceptance/1"
 
@@ -28,7 +30,7 @@ def to_json(acceptance: Acceptance, next_command: str | None = None) -> dict[str
         "runs": [run_json(run) for run in acceptance.characterisation.runs],
         "checks": [_check(check) for check in acceptance.by_outcome],
         "next_command": next_command,
-        "versions": versions(),
+        "version": VERSION,
     }
 
 
@@ -57,11 +59,11 @@ def _check(check: Check) -> dict[str, Any]:
     return {
         "quantity": limit.quantity,
         "unit": limit.unit,
-        "current_A": condition("current"),
-        "current_before_A": condition("current_before"),
+        "current": condition("current"),
+        "current_before": condition("current_before"),
         "direction": condition("direction"),
-        "speed_m_per_s": condition("speed"),
-        "stroke_m": condition("stroke"),
+        "speed": condition("speed"),
+        "stroke": condition("stroke"),
         "outcome": check.outcome,
         "value": None if value is None else finite_or_none(value.value),
         "ci95": [finite_or_none(end) for end in check.interval],

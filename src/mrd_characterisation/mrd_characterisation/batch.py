@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import linregress, t as student
+from scipy.stats import linregress
+from scipy.stats import t as student
 
 from mrd_base import InputError
 from mrd_base.notebook import html_table, text_table
 from mrd_base.text_file import read_text_file
 from mrd_characterisation import acceptance_file, characterisation_file
 from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, SAME_SPEED
-from mrd_characterisation.wording import conditions_text, number_text
+from mrd_characterisation.wording import conditions_text, difference_text, number_text
 
 Array = NDArray[np.float64]
 
@@ -128,8 +129,9 @@ class Statistic:
 def capability(mean: float, deviation: float, lower: float, upper: float) -> tuple[float, float]:
     """Return the process capability indices Cp and Cpk (Kane, 1986).
 
-    Cp = (upper - lower) / 6 s, and Cpk = min(upper - mean, mean - lower) / 3 s, where s is the standard deviation of all dampers
-    of the batch (some call them Pp and Ppk then). Both are nan without scatter or limits; Cp also where there is only one limit.
+    Cp = (upper - lower) / 6 s, and Cpk = min(upper - mean, mean - lower) / 3 s, where s is the standard deviation of all
+    dampers of the batch (some call them Pp and Ppk then). Both are nan without scatter or limits; Cp also
+    where there is only one limit.
     """
     if not deviation > 0.0:
         return math.nan, math.nan
@@ -142,7 +144,7 @@ def capability(mean: float, deviation: float, lower: float, upper: float) -> tup
 
 
 def slope(times: Array, values: Array) -> tuple[float, float, float] | None:
-    """Return the slope of a line through values over times, with its 95 % interval; None for fewer than `FEWEST_DATES` times."""
+    """Return the slope of values over times with its 95 % interval; None for fewer than `FEWEST_DATES` times."""
     dated = np.isfinite(times)
     if len(np.unique(times[dated])) < FEWEST_DATES:
         return None
@@ -181,7 +183,8 @@ class Batch:
         serials = len({entry.serial for entry in self.entries})
         words = (("pass", "passed"), ("fail", "failed"), ("not_decided", "not decided"), ("", "not judged"))
         counts = ", ".join(f"{self.count(verdict)} {word}" for verdict, word in words if self.count(verdict))
-        return f"{len(self.entries)} test{'s' * (len(self.entries) > 1)} of {serials} serial number{'s' * (serials > 1)}: {counts}."
+        tests = f"{len(self.entries)} test" + "s" * (len(self.entries) > 1)
+        return f"{tests} of {serials} serial number{'s' * (serials > 1)}: {counts}."
 
     def __repr__(self) -> str:
         return f"<Batch of {len(self.entries)} tests>"
@@ -209,14 +212,14 @@ def statistic_row(statistic: Statistic) -> tuple[str, ...]:
     ends = [number_text(end, unit) if math.isfinite(end) else "" for end in (statistic.lower, statistic.upper)]
     change = "–"
     if trend:
-        low, high = (number_text(MONTH * end, _difference(unit)) for end in trend[1:])
-        change = f"{number_text(MONTH * trend[0], _difference(unit))} ({low} to {high})"
+        low, high = (difference_text(MONTH * end, unit) for end in trend[1:])
+        change = f"{difference_text(MONTH * trend[0], unit)} ({low} to {high})"
     return (
         QUANTITIES[statistic.key.quantity].title,
         conditions_text(statistic.key),
         str(len(statistic.values)),
         number_text(statistic.mean, unit),
-        number_text(statistic.deviation, _difference(unit)) if len(statistic.values) > 1 else "–",
+        difference_text(statistic.deviation, unit) if len(statistic.values) > 1 else "–",
         number_text(float(statistic.values.min()), unit),
         number_text(float(statistic.values.max()), unit),
         " to ".join(ends) if any(ends) else "–",
@@ -225,15 +228,10 @@ def statistic_row(statistic: Statistic) -> tuple[str, ...]:
     )
 
 
-def _difference(unit: str) -> str:
-    """Return the unit of differences: a temperature in K is shown in °C, a difference of two is not."""
-    return "°C" if unit == "K" else unit
-
-
 def read_batch(folder: str | Path) -> Batch:
     """Read all acceptance.json below a folder; of a folder without one, its characterisation.json.
 
-    A file that cannot be read is told in the notes, so that it does not hide the others. Several tests of one damper all count.
+    A file that cannot be read is told in the notes, so that it does not hide the others. All tests of a damper count.
 
     Raises
     ------
@@ -253,13 +251,13 @@ def read_batch(folder: str | Path) -> Batch:
         except InputError as error:
             notes.append(str(error))
     if not entries:
-        found = f"; {notes[0]}" if notes else ""
-        raise InputError(f"{folder}: holds no acceptance.json or characterisation.json that can be read{found}; write them by accept")
+        found = f": {notes[0]}" if notes else "; write them by accept or characterise"
+        raise InputError(f"{folder}: holds no acceptance.json or characterisation.json that can be read{found}")
     entries.sort(key=lambda entry: (entry.date.timestamp() if entry.date else math.inf, entry.serial, str(entry.file)))
     statistics, differing = _statistics(entries)
     undated = sum(entry.date is None for entry in entries)
     if undated:
-        notes.append(f"{undated} of {len(entries)} tests have no date, and are left out of the changes over time; give --date to accept")
+        notes.append(f"{undated} of {len(entries)} tests have no date, and do not count for changes over time")
     notes += [*_repeated(entries), *differing]
     return Batch(root, tuple(entries), tuple(statistics), tuple(notes))
 
@@ -271,10 +269,10 @@ def _read_entry(file: Path) -> Entry:
         expected = acceptance_file.SCHEMA if file.name == "acceptance.json" else characterisation_file.SCHEMA
         if content["schema"] != expected:
             raise InputError(f"{file}: its schema is {str(content['schema'])[:40]}, expected {expected}")
-        date = content["date"]
+        date = content.get("date")
         return Entry(
             file,
-            str(content["serial"]),
+            str(content["serial" if "serial" in content else "name"]),
             datetime.fromisoformat(date).astimezone() if date else None,
             content.get("verdict", ""),
             tuple(_checked(content["checks"]) if "checks" in content else _characterised(content["values"])),
@@ -282,7 +280,8 @@ def _read_entry(file: Path) -> Entry:
     except InputError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{file}: is damaged ({type(error).__name__}: {error}), expected a file as it was written") from None
+        problem = f"{type(error).__name__}: {error}"
+        raise InputError(f"{file}: is damaged ({problem}), expected a file as it was written") from None
 
 
 def _checked(checks: Sequence[Mapping[str, Any]]) -> Iterator[Number]:
@@ -308,7 +307,7 @@ def _characterised(values: Sequence[Mapping[str, Any]]) -> Iterator[Number]:
 
 
 def _key(content: Mapping[str, Any]) -> Key:
-    names = ("current_A", "current_before_A", "speed_m_per_s", "stroke_m")
+    names = ("current", "current_before", "speed", "stroke")
     if content["quantity"] not in QUANTITIES:
         raise ValueError(f"quantity {str(content['quantity'])[:40]}")
     return Key(content["quantity"], content["direction"], *(content[name] for name in names))
@@ -328,14 +327,25 @@ def _statistics(entries: Sequence[Entry]) -> tuple[list[Statistic], list[str]]:
         limits = {(number.lower, number.upper) for _, number in found}
         lower, upper = limits.pop() if len(limits) == 1 else (-math.inf, math.inf)
         if limits:
-            notes.append(f"{QUANTITIES[key.quantity].title}, {conditions_text(key)}: the limits differ between the tests, so no Cp and Cpk")
-        times = [(entry.date - start).total_seconds() / 86400.0 if entry.date and start else math.nan for entry, _ in found]
+            name = f"{QUANTITIES[key.quantity].title}, {conditions_text(key)}"
+            notes.append(f"{name}: the limits differ between the tests, so there is no Cp and Cpk")
+        times = [_days(entry.date, start) for entry, _ in found]
         values = np.array([number.value for _, number in found])
         statistics.append(Statistic(key, values, np.array(times), tuple(entry for entry, _ in found), lower, upper))
     order = list(QUANTITIES)
-    # None sorts before numbers.
-    statistics.sort(key=lambda s: (order.index(s.key.quantity), *((part is not None, part or 0.0) for part in s.key[2:5]), str(s.key)))
+    statistics.sort(
+        key=lambda s: (
+            order.index(s.key.quantity),
+            *(part if part is not None else -math.inf for part in s.key[2:]),
+            s.key.direction != "rebound",
+        )
+    )
     return statistics, notes
+
+
+def _days(date: datetime | None, start: datetime | None) -> float:
+    """Return the time since the start in days; nan without dates."""
+    return (date - start).total_seconds() / 86400.0 if date and start else math.nan
 
 
 class _Alike:
@@ -359,7 +369,7 @@ class _Alike:
     def _same(self, one: Key, other: Key) -> bool:
         tolerances = (self._current, self._current, SAME_SPEED * (other.speed or 0.0), SAME_SPEED * (other.stroke or 0.0))
         return all(
-            a is None and b is None or a is not None and b is not None and abs(a - b) <= tolerance
+            (a is None and b is None) or (a is not None and b is not None and abs(a - b) <= tolerance)
             for a, b, tolerance in zip(one[2:], other[2:], tolerances, strict=True)
         )
 
@@ -371,7 +381,7 @@ def _repeated(entries: Sequence[Entry]) -> list[str]:
         if entry.date:
             days.setdefault((entry.serial, f"{entry.date:%Y-%m-%d}"), []).append(entry)
     return [
-        f"{serial} was tested {len(tests)} times on {day}, and all tests count: {', '.join(str(test.file.parent) for test in tests)}"
+        f"{serial} was tested {len(tests)} times on {day}, and all count: {', '.join(str(t.file.parent) for t in tests)}"
         for (serial, day), tests in days.items()
         if len(tests) > 1
     ]

@@ -9,12 +9,13 @@ from typing import Any
 from urllib.parse import quote
 
 from mrd_base.figures import to_html
+from mrd_base.json_file import finite_or_none, write_json
 from mrd_base.page import render
+from mrd_base.version import VERSION
 from mrd_characterisation.batch import HEAD, Batch, Entry, Key, Statistic, statistic_row
 from mrd_characterisation.batch_figure import run_chart
 from mrd_characterisation.characterisation import QUANTITIES
 from mrd_characterisation.wording import conditions_text
-from mrd_identification.json_file import finite_or_none, versions, write_json
 
 SCHEMA = "mrd-batch/1"
 
@@ -40,7 +41,7 @@ def to_json(batch: Batch) -> dict[str, Any]:
         ],
         "statistics": [_statistic(statistic) for statistic in batch.statistics],
         "notes": list(batch.notes),
-        "versions": versions(),
+        "version": VERSION,
     }
 
 
@@ -49,11 +50,11 @@ def _statistic(statistic: Statistic) -> dict[str, Any]:
     return {
         "quantity": key.quantity,
         "unit": statistic.unit,
-        "current_A": key.current,
-        "current_before_A": key.current_before,
+        "current": key.current,
+        "current_before": key.current_before,
         "direction": key.direction,
-        "speed_m_per_s": key.speed,
-        "stroke_m": key.stroke,
+        "speed": key.speed,
+        "stroke": key.stroke,
         "tests": len(statistic.values),
         "mean": statistic.mean,
         "std": finite_or_none(statistic.deviation),
@@ -68,7 +69,7 @@ def _statistic(statistic: Statistic) -> dict[str, Any]:
 
 
 def to_csv(batch: Batch) -> str:
-    """Return a table with a row for each test and a column for each number, in SI units; a force as it resists the motion."""
+    """Return a table with a row for each test and a column for each number in SI; a force as it resists the motion."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["serial", "date", "verdict", *(_column(statistic.key) for statistic in batch.statistics), "file"])
@@ -90,6 +91,10 @@ def _column(key: Key) -> str:
     return ", ".join(filter(None, (f"{key.quantity}{f' [{unit}]' if unit else ''}", conditions_text(key))))
 
 
+def _title(key: Key) -> str:
+    return ", ".join(filter(None, (QUANTITIES[key.quantity].title, conditions_text(key))))
+
+
 def write_batch(batch: Batch, folder: str | Path) -> list[Path]:
     """Write batch.json, batch.csv and batch.html into ``folder`` and return their paths."""
     folder = Path(folder)
@@ -106,7 +111,7 @@ def write_batch(batch: Batch, folder: str | Path) -> list[Path]:
         headline=[(word, batch.count(verdict)) for word, verdict in groups if batch.count(verdict)],
         head=HEAD,
         rows=[statistic_row(statistic) for statistic in batch.statistics],
-        figures=[(f"{QUANTITIES[s.key.quantity].title}, {conditions_text(s.key)}".rstrip(", "), to_html(run_chart(s))) for s in drawn],
+        figures=[(_title(statistic.key), to_html(run_chart(statistic))) for statistic in drawn],
         left_out=len(batch.statistics) - len(drawn),
         groups=[
             (word, [_test_row(entry, folder) for entry in batch.entries if entry.verdict == verdict])

@@ -43,7 +43,12 @@ class DamperTest:
 
 
 def damper_test(
-    runs: Sequence[Run], *, serial: str | None = None, date: str | None = None, rig: str | None = None, operator: str | None = None
+    runs: Sequence[Run],
+    *,
+    serial: str | None = None,
+    date: str | None = None,
+    rig: str | None = None,
+    operator: str | None = None,
 ) -> DamperTest:
     """Say which test recordings are of: as given, else as the recordings say.
 

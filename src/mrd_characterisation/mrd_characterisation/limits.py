@@ -20,9 +20,10 @@ COMPARED = (
     "peak_force",
     "force_at_speed",
 )
-"""What is compared with a golden damper, in the order in which it is listed: what is of the whole damper first. The others follow
-from these, are small differences of which a tolerance in per cent says nothing (asymmetry, width of the hysteresis, gas stiffness),
-or belong to the bench (stroke, temperature, current)."""
+"""What is compared with a golden damper, in the order in which it is listed: what is of the whole damper first.
+
+The others follow from these, are small differences of which a tolerance in per cent says nothing (asymmetry, width of the
+hysteresis, gas stiffness), or belong to the bench (stroke, temperature, current)."""
 
 _OF_THE_DAMPER = ("gas_force", "seal_drag")  # hardly depend on how slow the slow strokes were
 
@@ -67,7 +68,9 @@ class Limit:
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
-            raise InputError(f"{self.quantity}: lower {self.lower:.6g} is not below upper {self.upper:.6g}, expected lower < upper")
+            raise InputError(
+                f"{self.quantity}: lower {self.lower:.6g} is not below upper {self.upper:.6g}, expected lower < upper"
+            )
 
     @property
     def unit(self) -> str:
@@ -76,7 +79,7 @@ class Limit:
 
 
 def resisting(value: Value) -> Value:
-    """Return a force of a direction as it resists the motion, which is positive in both directions; other values as they are.
+    """Return a force of a direction as it resists the motion, positive in both directions; other values as they are.
 
     In the signs of the bench, a force that resists compression is negative.
     """
@@ -93,8 +96,9 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
     golden : sequence of Value
         A value of a single cycle or step has no interval, and is left out.
     tolerance : float
-        By how much a damper may differ from the golden one, over the golden value; at least as much as this scatters over its
-        cycles and runs. It counts from the ends of the golden value's interval, within which the golden damper may be anywhere.
+        By how much a damper may differ from the golden one, over the golden value; at least as much as this scatters over
+        its cycles and runs. It counts from the ends of the golden value's interval, anywhere in which the golden damper may
+        be.
 
     Raises
     ------
@@ -118,7 +122,7 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
 
 @dataclass(frozen=True)
 class _Entry:
-    """A band as a file states it: by its ends, or around a nominal value by a tolerance. The unit "value" is that of the quantity."""
+    """A band as a file states it, by its ends or around a nominal value; the unit "value" is that of the quantity."""
 
     lower: float | None = quantity(None, "value", "lower limit")
     upper: float | None = quantity(None, "value", "upper limit")
@@ -171,7 +175,9 @@ def read_limits(path: str | Path) -> tuple[Limit, ...]:
         if name not in QUANTITIES:
             raise InputError(f"{path}: unknown key {unknown_key(name, QUANTITIES)}")
         if not isinstance(entries, list) or not entries:
-            raise InputError(f"{path}: {name}: expected a list of bands, each a mapping such as {{lower: 1, upper: 2}} with units")
+            raise InputError(
+                f"{path}: {name}: expected a list of bands, each a mapping such as {{lower: 1, upper: 2}} with units"
+            )
         limits += [_read_limit(name, entry, f"{path}: {name}[{place}]") for place, entry in enumerate(entries)]
     return tuple(limits)
 

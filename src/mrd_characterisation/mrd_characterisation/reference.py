@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mrd_base import InputError
+from mrd_base.json_file import read_json
 from mrd_characterisation.characterisation import Characterisation
+from mrd_characterisation.characterisation_file import SCHEMA, read_characterisation
 from mrd_characterisation.characterise import characterise
-from mrd_characterisation.characterisation_file import read_characterisation
 from mrd_characterisation.limits import Limit, golden_limits, read_limits
 from mrd_runs import read_runs
 
@@ -52,17 +53,22 @@ def read_reference(paths: Sequence[str], tolerance: float, skip: float = 0.0) ->
     """
     kinds = {Path(path).suffix.lower() for path in paths}
     if len(paths) > 1 and kinds & {".yaml", ".yml", ".json"}:
-        raise InputError(f"--reference: found {len(paths)} files, expected one file of limits, one characterisation, or golden runs")
+        raise InputError(
+            f"--reference: found {len(paths)} files, expected one file of limits, one characterisation, or golden runs"
+        )
     (path, *_) = paths
     if kinds & {".yaml", ".yml"}:
         return Reference(read_limits(path), f"the limits of {Path(path).name}")
     within = f"within {100 * tolerance:g} %"
     if ".json" in kinds:
         stored = read_characterisation(path)
-        return Reference(
-            golden_limits(stored.values, tolerance), f"the golden damper {stored.name} {within}", stored.sources
-        )
+        # The characterisation that is read has no runs; the file names theirs.
+        sources = tuple(run["source"] for run in read_json(path, "mrd_characterisation", "characterisation", SCHEMA)["runs"])
+        known = sources if all(sources) else ()
+        return Reference(golden_limits(stored.values, tolerance), f"the golden damper {stored.name} {within}", known)
     runs = read_runs(paths, skip)
     golden = characterise(runs, name="golden")
     sources = tuple(str(run.info["source"]) for run in runs)
-    return Reference(golden_limits(golden.values, tolerance), f"the golden damper of {len(runs)} runs {within}", sources, golden)
+    return Reference(
+        golden_limits(golden.values, tolerance), f"the golden damper of {len(runs)} runs {within}", sources, golden
+    )

@@ -14,7 +14,8 @@ from mrd_characterisation.acceptance import Acceptance, check_row
 from mrd_characterisation.characterisation import QUANTITIES, Characterisation, Value
 from mrd_characterisation.damper_test import DamperTest
 from mrd_characterisation.sheet_figures import force_over_position, force_over_speed, force_over_velocity
-from mrd_characterisation.wording import SI, Units, conditions_text, number_text, range_text
+from mrd_characterisation.units import BENCH, View
+from mrd_characterisation.wording import conditions_text, number_text, range_text
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -31,7 +32,15 @@ LARGEST_LOGO = 2**21
 _LOGOS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".svg": "image/svg+xml"}
 
 # What a sheet without limits shows, most telling first; the plots show the rest.
-_SHOWN = ("force_at_speed", "gas_force", "seal_drag", "dynamic_range", "response_time_63", "response_time_95", "energy_per_cycle")
+_SHOWN = (
+    "force_at_speed",
+    "gas_force",
+    "seal_drag",
+    "dynamic_range",
+    "response_time_63",
+    "response_time_95",
+    "energy_per_cycle",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +83,7 @@ def make_sheet(
     test: DamperTest,
     acceptance: Acceptance | None = None,
     *,
-    units: Units = SI,
+    view: View = BENCH,
     fields: Mapping[str, str] | None = None,
     logo: str | Path | None = None,
 ) -> Sheet:
@@ -87,7 +96,8 @@ def make_sheet(
     test : DamperTest
     acceptance : Acceptance, optional
         Its checks are the table, those that did not pass first; else the numbers are.
-    units : Units
+    view : View
+        Units, and signs of the plots.
     fields : mapping, optional
         More names and texts for the head of the sheet.
     logo : path, optional
@@ -103,15 +113,15 @@ def make_sheet(
     damper = characterisations[0]
     temperature = "not recorded"
     if test.temperature:
-        low, high = (number_text(end, "K", units) for end in test.temperature)
-        temperature = low if low == high else range_text(*test.temperature, "K", units)
+        low, high = (number_text(end, "K", view) for end in test.temperature)
+        temperature = low if low == high else range_text(*test.temperature, "K", view)
     if acceptance:
         head: tuple[str, ...] = ("verdict", "number", "at", "value", "95 % interval", "limits", "why")
-        rows = [check_row(check, units) for check in acceptance.by_outcome]
+        rows = [check_row(check, view) for check in acceptance.by_outcome]
         sentence = acceptance.sentence
     else:
         head = ("number", "at", "value", "95 % interval", "cycles")
-        rows = [_value_row(value, units) for name in _SHOWN for value in damper.select(name)]
+        rows = [_value_row(value, view) for name in _SHOWN for value in damper.select(name)]
         sentence = damper.sentence
     left_out = len(rows) - MOST_ROWS
     return Sheet(
@@ -127,9 +137,9 @@ def make_sheet(
         acceptance.verdict if acceptance else "",
         sentence,
         (
-            force_over_speed(characterisations, units),
-            force_over_position(characterisations, units),
-            force_over_velocity(characterisations, units),
+            force_over_speed(characterisations, view),
+            force_over_position(characterisations, view),
+            force_over_velocity(characterisations, view),
         ),
         head,
         tuple(rows[:MOST_ROWS]),
@@ -138,11 +148,11 @@ def make_sheet(
     )
 
 
-def _value_row(value: Value, units: Units) -> tuple[str, ...]:
+def _value_row(value: Value, view: View) -> tuple[str, ...]:
     unit = QUANTITIES[value.quantity].unit
-    interval = "–" if math.isnan(value.lower) else range_text(value.lower, value.upper, unit, units)
+    interval = "–" if math.isnan(value.lower) else range_text(value.lower, value.upper, unit, view)
     title = QUANTITIES[value.quantity].title
-    return title, conditions_text(value, units), number_text(value.value, unit, units), interval, str(value.cycles)
+    return title, conditions_text(value, view), number_text(value.value, unit, view), interval, str(value.cycles)
 
 
 def _data_uri(path: Path) -> str:

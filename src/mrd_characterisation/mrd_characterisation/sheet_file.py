@@ -80,7 +80,10 @@ def render_sheet(sheet: Sheet, paper: str = "a4", template: str | Path | None = 
     """Return the page of a sheet; see `write_sheet`."""
     css, width, _ = PAPERS[paper]
     environment = jinja2.sandbox.ImmutableSandboxedEnvironment(
-        loader=jinja2.PackageLoader("mrd_characterisation"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+        loader=jinja2.PackageLoader("mrd_characterisation"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
     )
     room = width - 2.0 * MARGIN
     pixels = room / _PIXEL
@@ -105,11 +108,11 @@ def render_sheet(sheet: Sheet, paper: str = "a4", template: str | Path | None = 
         text = read_text_file(Path(template), "a template of a sheet", LONGEST_TEMPLATE)
         try:
             page = environment.from_string(text).render(content)
-        # A template may fail in any way: by its syntax, a name that does not exist, what is forbidden, or an error of its own.
+        # A template may fail in any way: by syntax, a name that does not exist, what is forbidden, an error of its own.
         except Exception as error:
             line = f" line {error.lineno}:" if isinstance(error, jinja2.TemplateSyntaxError) else ""
-            names = ", ".join(content)
-            raise InputError(f"{template}:{line} {' '.join(str(error).split())}; expected a Jinja2 template with {names}") from None
+            problem = " ".join(str(error).split())
+            raise InputError(f"{template}:{line} {problem}; expected a Jinja2 template of {', '.join(content)}") from None
     # The policy has to come before all else, since it does not bind what stands before it.
     begin = re.match(r"\s*<!doctype html>", page, re.IGNORECASE)
     if begin is None:
@@ -139,7 +142,8 @@ def _print_by_browser(page: Path, pdf: Path) -> bool:
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         options.append("--no-sandbox")
     try:
-        done = subprocess.run([browser, *options, page.resolve().as_uri()], capture_output=True, timeout=PATIENCE, check=False)
+        command = [browser, *options, page.resolve().as_uri()]
+        done = subprocess.run(command, capture_output=True, timeout=PATIENCE, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return False
     return done.returncode == 0 and pdf.exists() and pdf.stat().st_size > 0
@@ -156,7 +160,8 @@ def _print_by_matplotlib(sheet: Sheet, paper: str, pdf: Path) -> None:
     with mpl.rc_context({"font.size": 8.0, "pdf.fonttype": 42, "font.family": "DejaVu Sans", "text.parse_math": False}):
         figure = Figure(figsize=(width / 25.4, height / 25.4))
         FigureCanvasPdf(figure)
-        grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 5.0, 4.6, 7.5), left=0.1, right=0.96, top=0.97, bottom=0.03, hspace=0.35, wspace=0.3)
+        edges = {"left": 0.1, "right": 0.96, "top": 0.97, "bottom": 0.03}
+        grid = figure.add_gridspec(4, 2, height_ratios=(2.4, 5.0, 4.6, 7.5), hspace=0.35, wspace=0.3, **edges)
         _draw_head(figure.add_subplot(grid[0, :]), sheet)
         for place, plot in zip((grid[1, :], grid[2, 0], grid[2, 1]), sheet.plots, strict=True):
             axes = figure.add_subplot(place)
@@ -164,7 +169,8 @@ def _print_by_matplotlib(sheet: Sheet, paper: str, pdf: Path) -> None:
                 dash = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}[trace.line.dash or "solid"]
                 marker = "o" if "markers" in trace.mode else ""
                 label = trace.name if trace.showlegend else None
-                axes.plot(trace.x, trace.y, dash, color=trace.line.color, marker=marker, markersize=3, linewidth=1.2, label=label)
+                style = {"color": trace.line.color, "marker": marker, "markersize": 3, "linewidth": 1.2}
+                axes.plot(trace.x, trace.y, dash, label=label, **style)
             axes.set_xlabel(plot.layout.xaxis.title.text)
             axes.set_ylabel(plot.layout.yaxis.title.text)
             axes.grid(color="#e4e7eb")
@@ -190,7 +196,8 @@ def _draw_table(axes: Any, sheet: Sheet) -> None:
         return
     longest = [max(len(cell) for cell in column) for column in zip(sheet.head, *sheet.rows, strict=True)]
     widths = [length / sum(longest) for length in longest]
-    table = axes.table(cellText=sheet.rows, colLabels=sheet.head, colWidths=widths, loc="upper left", cellLoc="left", edges="horizontal")
+    look: dict[str, Any] = {"loc": "upper left", "cellLoc": "left", "edges": "horizontal"}
+    table = axes.table(cellText=sheet.rows, colLabels=sheet.head, colWidths=widths, **look)
     table.auto_set_font_size(False)
     table.set_fontsize(6 if sum(longest) < 150 else 5)
     axes.text(0.0, -0.02, f"{sheet.more} {sheet.footer}.".strip(), fontsize=6, va="top")

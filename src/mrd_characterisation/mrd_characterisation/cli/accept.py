@@ -8,12 +8,12 @@ from rich.text import Text
 
 from mrd_base import InputError, run_tool
 from mrd_base.console import print_table
+from mrd_base.json_file import make_folder
 from mrd_characterisation.acceptance import HEAD, accept, characterise_for, check_row
 from mrd_characterisation.acceptance_file import diagnose_command, write_acceptance
 from mrd_characterisation.cli.options import add_serial, add_test_arguments, read_test, write_asked_sheet
 from mrd_characterisation.reference import read_reference
-from mrd_characterisation.units import UNITS
-from mrd_identification.json_file import make_folder
+from mrd_characterisation.units import UNITS, View
 from mrd_runs import read_runs
 
 NOT_PASSED = 1
@@ -30,6 +30,7 @@ def main() -> None:
 def work() -> None:
     """Parse the arguments, judge the damper, write the files, print what did not pass."""
     arguments = _parser().parse_args()
+    view = View(arguments.units)
     reference = read_reference(arguments.reference, 0.01 * arguments.tolerance, arguments.skip)
     runs = read_runs(arguments.runs, arguments.skip)
     test = read_test(arguments, runs)
@@ -39,12 +40,12 @@ def work() -> None:
         characterisation, reference.limits, test, reference=reference.text, golden_sources=reference.golden_sources
     )
     overlaid = [characterisation, *([reference.golden] if reference.golden else [])]
-    written = [write_acceptance(acceptance, folder), *write_asked_sheet(arguments, overlaid, test, folder, acceptance)]
+    written = [write_acceptance(acceptance, folder), *write_asked_sheet(arguments, overlaid, test, folder, view, acceptance)]
     open_checks = [check for check in acceptance.by_outcome if check.outcome != "pass"]
     if open_checks:
         table = Table(*HEAD)
         for check in open_checks:
-            outcome, *cells = check_row(check, UNITS[arguments.units])
+            outcome, *cells = check_row(check, view)
             table.add_row(Text(outcome, _STYLES[check.outcome]), *cells)
         print_table(table)
     print(acceptance.sentence)
@@ -58,8 +59,9 @@ def work() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        description="Judge a damper by limits or by a golden damper. A number passes where its whole 95 % interval lies within the "
-        f"limits. Writes acceptance.json. The exit status is {NOT_PASSED} where a number fails, is not decided, or was not measured."
+        description="Judge a damper by limits or by a golden damper. A number passes where its whole 95 % interval lies within "
+        f"the limits. Writes acceptance.json. The exit status is {NOT_PASSED} where a number fails, is not decided, or was not "
+        "measured."
     )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV; all of one damper")
     parser.add_argument(
@@ -77,7 +79,9 @@ def _parser() -> argparse.ArgumentParser:
         help="of a golden damper's values (default %(default)g); at least their scatter",
     )
     add_serial(parser)
-    parser.add_argument("--units", choices=UNITS, default="si", help="of what is printed and of the sheet (default %(default)s)")
+    parser.add_argument(
+        "--units", choices=UNITS, default="si", help="of what is printed and of the sheet (default %(default)s)"
+    )
     parser.add_argument(
         "--skip", type=float, default=0.0, metavar="SECONDS", help="leave out the start of every run (default: nothing)"
     )

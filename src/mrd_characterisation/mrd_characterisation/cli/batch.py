@@ -4,9 +4,9 @@ import argparse
 import sys
 
 from mrd_base import run_tool
+from mrd_base.json_file import make_folder
 from mrd_characterisation.batch import read_batch
 from mrd_characterisation.batch_file import write_batch
-from mrd_identification.json_file import make_folder
 
 
 def main() -> None:
@@ -17,10 +17,12 @@ def main() -> None:
 def work() -> None:
     """Parse the arguments, read the tests, write the files, print which dampers failed."""
     parser = argparse.ArgumentParser(
-        description="Read all acceptance.json and characterisation.json below a folder: dampers that failed, mean and spread, Cp and "
-        "Cpk, change over time. Writes batch.json, batch.csv and batch.html."
+        description="Read all acceptance.json and characterisation.json below a folder: dampers that failed, mean and "
+        "spread, Cp and Cpk, change over time. Writes batch.json, batch.csv and batch.html."
     )
-    parser.add_argument("folder", metavar="FOLDER", help="folder with a folder for each damper, as accept and characterise write them")
+    parser.add_argument(
+        "folder", metavar="FOLDER", help="folder with a folder for each damper, as accept and characterise write them"
+    )
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the files")
     arguments = parser.parse_args()
     batch = read_batch(arguments.folder)

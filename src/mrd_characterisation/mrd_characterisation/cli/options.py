@@ -10,14 +10,16 @@ from mrd_characterisation.characterisation import Characterisation
 from mrd_characterisation.damper_test import DamperTest, damper_test
 from mrd_characterisation.sheet import make_sheet
 from mrd_characterisation.sheet_file import PAPERS, write_sheet
-from mrd_characterisation.units import UNITS
+from mrd_characterisation.units import View
 from mrd_runs import Run
 
 
 def add_serial(parser: argparse.ArgumentParser) -> None:
     """Add the serial number of the damper."""
     parser.add_argument(
-        "--serial", metavar="NAME", help="serial number of the damper; default: the recorded one, else the name of the folder of the runs"
+        "--serial",
+        metavar="NAME",
+        help="serial number of the damper; default: the recorded one, else the name of the folder of the runs",
     )
 
 
@@ -38,9 +40,7 @@ def add_test_arguments(parser: argparse.ArgumentParser) -> None:
 
 def read_test(arguments: argparse.Namespace, runs: Sequence[Run]) -> DamperTest:
     """Return which test the runs are of, by the arguments that were added above."""
-    return damper_test(
-        runs, serial=arguments.serial, date=arguments.date, rig=arguments.rig, operator=arguments.operator
-    )
+    return damper_test(runs, serial=arguments.serial, date=arguments.date, rig=arguments.rig, operator=arguments.operator)
 
 
 def write_asked_sheet(
@@ -48,6 +48,7 @@ def write_asked_sheet(
     characterisations: Sequence[Characterisation],
     test: DamperTest,
     folder: Path,
+    view: View,
     acceptance: Acceptance | None = None,
 ) -> list[Path]:
     """Write the sheet where --sheet asks for it, and return the paths of its files."""
@@ -59,6 +60,5 @@ def write_asked_sheet(
         if not (equals and name.strip()):
             raise InputError(f"--field: {text} is no name with its text, expected NAME=TEXT")
         fields[name.strip()] = value.strip()
-    units = UNITS[arguments.units]
-    sheet = make_sheet(characterisations, test, acceptance, units=units, fields=fields, logo=arguments.logo)
+    sheet = make_sheet(characterisations, test, acceptance, view=view, fields=fields, logo=arguments.logo)
     return write_sheet(sheet, folder, paper=arguments.paper, template=arguments.template)
