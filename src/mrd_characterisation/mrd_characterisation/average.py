@@ -13,7 +13,7 @@ do not show."""
 
 
 class Average(NamedTuple):
-    """Mean of a number over cycles and runs, as the fields of a `Value`: with 95 % interval, standard deviation and counts."""
+    """Mean of a number over cycles and runs, in the order of the fields of a `Value`."""
 
     value: float
     lower: float

@@ -81,18 +81,11 @@ class Value:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of value: its title, and its SI unit.
-
-    Attributes
-    ----------
-    force, motion : bool
-        Whether its sign is that of a force, or of a motion, so that it depends on the orientation.
-    """
+    """A kind of value: its title, its SI unit, and whether it has the sign of the force of a direction."""
 
     title: str
     unit: str
     force: bool = False
-    motion: bool = False
 
 
 QUANTITIES = {

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mrd_base import InputError
-from mrd_characterisation.average import Average, average
+from mrd_characterisation.average import Average
 from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, Characterisation, Loop, Value
 from mrd_characterisation.current_response import response_values, steps_of
 from mrd_characterisation.cycles import asymmetries, cycle_values, dynamic_ranges, representative_loop
@@ -70,12 +70,10 @@ def characterise(
     cycles = [cycle for of_run in of_runs for cycle in cycles_of(of_run)]
     steps = [step for one in smoothed for step in steps_of(one, scale, fast)] if scale > 0.0 else []
     if not strokes and not steps:
+        which = f"{listed[0].name}: holds" if len(listed) == 1 else f"{listed[0].name} and {len(listed) - 1} more runs: hold"
         raise InputError(
-            f"{listed[0].name}: holds no stroke between two reversals at steady current and no current step at constant speed, "
-            f"nor do the other {len(listed) - 1} runs; record sines or triangles at constant currents"
-            if len(listed) > 1
-            else f"{listed[0].name}: holds no stroke between two reversals at steady current and no current step at constant speed; "
-            "record sines or triangles at constant currents"
+            f"{which} no stroke between two reversals at steady current and no current step at constant speed; record "
+            "sines or triangles at constant currents"
         )
     levels = [[stroke for stroke in strokes if stroke.current == level] for level in sorted({s.current for s in strokes})]
     groups = _equal_cycles(cycles)
@@ -99,14 +97,7 @@ def characterise(
         *_extent(listed),
     ]
     order = list(QUANTITIES)
-    values.sort(
-        key=lambda v: (
-            order.index(v.quantity),
-            v.current or 0.0,
-            v.direction != "rebound",
-            v.speed or 0.0,
-        )
-    )
+    values.sort(key=lambda v: (order.index(v.quantity), v.current or 0.0, v.direction != "rebound", v.speed or 0.0))
     curves = [
         curve
         for level in read
@@ -121,7 +112,7 @@ def characterise(
         tuple(_loops(groups)),
         tuple(responses),
         gas_curve,
-        tuple([*_limitations(levels, groups, bool(gas), bool(steps), fast), *notes]),
+        (*_limitations(levels, groups, bool(gas), bool(steps), fast), *notes),
     )
 
 
@@ -140,7 +131,9 @@ def _equal_cycles(cycles: Sequence[Cycle]) -> list[list[Cycle]]:
     return [
         equal
         for level in sorted({cycle.current for cycle in cycles})
-        for of_speed in grouped([c for c in cycles if c.current == level], lambda cycle: cycle.peak_speed, lambda speed: SPEED_GROUP * speed)
+        for of_speed in grouped(
+            [c for c in cycles if c.current == level], lambda cycle: cycle.peak_speed, lambda speed: SPEED_GROUP * speed
+        )
         for equal in grouped(of_speed, lambda cycle: cycle.length, lambda length: STROKE_GROUP * length)
     ]
 
@@ -156,7 +149,11 @@ def _extent(runs: Sequence[Run]) -> list[Value]:
     low, high = np.quantile(position, [0.001, 0.999])
     once = (nan, nan, nan, 0, len(runs))
     values = [
-        Value("stroke_used", *Average(float(high - low), *once), "Distance of the extreme positions of all runs (quantiles of 0.1 and 99.9 %).")
+        Value(
+            "stroke_used",
+            *Average(float(high - low), *once),
+            "Distance of the extreme positions of all runs (quantiles of 0.1 and 99.9 %).",
+        )
     ]
     warm = [run.temperature for run in runs if run.temperature is not None]
     if warm:
@@ -175,33 +172,36 @@ def _limitations(
     sentences = []
     if not levels:
         sentences.append(
-            "No strokes at steady current, so no forces over speed. Record sines or triangles, at least three cycles each, at constant currents."
+            "No strokes at steady current, so no forces over speed. Record sines or triangles, at least three cycles each, "
+            "at constant currents."
         )
     if levels and not groups:
         sentences.append(
-            "No cycle at steady current is repeated, so there are no peak forces, no energy and no loops. Record at least three "
-            "equal cycles of a sine or a triangle at each current."
+            "No cycle at steady current is repeated, so there are no peak forces, no energy and no loops. Record at least "
+            "three equal cycles of a sine or a triangle at each current."
         )
     few = [group for group in groups if len(group) < ENOUGH_CYCLES]
     if few:
         sentences.append(
-            f"{len(few)} of {len(groups)} combinations of current, speed and stroke have fewer than {ENOUGH_CYCLES} cycles, so that "
-            "their scatter is hardly known. Record more cycles of each."
+            f"{len(few)} of {len(groups)} combinations of current, speed and stroke have fewer than {ENOUGH_CYCLES} "
+            "cycles, so that their scatter is hardly known. Record more cycles of each."
         )
     if len(levels) == 1:
         current = levels[0][0].current
         sentences.append(
-            f"Only one steady current, {current:.3g} A, so no dynamic range. Repeat the strokes at the smallest and at the largest current."
+            f"Only one steady current, {current:.3g} A, so no dynamic range. Repeat the strokes at the smallest and at the "
+            "largest current."
         )
     if levels and not has_gas:
         slowest = 1e3 * min(stroke.peak_speed for stroke in long_strokes(levels[0]))
         sentences.append(
-            f"No slow strokes in both directions at the smallest current, so no gas force and no seal drag: the slowest has {slowest:.3g} mm/s. "
-            f"Record triangles over the whole stroke at {1e3 * SLOW * fast:.2g} mm/s or less, best at two speeds."
+            "No slow strokes in both directions at the smallest current, so no gas force and no seal drag: the slowest "
+            f"has {slowest:.3g} mm/s. Record triangles over the whole stroke at {1e3 * SLOW * fast:.2g} mm/s or less, best "
+            "at two speeds."
         )
     if not has_steps:
         sentences.append(
-            "No current steps at constant speed, so no response times. Record triangles while the current steps between levels, "
-            "each held until the force has settled."
+            "No current steps at constant speed, so no response times. Record triangles while the current steps between "
+            "levels, each held until the force has settled."
         )
     return sentences

@@ -59,9 +59,9 @@ RESAMPLED = 10
 SHARES = {"63": 1.0 - math.exp(-1.0), "95": 0.95}
 
 _METHOD = (
-    "Time from the step of the measured current, the middle of the sampling interval in which it begins, until {what} has made {share} "
-    "of its change, of the mean of equal steps while the speed is constant within 5 %. {drift}The end of the change is the level that "
-    "an exponential through the last 40 % of {time} ms after the step approaches."
+    "Time from the step of the measured current, the middle of the sampling interval in which it begins, until {what} has "
+    "made {share} of its change, of the mean of equal steps while the speed is constant within 5 %. {drift}The end of the "
+    "change is the level that an exponential through the last 40 % of {time} ms after the step approaches."
 )
 _DRIFT = "A drift of the force along the stroke, the same before and after the step, is taken out. "
 
@@ -167,13 +167,14 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     notes = []
     if unsettled:
         notes.append(
-            f"After {len(unsettled)} kinds of current steps the force had not settled when the current or the speed changed again, "
-            f"{1e3 * min(unsettled):.3g} ms or more after the step. Hold each level at constant speed for longer."
+            f"After {len(unsettled)} kinds of current steps the force had not settled when the current or the speed "
+            f"changed again, {1e3 * min(unsettled):.3g} ms or more after the step. Hold each level at constant speed for "
+            "longer."
         )
     if without_response:
         notes.append(
-            f"The force does not respond to {without_response} kinds of current steps beyond its noise. Repeat the steps more often, or "
-            "take larger ones."
+            f"The force does not respond to {without_response} kinds of current steps beyond its noise. Repeat the steps "
+            "more often, or take larger ones."
         )
     return values, responses, notes
 
@@ -288,10 +289,10 @@ def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Arra
 
 
 def _share_of_change(grid: Array, series: Array, drifts: bool = False) -> Array:
-    """Return a series as share of its change: 0 before the step, 1 at the end; a drift that is the same in both is taken out.
+    """Return a series as share of its change: 0 before the step, 1 at the end; a drift that is the same in both is left out.
 
-    Where the tail has not settled, it is an exponential, whose time constant follows from the crossings so far; so is what the
-    step before has left.
+    Where the tail has not settled, it is an exponential, whose time constant follows from the crossings so far; so is what
+    the step before has left.
     """
     before, tail = grid < 0.0, grid >= TAIL * grid[-1]
     used = before | tail
@@ -303,16 +304,13 @@ def _share_of_change(grid: Array, series: Array, drifts: bool = False) -> Array:
         # Of a tail that has settled, the exponential would only fit the noise.
         if not constant > 0.0 or math.exp(-TAIL * grid[-1] / constant) < SETTLED_TAIL:
             break
-        decays = [
-            np.where(part, np.exp(-(grid - grid[part][0]) / constant), 0.0)
-            for part in (tail, before)
-        ]
+        decays = [np.where(part, np.exp(-(grid - grid[part][0]) / constant), 0.0) for part in (tail, before)]
         share = _without_drift(grid, series, [*columns, *decays], used)
     return share
 
 
 def _without_drift(grid: Array, series: Array, columns: Sequence[Array], used: NDArray[np.bool_]) -> Array:
-    """Return a series without its level before the step and its drift, over its change; by least squares of the used samples."""
+    """Return a series without its level before the step and its drift, over its change, by least squares."""
     coefficients = np.linalg.lstsq(np.column_stack(columns)[used], series[used], rcond=None)[0]
     drift = coefficients[2] * grid if columns[2:] and columns[2] is grid else 0.0
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -12,20 +12,20 @@ from mrd_characterisation.force_speed import branch_difference
 from mrd_characterisation.strokes import Cycle
 
 ENERGY = (
-    "Closed integral of the unfiltered force over the smoothed position along one cycle; mean over the periodic cycles of the same "
-    "current, peak speed and stroke."
+    "Closed integral of the unfiltered force over the smoothed position along one cycle; mean over the periodic cycles of "
+    "the same current, peak speed and stroke."
 )
 DAMPING = (
-    "Energy of a cycle over the integral of the squared smoothed velocity over its time, which for a sine of amplitude X and angular "
-    "frequency w is E / (pi w X²); mean over the same cycles."
+    "Energy of a cycle over the integral of the squared smoothed velocity over its time, which for a sine of amplitude X "
+    "and angular frequency w is E / (pi w X²); mean over the same cycles."
 )
 WIDTH = (
     "Decelerating less accelerating branch, in the direction that resists the motion, at half the peak speed; mean of both "
     "directions and of the same cycles. A stiffness widens it."
 )
 ASYMMETRY = (
-    "(R - C) / (R + C) of the resisting forces of rebound, R, and compression, C, at this speed; a gas force counts. The interval "
-    "follows from those of both forces."
+    "(R - C) / (R + C) of the resisting forces of rebound, R, and compression, C, at this speed; a gas force counts. The "
+    "interval follows from those of both forces."
 )
 RANGE = (
     "Resisting force at the largest current over that at the smallest one, at the same speed; both are means of rebound and "
@@ -34,7 +34,7 @@ RANGE = (
 
 
 def cycle_values(groups: Sequence[Sequence[Cycle]]) -> list[Value]:
-    """Return energy, equivalent viscous damping and hysteresis width of groups of cycles of the same current, speed, stroke."""
+    """Return energy, equivalent viscous damping and hysteresis width of groups of equal cycles."""
     values = []
     for cycles in groups:
         names = [cycle.run.run.name for cycle in cycles]
@@ -118,12 +118,7 @@ def _resisting(pair: tuple[Value, Value]) -> float:
 
 
 def _ratio(
-    quantity: str,
-    value: float,
-    slopes: Sequence[float],
-    forces: Sequence[Value],
-    definition: str,
-    current: float | None,
+    quantity: str, value: float, slopes: Sequence[float], forces: Sequence[Value], definition: str, current: float | None
 ) -> Value:
     """Return a ratio of forces, whose errors go on to it by its derivatives (slopes) with respect to them."""
     half = math.hypot(*(slope * (force.upper - force.value) for slope, force in zip(slopes, forces, strict=True)))

@@ -19,7 +19,7 @@ Branch = Literal["accelerating", "decelerating"]
 DIRECTIONS: tuple[Direction, Direction] = ("rebound", "compression")
 
 PEAK_WINDOW = 0.01
-"""Share of the samples of a stroke over which the force is averaged before its peak is taken, so that noise makes no peak."""
+"""Share of the samples of a stroke over which the force is averaged before its peak is taken, against noise."""
 
 SLOWEST_SHARE, FASTEST_SHARE = 0.25, 0.95
 """A stroke of varying speed shows the force at speeds between these shares of its peak speed: below, the fluid is still
@@ -38,18 +38,18 @@ SPEED_BINS = 40
 """Points of a curve of force over speed."""
 
 PEAK_FORCE = (
-    "Largest force of a stroke in the direction that resists the motion, averaged over 1 % of the samples of the stroke; mean "
-    "over the strokes of periodic cycles of the same current, peak speed and stroke."
+    "Largest force of a stroke in the direction that resists the motion, averaged over 1 % of the samples of the stroke; "
+    "mean over the strokes of periodic cycles of the same current, peak speed and stroke."
 )
 MEAN_FORCE = (
-    "Work of a stroke over its length, the integral of the unfiltered force over the smoothed position; mean over the strokes of "
-    "periodic cycles of the same current, peak speed and stroke."
+    "Work of a stroke over its length, the integral of the unfiltered force over the smoothed position; mean over the "
+    "strokes of periodic cycles of the same current, peak speed and stroke."
 )
 FORCE_AT_SPEED = (
-    "Mean of the accelerating and the decelerating branch of a stroke at this speed, so that a stiffness cancels: of each the line "
-    "through the unfiltered force at smoothed speeds within 10 % of it. Of a stroke of constant speed, the mean over the middle "
-    "half of its way. Mean over all strokes of constant speed within 2 % of it, and of periodic cycles that pass it at 25 to 95 % of "
-    "their peak speed, at the same current."
+    "Mean of the accelerating and the decelerating branch of a stroke at this speed, so that a stiffness cancels: of each "
+    "the line through the unfiltered force at smoothed speeds within 10 % of it. Of a stroke of constant speed, the mean "
+    "over the middle half of its way. Mean over all strokes of constant speed within 2 % of it, and of periodic cycles "
+    "that pass it at 25 to 95 % of their peak speed, at the same current."
 )
 
 
@@ -72,12 +72,8 @@ def peak_and_mean_forces(groups: Sequence[Sequence[Cycle]]) -> list[Value]:
                 "speed": _mean(strokes, "peak_speed"),
                 "stroke": _mean(strokes, "length"),
             }
-            values.append(
-                Value("peak_force", *average([peak_force(s) for s in strokes], names), PEAK_FORCE, **condition)
-            )
-            values.append(
-                Value("mean_force", *average([mean_force(s) for s in strokes], names), MEAN_FORCE, **condition)
-            )
+            values.append(Value("peak_force", *average([peak_force(s) for s in strokes], names), PEAK_FORCE, **condition))
+            values.append(Value("mean_force", *average([mean_force(s) for s in strokes], names), MEAN_FORCE, **condition))
     return values
 
 
@@ -158,7 +154,9 @@ def check_speeds(speeds: Sequence[float], strokes: Sequence[Stroke]) -> None:
         Names the first speed that no stroke shows.
     """
     if not strokes:
-        raise InputError("--speeds: no stroke at steady current is periodic or of constant speed; record cycles, or leave it out")
+        raise InputError(
+            "--speeds: no stroke at steady current is periodic or of constant speed; record cycles, or leave it out"
+        )
     reach = [_reach(stroke) for stroke in strokes]
     for speed in speeds:
         if not speed > 0.0:
@@ -166,8 +164,9 @@ def check_speeds(speeds: Sequence[float], strokes: Sequence[Stroke]) -> None:
         if not any(low <= speed <= high for low, high in reach):
             slowest, fastest = 1e3 * min(low for low, _ in reach), 1e3 * max(high for _, high in reach)
             raise InputError(
-                f"--speeds: the force at {1e3 * speed:.4g} mm/s was not recorded, expected speeds within those of the strokes at "
-                f"steady current, {slowest:.3g} to {fastest:.3g} mm/s (constant speeds count within {100 * SAME_PLATEAU:g} %)"
+                f"--speeds: the force at {1e3 * speed:.4g} mm/s was not recorded, expected speeds within those of the "
+                f"strokes at steady current, {slowest:.3g} to {fastest:.3g} mm/s (constant speeds count within "
+                f"{100 * SAME_PLATEAU:g} %)"
             )
 
 

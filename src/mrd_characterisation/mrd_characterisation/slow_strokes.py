@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -60,7 +61,7 @@ def slow_pairs(strokes: Sequence[Stroke], fast: float) -> list[list[SlowPair]]:
         m/s, speed of the fast strokes of all recordings.
     """
     slow, pairs = [stroke for stroke in long_strokes(strokes) if stroke.peak_speed <= SLOW * fast], []
-    for first, second in zip(slow[:-1], slow[1:], strict=True):
+    for first, second in pairwise(slow):
         alike = abs(first.peak_speed - second.peak_speed) <= SAME_SPEED * first.peak_speed
         if first.run is second.run and first.direction != second.direction and alike:
             rebound, compression = (first, second) if first.direction == "rebound" else (second, first)
@@ -118,15 +119,15 @@ def gas_values(groups: Sequence[Sequence[SlowPair]], current: float) -> tuple[li
     gas = Value(
         "gas_force",
         *average(forces, names),
-        f"Mean of the forces of both directions at mid-stroke (x = {1e3 * middle:.3g} mm) in the slowest {strokes}, by cubic "
-        "polynomials of the unfiltered force over the smoothed position; positive where it pushes the rod out.",
+        f"Mean of the forces of both directions at mid-stroke (x = {1e3 * middle:.3g} mm) in the slowest {strokes}, by "
+        "cubic polynomials of the unfiltered force over the smoothed position; positive where it pushes the rod out.",
         **condition,
     )
     stiffness = Value(
         "gas_stiffness",
         *average(stiffnesses, names),
-        f"Slope over the position of the mean of both directions, at mid-stroke, in the slowest {strokes}; positive where the "
-        "force that pushes the rod out grows as the rod goes in.",
+        f"Slope over the position of the mean of both directions, at mid-stroke, in the slowest {strokes}; positive where "
+        "the force that pushes the rod out grows as the rod goes in.",
         **condition,
     )
     curve = np.mean([pair.gas_force(position) for pair in slowest], axis=0)
@@ -146,7 +147,9 @@ def _seal_drag(groups: Sequence[Sequence[SlowPair]], middle: float, current: flo
     found = [float(np.mean([pair.speed for pair in group])) for group in used if group]
     definition = "Half the difference of the forces of both directions at mid-stroke"
     if len(found) < 2:
-        definition += f" in strokes of {1e3 * found[0]:.3g} mm/s at {current:.3g} A; a viscous and a yield force are part of it."
+        definition += (
+            f" in strokes of {1e3 * found[0]:.3g} mm/s at {current:.3g} A; a viscous and a yield force are part of it."
+        )
         return Value("seal_drag", *average(drags, names), definition, current=current, speed=found[0], position=middle)
     line = Polynomial.fit(speeds, drags, 1).convert()
     at_rest = np.asarray(drags) - line.coef[1] * speeds if len(line.coef) > 1 else np.asarray(drags)
@@ -156,8 +159,8 @@ def _seal_drag(groups: Sequence[Sequence[SlowPair]], middle: float, current: flo
     half = (mean.upper - mean.value) * lever
     listed = " and ".join(f"{1e3 * speed:.3g}" for speed in found)
     definition += (
-        f", extrapolated by a line to standstill from strokes of {listed} mm/s at {current:.3g} A; what a yield force adds at "
-        "standstill is part of it."
+        f", extrapolated by a line to standstill from strokes of {listed} mm/s at {current:.3g} A; what a yield force adds "
+        "at standstill is part of it."
     )
     mean = mean._replace(lower=mean.value - half, upper=mean.value + half)
     return Value("seal_drag", *mean, definition, current=current, speed=0.0, position=middle)

@@ -99,7 +99,9 @@ class SimulatedDamper:
             for n, share in enumerate((0.25, 0.5, 1.0))
             for k, level in enumerate((0.0, 0.4, 1.0))
         ]
-        runs += [self.triangle(f"slow_{share:g}", share * self.speed, 0.0, seed=31 + n) for n, share in enumerate((0.02, 0.04))]
+        runs += [
+            self.triangle(f"slow_{share:g}", share * self.speed, 0.0, seed=31 + n) for n, share in enumerate((0.02, 0.04))
+        ]
         return [*runs, self.steps()]
 
     def steps(self, share: float = 0.1, hold: float = 0.25) -> Run:

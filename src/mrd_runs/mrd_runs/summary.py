@@ -54,3 +54,14 @@ def _calibration(calibration: dict[str, Any]) -> str:
         if isinstance(entry, dict)
     ]
     return "\n".join([*channels, *([f"device: {calibration['device']}"] if "device" in calibration else [])])
+
+
+def run_json(run: Run) -> dict[str, Any]:
+    """Describe a run in a JSON file."""
+    return {
+        "name": run.name,
+        "source": str(run.info.get("source", "")),
+        "samples": len(run),
+        "rate_hz": run.rate,
+        "duration_s": run.duration,
+    }

@@ -28,6 +28,9 @@ TOOLS: Mapping[str, Tool] = {
     "plot": Tool("mrd_identification.cli.plot", "look at recordings, and at what dampers and simulators answer to them"),
     "export_csv": Tool("mrd_runs.cli.export_csv", "write the samples of a bag as a CSV file"),
     "recover": Tool("mrd_runs.cli.recover", "make a readable bag of a damaged one"),
+    "characterise": Tool(
+        "mrd_characterisation.cli.characterise", "measure forces over speed, energy, response times and gas force"
+    ),
     "identify": Tool("mrd_identification.cli.identify", "fit a damper model to recordings"),
     "compare": Tool("mrd_identification.cli.compare", "fit several damper models and rank them"),
     "validate": Tool("mrd_diagnosis.cli.validate", "predict new runs by a fitted damper or a simulator, without a fit"),

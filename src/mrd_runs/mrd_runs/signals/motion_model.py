@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 # The likelihood of a long run is summed over this number of evenly spread segments, each of this number of samples.
 _SEGMENTS, _SEGMENT_LENGTH = 8, 2048
-# Variance of the errors of prediction over the whole run, over that in the segments, beyond which the whole run is summed over.
+# Where the errors of prediction have this times the variance in the whole run, the segments do not stand for it.
 _UNSEEN = 2.0
 ORDERS = (3, 4, 5)
 # Longest time constant of the smoother, in sampling intervals.
