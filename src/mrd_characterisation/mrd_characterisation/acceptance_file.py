@@ -36,7 +36,7 @@ def to_json(acceptance: Acceptance, next_command: str | None = None) -> dict[str
 
 def write_acceptance(acceptance: Acceptance, folder: str | Path) -> Path:
     """Write acceptance.json into ``folder`` and return its path; the file is complete or absent."""
-    next_command = None if acceptance.verdict == "pass" else diagnose_command(acceptance, folder)
+    next_command = diagnose_command(acceptance, folder) if acceptance.verdict == "fail" else None
     return write_json(to_json(acceptance, next_command), "mrd_characterisation", "acceptance", folder)
 
 

@@ -314,7 +314,7 @@ def _key(content: Mapping[str, Any]) -> Key:
 
 
 def _statistics(entries: Sequence[Entry]) -> tuple[list[Statistic], list[str]]:
-    """Return the statistics of all numbers, and sentences on those whose limits differ between the tests."""
+    """Return the statistics of all numbers, and a sentence where limits differ between the tests."""
     alike = _Alike([number.key for entry in entries for number in entry.numbers])
     members: dict[Key, list[tuple[Entry, Number]]] = {}
     for entry in entries:
@@ -322,16 +322,14 @@ def _statistics(entries: Sequence[Entry]) -> tuple[list[Statistic], list[str]]:
             members.setdefault(alike.first(number.key), []).append((entry, number))
     dates = [entry.date for entry in entries if entry.date]
     start = min(dates, default=None)
-    statistics, notes = [], []
+    statistics, differing = [], 0
     for key, found in members.items():
-        limits = {(number.lower, number.upper) for _, number in found}
+        limits = {(number.lower, number.upper) for _, number in found if number.outcome}
         lower, upper = limits.pop() if len(limits) == 1 else (-math.inf, math.inf)
-        if limits:
-            name = f"{QUANTITIES[key.quantity].title}, {conditions_text(key)}"
-            notes.append(f"{name}: the limits differ between the tests, so there is no Cp and Cpk")
-        times = [_days(entry.date, start) for entry, _ in found]
+        differing += bool(limits)
+        times = np.array([_days(entry.date, start) for entry, _ in found])
         values = np.array([number.value for _, number in found])
-        statistics.append(Statistic(key, values, np.array(times), tuple(entry for entry, _ in found), lower, upper))
+        statistics.append(Statistic(key, values, times, tuple(entry for entry, _ in found), lower, upper))
     order = list(QUANTITIES)
     statistics.sort(
         key=lambda s: (
@@ -340,7 +338,8 @@ def _statistics(entries: Sequence[Entry]) -> tuple[list[Statistic], list[str]]:
             s.key.direction != "rebound",
         )
     )
-    return statistics, notes
+    note = f"the limits of {differing} of {len(members)} numbers differ between the tests, so these have no Cp and Cpk"
+    return statistics, [note] if differing else []
 
 
 def _days(date: datetime | None, start: datetime | None) -> float:

@@ -19,7 +19,7 @@ from mrd_characterisation.wording import conditions_text
 
 SCHEMA = "mrd-batch/1"
 
-MOST_DRAWN = 6
+MOST_DRAWN = 4
 """Numbers of which the page has a plot, those with the least margin; more would take long and be looked at by nobody."""
 
 

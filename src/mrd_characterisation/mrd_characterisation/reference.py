@@ -65,7 +65,7 @@ def read_reference(paths: Sequence[str], tolerance: float, skip: float = 0.0) ->
         # The characterisation that is read has no runs; the file names theirs.
         sources = tuple(run["source"] for run in read_json(path, "mrd_characterisation", "characterisation", SCHEMA)["runs"])
         known = sources if all(sources) else ()
-        return Reference(golden_limits(stored.values, tolerance), f"the golden damper {stored.name} {within}", known)
+        return Reference(golden_limits(stored.values, tolerance), f"the golden damper of {Path(path).name} {within}", known)
     runs = read_runs(paths, skip)
     golden = characterise(runs, name="golden")
     sources = tuple(str(run.info["source"]) for run in runs)

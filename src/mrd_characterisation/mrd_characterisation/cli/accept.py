@@ -52,16 +52,17 @@ def work() -> None:
     for limitation in characterisation.limitations if acceptance.verdict == "not_decided" else ():
         print(f"note: {limitation}")
     print(*written, sep="\n")
+    if acceptance.verdict == "fail":
+        print(f"To find the cause: {diagnose_command(acceptance, folder)}")
     if acceptance.verdict != "pass":
-        print(f"The cause: {diagnose_command(acceptance, folder)}")
         sys.exit(NOT_PASSED)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        description="Judge a damper by limits or by a golden damper. A number passes where its whole 95 % interval lies within "
-        f"the limits. Writes acceptance.json. The exit status is {NOT_PASSED} where a number fails, is not decided, or was not "
-        "measured."
+        description="Judge a damper by limits or by a golden damper. A number passes where its whole 95 % interval lies "
+        f"within the limits. Writes acceptance.json. The exit status is {NOT_PASSED} where a number fails, is not decided, or "
+        "was not measured."
     )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV; all of one damper")
     parser.add_argument(
