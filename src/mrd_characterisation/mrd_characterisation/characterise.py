@@ -29,6 +29,10 @@ from mrd_runs.signals.smoothed_run import smooth_run
 SPEED_GROUP, STROKE_GROUP = 0.05, 0.05
 """Relative differences up to which cycles have the same peak speed and the same stroke."""
 
+LEAST_LENGTH = 0.1
+"""Length of a stroke over that of the longest one, below which it shows no force at a speed: the fluid hardly
+yields in it, and it may lie at an end of the stroke."""
+
 ENOUGH_CYCLES = 3
 """Cycles below which the scatter of a mean is hardly known."""
 
@@ -59,7 +63,8 @@ def characterise(
         When nothing can be characterised, or when no stroke at steady current shows the force at one of ``speeds``.
     """
     listed = checked_runs(runs)
-    smoothed = [smooth_run(run) for run in listed]
+    # The positions alone tell the speed of strokes well enough, and an accelerometer would take most of the time.
+    smoothed = [smooth_run(replace(run, acceleration=None)) for run in listed]
     scale = max(float(np.quantile(np.abs(one.current), 0.99)) for one in smoothed)
     moved = [np.abs(one.motion.velocity) for one in smoothed]
     fast = max(float(np.quantile(speed, 0.95)) for speed in moved)
@@ -78,7 +83,11 @@ def characterise(
     levels = [[stroke for stroke in strokes if stroke.current == level] for level in sorted({s.current for s in strokes})]
     groups = _equal_cycles(cycles)
     periodic = {id(stroke) for cycle in cycles for stroke in (cycle.first, cycle.second)}
-    read = [[stroke for stroke in level if stroke.constant_speed or id(stroke) in periodic] for level in levels]
+    least = LEAST_LENGTH * max((stroke.length for stroke in strokes), default=0.0)
+    read = [
+        [stroke for stroke in level if stroke.length >= least and (stroke.constant_speed or id(stroke) in periodic)]
+        for level in levels
+    ]
     readable = [stroke for level in read for stroke in level]
     if speeds:
         check_speeds(speeds, readable)
@@ -119,7 +128,7 @@ def characterise(
 def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[list[Stroke]]:
     """Return the strokes of each run with the current of their level: the rounded mean of those that are the same."""
     steady = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
-    level_of = {}
+    level_of: dict[int, float] = {}
     for level in grouped(steady, lambda stroke: stroke.current, lambda _: tolerance):
         current = rounded(float(np.mean([stroke.current for stroke in level])), tolerance)
         level_of |= {id(stroke): current for stroke in level}

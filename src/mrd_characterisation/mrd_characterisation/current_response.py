@@ -6,7 +6,8 @@ response time is that until the force has made 63.2 or 95 % of its change.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -156,7 +157,7 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     unsettled: list[float] = []
     without_response = 0
     for group in _equal_steps(steps, scale):
-        found = _measured(group, scale)
+        found = _measured(group)
         if isinstance(found, float):
             unsettled.append(found)
         elif found is None:
@@ -167,25 +168,35 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     notes = []
     if unsettled:
         notes.append(
-            f"After {len(unsettled)} kinds of current steps the force had not settled when the current or the speed "
+            f"After {_count(len(unsettled))} the force had not settled when the current or the speed "
             f"changed again, {1e3 * min(unsettled):.3g} ms or more after the step. Hold each level at constant speed for "
             "longer."
         )
     if without_response:
         notes.append(
-            f"The force does not respond to {without_response} kinds of current steps beyond its noise. Repeat the steps "
+            f"The force does not respond to {_count(without_response)} beyond its noise. Repeat the steps "
             "more often, or take larger ones."
         )
     return values, responses, notes
 
 
+def _count(kinds: int) -> str:
+    return "one kind of current step" if kinds == 1 else f"{kinds} kinds of current steps"
+
+
 def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     """Group steps of the same currents, direction and speed."""
     tolerance = 0.05 * scale
+    level_of = {
+        current: rounded(float(np.mean(level)), SAME_CURRENT * scale)
+        for level in grouped([c for step in steps for c in (step.before, step.after)], float, lambda _: tolerance)
+        for current in level
+    }
+    steps = [replace(step, before=level_of[step.before], after=level_of[step.after]) for step in steps]
     return [
         group
-        for of_before in grouped(steps, lambda step: step.before, lambda _: tolerance)
-        for of_after in grouped(of_before, lambda step: step.after, lambda _: tolerance)
+        for of_before in grouped(steps, lambda step: step.before, lambda _: 0.0)
+        for of_after in grouped(of_before, lambda step: step.after, lambda _: 0.0)
         for sign in (1.0, -1.0)
         for group in grouped(
             [step for step in of_after if sign * step.velocity > 0.0],
@@ -195,7 +206,7 @@ def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     ]
 
 
-def _measured(steps: Sequence[Step], scale: float) -> tuple[list[Value], Response] | float | None:
+def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | None:
     """Return the response times and the mean response of equal steps.
 
     The time looked at in s where the force does not settle within it; None where it does not respond beyond its noise.
@@ -217,9 +228,9 @@ def _measured(steps: Sequence[Step], scale: float) -> tuple[list[Value], Respons
     left_out = [_times([s for n, s in enumerate(longer) if n % parts != part], looked_at) for part in range(parts)]
     names = [step.run.run.name for step in longer]
     direction: Direction = "rebound" if longer[0].velocity > 0.0 else "compression"
-    condition = {
-        "current": rounded(float(np.mean([step.after for step in longer])), SAME_CURRENT * scale),
-        "current_before": rounded(float(np.mean([step.before for step in longer])), SAME_CURRENT * scale),
+    condition: dict[str, Any] = {
+        "current": longer[0].after,
+        "current_before": longer[0].before,
         "speed": float(np.mean([abs(step.velocity) for step in longer])),
     }
     values = []
@@ -260,7 +271,7 @@ def _times(steps: Sequence[Step], looked_at: float) -> dict[tuple[str, str], flo
     if not steps:
         return None
     grid, force, coil = _mean_response(steps, looked_at)
-    times = {}
+    times: dict[tuple[str, str], float] = {}
     for signal, series in (("force", force), ("current", coil)):
         times |= {(signal, name): _crossing(grid, series, share) for name, share in SHARES.items()}
     return None if any(map(math.isnan, times.values())) else times
@@ -277,7 +288,8 @@ def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Arra
     rate = max(step.run.run.rate for step in steps)
     lead = min(BEFORE * looked_at, *(min(step.lead, step.quiet) for step in steps))
     # Between two samples the current is taken to change linearly: the step is in the middle.
-    grid = (np.arange(-max(FEWEST_BEFORE, int(lead * rate)), int(looked_at * rate)) + 0.5) / rate
+    places = np.arange(-max(FEWEST_BEFORE, int(lead * rate)), int(looked_at * rate), dtype=np.float64)
+    grid: Array = (places + 0.5) / rate
     forces, coils = [], []
     for step in steps:
         run = step.run.run
@@ -285,7 +297,8 @@ def _mean_response(steps: Sequence[Step], looked_at: float) -> tuple[Array, Arra
         since = run.time[begin:end] - 0.5 * (run.time[step.first - 1] + run.time[step.first])
         forces.append(np.interp(grid, since, run.force[begin:end]))
         coils.append(np.interp(grid, since, step.run.current[begin:end]))
-    return grid, _share_of_change(grid, np.mean(forces, axis=0), drifts=True), _share_of_change(grid, np.mean(coils, axis=0))
+    force, coil = np.asarray(np.mean(forces, axis=0)), np.asarray(np.mean(coils, axis=0))
+    return grid, _share_of_change(grid, force, drifts=True), _share_of_change(grid, coil)
 
 
 def _share_of_change(grid: Array, series: Array, drifts: bool = False) -> Array:
@@ -323,7 +336,7 @@ def _crossing(grid: Array, series: Array, share: float) -> float:
     The crossing is that of a parabola through the samples around, over a third of the time to both sides.
     """
     after = grid > 0.0
-    width = max(1, np.count_nonzero(after) // 50)
+    width = max(1, int(np.count_nonzero(after)) // 50)
     smooth = np.convolve(np.pad(series, (width // 2, (width - 1) // 2), mode="edge"), np.full(width, 1.0 / width), "valid")
     reached = np.flatnonzero(after & (smooth >= share))
     if not len(reached):
@@ -347,4 +360,4 @@ def _interpolated(grid: Array, series: Array, share: float, place: int) -> float
     """Return the time in s at which a series reaches a share on its way to a sample."""
     low, high = series[place - 1], series[place]
     part = (share - low) / (high - low) if high > low else 1.0
-    return float(grid[place - 1] + (grid[place] - grid[place - 1]) * min(max(part, 0.0), 1.0))
+    return float(grid[place - 1] + (grid[place] - grid[place - 1]) * np.clip(part, 0.0, 1.0))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.integrate import trapezoid
@@ -38,7 +39,7 @@ def cycle_values(groups: Sequence[Sequence[Cycle]]) -> list[Value]:
     values = []
     for cycles in groups:
         names = [cycle.run.run.name for cycle in cycles]
-        condition = {
+        condition: dict[str, Any] = {
             "current": cycles[0].current,
             "speed": float(np.mean([cycle.peak_speed for cycle in cycles])),
             "stroke": float(np.mean([cycle.length for cycle in cycles])),

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,9 @@ from scipy.integrate import trapezoid
 from mrd_base import InputError
 from mrd_characterisation.average import average
 from mrd_characterisation.characterisation import SAME_SPEED, Curve, Direction, Value
-from mrd_characterisation.strokes import Cycle, Stroke, grouped
+from mrd_characterisation.strokes import Cycle, Stroke, grouped, rounded
 
 Array = NDArray[np.float64]
-Branch = Literal["accelerating", "decelerating"]
 
 DIRECTIONS: tuple[Direction, Direction] = ("rebound", "compression")
 
@@ -66,7 +65,7 @@ def peak_and_mean_forces(groups: Sequence[Sequence[Cycle]]) -> list[Value]:
         for direction in DIRECTIONS:
             strokes = [getattr(cycle, direction) for cycle in cycles]
             names = [stroke.run.run.name for stroke in strokes]
-            condition = {
+            condition: dict[str, Any] = {
                 "direction": direction,
                 "current": strokes[0].current,
                 "speed": _mean(strokes, "peak_speed"),
@@ -111,7 +110,7 @@ def round_speeds(strokes: Sequence[Stroke], unit: float = 1e-3) -> list[float]:
     for group in grouped(constant, float, lambda speed: SAME_SPEED * speed):
         middle = float(np.median(group))
         if not any(abs(speed - middle) <= SAME_SPEED * middle for speed in speeds):
-            speeds.append(middle)
+            speeds.append(rounded(middle, SAME_SPEED * middle))
     return sorted(speeds)
 
 
@@ -140,7 +139,7 @@ def forces_at_speeds(levels: Sequence[Sequence[Stroke]], speeds: Sequence[float]
                 found = [(stroke, force) for stroke, force in found if not math.isnan(force)]
                 if found:
                     mean = average([force for _, force in found], [stroke.run.run.name for stroke, _ in found])
-                    condition = {"current": strokes[0].current, "direction": direction, "speed": speed}
+                    condition: dict[str, Any] = {"current": strokes[0].current, "direction": direction, "speed": speed}
                     values.append(Value("force_at_speed", *mean, FORCE_AT_SPEED, **condition))
     return values
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -41,17 +42,17 @@ class SlowPair:
     high: float
     run: str
 
-    def gas_force(self, position: float | Array) -> float | Array:
-        """Return the force in N with which the gas pushes the rod out at a position in m."""
-        return -0.5 * (self.rebound(position) + self.compression(position))  # type: ignore[no-any-return]
+    def gas_force(self, position: Array) -> Array:
+        """Return the force in N with which the gas pushes the rod out at positions in m."""
+        return np.asarray(-0.5 * (self.rebound(position) + self.compression(position)))
 
     def drag(self, position: float) -> float:
         """Return half the difference of both directions in N."""
         return float(0.5 * (self.rebound(position) - self.compression(position)))
 
 
-def slow_pairs(strokes: Sequence[Stroke], fast: float) -> list[list[SlowPair]]:
-    """Return pairs of slow strokes one after the other, grouped by speed from the slowest on.
+def slow_pairs(strokes: Sequence[Stroke], fast: float) -> list[SlowPair]:
+    """Return pairs of slow strokes one after the other.
 
     Parameters
     ----------
@@ -65,10 +66,18 @@ def slow_pairs(strokes: Sequence[Stroke], fast: float) -> list[list[SlowPair]]:
         alike = abs(first.peak_speed - second.peak_speed) <= SAME_SPEED * first.peak_speed
         if first.run is second.run and first.direction != second.direction and alike:
             rebound, compression = (first, second) if first.direction == "rebound" else (second, first)
-            pair = _pair(rebound, compression)
-            if pair.low < pair.high:
-                pairs.append(pair)
-    return grouped(pairs, lambda pair: pair.speed, lambda speed: SAME_SPEED * speed)
+            pairs.append(_pair(rebound, compression))
+    return pairs
+
+
+def at_mid_stroke(pairs: Sequence[SlowPair]) -> tuple[list[SlowPair], float]:
+    """Return the pairs that pass mid-stroke, and its position in m.
+
+    Mid-stroke is the origin of the position; where no pair passes that, it is the middle of the longest pair.
+    """
+    longest = max(pairs, key=lambda pair: pair.high - pair.low)
+    middle = 0.0 if any(pair.low <= 0.0 <= pair.high for pair in pairs) else 0.5 * (longest.low + longest.high)
+    return [pair for pair in pairs if pair.low <= middle <= pair.high], middle
 
 
 def long_strokes(strokes: Sequence[Stroke]) -> list[Stroke]:
@@ -91,30 +100,27 @@ def _pair(rebound: Stroke, compression: Stroke) -> SlowPair:
     return SlowPair(polynomials[0], polynomials[1], speed, float(low), float(high), rebound.run.run.name)
 
 
-def gas_values(groups: Sequence[Sequence[SlowPair]], current: float) -> tuple[list[Value], GasCurve | None]:
+def gas_values(pairs: Sequence[SlowPair], current: float) -> tuple[list[Value], GasCurve | None]:
     """Return gas force, gas stiffness and seal drag, and the gas force over the stroke.
 
     Parameters
     ----------
-    groups : sequence of sequences of SlowPair
+    pairs : sequence of SlowPair
         See `slow_pairs`.
     current : float
         A, the smallest current, at which the strokes are.
     """
-    if not groups:
+    used, middle = at_mid_stroke(pairs) if pairs else ([], 0.0)
+    if not used:
         return [], None
+    groups = grouped(used, lambda pair: pair.speed, lambda speed: SAME_SPEED * speed)
     slowest = groups[0]
-    low, high = max(pair.low for pair in slowest), min(pair.high for pair in slowest)
-    if not low < high:
-        return [], None
-    # Mid-stroke is the origin of the position, unless the recording has another one.
-    middle = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
-    position = np.linspace(low, high, CURVE_POINTS)
+    position = np.linspace(max(pair.low for pair in slowest), min(pair.high for pair in slowest), CURVE_POINTS)
     speed = float(np.mean([pair.speed for pair in slowest]))
     names = [pair.run for pair in slowest]
-    forces = [float(pair.gas_force(middle)) for pair in slowest]
+    forces = [float(pair.gas_force(np.array(middle))) for pair in slowest]
     stiffnesses = [_stiffness(pair, middle) for pair in slowest]
-    condition = {"current": current, "speed": speed, "position": middle}
+    condition: dict[str, Any] = {"current": current, "speed": speed, "position": middle}
     strokes = f"strokes of {1e3 * speed:.3g} mm/s at {current:.3g} A"
     gas = Value(
         "gas_force",
@@ -140,11 +146,10 @@ def _stiffness(pair: SlowPair, middle: float) -> float:
 
 def _seal_drag(groups: Sequence[Sequence[SlowPair]], middle: float, current: float) -> Value:
     """Return the seal drag at standstill where there are two slow speeds or more, else that at the slow speed."""
-    used = [[pair for pair in group if pair.low <= middle <= pair.high] for group in groups[:MOST_SPEEDS]]
-    pairs = [pair for group in used for pair in group]
+    pairs = [pair for group in groups[:MOST_SPEEDS] for pair in group]
     drags, names = [pair.drag(middle) for pair in pairs], [pair.run for pair in pairs]
     speeds = np.array([pair.speed for pair in pairs])
-    found = [float(np.mean([pair.speed for pair in group])) for group in used if group]
+    found = [float(np.mean([pair.speed for pair in group])) for group in groups[:MOST_SPEEDS]]
     definition = "Half the difference of the forces of both directions at mid-stroke"
     if len(found) < 2:
         definition += (

@@ -161,6 +161,7 @@ def strokes_of(smoothed: SmoothedRun, largest_current: float) -> list[Stroke]:
     position, velocity = smoothed.motion.position, smoothed.motion.velocity
     least = max(LEAST_TRAVEL * float(np.ptp(position)), NOISES * smoothed.motion.position_noise)
     rate, strokes = smoothed.run.rate, []
+    varies = max(SAME_CURRENT * largest_current, 2.0 * current_noise(smoothed.run.current))
     for begin, end in pairwise(_reversals(position, velocity, least)):
         if end - begin < FEWEST_SAMPLES:
             continue
@@ -172,8 +173,7 @@ def strokes_of(smoothed: SmoothedRun, largest_current: float) -> list[Stroke]:
         middle = float(np.median(speed))
         constant = float(np.mean(np.abs(speed - middle) <= PLATEAU * middle)) >= PLATEAU_SHARE
         around = smoothed.current[max(0, begin - math.ceil(SETTLED * rate)) : end + 1]
-        varied = float(np.ptp(np.quantile(around, [0.01, 0.99])))
-        steady = varied <= max(SAME_CURRENT * largest_current, 2.0 * current_noise(smoothed.run.current))
+        steady = float(np.ptp(np.quantile(around, [0.01, 0.99]))) <= varies
         strokes.append(
             Stroke(
                 smoothed,

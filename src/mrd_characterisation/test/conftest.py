@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from mrd_runs import Run, make_run
@@ -12,6 +13,7 @@ from mrd_sim.path import make_path
 Array = NDArray[np.float64]
 
 RATE = 1000.0
+SHARES = (0.25, 0.5, 1.0)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class SimulatedDamper:
         """Record sines of three speeds at three currents, slow triangles of two speeds, and current steps at two speeds."""
         runs = [
             self.sine(f"sine_{share:g}_{level:g}", share * self.speed, level * self.current, seed=7 * n + k)
-            for n, share in enumerate((0.25, 0.5, 1.0))
+            for n, share in enumerate(SHARES)
             for k, level in enumerate((0.0, 0.4, 1.0))
         ]
         runs += [
@@ -104,8 +106,32 @@ class SimulatedDamper:
         ]
         return [*runs, self.steps()]
 
-    def steps(self, share: float = 0.1, hold: float = 0.25) -> Run:
+    def steps(self, share: float = 0.1, hold: float = 0.5) -> Run:
         """Record current steps between nothing and the largest current, at a share of the speed."""
         levels = np.repeat([0.0, self.current], round(hold * RATE))
-        cycles = max(2.5, 24 * hold * share * self.speed / (2 * self.stroke))
+        cycles = max(2.5, 40 * hold * share * self.speed / (2 * self.stroke))
         return self.triangle(f"steps_{share:g}", share * self.speed, levels, cycles, seed=41)
+
+    def force_at_speed(self, direction: str, speed: float, current: float) -> tuple[float, float]:
+        """Return the resisting force in N of the sines of `set` at a speed, and the force of the mean of both branches."""
+        acts = current if self.model == "bingham" else 0.0
+        resistance = (1.0 if direction == "rebound" else -1.0) * float(self.resistance(speed, acts))
+        peaks = [share * self.speed for share in SHARES if 0.25 * share * self.speed <= speed <= 0.95 * share * self.speed]
+        gas = [
+            self.gas_spring(sign * 0.5 * self.stroke * float(np.sqrt(1.0 - (speed / peak) ** 2)))
+            for peak in peaks
+            for sign in (1.0, -1.0)
+        ]
+        return resistance, resistance - self.gas_force + float(np.mean(gas or [0.0]))
+
+    def energy_of_sine(self, speed: float, current: float) -> float:
+        """Return the energy in J that a sine over the whole stroke dissipates."""
+        acts = current if self.model == "bingham" else 0.0
+        friction = float(self.resistance(0.0, acts))
+        return 0.5 * np.pi * self.viscous * speed * self.stroke + 2.0 * self.stroke * friction
+
+
+@pytest.fixture(scope="session")
+def simulated_damper() -> SimulatedDamper:
+    """A damper of 1 kN with a stroke of 20 mm."""
+    return SimulatedDamper()

@@ -1,0 +1,190 @@
+"""Characterisation of simulated dampers whose values are known, from 5 N to 100 kN."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mrd_base import InputError
+from mrd_characterisation import QUANTITIES, Characterisation, Value, characterise
+
+
+def drawn(damper, seed):
+    """A damper of any size; its noise is 0.3 % of its force."""
+    random = np.random.default_rng(seed)
+    force, stroke = np.exp(random.uniform(np.log([5.0, 5e-3]), np.log([1e5, 0.3])))
+    return replace(
+        damper,
+        force=force,
+        stroke=stroke,
+        speed=math.pi * stroke / random.uniform(0.3, 1.2),
+        current=math.exp(random.uniform(math.log(0.2), math.log(10.0))),
+        gas_force=force * random.uniform(0.02, 0.15),
+        gas_stiffness=force * random.uniform(0.02, 0.1) / stroke,
+        drag=force * random.uniform(0.005, 0.05),
+        lag=random.uniform(0.004, 0.025),
+        falling=random.uniform(-0.3, 0.6),
+        model=("bingham", "linear_viscous")[seed % 2],
+    )
+
+
+def assert_holds(value: Value, truth: float, tolerance: float) -> None:
+    """Check that a value is near the truth, or that its interval holds it."""
+    assert abs(value.value - truth) <= tolerance or value.lower <= truth <= value.upper, (value, truth)
+
+
+def only(found: Characterisation, quantity: str) -> Value:
+    (value,) = found.select(quantity)
+    return value
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_damper_of_any_size_has_the_values_that_it_was_made_with(simulated_damper, seed):
+    damper = drawn(simulated_damper, seed)
+    found = characterise(damper.set())
+    assert_holds(only(found, "gas_force"), damper.gas_force, 0.02 * damper.gas_force)
+    assert_holds(only(found, "gas_stiffness"), damper.gas_stiffness, 0.05 * damper.gas_stiffness)
+    assert_holds(only(found, "seal_drag"), damper.drag, 0.02 * damper.drag)
+    assert only(found, "seal_drag").speed == 0.0
+    assert only(found, "stroke_used").value == pytest.approx(damper.stroke, rel=0.02)
+    forces = [value for value in found.select("force_at_speed") if value.speed > 0.05 * damper.speed]
+    assert len(forces) > 10
+    for value in forces:
+        resistance, expected = damper.force_at_speed(value.direction, value.speed, value.current)
+        assert_holds(value, expected, 0.02 * abs(resistance))
+    energies = [value for value in found.select("energy_per_cycle") if value.speed > 0.2 * damper.speed]
+    assert len(energies) == 9
+    for value in energies:
+        expected = damper.energy_of_sine(value.speed, value.current)
+        assert value.value == pytest.approx(expected, rel=0.01)
+        (equivalent,) = found.select("equivalent_damping", current=value.current, speed=value.speed)
+        amplitude = 0.5 * damper.stroke
+        assert equivalent.value == pytest.approx(expected / (math.pi * amplitude * value.speed), rel=0.01)
+    for share, factor in (("63", 1.0), ("95", math.log(20.0))):
+        times = found.select(f"response_time_{share}")
+        assert bool(times) == (damper.model == "bingham")
+        for value in times:
+            lag = damper.lag if value.current > value.current_before else damper.lag * (1.0 + damper.falling)
+            assert_holds(value, factor * lag, 1e-3)
+        assert all(value.value < 1e-3 for value in found.select(f"current_time_{share}"))
+
+
+@pytest.fixture(scope="module")
+def found(simulated_damper):
+    return characterise(simulated_damper.set(), name="SN-1")
+
+
+def test_forces_energies_and_ratios_of_one_damper(simulated_damper, found):
+    damper = simulated_damper
+    peak = found.select("peak_force", current=damper.current, direction="compression", speed=damper.speed)[0]
+    # At the peak speed in mid-stroke, where the gas pushes against the rod.
+    assert peak.value == pytest.approx(-damper.resistance(damper.speed, damper.current) - damper.gas_force, rel=0.01)
+    mean = found.select("mean_force", current=0.0, direction="rebound", speed=damper.speed)[0]
+    work = 0.25 * math.pi * damper.viscous * damper.speed + damper.drag - damper.gas_force
+    assert mean.value == pytest.approx(work, rel=0.02)
+    fast = 0.5 * damper.speed
+    ratio = only_at(found, "dynamic_range", fast).value
+    assert ratio == pytest.approx(damper.resistance(fast, damper.current) / damper.resistance(fast, 0.0), rel=0.01)
+    asymmetry = found.select("asymmetry", current=damper.current, speed=fast)[0].value
+    assert asymmetry == pytest.approx(-damper.gas_force / damper.resistance(fast, damper.current), rel=0.02)
+    assert found.currents == (0.0, 0.4, 1.0)
+
+
+def only_at(found, quantity, speed):
+    (value,) = found.select(quantity, speed=speed)
+    return value
+
+
+def test_every_value_says_what_it_is_and_of_how_much_it_is_the_mean(found):
+    for value in found.values:
+        assert value.quantity in QUANTITIES
+        assert len(value.definition) > 30
+        assert value.definition.endswith(".")
+        assert value.runs >= 1
+        if value.cycles > 1:
+            assert value.lower <= value.value <= value.upper
+            assert value.scatter >= 0.0
+
+
+def test_sines_alone_show_no_gas_no_response_and_no_dynamic_range(simulated_damper):
+    found = characterise(simulated_damper.sine("a", 0.2, 0.0))
+    assert {"force_at_speed", "energy_per_cycle"} <= {value.quantity for value in found.values}
+    assert not found.select("gas_force")
+    text = "\n".join(found.limitations)
+    assert "Only one steady current, 0 A" in text
+    assert "No slow strokes" in text
+    assert "the slowest has 200 mm/s" in text
+    assert "No current steps at constant speed" in text
+
+
+def test_one_slow_speed_gives_the_drag_at_it(simulated_damper):
+    runs = [simulated_damper.sine("fast", 0.2, 0.0), simulated_damper.triangle("slow", 0.008, 0.0)]
+    drag = only(characterise(runs), "seal_drag")
+    assert drag.speed == pytest.approx(0.008, rel=0.01)
+    assert "8 mm/s" in drag.definition
+    assert drag.value == pytest.approx(simulated_damper.resistance(0.008, 0.0), rel=0.02)
+
+
+def test_random_motion_and_random_current_give_no_cycles(simulated_damper):
+    random = np.random.default_rng(3)
+    time = np.arange(20_000) / 1000.0
+    phases = random.uniform(0.0, 2.0 * np.pi, 9)
+    position = sum(
+        1.5e-3 * np.sin(2 * np.pi * f * time + phase) for f, phase in zip(np.sqrt(np.arange(1, 10)), phases, strict=True)
+    )
+    assert not characterise(simulated_damper.record("random", position, np.zeros(len(time)))).select("energy_per_cycle")
+    current = np.repeat(random.uniform(0.0, 1.0, 400), 50)
+    with pytest.raises(InputError, match="no stroke between two reversals at steady current"):
+        characterise(simulated_damper.record("random_current", position, current))
+
+
+def test_a_speed_that_was_not_recorded_is_refused(simulated_damper):
+    run = simulated_damper.sine("a", 0.2, 0.0)
+    assert {value.speed for value in characterise(run, speeds=[0.07, 0.12]).select("force_at_speed")} == {0.07, 0.12}
+    with pytest.raises(InputError, match=r"force at 300 mm/s was not recorded, expected .* 50 to 190 mm/s"):
+        characterise(run, speeds=[0.3])
+    with pytest.raises(InputError, match="expected a positive speed"):
+        characterise(run, speeds=[-0.1])
+
+
+def test_a_mirrored_recording_exchanges_the_directions(simulated_damper):
+    run = simulated_damper.sine("a", 0.2, 0.4)
+    mirrored = replace(run, position=-run.position, velocity=-run.velocity, force=-run.force)
+    one, two = characterise(run), characterise(mirrored)
+    for first, second in (("rebound", "compression"), ("compression", "rebound")):
+        forces = [value.value for value in one.select("force_at_speed", direction=first)]
+        assert [-value.value for value in two.select("force_at_speed", direction=second)] == pytest.approx(forces, rel=1e-6)
+
+
+def test_slow_coils_are_told_from_the_fluid(simulated_damper):
+    """The current itself rises in 10 ms, and the force follows it."""
+    run = simulated_damper.steps()
+    lag, slow = 0.01, np.zeros(len(run))
+    commanded = np.resize(np.repeat([0.0, 1.0], 250), len(run))
+    for k in range(1, len(run)):
+        slow[k] = slow[k - 1] + (commanded[k] - slow[k - 1]) * (1.0 - math.exp(-1e-3 / lag))
+    damper = replace(simulated_damper, lag=0.005, falling=0.0)
+    found = characterise([damper.record("steps", run.position, slow), damper.sine("fast", 0.2, 0.0)])
+    for value in found.select("current_time_63"):
+        assert value.value == pytest.approx(lag, abs=1e-3)
+    for value in found.select("response_time_63"):
+        assert 0.0135 < value.value < 0.0185
+
+
+def test_currents_within_the_noise_of_the_sensor_are_one(simulated_damper):
+    runs = [simulated_damper.sine(f"r{k}", 0.2, 0.4 + offset, seed=k) for k, offset in enumerate((0.0, 0.001, -0.002))]
+    found = characterise(runs)
+    assert found.currents == (0.4,)
+    assert found.select("energy_per_cycle")[0].runs == 3
+
+
+def test_summary_and_notebook_name_values_and_limitations(found):
+    text = found.summary()
+    assert text.startswith("SN-1: ")
+    assert "gas force" in text
+    assert "note: " in text
+    assert "<table>" in found._repr_html_()
+    assert len(found.plot().data) > 5
+    with pytest.raises(InputError, match="quantity 'gas' is not known, expected one of peak_force"):
+        found.select("gas")
