@@ -94,7 +94,7 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
     Parameters
     ----------
     golden : sequence of Value
-        A value of a single cycle or step has no interval, and is left out.
+        A value is left out where each run has a single cycle or step: another run like them would have no interval.
     tolerance : float
         By how much a damper may differ from the golden one, over the golden value; at least as much as this scatters over
         its cycles and runs. It counts from the ends of the golden value's interval, anywhere in which the golden damper may
@@ -108,7 +108,11 @@ def golden_limits(golden: Sequence[Value], tolerance: float) -> tuple[Limit, ...
     if not 0.0 < tolerance < math.inf:
         raise InputError(f"--tolerance is {100 * tolerance:g}, expected a positive number of per cent")
     limits = []
-    compared = [value for value in golden if value.quantity in COMPARED and math.isfinite(value.upper - value.lower)]
+    compared = [
+        value
+        for value in golden
+        if value.quantity in COMPARED and value.cycles > value.runs and math.isfinite(value.upper - value.lower)
+    ]
     for value in map(resisting, sorted(compared, key=lambda value: COMPARED.index(value.quantity))):
         margin = max(tolerance * abs(value.value), value.scatter)
         if margin > 0.0:

@@ -61,8 +61,8 @@ def work() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description="Judge a damper by limits or by a golden damper. A number passes where its whole 95 % interval lies "
-        f"within the limits. Writes acceptance.json. The exit status is {NOT_PASSED} where a number fails, is not decided, or "
-        "was not measured."
+        "within the limits. Writes acceptance.json. The exit status is "
+        f"{NOT_PASSED} where a number fails, is not decided or was not measured."
     )
     parser.add_argument("runs", nargs="+", metavar="RUN", help="bag folder, .mcap or .db3 file, or CSV; all of one damper")
     parser.add_argument(
