@@ -148,6 +148,8 @@ def slope(times: Array, values: Array) -> tuple[float, float, float] | None:
     dated = np.isfinite(times)
     if len(np.unique(times[dated])) < FEWEST_DATES:
         return None
+    if np.ptp(values[dated]) == 0.0:
+        return 0.0, 0.0, 0.0
     line = linregress(times[dated], values[dated])
     half = float(student.ppf(0.975, np.count_nonzero(dated) - 2) * line.stderr)
     return float(line.slope), float(line.slope) - half, float(line.slope) + half
@@ -290,7 +292,7 @@ def _checked(checks: Sequence[Mapping[str, Any]]) -> Iterator[Number]:
             lower, upper = check["lower"], check["upper"]
             yield Number(
                 _key(check),
-                float(check["value"]),
+                _finite(check["value"]),
                 -math.inf if lower is None else float(lower),
                 math.inf if upper is None else float(upper),
                 check["outcome"],
@@ -303,7 +305,13 @@ def _characterised(values: Sequence[Mapping[str, Any]]) -> Iterator[Number]:
         if value["value"] is not None and key.quantity in QUANTITIES:
             # As in an acceptance, a force counts as it resists the motion.
             sign = -1.0 if key.direction == "compression" and QUANTITIES[key.quantity].force else 1.0
-            yield Number(key, sign * float(value["value"]))
+            yield Number(key, sign * _finite(value["value"]))
+
+
+def _finite(value: Any) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"value {value}")
+    return float(value)
 
 
 def _key(content: Mapping[str, Any]) -> Key:

@@ -73,7 +73,9 @@ def test_a_band_without_direction_holds_for_both():
 
 def test_recordings_of_another_test_are_refused_with_what_they_have():
     limits = [Limit("peak_force", 90.0, 110.0, current=0.5, speed=0.2)]
-    with pytest.raises(InputError, match=r"recorded at 0 A and 50 to 100 mm/s, the limits are for 0.5 A and 200 to 200 mm/s"):
+    with pytest.raises(
+        InputError, match=r"recorded at 0 A and 50 to 100 mm/s, the limits are for 0.5 A and 200 to 200 mm/s"
+    ):
         judged([value(100.0, current=0.0, speed=0.05), value(100.0, current=0.0, speed=0.1)], limits)
 
 
@@ -84,7 +86,10 @@ dampers = st.lists(st.tuples(numbers, st.floats(0.01, 2.0), st.floats(0.0, 0.3))
 def pair(drawn):
     """Return the values of a golden damper and of another one, whose numbers are multiples of it."""
     golden = [value(number, half * abs(number), speed=1.0 + place) for place, (number, _, half) in enumerate(drawn)]
-    other = [replace(v, value=f * v.value, lower=f * v.lower, upper=f * v.upper) for v, (_, f, _) in zip(golden, drawn)]
+    other = [
+        replace(v, value=f * v.value, lower=f * v.lower, upper=f * v.upper)
+        for v, (_, f, _) in zip(golden, drawn, strict=True)
+    ]
     return golden, other
 
 
@@ -181,7 +186,9 @@ def test_a_serial_number_with_a_path_in_it_is_refused(simulated_damper, serial):
 
 def test_what_recordings_say_of_the_test_is_taken_and_can_be_overruled(simulated_damper):
     run = simulated_damper.sine("sine", 0.1, 0.0, 2)
-    said = replace(run, info={"serial": "SN-7", "started": "2026-03-01T10:00:00+01:00", "operator": "Ada", "source": "x/a.csv"})
+    said = replace(
+        run, info={"serial": "SN-7", "started": "2026-03-01T10:00:00+01:00", "operator": "Ada", "source": "x/a.csv"}
+    )
     test = damper_test([said])
     assert (test.serial, test.day, test.operator, test.rig) == ("SN-7", "2026-03-01", "Ada", "")
     assert damper_test([replace(run, info={"source": "shelf/SN-8/a.csv"})]).serial == "SN-8"

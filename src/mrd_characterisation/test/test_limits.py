@@ -28,7 +28,8 @@ def test_the_shipped_limits_are_in_si():
 def test_a_tolerance_in_per_cent_and_a_temperature_are_converted(tmp_path):
     file = tmp_path / "limits.yaml"
     file.write_text(
-        "gas_force: [{nominal_N: -50, tolerance_percent: 10}]\ntemperature_largest: [{nominal_degC: 30, tolerance_degC: 5}]\n"
+        "gas_force: [{nominal_N: -50, tolerance_percent: 10}]\n"
+        "temperature_largest: [{nominal_degC: 30, tolerance_degC: 5}]\n"
     )
     gas, temperature = read_limits(file)
     assert (gas.lower, gas.upper) == (-55.0, -45.0)
