@@ -179,7 +179,9 @@ def accept(
     """
     if not limits:
         raise InputError(f"{reference}: holds no limits, expected at least one")
-    checks = [Check(limit, value) for limit in limits for value in _values(characterisation, limit) or [None]]
+    checks: list[Check] = []
+    for limit in limits:
+        checks += [Check(limit, value) for value in _values(characterisation, limit)] or [Check(limit)]
     if all(check.value is None for check in checks):
         raise InputError(
             f"{test.serial}: shows none of the {len(limits)} numbers of {reference}: it was recorded at "

@@ -25,7 +25,7 @@ def record(damper, folder):
 
 @pytest.fixture(scope="module")
 def shelf(simulated_damper, tmp_path_factory):
-    """Return a folder with a recorded golden damper, a good one, one with half its gas force, and one with a rubbing seal."""
+    """Return a folder with a recorded golden damper, a good one, one with half the gas force, one with a rubbing seal."""
     folder = tmp_path_factory.mktemp("shelf")
     record(simulated_damper, folder / "golden")
     record(replace(simulated_damper, gas_force=1.02 * simulated_damper.gas_force), folder / "SN-good")
@@ -84,7 +84,7 @@ def test_what_limits_ask_for_and_runs_do_not_show_is_no_pass(shelf, tmp_path, mo
     ("arguments", "told"),
     [
         (["--reference", "{golden}", "--tolerance", "0"], "--tolerance is 0"),
-        (["--reference", "{golden}", "--tolerance", "wide"], "--tolerance is wide"),
+        (["--reference", "{golden}", "--tolerance", "nan"], "--tolerance is nan"),
         (["--reference", "{golden}", "--serial", "../x"], "--serial is '../x'"),
         (["--reference", "none.json"], "none.json: cannot be read"),
         (["--reference", "a.yaml", "b.yaml"], "--reference: found 2 files"),
