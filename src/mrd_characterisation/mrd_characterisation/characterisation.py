@@ -230,10 +230,11 @@ class Characterisation:
     def sentence(self) -> str:
         """The extent of the characterisation in one sentence."""
         speeds = [value.speed for value in self.values if value.quantity == "force_at_speed" and value.speed]
-        currents = ", ".join(f"{current:.3g}" for current in self.currents) or "no steady current"
+        currents = ", ".join(f"{current:.3g}" for current in self.currents)
         reach = f", forces at {1e3 * min(speeds):.3g} to {1e3 * max(speeds):.3g} mm/s" if speeds else ""
         count = f"{len(self.runs)} run" + ("s" if len(self.runs) > 1 else "")
-        return f"{self.name}: {len(self.values)} values from {count} at {currents} A{reach}."
+        at = f" at {currents} A" if currents else ""
+        return f"{self.name}: {len(self.values)} values from {count}{at}{reach}."
 
     def select(
         self,

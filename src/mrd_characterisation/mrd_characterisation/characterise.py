@@ -33,6 +33,9 @@ LEAST_LENGTH = 0.1
 """Length of a stroke over that of the longest one, below which it shows no force at a speed: the fluid hardly
 yields in it, and it may lie at an end of the stroke."""
 
+CURRENT_NOISES = 5.0
+"""Largest current over the noise of its sensor, up to which there is none."""
+
 ENOUGH_CYCLES = 3
 """Cycles below which the scatter of a mean is hardly known."""
 
@@ -69,17 +72,14 @@ def characterise(
     moved = [np.abs(one.motion.velocity) for one in smoothed]
     fast = max(float(np.quantile(speed, 0.95)) for speed in moved)
     of_runs = [strokes_of(one, scale) for one in smoothed]
-    tolerance = max(SAME_CURRENT * scale, 2.0 * max(current_noise(run.current) for run in listed))
+    noise = max(current_noise(run.current) for run in listed)
+    if scale <= CURRENT_NOISES * noise:
+        scale = 0.0  # the coil was not used
+    tolerance = max(SAME_CURRENT * scale, 2.0 * noise)
     of_runs = _at_levels(of_runs, tolerance)
     strokes = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
     cycles = [cycle for of_run in of_runs for cycle in cycles_of(of_run)]
     steps = [step for one in smoothed for step in steps_of(one, scale, fast)] if scale > 0.0 else []
-    if not strokes and not steps:
-        which = f"{listed[0].name}: holds" if len(listed) == 1 else f"{listed[0].name} and {len(listed) - 1} more runs: hold"
-        raise InputError(
-            f"{which} no stroke between two reversals at steady current and no current step at constant speed; record "
-            "sines or triangles at constant currents"
-        )
     levels = [[stroke for stroke in strokes if stroke.current == level] for level in sorted({s.current for s in strokes})]
     groups = _equal_cycles(cycles)
     periodic = {id(stroke) for cycle in cycles for stroke in (cycle.first, cycle.second)}
@@ -95,7 +95,7 @@ def characterise(
     pairs = slow_pairs(levels[0], fast) if levels else []
     gas, gas_curve = gas_values(pairs, levels[0][0].current if levels else 0.0)
     times, responses, notes = response_values(steps, scale)
-    values = [
+    measured = [
         *peak_and_mean_forces(groups),
         *cycle_values(groups),
         *forces,
@@ -103,8 +103,14 @@ def characterise(
         *dynamic_ranges(forces),
         *times,
         *gas,
-        *_extent(listed),
     ]
+    if not measured:
+        which = f"{listed[0].name}: holds" if len(listed) == 1 else f"{listed[0].name} and {len(listed) - 1} more runs: hold"
+        raise InputError(
+            f"{which} no repeated cycle and no stroke of constant speed at steady current, and no current step at constant "
+            "speed to which the force responds; record at least three cycles of a sine or a triangle at a constant current"
+        )
+    values = [*measured, *_extent(listed)]
     order = list(QUANTITIES)
     values.sort(key=lambda v: (order.index(v.quantity), v.current or 0.0, v.direction != "rebound", v.speed or 0.0))
     curves = [
@@ -130,7 +136,8 @@ def _at_levels(of_runs: Sequence[Sequence[Stroke]], tolerance: float) -> list[li
     steady = [stroke for of_run in of_runs for stroke in of_run if stroke.steady]
     level_of: dict[int, float] = {}
     for level in grouped(steady, lambda stroke: stroke.current, lambda _: tolerance):
-        current = rounded(float(np.mean([stroke.current for stroke in level])), tolerance)
+        mean = float(np.mean([stroke.current for stroke in level]))
+        current = rounded(mean, tolerance) if abs(mean) > 0.5 * tolerance else 0.0
         level_of |= {id(stroke): current for stroke in level}
     return [[replace(stroke, current=level_of.get(id(stroke), math.nan)) for stroke in of_run] for of_run in of_runs]
 

@@ -33,10 +33,13 @@ FEWEST_NEAR = 6
 FEWEST_BEFORE, FEWEST_AFTER = 5, 15
 """Samples of constant speed and current before and after a step that is used."""
 
+FEWEST_STEPS = 2
+"""Equal steps that are needed: of a single one nobody knows how far it is random."""
+
 USUAL_HOLD = 0.75
 """Quantile of the times after the steps that is looked at first; steps that were cut shorter are left out."""
 
-LENGTHS = 4.0
+LENGTHS = 5.0
 """Time that is looked at after a step, over the time in which the force makes 95 % of its change."""
 
 BEFORE, TAIL = 0.25, 0.6
@@ -156,7 +159,9 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
     responses: list[Response] = []
     unsettled: list[float] = []
     without_response = 0
-    for group in _equal_steps(steps, scale):
+    groups = _equal_steps(steps, scale)
+    repeated = [group for group in groups if len(group) >= FEWEST_STEPS]
+    for group in repeated:
         found = _measured(group)
         if isinstance(found, float):
             unsettled.append(found)
@@ -166,6 +171,11 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
             values += found[0]
             responses.append(found[1])
     notes = []
+    if len(repeated) < len(groups):
+        notes.append(
+            f"{_count(len(groups) - len(repeated)).capitalize()} at constant speed occurred only once: no response time. "
+            "Repeat each step at the same speed."
+        )
     if unsettled:
         notes.append(
             f"After {_count(len(unsettled))} the force had not settled when the current or the speed "
@@ -189,6 +199,8 @@ def _equal_steps(steps: Sequence[Step], scale: float) -> list[list[Step]]:
     tolerance = 0.05 * scale
     level_of = {
         current: rounded(float(np.mean(level)), SAME_CURRENT * scale)
+        if abs(np.mean(level)) > 0.5 * SAME_CURRENT * scale
+        else 0.0
         for level in grouped([c for step in steps for c in (step.before, step.after)], float, lambda _: tolerance)
         for current in level
     }
@@ -212,7 +224,7 @@ def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | N
     The time looked at in s where the force does not settle within it; None where it does not respond beyond its noise.
     """
     hold = float(np.quantile([step.hold for step in steps], USUAL_HOLD, method="lower"))
-    chosen = _long_enough(steps, hold)
+    chosen = [step for step in steps if step.hold >= hold]
     if not _responds(chosen, hold):
         return None
     first = _times(chosen, hold)
@@ -221,7 +233,7 @@ def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | N
     # Now that it is known how long the response takes, steps that were held for long enough all count.
     looked_at = min(hold, max(LENGTHS * first["force", "95"], FEWEST_AFTER / chosen[0].run.run.rate))
     longer = _long_enough(steps, looked_at)
-    times = _times(longer, looked_at)
+    times = _times(longer, looked_at) if len(longer) >= FEWEST_STEPS else None
     if times is None or times["force", "95"] > SETTLES * looked_at:
         return hold
     parts = min(len(longer), RESAMPLED)
@@ -250,9 +262,12 @@ def _measured(steps: Sequence[Step]) -> tuple[list[Value], Response] | float | N
 
 
 def _long_enough(steps: Sequence[Step], looked_at: float) -> list[Step]:
-    """Return the steps that were held for a time in s and had settled before; where there are none, those that were held."""
-    held = [step for step in steps if step.hold >= looked_at]
-    return [s for s in held if s.quiet >= 0.5 * looked_at and s.lead >= BEFORE * looked_at] or held
+    """Return the steps that were held for a time in s, and before which current and speed were constant for long enough."""
+    return [
+        step
+        for step in steps
+        if step.hold >= looked_at and step.quiet >= 0.5 * looked_at and step.lead >= BEFORE * looked_at
+    ]
 
 
 def _jackknife(value: float, without: Sequence[float], names: Sequence[str]) -> Average:
@@ -349,7 +364,7 @@ def _crossing(grid: Array, series: Array, share: float) -> float:
             # Within a few samples noise matters less than rounding.
             return _interpolated(grid, series, share, max(1, int(np.flatnonzero(after & (series >= share))[0])))
         parabola = Polynomial.fit(grid[near] - time, series[near] - share, 2)
-        roots = [float(root.real) for root in parabola.roots() if abs(root.imag) < 1e-9 and abs(root) <= time / 3.0]
+        roots = [root.real for root in map(complex, parabola.roots()) if abs(root.imag) < 1e-9 and abs(root) <= time / 3.0]
         if not roots:
             break
         time += min(roots, key=abs)

@@ -109,7 +109,7 @@ class SimulatedDamper:
     def steps(self, share: float = 0.1, hold: float = 0.5) -> Run:
         """Record current steps between nothing and the largest current, at a share of the speed."""
         levels = np.repeat([0.0, self.current], round(hold * RATE))
-        cycles = max(2.5, 40 * hold * share * self.speed / (2 * self.stroke))
+        cycles = max(2.5, 80 * hold * share * self.speed / (2 * self.stroke))
         return self.triangle(f"steps_{share:g}", share * self.speed, levels, cycles, seed=41)
 
     def force_at_speed(self, direction: str, speed: float, current: float) -> tuple[float, float]:

@@ -1,0 +1,103 @@
+"""The files, the page and the tool."""
+
+import csv
+import json
+import math
+import sys
+
+import numpy as np
+import openpyxl
+import pytest
+
+from mrd_base import InputError
+from mrd_characterisation import View, characterise, read_characterisation, write_characterisation
+from mrd_characterisation.cli.characterise import main
+from mrd_characterisation.listing import shown
+from mrd_characterisation.page import write_page
+from mrd_characterisation.units import UNITS
+from mrd_runs import Run
+
+
+@pytest.fixture(scope="module")
+def found(simulated_damper):
+    return characterise(simulated_damper.set(), name="SN-1")
+
+
+def write(run: Run, folder) -> str:
+    path = folder / f"{run.name}.csv"
+    table = np.stack([run.time, run.position, run.current, run.force], axis=1)
+    np.savetxt(path, table, delimiter=",", header="time_s,position_m,current_A,force_N", comments="")
+    return str(path)
+
+
+def test_what_is_written_reads_back(found, tmp_path):
+    json_path, csv_path, workbook_path = write_characterisation(found, tmp_path)
+    back = read_characterisation(json_path)
+    assert len(back.values) == len(found.values)
+    for one, two in zip(found.values, back.values, strict=True):
+        assert (one.quantity, one.value, one.definition, one.speed) == (two.quantity, two.value, two.definition, two.speed)
+        assert math.isnan(one.lower) == math.isnan(two.lower)
+    assert np.allclose(back.curves[0].mean, found.curves[0].mean, rtol=1e-5, equal_nan=True)
+    rows = list(csv.DictReader(csv_path.read_text().splitlines()))
+    sheet = openpyxl.load_workbook(workbook_path).active
+    assert len(rows) == len(found.values) == sheet.max_row - 1
+    gas = next(row for row in rows if row["quantity"] == "gas_force")
+    assert float(gas["value"]) == pytest.approx(found.select("gas_force")[0].value)
+    assert gas["unit"] == "N"
+
+
+def test_another_file_is_refused(found, tmp_path):
+    path = write_characterisation(found, tmp_path)[0]
+    content = json.loads(path.read_text())
+    content["values"][0]["quantity"] = "weight"
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match="values/0/quantity"):
+        read_characterisation(path)
+
+
+def test_units_and_orientation_change_what_is_shown(found):
+    force = found.select("force_at_speed", current=1.0, direction="compression", speed=0.1)[0]
+    shown_si = shown(force, View())
+    pounds = shown(force, View("us", "compression"))
+    assert shown_si[0] == force.value < 0.0
+    assert pounds[0] == pytest.approx(-force.value / 4.4482216)
+    assert pounds[1] < pounds[0] < pounds[2]
+    assert View(orientation="automotive").position == -1000.0
+    assert UNITS["us"]["K"].shown(293.15) == pytest.approx(68.0)
+    with pytest.raises(InputError, match="--units is imperial, expected one of si, us"):
+        View("imperial")
+
+
+def test_the_page_lays_dampers_over_each_other(found, simulated_damper, tmp_path):
+    other = characterise(simulated_damper.sine("after", 0.2, 0.4), name="after")
+    page = write_page([found, other], tmp_path, View("us", "automotive")).read_text()
+    assert "Characterisation of SN-1 and after" in page
+    assert "after against SN-1" in page
+    assert "positive in compression (bump), a force is positive where it resists rebound" in page
+    assert "lbf" in page
+    assert page.count("<svg") >= 10
+    assert "No slow strokes" in page
+
+
+def test_the_tool_writes_all_and_refuses_what_it_cannot_use(simulated_damper, tmp_path, monkeypatch, capsys):
+    one = write(simulated_damper.sine("one", 0.2, 0.4), tmp_path)
+    two = write(simulated_damper.sine("two", 0.2, 0.4, seed=1), tmp_path)
+
+    def tool(*arguments: str) -> None:
+        monkeypatch.setattr(sys, "argv", ["mrd characterise", *arguments, "--output", str(tmp_path / "out")])
+        main()
+
+    tool(one, "--compare", f"later={two}", "--serial", "SN 7", "--speeds", "60,120")
+    printed = capsys.readouterr().out
+    assert "SN 7: " in printed
+    assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".html", ".json", ".csv", ".xlsx"}
+    for arguments, message in (
+        ((one, "--serial", "../x"), "--serial is '../x', expected a name without /"),
+        ((one, "--compare", two), "expected NAME=RUN"),
+        ((one, "--speeds", "fast"), "expected numbers with commas"),
+        ((one, "--speeds", "900"), "the force at 900 mm/s was not recorded"),
+    ):
+        with pytest.raises(SystemExit) as stopped:
+            tool(*arguments)
+        assert stopped.value.code == 2
+        assert message in capsys.readouterr().err
