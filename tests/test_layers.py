@@ -72,7 +72,7 @@ EXECUTABLES = {
     "mrd_base": set(),
     "mrd_trajectory": {"generator", "preview"},
     "mrd_runs": {"recorder", "replay", "import", "export_csv", "info", "recover"},
-    "mrd_characterisation": {"characterise"},
+    "mrd_characterisation": {"accept", "batch", "characterise"},
     "mrd_sim": {"plant", "simulate", "models", "effects"},
     "mrd_bench_driver": {"servo", "daq", "supervisor", "sizing", "bench"},
     "mrd_identification": {"identifier", "identify", "compare", "export", "plot"},

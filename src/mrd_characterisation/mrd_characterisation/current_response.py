@@ -39,7 +39,7 @@ FEWEST_STEPS = 2
 USUAL_HOLD = 0.75
 """Quantile of the times after the steps that is looked at first; steps that were cut shorter are left out."""
 
-LENGTHS = 4.0
+LENGTHS = 5.0
 """Time that is looked at after a step, over the time in which the force makes 95 % of its change."""
 
 BEFORE, TAIL = 0.25, 0.6

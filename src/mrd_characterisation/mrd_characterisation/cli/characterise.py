@@ -13,6 +13,7 @@ from mrd_base.json_file import make_folder
 from mrd_characterisation.characterisation import Characterisation
 from mrd_characterisation.characterisation_file import write_characterisation
 from mrd_characterisation.characterise import characterise
+from mrd_characterisation.cli.options import add_test_arguments, read_test, write_asked_sheet
 from mrd_characterisation.listing import HEAD, value_row
 from mrd_characterisation.page import HEADLINES, force_table, write_page
 from mrd_characterisation.units import ORIENTATIONS, UNITS, View
@@ -47,6 +48,8 @@ def work() -> None:
     for one in characterisations:
         _print(one, view)
     for path in [*paths, write_page(characterisations, folder, view)]:
+        print(path)
+    for path in write_asked_sheet(arguments, characterisations, read_test(arguments, groups[0]), folder, view):
         print(path)
 
 
@@ -88,6 +91,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument(
         "--skip", type=float, default=0.0, metavar="SECONDS", help="leave out the start of every run (default: nothing)"
     )
+    add_test_arguments(parser)
     parser.add_argument("--output", required=True, metavar="DIR", help="folder for the page and the files")
     return parser.parse_args()
 

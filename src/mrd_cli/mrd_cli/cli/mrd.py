@@ -31,6 +31,8 @@ TOOLS: Mapping[str, Tool] = {
     "characterise": Tool(
         "mrd_characterisation.cli.characterise", "measure forces over speed, energy, response times and gas force"
     ),
+    "accept": Tool("mrd_characterisation.cli.accept", "judge a damper by limits or by a golden damper"),
+    "batch": Tool("mrd_characterisation.cli.batch", "summarise the tests of many dampers"),
     "identify": Tool("mrd_identification.cli.identify", "fit a damper model to recordings"),
     "compare": Tool("mrd_identification.cli.compare", "fit several damper models and rank them"),
     "validate": Tool("mrd_diagnosis.cli.validate", "predict new runs by a fitted damper or a simulator, without a fit"),

@@ -1,0 +1,108 @@
+"""Plots of a sheet: force over peak speed, and the loops of the fastest cycles over position and velocity."""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mrd_base.drawing import COLORS
+from mrd_characterisation.characterisation import Characterisation, Loop
+from mrd_characterisation.units import BENCH, View
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+Array = NDArray[np.float64]
+
+_COLORS = (*COLORS, "#3d9be9", "#a0522d", "#d979c4", "#8a9a1f")
+"""Of as many dampers as a sheet overlays."""
+
+_DASHES = ("solid", "dash", "dot", "dashdot")
+
+MOST_POINTS = 300
+"""Points of a loop; a sheet shows no more."""
+
+
+def force_over_speed(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
+    """Return peak force over peak speed: rebound to the right, compression to the left, both as the bench signs them."""
+    figure = _figure("peak speed", "m/s", "peak force", view, 280)
+    for name, current, style, one in _lines(characterisations):
+        found = one.select("peak_force", current=current)
+        drawn = False
+        for direction, sign in (("rebound", 1.0), ("compression", -1.0)):
+            points = sorted((sign * (v.speed or 0.0), v.value) for v in found if v.direction == direction)
+            if points:
+                speeds, forces = np.transpose(points)
+                _add(figure, view.velocity * speeds, view.force * forces, name, style, drawn, "lines+markers")
+                drawn = True
+    return figure
+
+
+def force_over_position(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
+    """Return the force over the position in the fastest recorded cycle of each current."""
+    figure = _figure("position", "m", "force", view, 235)
+    for name, loop, style in _fastest(characterisations):
+        _add(figure, view.position * loop.position, view.force * loop.force, name, style, True, "lines")
+    return figure
+
+
+def force_over_velocity(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
+    """Return the force over the velocity in the fastest recorded cycle of each current."""
+    figure = _figure("velocity", "m/s", "force", view, 235)
+    for name, loop, style in _fastest(characterisations):
+        _add(figure, view.velocity * loop.velocity, view.force * loop.force, name, style, True, "lines")
+    return figure
+
+
+def _lines(characterisations: Sequence[Characterisation]) -> Iterator[tuple[str, float, dict[str, str], Characterisation]]:
+    """Yield name, current, style and damper of each line.
+
+    Colours tell currents apart; of several dampers, colours tell these apart, and dashes the smallest and largest current.
+    """
+    several = len(characterisations) > 1
+    for number, one in enumerate(characterisations):
+        # More than two currents of several dampers could not be told apart.
+        currents = (one.currents[0], one.currents[-1]) if several and len(one.currents) > 1 else one.currents
+        for place, current in enumerate(currents):
+            color = _COLORS[(number if several else place) % len(_COLORS)]
+            dash = _DASHES[(place if several else 0) % len(_DASHES)]
+            name = f"{one.name}, {current:.3g} A" if several else f"{current:.3g} A"
+            yield name, current, {"color": color, "dash": dash}, one
+
+
+def _fastest(characterisations: Sequence[Characterisation]) -> Iterator[tuple[str, Loop, dict[str, str]]]:
+    for name, current, style, one in _lines(characterisations):
+        # Loops and currents of a characterisation are of the same levels.
+        loops = [loop for loop in one.loops if abs(loop.current - current) < 1e-9]
+        if loops:
+            yield name, max(loops, key=lambda loop: loop.speed), style
+
+
+def _figure(over: str, over_unit: str, title: str, view: View, height: int) -> "go.Figure":
+    # Plotly is slow to import, and only sheets that are asked for are drawn.
+    import plotly.graph_objects as go
+
+    from mrd_base.figures import LAYOUT
+
+    figure = go.Figure(layout=LAYOUT)
+    return figure.update_layout(
+        height=height,
+        margin={"l": 60, "r": 10, "t": 12, "b": 40},
+        xaxis={"title": f"{over}, {view.unit(over_unit).symbol}"},
+        yaxis={"title": f"{title}, {view.unit('N').symbol}"},
+    )
+
+
+def _add(figure: "go.Figure", over: Array, force: Array, name: str, style: dict[str, str], named: bool, mode: str) -> None:
+    """Add a line in the units shown; one that is ``named`` already does not get into the legend again."""
+    step = max(1, len(over) // MOST_POINTS)
+    figure.add_scatter(
+        x=over[::step],
+        y=force[::step],
+        mode=mode,
+        name=name,
+        showlegend=not named,
+        line={"width": 1.5, **style},
+        marker={"size": 5, "color": style["color"]},
+    )
