@@ -78,8 +78,8 @@ def damper_test(
     )
 
 
-def checked_serial(serial: str) -> str:
-    """Return a serial number that can be the name of a folder.
+def checked_serial(serial: str, option: str = "--serial") -> str:
+    """Return a serial number, which an option gave, that can be the name of a folder.
 
     Raises
     ------
@@ -87,9 +87,9 @@ def checked_serial(serial: str) -> str:
         For a path, an empty text, or one that is too long.
     """
     if not serial.strip() or serial in (".", "..") or any(c in "/\\:" or not c.isprintable() for c in serial):
-        raise InputError(f"--serial is {serial!r}, expected the serial number of a damper, not a path: without / \\ and :")
+        raise InputError(f"{option} is {serial!r}, expected the serial number of a damper, not a path: without / \\ and :")
     if len(serial) > LONGEST_SERIAL:
-        raise InputError(f"--serial has {len(serial)} characters, expected at most {LONGEST_SERIAL}")
+        raise InputError(f"{option} has {len(serial)} characters, expected at most {LONGEST_SERIAL}")
     return serial
 
 

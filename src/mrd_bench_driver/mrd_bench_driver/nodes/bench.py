@@ -9,7 +9,7 @@ import signal
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mrd_base import InputError, run_tool
 from mrd_base.config import check_sections
@@ -18,12 +18,19 @@ from mrd_base.nodes.graph import NODES
 from mrd_base.progress import shown_progress
 from mrd_bench_driver.nodes.bench_client import BenchClient, require_free_namespace
 from mrd_bench_driver.processes import BenchProcesses, ProcessDiedError, bench_processes, clock_of
-from mrd_runs import read_run
+from mrd_runs import read_run, read_runs
 from mrd_trajectory.damper_tests import DamperTest
+from mrd_trajectory.damper_tests.warm_up import WarmUp
 from mrd_trajectory.experiment import Experiment, format_experiment
 from mrd_trajectory.plan import plan
 from mrd_trajectory.settings import GeneratorSettings, read_settings
 from mrd_trajectory.steps import experiments_of, read_step
+
+if TYPE_CHECKING:
+    from mrd_characterisation.reference import Reference
+
+TOLERANCE = 0.1
+"""Half the width of the bands around the values of a golden damper, over these; `accept` takes others."""
 
 SHORTER = 0.5
 """Seconds by which a whole recording may be shorter than its experiment: it consists of whole blocks of samples."""
@@ -35,7 +42,8 @@ class SignalCounter:
     def __init__(self) -> None:
         self._count = 0
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a script
+                signal.signal(number, self._on_signal)
 
     def _on_signal(self, _number: int, _frame: object) -> None:
         self._count += 1
@@ -66,6 +74,10 @@ class Session:
         Folder of bags and logs.
     tests : dict of str to DamperTest
         The damper tests from which experiments come, by the names of these.
+    serial : str or None
+        Serial number of the damper, for the reports on its tests; None for the recorded one or the name of the folder.
+    reference : Reference or None
+        What the damper is judged by once its tests have ended.
     """
 
     name: str
@@ -74,6 +86,8 @@ class Session:
     plant: Path | None
     output: Path
     tests: dict[str, DamperTest] = field(default_factory=dict)
+    serial: str | None = None
+    reference: "Reference | None" = None
 
     @property
     def logs(self) -> Path:
@@ -133,6 +147,13 @@ def main() -> None:
         help="ROS namespace of the bench (default: bench); two benches in one ROS domain need different ones",
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of bags and logs (default: runs/NAME-TIME)")
+    parser.add_argument("--serial", metavar="NAME", help="serial number of the damper, for the reports on its tests")
+    parser.add_argument(
+        "--reference",
+        metavar="LIMITS.yaml|CHARACTERISATION.json",
+        help="judge the damper once its tests have ended, as `accept` does: by limits, or within "
+        f"{100 * TOLERANCE:g} %% of a golden damper",
+    )
     parser.add_argument(
         "--resume", action="store_true", help="record what is missing of a set in the folder --output, and keep the rest"
     )
@@ -238,10 +259,40 @@ def _work(arguments: argparse.Namespace) -> None:
 
 
 def _report(session: Session) -> None:
-    """Tell where the recordings of the damper tests are, once all are there; a characterisation of them begins here."""
-    recordings = [bag for bag in map(session.bag, session.tests) if bag.exists()]
-    if recordings:
-        print(f"{len(recordings)} recordings of damper tests: {session.output}")
+    """Characterise the damper from the recordings of its tests, and tell where the reports are."""
+    recordings = [
+        bag for name, test in session.tests.items() if not isinstance(test, WarmUp) and (bag := session.bag(name)).exists()
+    ]
+    if not recordings:
+        return
+    print(f"{len(recordings)} recordings of damper tests: {session.output}")
+    # Plots and tables are slow to import, and only tests of dampers need them.
+    from mrd_characterisation.acceptance_file import diagnose_command
+    from mrd_characterisation.reports import write_reports
+
+    folder = session.output / "reports"
+    try:
+        reports = write_reports(read_runs(recordings), folder, serial=session.serial, reference=session.reference)
+    except InputError as error:
+        print(f"no reports: {error}", file=sys.stderr)
+        return
+    print((reports.acceptance or reports.characterisation).sentence)
+    print(*reports.paths, sep="\n")
+    if reports.acceptance and reports.acceptance.verdict == "fail":
+        print(f"To find the cause: {diagnose_command(reports.acceptance, folder)}")
+
+
+def _judged_by(arguments: argparse.Namespace, has_tests: bool) -> "tuple[str | None, Reference | None]":
+    """Return the serial number of the damper and what it is judged by, checked before anything moves."""
+    if not (arguments.serial or arguments.reference):
+        return None, None
+    if not has_tests:
+        raise InputError("--serial and --reference: are for tests of a damper, and none of the files holds one (key test)")
+    from mrd_characterisation.damper_test import checked_serial
+    from mrd_characterisation.reference import read_reference
+
+    serial = checked_serial(arguments.serial) if arguments.serial else None
+    return serial, read_reference([arguments.reference], TOLERANCE) if arguments.reference else None
 
 
 def _prepare(arguments: argparse.Namespace) -> Session:
@@ -261,7 +312,7 @@ def _prepare(arguments: argparse.Namespace) -> Session:
         if not plant.is_file():
             raise InputError(f"{plant}: no such file; give the simulated plant's parameters by --plant")
     output: Path = arguments.output or Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
-    session = Session(name, experiments, is_set, plant, output.resolve(), tests)
+    session = Session(name, experiments, is_set, plant, output.resolve(), tests, *_judged_by(arguments, bool(tests)))
     if arguments.resume:
         return replace(session, experiments=_missing(session))
     for bag in session.bags:

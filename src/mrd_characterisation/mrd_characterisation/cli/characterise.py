@@ -1,7 +1,6 @@
 """Characterise a damper from recordings, as a test of dampers does."""
 
 import argparse
-import re
 import sys
 from collections.abc import Sequence
 
@@ -13,7 +12,8 @@ from mrd_base.json_file import make_folder
 from mrd_characterisation.characterisation import Characterisation
 from mrd_characterisation.characterisation_file import write_characterisation
 from mrd_characterisation.characterise import characterise
-from mrd_characterisation.cli.options import add_test_arguments, read_test, write_asked_sheet
+from mrd_characterisation.cli.options import add_serial, add_test_arguments, read_test, write_asked_sheet
+from mrd_characterisation.damper_test import checked_serial
 from mrd_characterisation.listing import HEAD, value_row
 from mrd_characterisation.page import HEADLINES, force_table, write_page
 from mrd_characterisation.units import ORIENTATIONS, UNITS, View
@@ -32,7 +32,6 @@ def work() -> None:
     """Parse the arguments, characterise, write the files and the page, print the result."""
     arguments = _parse_arguments()
     view = View(arguments.units, arguments.orientation)
-    name = _checked_name(arguments.serial, "--serial")
     compared = [_named_runs(entry) for entry in arguments.compare]
     groups = read_groups([arguments.runs, *(paths for _, paths in compared)], arguments.skip)
     speed = view.unit("m/s")
@@ -40,16 +39,17 @@ def work() -> None:
     folder = make_folder(arguments.output)
     for runs in groups:
         print(describe_runs(runs), file=sys.stderr, flush=True)
+    test = read_test(arguments, groups[0])
     characterisations = [
         characterise(runs, name=name, speeds=speeds, round_to=1.0 / speed.factor)
-        for name, runs in zip([name, *(name for name, _ in compared)], groups, strict=True)
+        for name, runs in zip([test.serial, *(name for name, _ in compared)], groups, strict=True)
     ]
     paths = write_characterisation(characterisations[0], folder, view)
     for one in characterisations:
         _print(one, view)
     for path in [*paths, write_page(characterisations, folder, view)]:
         print(path)
-    for path in write_asked_sheet(arguments, characterisations, read_test(arguments, groups[0]), folder, view):
+    for path in write_asked_sheet(arguments, characterisations, test, folder, view):
         print(path)
 
 
@@ -67,7 +67,7 @@ def _parse_arguments() -> argparse.Namespace:
         metavar="NAME=RUN[,RUN...]",
         help="lay another damper, or another state of this one, over it; may be repeated",
     )
-    parser.add_argument("--serial", default="damper", metavar="NAME", help="name or serial number of the damper")
+    add_serial(parser)
     parser.add_argument(
         "--speeds",
         default="",
@@ -96,25 +96,12 @@ def _parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _checked_name(name: str, option: str) -> str:
-    """Return a name that is no path and has characters that print.
-
-    Raises
-    ------
-    InputError
-        For any other one.
-    """
-    if not name.strip() or re.search(r"[/\\]", name) or name in (".", "..") or not name.isprintable():
-        raise InputError(f"{option} is {name!r}, expected a name without / or \\, such as SN-0042")
-    return name
-
-
 def _named_runs(entry: str) -> tuple[str, list[str]]:
     name, equals, paths = entry.partition("=")
     listed = [path for path in paths.split(",") if path]
     if not equals or not listed:
         raise InputError(f"--compare is {entry!r}, expected NAME=RUN[,RUN...]")
-    return _checked_name(name, "--compare: the name"), listed
+    return checked_serial(name, "--compare: the name"), listed
 
 
 def _numbers(text: str) -> list[float]:

@@ -132,9 +132,8 @@ class Generator(BenchNode[GeneratorSettings]):
 
     def _on_samples(self, samples: BenchSamples) -> None:
         force = np.asarray(samples.force)
-        # Samples without a temperature, or of an interface without one, leave it unknown.
-        temperature = np.asarray(getattr(samples, "temperature", ()), dtype=float)
-        temperature = temperature if len(temperature) == len(force) else np.full(len(force), np.nan)
+        # Without a sensor of the temperature, there are no values of it.
+        temperature = np.asarray(samples.temperature) if len(samples.temperature) else np.full(len(force), np.nan)
         self._temperature = latest_temperature(temperature)
         if self._passes is None or self._state != "running" or self._plan is None:
             return
