@@ -67,14 +67,14 @@ class Check:
         """Return what keeps it from passing; empty where it passes."""
         unit = self.limit.unit
         if self.value is None:
-            return "the recordings do not show it"
+            return "not recorded"
         if self.outcome == "fail":
             side = "above" if self.excess > 0.0 else "below"
-            return f"{difference_text(abs(self.excess), unit, view)} {side} the limit"
+            return f"{difference_text(abs(self.excess), unit, view)} {side}"
         if self.outcome == "not_decided":
             if math.isnan(self.interval[0]):
-                return f"no interval from {self.value.cycles} cycle or step"
-            return "its interval crosses a limit"
+                return "no interval"
+            return "crosses a limit"
         return ""
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MOST_OVERLAID = 10
 """Dampers, or states of one, whose lines can still be told apart on a sheet."""
 
-MOST_ROWS = 17
+MOST_ROWS = 15
 """Rows of the table for which a page has room beside the plots."""
 
 LARGEST_LOGO = 2**21

@@ -26,7 +26,7 @@ MOST_POINTS = 300
 
 def force_over_speed(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
     """Return peak force over peak speed: rebound to the right, compression to the left, both as the bench signs them."""
-    figure = _figure("peak speed", "m/s", "peak force", view, 280)
+    figure = _figure("peak speed", "m/s", "peak force", view, 250)
     for name, current, style, one in _lines(characterisations):
         found = one.select("peak_force", current=current)
         drawn = False
@@ -41,7 +41,7 @@ def force_over_speed(characterisations: Sequence[Characterisation], view: View =
 
 def force_over_position(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
     """Return the force over the position in the fastest recorded cycle of each current."""
-    figure = _figure("position", "m", "force", view, 235)
+    figure = _figure("position", "m", "force", view, 210)
     for name, loop, style in _fastest(characterisations):
         _add(figure, view.position * loop.position, view.force * loop.force, name, style, True, "lines")
     return figure
@@ -49,7 +49,7 @@ def force_over_position(characterisations: Sequence[Characterisation], view: Vie
 
 def force_over_velocity(characterisations: Sequence[Characterisation], view: View = BENCH) -> "go.Figure":
     """Return the force over the velocity in the fastest recorded cycle of each current."""
-    figure = _figure("velocity", "m/s", "force", view, 235)
+    figure = _figure("velocity", "m/s", "force", view, 210)
     for name, loop, style in _fastest(characterisations):
         _add(figure, view.velocity * loop.velocity, view.force * loop.force, name, style, True, "lines")
     return figure

@@ -35,7 +35,9 @@ def damper(simulated_damper):
 def sheet(damper):
     stronger = [replace(v, lower=1.02 * v.lower, upper=1.02 * v.upper) for v in damper.values]
     limits = golden_limits(stronger, 0.001)
-    return make_sheet([damper, replace(damper, name="golden")], TEST, accept(damper, limits, TEST))
+    fields = {"Customer": "Acme Dampers", "Order": "4711-0815", "Assembly": "front left"}
+    golden = replace(damper, name="golden")
+    return make_sheet([damper, golden], TEST, accept(damper, limits, TEST), view=View("us"), fields=fields)
 
 
 def pages_and_size(pdf):
@@ -57,7 +59,7 @@ def test_a_sheet_is_one_page_of_paper(sheet, tmp_path, monkeypatch, paper, brows
     assert pages_and_size(pdf) == (1, pytest.approx(width, abs=0.5), pytest.approx(height, abs=0.5))
     assert (b"Skia" in pdf.read_bytes()) == browser
     text = page.read_text()
-    for told in ("SN &lt;1&gt;", "bench 1", "Ada", "20 to 30 °C", "not recorded", "<svg"):
+    for told in ("SN &lt;1&gt;", "bench 1", "Ada", "68 to 86 °F", "not recorded", "<svg"):
         assert told in text
     assert "://" not in text
     assert sorted(file.name for file in tmp_path.iterdir()) == ["sheet.html", "sheet.pdf"]
