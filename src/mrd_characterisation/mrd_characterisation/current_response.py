@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from mrd_characterisation.average import Average, average
 from mrd_characterisation.characterisation import SAME_CURRENT, SAME_SPEED, Direction, Response, Value
@@ -109,6 +110,8 @@ def steps_of(smoothed: SmoothedRun, scale: float, fast: float) -> list[Step]:
         m/s, speed of the fast strokes of all runs.
     """
     run, current, velocity = smoothed.run, smoothed.current, smoothed.motion.velocity
+    # At a slow speed the noise of the position alone makes the velocity vary by more than a few per cent.
+    averaged = uniform_filter1d(velocity, 2 * FEWEST_AFTER)
     places = [int(place) for place in current_steps(current, run.rate, scale)]
     steps = []
     edges = [0, *places, len(run)]
@@ -123,7 +126,7 @@ def steps_of(smoothed: SmoothedRun, scale: float, fast: float) -> list[Step]:
         speed = float(np.median(velocity[max(0, first - FEWEST_BEFORE) : first + FEWEST_BEFORE]))
         if abs(speed) < SLOWEST * fast:
             continue
-        varies = np.abs(velocity - speed) > CONSTANT * abs(speed)
+        varies = np.abs(averaged - speed) > CONSTANT * abs(speed)
         ahead, behind = np.flatnonzero(varies[first:later]), np.flatnonzero(varies[:first][::-1])
         held = int(ahead[0]) if len(ahead) else later - first
         lead = int(behind[0]) if len(behind) else first
@@ -171,7 +174,7 @@ def response_values(steps: Sequence[Step], scale: float) -> tuple[list[Value], l
             values += found[0]
             responses.append(found[1])
     notes = []
-    if len(repeated) < len(groups):
+    if len(repeated) < len(groups) and not responses:
         notes.append(
             f"{_count(len(groups) - len(repeated)).capitalize()} at constant speed occurred only once: no response time. "
             "Repeat each step at the same speed."

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from mrd_base import InputError
 from mrd_base.version import VERSION
 from mrd_characterisation.acceptance import Acceptance, check_row
-from mrd_characterisation.characterisation import QUANTITIES, Characterisation, Value
+from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, Characterisation, Value
 from mrd_characterisation.damper_test import DamperTest
 from mrd_characterisation.sheet_figures import force_over_position, force_over_speed, force_over_velocity
 from mrd_characterisation.units import BENCH, View
@@ -31,16 +31,15 @@ LARGEST_LOGO = 2**21
 
 _LOGOS = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".svg": "image/svg+xml"}
 
-# What a sheet without limits shows, most telling first; the plots show the rest.
-_SHOWN = (
-    "force_at_speed",
-    "gas_force",
-    "seal_drag",
-    "dynamic_range",
-    "response_time_63",
-    "response_time_95",
-    "energy_per_cycle",
-)
+# What a sheet without limits shows, most telling first, and the most rows of each; the plots show the rest.
+_SHOWN = {
+    "gas_force": 1,
+    "seal_drag": 1,
+    "force_at_speed": 8,
+    "dynamic_range": 1,
+    "energy_per_cycle": 2,
+    "response_time_63": 4,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +120,9 @@ def make_sheet(
         sentence = acceptance.sentence
     else:
         head = ("number", "at", "value", "95 % interval", "cycles")
-        rows = [_value_row(value, view) for name in _SHOWN for value in damper.select(name)]
+        rows = [_value_row(value, view) for name, most in _SHOWN.items() for value in _telling(damper.select(name), most)]
         sentence = damper.sentence
-    left_out = len(rows) - MOST_ROWS
+    left_out = (len(rows) if acceptance else len(damper.values)) - min(len(rows), MOST_ROWS)
     return Sheet(
         test.serial,
         (
@@ -146,6 +145,18 @@ def make_sheet(
         f"{left_out} more numbers stand in the file beside this sheet." if left_out > 0 else "",
         _data_uri(Path(logo)) if logo else "",
     )
+
+
+def _telling(values: Sequence[Value], most: int) -> list[Value]:
+    """Return the values at the smallest and the largest current, at the highest speeds, in their order."""
+    currents = [max(value.current or 0.0, value.current_before or 0.0) for value in values]
+    ends = [
+        value
+        for value, current in zip(values, currents, strict=True)
+        if current >= (1.0 - SAME_CURRENT) * max(currents) or (value.current_before is None and current == min(currents))
+    ]
+    fastest = sorted(ends, key=lambda value: -(value.speed or 0.0))[:most]
+    return [value for value in values if value in fastest]
 
 
 def _value_row(value: Value, view: View) -> tuple[str, ...]:

@@ -92,7 +92,7 @@ def test_the_tool_writes_all_and_refuses_what_it_cannot_use(simulated_damper, tm
     assert "SN 7: " in printed
     assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".html", ".json", ".csv", ".xlsx"}
     for arguments, message in (
-        ((one, "--serial", "../x"), "--serial is '../x', expected a name without /"),
+        ((one, "--serial", "../x"), "--serial is '../x', expected the serial number of a damper, not a path"),
         ((one, "--compare", two), "expected NAME=RUN"),
         ((one, "--speeds", "fast"), "expected numbers with commas"),
         ((one, "--speeds", "900"), "the force at 900 mm/s was not recorded"),

@@ -21,6 +21,7 @@ EFFECTS: dict[str, Effect] = {
         "current_saturation",
         "coil_lag",
         "fluid_change",
+        "gas_loss",
         "gas_spring",
         "series_compliance",
         "bypass_flow",

@@ -43,7 +43,7 @@ class SpeedSweep(DamperTest):
         lower=0.05,
         upper=1000,
     )
-    cycles: int = quantity(3, doc="number of cycles at each speed and current", lower=2, upper=1000)
+    cycles: int = quantity(3, doc="number of cycles at each speed and steady current", lower=2, upper=1000)
 
     def __post_init__(self) -> None:
         if self.motion not in _MOTIONS:
@@ -74,7 +74,7 @@ class SpeedSweep(DamperTest):
                 speed=speed,
                 amplitude=amplitude_at(speed),
                 currents=currents,
-                cycles=self.cycles,
+                cycles=self.cycles + 1,  # the one in which the current steps shows no force at steady current
             )
             for number, speed in enumerate(speeds, 1)
         )
