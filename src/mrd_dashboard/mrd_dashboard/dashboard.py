@@ -13,6 +13,7 @@ from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.dampers import Dampers
 from mrd_dashboard.hybrid_view import LiveMetrics, live_metrics
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.live_frame import LivePrediction, compile_prediction, live_frame, try_prediction
@@ -108,6 +109,8 @@ class Dashboard:
         Parameter files of the bench and of its simulated plant, or "".
     looks : dict of str to Look
         Looks at recordings, by id.
+    dampers : Dampers
+        The dampers whose tests are among the recordings.
     tasks : set of asyncio.Task
         What goes on beside the queue: looks at what it has recorded.
     """
@@ -126,10 +129,14 @@ class Dashboard:
     bench_file: str = ""
     plant: str = ""
     looks: dict[str, Look] = field(default_factory=dict)
+    dampers: Dampers = field(init=False)
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _frame: tuple[float, dict[str, list[float]]] = (float("-inf"), {})
     _metrics: tuple[float, LiveMetrics] = (float("-inf"), LiveMetrics())
     _hybrid_test: tuple[int, ControlExperiment | None] = (0, None)
+
+    def __post_init__(self) -> None:
+        self.dampers = Dampers(self.recordings.folder)
 
     async def act(
         self, who: Visitor, action: str, work: Callable[[], Awaitable[str]], detail: str = "", *, watching: bool = False
