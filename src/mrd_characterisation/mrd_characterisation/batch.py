@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -268,8 +269,8 @@ def read_batch(folder: str | Path) -> Batch:
 def find_tests(folder: Path) -> list[Path]:
     """Return all acceptance.json below a folder; of a folder without one, its characterisation.json."""
     names = ("acceptance.json", "characterisation.json")
-    found = [next((parent / name for name in names if name in files), None) for parent, _, files in folder.walk()]
-    return sorted(filter(None, found))
+    found = ((parent, next((name for name in names if name in files), "")) for parent, _, files in os.walk(folder))
+    return sorted(Path(parent, name) for parent, name in found if name)
 
 
 def make_batch(folder: Path, entries: Iterable[Entry], notes: Sequence[str] = ()) -> Batch:

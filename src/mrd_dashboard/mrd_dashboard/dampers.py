@@ -95,7 +95,7 @@ class Dampers:
         path = self.folder.joinpath(*test.split("/"), name)
         if name not in FILES or "\0" in test or path.resolve() != path or not path.is_file():
             raise InputError(
-                f"{test[:200]}: no test below {self.folder} has this name and a {name[:40]}; look at the list again"
+                f"{test[:200]}: no test below {self.folder} has this name and {name[:40]}; look at the list again"
             )
         return path
 

@@ -140,9 +140,9 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
             dashboard.audit.write(who.name, "report", f"{name} {test}"[:200], f"refused: {error}")
             return PlainTextResponse(str(error), 404)
         dashboard.audit.write(who.name, "report", str(file), "sent")
-        return (
-            _sandboxed(file) if file.suffix == ".html" else FileResponse(file, filename=f"{test.replace('/', '-')}-{name}")
-        )
+        if file.suffix == ".html":
+            return _sandboxed(file)
+        return FileResponse(file, filename=f"{test.replace('/', '-')}-{name}")
 
     return app
 

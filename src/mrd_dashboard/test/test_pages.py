@@ -5,14 +5,13 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from nicegui import ui
-from nicegui.testing import User, user_simulation
+from nicegui.testing import User
 
 from mrd_base.lease import Mode
 from mrd_bench_driver.servo.status import ServoStatus
@@ -20,27 +19,10 @@ from mrd_dashboard.bench_view import NODE_SILENT_AFTER, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.jobs import Job, JobRequest
 from mrd_dashboard.pages.analysis import MOST_JOBS, MOST_OFFERED, offered, request_of
-from mrd_dashboard.pages.shell import page
 from mrd_dashboard.recordings import Notes, Recording
 
-ANN = Visitor("a", "Ann")
 CURVES = 5
 """Curves of the live plots without a prediction."""
-
-
-@pytest.fixture
-def visit(dashboard: Dashboard) -> Callable[[Callable[[User], Awaitable[None]]], None]:
-    """Open the page as Ann, and do what the test wants."""
-
-    def run(work: Callable[[User], Awaitable[None]]) -> None:
-        async def simulate() -> None:
-            async with user_simulation(root=lambda: page(dashboard, ANN)) as user:
-                await user.open("/")
-                await work(user)
-
-        asyncio.run(simulate())
-
-    return run
 
 
 def hear(dashboard: Dashboard, mode: Mode = Mode.IDLE, reason: str = "started", force: float = 20.0) -> None:
@@ -177,7 +159,7 @@ def test_a_run_whose_check_was_slow_is_not_added_after_a_stop(visit, dashboard, 
 
     async def slow(*arguments: Any) -> Any:
         found = await compute(*arguments)
-        dashboard.emergency_stop(ANN)
+        dashboard.emergency_stop(Visitor("b", "Bob"))
         return found
 
     monkeypatch.setattr(dashboard, "compute", slow)

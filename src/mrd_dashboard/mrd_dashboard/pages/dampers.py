@@ -52,13 +52,13 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
         with ui.card().classes("max-lg:w-full shrink-0 p-3 gap-2"):
             with ui.row().classes("w-full items-center gap-4"):
                 search = ui.input("search serial number, verdict, date").props("dense clearable debounce=300")
-                search.classes("grow").mark("search dampers")
-                count = ui.label().classes("text-sm").mark("count dampers")
+                search.classes("grow").mark("serial")
+                count = ui.label().classes("text-sm").mark("count")
             pages = {"rowsPerPage": ROWS, "sortBy": None}
             table = ui.table(rows=[], columns=_COLUMNS, row_key="serial", pagination=pages).props("dense flat")
             table.classes("w-full cursor-pointer").bind_filter_from(search, "value", backward=lambda text: text or "")
             table.add_slot("body-cell-verdict", _VERDICT_CELL)
-            table.on("rowClick", lambda event: choose(event), args=[[], ["serial"], []]).mark("dampers")
+            table.on("rowClick", lambda event: choose(event), args=[[], ["serial"], []]).mark("tested")
             problems = ui.label().classes("text-sm text-negative whitespace-pre-line")
         details = ui.column().classes("grow min-w-0 gap-4 max-lg:w-full")
 
@@ -199,7 +199,7 @@ def trend_chart(statistic: Statistic) -> dict[str, Any]:
     dated = np.isfinite(statistic.times)
     name = f"{statistic.title.partition(',')[0]}_{unit.symbol}".rstrip("_")
     columns = {"days since the first test": statistic.times[dated].tolist()}
-    columns[name] = [round(unit.shown(value), 6) for value in statistic.values[dated].tolist()]
+    columns[name] = [unit.shown(value) for value in statistic.values[dated].tolist()]
     curves = [(name, MEASURED, "tests")]
     for word, limit in (("lower limit", statistic.lower), ("upper limit", statistic.upper)):
         if math.isfinite(limit):
