@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+import functools
 import os
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -142,16 +143,17 @@ def numbers_of(folder: Path, damper: Damper) -> Batch:
 def analyses_of(damper: Damper, jobs: Iterable[Job]) -> list[Job]:
     """Return the fits and diagnoses of recordings of a damper, the latest first. It reads files."""
     paths = {str(recording.path) for recording in damper.recordings}
-    found = []
-    for job in jobs:
-        if job.state == "done" and job.request.kind in _FITS:
-            try:
-                sources = fitted_sources(job.folder / _FITS[job.request.kind])
-            except InputError:
-                continue  # of runs that are no files
-            if not paths.isdisjoint(str(Path(source).resolve()) for source in sources):
-                found.append(job)
-    return found[::-1]
+    found = [job for job in jobs if job.state == "done" and job.request.kind in _FITS]
+    return [job for job in reversed(found) if not paths.isdisjoint(_fitted(job.folder / _FITS[job.request.kind]))]
+
+
+@functools.lru_cache(maxsize=10_000)
+def _fitted(file: Path) -> frozenset[str]:
+    """Return the recordings of a fit or diagnosis, whose file does not change any more."""
+    try:
+        return frozenset(str(Path(source).resolve()) for source in fitted_sources(file))
+    except InputError:
+        return frozenset()  # its runs are no files
 
 
 def _age(test: Entry) -> tuple[float, str]:

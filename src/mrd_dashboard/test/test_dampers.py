@@ -32,15 +32,16 @@ START = datetime(2026, 1, 1, tzinfo=UTC)
 
 def write_test(folder: Path, serial: str, gas_force: float, *, day: float | None = 0.0, runs: tuple[str, ...] = ()) -> None:
     """Write an acceptance of a damper whose gas force may be 40 to 60 N, with an interval of ±1 N."""
-    value = Value("gas_force", gas_force, gas_force - 1, gas_force + 1, 1.0, 5, 1, "", 0.0)
+    values = (
+        Value("gas_force", gas_force, gas_force - 1, gas_force + 1, 1.0, 5, 1, "", 0.0),
+        Value("seal_drag", 12.0, 11.0, 13.0, 1.0, 5, 1, "", 0.0),
+    )
+    limits = [Limit("gas_force", 40.0, 60.0), Limit("seal_drag", upper=20.0)]
     samples = np.arange(10.0)
     recorded = tuple(Run(Path(run).name, *[samples] * 5, info={"source": run}) for run in runs)
     date = None if day is None else START + timedelta(days=day)
     folder.mkdir(parents=True)
-    acceptance = accept(
-        Characterisation(serial, recorded, (value,)), [Limit("gas_force", 40.0, 60.0)], DamperTest(serial, date)
-    )
-    write_acceptance(acceptance, folder)
+    write_acceptance(accept(Characterisation(serial, recorded, values), limits, DamperTest(serial, date)), folder)
 
 
 def look(dashboard: Dashboard) -> dict[str, Damper]:
@@ -110,20 +111,21 @@ def test_files_are_read_again_only_when_they_have_changed(tested: Dashboard) -> 
 
 def test_the_trend_has_the_numbers_over_days_with_their_limits(tested: Dashboard) -> None:
     batch = numbers_of(tested.dampers.folder, look(tested)["SN-1"])
-    (statistic,) = batch.statistics
-    table = trend_chart(statistic)["dataset"]["source"]
-    assert table == {
+    statistic = batch.statistics[0]
+    options = trend_chart(statistic)
+    assert options["dataset"]["source"] == {
         "days since the first test": [0.0, 10.0, 30.0],
         "gas force_N": [50.0, 45.0, 35.0],
-        "lower limit": [40.0] * 3,
-        "upper limit": [60.0] * 3,
     }
+    assert options["series"][0]["markLine"]["data"] == [{"yAxis": 40.0}, {"yAxis": 60.0}]
+    assert options["yAxis"][0]["min"] < 35.0
+    assert options["yAxis"][0]["max"] > 60.0
     assert statistic.slope is not None
     assert statistic.slope[0] == pytest.approx(-0.5)
 
 
 def test_a_test_without_a_date_is_not_drawn(tested: Dashboard) -> None:
-    (statistic,) = numbers_of(tested.dampers.folder, look(tested)["SN-2"]).statistics
+    statistic = numbers_of(tested.dampers.folder, look(tested)["SN-2"]).statistics[0]
     assert math.isnan(statistic.times[0])
     assert trend_chart(statistic)["dataset"]["source"]["gas force_N"] == []
 
@@ -183,15 +185,18 @@ def test_a_damper_is_chosen_and_its_numbers_are_followed(tested: Dashboard, visi
             ("SN-3", "no test", 0),
         ]
         user.find(marker="tested").trigger("rowClick", [{}, {"serial": "SN-1"}, 0])
-        await user.should_see("failed, 1 numbers failed", retries=50)
+        await user.should_see("failed, 1 of 2 numbers", retries=50)
         await user.should_see("SN-1-a/sine")
         await user.should_see("change per 30 days -15 N")
         (link,) = user.find(marker="sheet.html").elements
         assert (link.props["href"], link.props["target"]) == ("/test/sheet.html/SN-1-c/reports", "_blank")
         (plot,) = user.find(marker="trend of a damper").elements
         assert plot.options["dataset"]["source"]["gas force_N"] == [50.0, 45.0, 35.0]
+        (number,) = user.find(marker="number").elements
+        number.set_value("seal drag, 0 A")
+        await user.should_see("change per 30 days 0 N", retries=50)
         user.find(marker="tested").trigger("rowClick", [{}, {"serial": "SN-3"}, 0])
-        await user.should_see("no tests", retries=50)
+        await user.should_see("tests: none", retries=50)
         await user.should_not_see("change per 30 days")
 
     visit(work)

@@ -15,7 +15,7 @@ from mrd_characterisation.units import BENCH
 from mrd_dashboard.dampers import Damper, analyses_of, numbers_of
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.jobs import Job
-from mrd_dashboard.pages.plots import LIMIT, MEASURED, Panel, chart
+from mrd_dashboard.pages.plots import MEASURED, Panel, chart
 
 ROWS = 15
 """Dampers on one sheet of the list."""
@@ -49,13 +49,13 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
     """Build the page; ``shown`` tells whether it is the tab that one sees."""
     state: dict[str, Any] = {"dampers": {}, "chosen": "", "drawn": None, "number": "", "looking": False}
     with ui.row().classes("w-full items-start gap-4 no-wrap max-lg:flex-wrap"):
-        with ui.card().classes("max-lg:w-full shrink-0 p-3 gap-2"):
+        with ui.card().classes("max-w-xl max-lg:max-w-full max-lg:w-full shrink-0 p-3 gap-2"):
             with ui.row().classes("w-full items-center gap-4"):
                 search = ui.input("search serial number, verdict, date").props("dense clearable debounce=300")
                 search.classes("grow").mark("serial")
                 count = ui.label().classes("text-sm").mark("count")
             pages = {"rowsPerPage": ROWS, "sortBy": None}
-            table = ui.table(rows=[], columns=_COLUMNS, row_key="serial", pagination=pages).props("dense flat")
+            table = ui.table(rows=[], columns=_COLUMNS, row_key="serial", pagination=pages).props("dense flat wrap-cells")
             table.classes("w-full cursor-pointer").bind_filter_from(search, "value", backward=lambda text: text or "")
             table.add_slot("body-cell-verdict", _VERDICT_CELL)
             table.on("rowClick", lambda event: choose(event), args=[[], ["serial"], []]).mark("tested")
@@ -90,6 +90,9 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
     async def draw() -> None:
         damper = state["dampers"].get(state["chosen"])
         if damper is None:
+            if state["drawn"] is not None:
+                state["drawn"] = None
+                details.clear()
             return
         analyses = await asyncio.to_thread(analyses_of, damper, dashboard.jobs.all)
         content = damper, [job.number for job in analyses]
@@ -97,14 +100,16 @@ def dampers_page(dashboard: Dashboard, _who: Visitor, shown: Callable[[], bool])
             return
         state["drawn"] = content
         try:
-            batch = await dashboard.compute(numbers_of, dashboard.dampers.folder, damper)
-        except InputError as error:
-            problems.text = str(error)
-            return
+            batch, problem = await dashboard.compute(numbers_of, dashboard.dampers.folder, damper), ""
+        except InputError as error:  # somebody has changed a file meanwhile
+            batch, problem = None, str(error)
         if state["drawn"] != content:
             return  # another one was chosen meanwhile
         details.clear()
         with details:
+            if batch is None:
+                ui.label(problem).classes("text-sm text-negative")
+                return
             _details(dashboard, damper, batch, analyses)
             if batch.statistics:
                 _trend(batch, state)
@@ -135,14 +140,15 @@ def _details(dashboard: Dashboard, damper: Damper, batch: Batch, analyses: list[
     with ui.card().classes("w-full p-3 gap-1"):
         ui.label(damper.serial).classes("text-base font-medium break-all").mark("damper shown")
         _heading("tests", len(damper.tests))
-        failed = {test.file: test.failed for test in batch.entries}
+        read = {test.file: test for test in batch.entries}
         for test in damper.tests[:MOST_SHOWN]:
             icon, colour = _LIGHTS[test.verdict]
             name = dashboard.dampers.name(test)
-            count = f", {failed[test.file]} numbers failed" if failed[test.file] else ""
+            failed, count = read[test.file].failed, len(read[test.file].numbers)
             with ui.row().classes("w-full items-center gap-3 border-t border-gray-500/30 py-1"):
                 ui.icon(icon, color=colour).classes("text-lg")
-                ui.label(f"{_date(test)}: {VERDICTS[test.verdict]}{count}").classes("text-sm")
+                words = [VERDICTS[test.verdict], f"{failed} of {count} numbers" if failed else ""]
+                ui.label(f"{_date(test)}: {', '.join(filter(None, words))}").classes("text-sm")
                 ui.label(name).classes("text-sm opacity-80 break-all grow")
                 for file in dashboard.dampers.files(test):
                     _link(file, f"/test/{file}/{quote(name)}")
@@ -157,8 +163,8 @@ def _details(dashboard: Dashboard, damper: Damper, batch: Batch, analyses: list[
 
 
 def _heading(what: str, count: int) -> None:
-    latest = f", the latest {MOST_SHOWN}" if count > MOST_SHOWN else ""
-    ui.label(f"{count or 'no'} {what}{latest}").classes("text-sm font-medium pt-2")
+    latest = f", the latest {MOST_SHOWN} of them" if count > MOST_SHOWN else ""
+    ui.label(f"{what}: {count or 'none'}{latest}").classes("text-sm font-medium pt-2")
 
 
 def _link(text: str, address: str) -> None:
@@ -200,12 +206,13 @@ def trend_chart(statistic: Statistic) -> dict[str, Any]:
     name = f"{statistic.title.partition(',')[0]}_{unit.symbol}".rstrip("_")
     columns = {"days since the first test": statistic.times[dated].tolist()}
     columns[name] = [unit.shown(value) for value in statistic.values[dated].tolist()]
-    curves = [(name, MEASURED, "tests")]
-    for word, limit in (("lower limit", statistic.lower), ("upper limit", statistic.upper)):
-        if math.isfinite(limit):
-            # As a curve, so that the axis reaches to it.
-            columns[word] = [unit.shown(limit)] * int(dated.sum())
-            curves.append((word, LIMIT, word))
-    options = chart([Panel("days since the first test", (10, 6, 86, 68), curves)], columns=columns)
+    limits = tuple(unit.shown(limit) for limit in (statistic.lower, statistic.upper) if math.isfinite(limit))
+    panel = Panel("days since the first test", (10, 6, 86, 68), [(name, MEASURED, "tests")], y_limits=limits)
+    options = chart([panel], columns=columns)
     options["series"][0] |= {"showSymbol": True, "symbolSize": 7}
+    if limits:
+        # The axis reaches to the limits, and to the tests beyond them.
+        ends = [*columns[name], *limits]
+        margin = 0.06 * (max(ends) - min(ends))
+        options["yAxis"][0] |= {"min": min(ends) - margin, "max": max(ends) + margin}
     return options
