@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -286,7 +287,7 @@ async def run_next(dashboard: Dashboard) -> bool:
     queue.end(run.number, "done" if outcome.success else "failed", outcome.message, outcome.bag)
     dashboard.audit.write("page", "run", f"{run.number} {run.name}", outcome.message)
     if outcome.bag:
-        task = asyncio.create_task(_look_at_bag(dashboard, Path(outcome.bag)))
+        task = asyncio.create_task(_look_at_bag(dashboard, Path(outcome.bag), run.damper))
         dashboard.tasks.add(task)
         task.add_done_callback(dashboard.tasks.discard)
     return True
@@ -313,10 +314,13 @@ async def _record(dashboard: Dashboard, run: QueuedRun) -> RunOutcome:
     return RunOutcome(False, message, str(bag) if bag is not None and bag.exists() else "")
 
 
-async def _look_at_bag(dashboard: Dashboard, bag: Path) -> None:
+async def _look_at_bag(dashboard: Dashboard, bag: Path, damper: str) -> None:
     # Somebody may have moved it; the list shows what is there.
     with contextlib.suppress(InputError, ValueError, OSError):
-        await dashboard.look(dashboard.recordings.find(bag.relative_to(dashboard.recordings.folder).as_posix()))
+        recording = dashboard.recordings.find(bag.relative_to(dashboard.recordings.folder).as_posix())
+        if damper:
+            dashboard.recordings.write_notes(recording.id, dataclasses.replace(recording.notes, damper=damper))
+        await dashboard.look(recording)
 
 
 async def work_through_queue(dashboard: Dashboard, period: float = 0.2) -> None:

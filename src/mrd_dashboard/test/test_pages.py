@@ -487,12 +487,16 @@ def test_a_whole_set_goes_into_the_queue_or_none_of_it(visit, dashboard, tmp_pat
         await user.should_see("10_repeat.yaml: ", retries=300)
         assert dashboard.queue.runs == []
         last.write_text(good)
+        user.find(marker="set-damper").type("a/b")
+        user.find(marker="add set").click()
+        await user.should_see("serial number is 'a/b', expected the serial number of a damper", retries=50)
+        user.find(marker="set-damper").clear().type("SN-1")
         user.find(marker="add set").click()
         await user.should_see("the 10 runs of characterise wait in the queue", retries=300)
 
     visit(work)
     assert [run.name for run in dashboard.queue.runs] == [file.stem for file in sorted(last.parent.glob("*.yaml"))]
-    assert all(run.duration > 10 for run in dashboard.queue.runs)
+    assert all(run.duration > 10 and run.damper == "SN-1" for run in dashboard.queue.runs)
 
 
 def test_the_advised_command_is_shown_and_the_advised_experiment_recorded(visit, dashboard) -> None:
