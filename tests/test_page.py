@@ -80,7 +80,7 @@ DRAWN = """() => {
   return plots.map(plot => ({
     table: getElement(Number(plot.closest('[id^=c]').id.slice(1))).chart.getOption().dataset[0].source,
     picture: plot.querySelector('canvas').toDataURL(),
-  })).find(plot => Array.isArray(plot.table.COLUMN));
+  })).find(plot => Array.isArray(plot.table['COLUMN']));
 }"""
 """Script that returns table and picture of the first plot that one sees and that draws a column."""
 
@@ -295,6 +295,26 @@ def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page:
     assert run.duration > 30.0
     assert run.info["lost"] == 0
     assert bench.process.poll() is None
+
+
+def test_a_damper_is_found_with_its_sheet_and_its_numbers(bench: PageBench, page: Any) -> None:
+    import_examples(bench)
+    recordings = [bench.runs / name for name in EXAMPLES]
+    limits = ROOT / "config/acceptance/rd_8040_1.yaml"
+    command = [sys.executable, "-m", "mrd_cli.cli.mrd", "accept", *recordings, "--reference", limits, "--sheet"]
+    command += ["--serial", "SN-7", "--date", "2026-01-31", "--output", bench.runs / "tests/SN-7"]
+    assert subprocess.run(command, capture_output=True).returncode == 1  # its joint is worn
+    open_tab(page, "Dampers")
+    page.get_by_role("cell", name="SN-7", exact=True).click(timeout=ANSWER_TIMEOUT)
+    for name in EXAMPLES:
+        page.get_by_text(f"{name} · ended").wait_for(timeout=ANSWER_TIMEOUT)
+    table = drawn(page, "days since the first test")["table"]
+    (force,) = (values for title, values in table.items() if title.endswith("_N"))
+    assert table["days since the first test"] == [0.0]
+    assert len(force) == 1
+    with page.context.expect_page() as opened:
+        page.get_by_role("link", name="sheet.html").click()
+    opened.value.get_by_text("SN-7").first.wait_for(timeout=ANSWER_TIMEOUT)
 
 
 def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) -> None:

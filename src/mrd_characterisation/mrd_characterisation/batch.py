@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from html import escape
@@ -22,6 +23,9 @@ from mrd_characterisation.characterisation import QUANTITIES, SAME_CURRENT, SAME
 from mrd_characterisation.wording import conditions_text, difference_text, number_text
 
 Array = NDArray[np.float64]
+
+VERDICTS = {"pass": "passed", "fail": "failed", "not_decided": "not decided", "": "not judged"}
+"""Verdicts on a damper, and how they are written; "" where there is only a characterisation."""
 
 FEWEST_DATES = 3
 """Distinct dates that a slope needs, so that there is scatter around it."""
@@ -62,6 +66,8 @@ class Entry:
     verdict : str
         "pass", "fail" or "not_decided"; empty where there is only a characterisation.
     numbers : tuple of Number
+    runs : tuple of str
+        Files of the recordings, as far as they are known.
     """
 
     file: Path
@@ -69,6 +75,7 @@ class Entry:
     date: datetime | None
     verdict: str
     numbers: tuple[Number, ...]
+    runs: tuple[str, ...] = ()
 
     @property
     def failed(self) -> int:
@@ -99,6 +106,11 @@ class Statistic:
     entries: tuple[Entry, ...]
     lower: float = -math.inf
     upper: float = math.inf
+
+    @property
+    def title(self) -> str:
+        """The quantity and its conditions."""
+        return ", ".join(filter(None, (QUANTITIES[self.key.quantity].title, conditions_text(self.key))))
 
     @property
     def unit(self) -> str:
@@ -183,8 +195,7 @@ class Batch:
     def sentence(self) -> str:
         """The batch in one sentence."""
         serials = len({entry.serial for entry in self.entries})
-        words = (("pass", "passed"), ("fail", "failed"), ("not_decided", "not decided"), ("", "not judged"))
-        counts = ", ".join(f"{self.count(verdict)} {word}" for verdict, word in words if self.count(verdict))
+        counts = ", ".join(f"{self.count(verdict)} {word}" for verdict, word in VERDICTS.items() if self.count(verdict))
         tests = f"{len(self.entries)} test" + "s" * (len(self.entries) > 1)
         return f"{tests} of {serials} serial number{'s' * (serials > 1)}: {counts}."
 
@@ -243,28 +254,44 @@ def read_batch(folder: str | Path) -> Batch:
     root = Path(folder)
     if not root.is_dir():
         raise InputError(f"{folder}: is no folder, expected one with acceptance.json or characterisation.json in it")
-    files = sorted(root.rglob("acceptance.json"))
-    judged = {file.parent for file in files}
-    files += [file for file in sorted(root.rglob("characterisation.json")) if file.parent not in judged]
     entries, notes = [], []
-    for file in files:
+    for file in find_tests(root):
         try:
-            entries.append(_read_entry(file))
+            entries.append(read_entry(file))
         except InputError as error:
             notes.append(str(error))
     if not entries:
         found = f": {notes[0]}" if notes else "; write them by accept or characterise"
         raise InputError(f"{folder}: holds no acceptance.json or characterisation.json that can be read{found}")
-    entries.sort(key=lambda entry: (entry.date.timestamp() if entry.date else math.inf, entry.serial, str(entry.file)))
+    return make_batch(root, entries, notes)
+
+
+def find_tests(folder: Path) -> list[Path]:
+    """Return all acceptance.json below a folder; of a folder without one, its characterisation.json."""
+    names = ("acceptance.json", "characterisation.json")
+    found = ((parent, next((name for name in names if name in files), "")) for parent, _, files in os.walk(folder))
+    return sorted(Path(parent, name) for parent, name in found if name)
+
+
+def make_batch(folder: Path, entries: Iterable[Entry], notes: Sequence[str] = ()) -> Batch:
+    """Return the batch of tests, whose files are below ``folder``; ``notes`` come before those that are found here."""
+    entries = sorted(
+        entries, key=lambda entry: (entry.date.timestamp() if entry.date else math.inf, entry.serial, str(entry.file))
+    )
     statistics, differing = _statistics(entries)
     undated = sum(entry.date is None for entry in entries)
-    if undated:
-        notes.append(f"{undated} of {len(entries)} tests have no date, and do not count for changes over time")
-    notes += [*_repeated(entries), *differing]
-    return Batch(root, tuple(entries), tuple(statistics), tuple(notes))
+    dates = [f"{undated} of {len(entries)} tests have no date, and do not count for changes over time"] if undated else []
+    return Batch(folder, tuple(entries), tuple(statistics), (*notes, *dates, *_repeated(entries), *differing))
 
 
-def _read_entry(file: Path) -> Entry:
+def read_entry(file: Path) -> Entry:
+    """Return the test that an acceptance.json or characterisation.json describes.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or is not as it was written.
+    """
     try:
         content = json.loads(read_text_file(file, f"an {file.name}"))
         # The schema says more, but checking it takes longer than all the rest where there are a thousand files.
@@ -278,6 +305,7 @@ def _read_entry(file: Path) -> Entry:
             datetime.fromisoformat(date).astimezone() if date else None,
             content.get("verdict", ""),
             tuple(_checked(content["checks"]) if "checks" in content else _characterised(content["values"])),
+            tuple(str(run["source"]) for run in content["runs"]),
         )
     except InputError:
         raise

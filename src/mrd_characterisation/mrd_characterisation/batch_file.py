@@ -91,10 +91,6 @@ def _column(key: Key) -> str:
     return ", ".join(filter(None, (f"{key.quantity}{f' [{unit}]' if unit else ''}", conditions_text(key))))
 
 
-def _title(key: Key) -> str:
-    return ", ".join(filter(None, (QUANTITIES[key.quantity].title, conditions_text(key))))
-
-
 def write_batch(batch: Batch, folder: str | Path) -> list[Path]:
     """Write batch.json, batch.csv and batch.html into ``folder`` and return their paths."""
     folder = Path(folder)
@@ -111,7 +107,7 @@ def write_batch(batch: Batch, folder: str | Path) -> list[Path]:
         headline=[(word, batch.count(verdict)) for word, verdict in groups if batch.count(verdict)],
         head=HEAD,
         rows=[statistic_row(statistic) for statistic in batch.statistics],
-        figures=[(_title(statistic.key), to_html(run_chart(statistic))) for statistic in drawn],
+        figures=[(statistic.title, to_html(run_chart(statistic))) for statistic in drawn],
         left_out=len(batch.statistics) - len(drawn),
         groups=[
             (word, [_test_row(entry, folder) for entry in batch.entries if entry.verdict == verdict])

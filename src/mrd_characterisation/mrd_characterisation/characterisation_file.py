@@ -14,6 +14,7 @@ from mrd_base import InputError
 from mrd_base.json_file import finite_or_none, read_json, write_json
 from mrd_base.version import VERSION
 from mrd_characterisation.characterisation import Characterisation, Curve, GasCurve, Response, Value
+from mrd_characterisation.damper_test import recorded_date
 from mrd_characterisation.listing import COLUMNS, spreadsheet_row
 from mrd_characterisation.units import BENCH, View
 from mrd_runs import Run, read_runs
@@ -28,6 +29,7 @@ def to_json(characterisation: Characterisation) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": characterisation.name,
         "sentence": characterisation.sentence,
+        "date": _date(characterisation.runs),
         "runs": [run_json(run) for run in characterisation.runs],
         "values": [_plain({**asdict(value), "unit": value.unit}) for value in characterisation.values],
         "curves": [_plain(vars(curve)) for curve in characterisation.curves],
@@ -36,6 +38,14 @@ def to_json(characterisation: Characterisation) -> dict[str, Any]:
         "limitations": list(characterisation.limitations),
         "version": VERSION,
     }
+
+
+def _date(runs: Sequence[Run]) -> str | None:
+    try:
+        date = recorded_date(runs)
+    except InputError:
+        return None  # a date as another program writes it does not keep the values from being told
+    return date.isoformat() if date else None
 
 
 def _plain(fields: dict[str, Any]) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def damper_test(
     temperature = (float(min(map(np.min, warm))), float(max(map(np.max, warm)))) if warm else None
     return DamperTest(
         checked_serial(serial) if serial is not None else _recorded_serial(runs),
-        _date(date, "--date") if date is not None else _recorded_date(runs),
+        _date(date, "--date") if date is not None else recorded_date(runs),
         rig if rig is not None else _fact(runs, "rig"),
         operator if operator is not None else _fact(runs, "operator"),
         temperature,
@@ -106,7 +106,14 @@ def _fact(runs: Sequence[Run], name: str) -> str:
     return told.pop() if len(told) == 1 else ""
 
 
-def _recorded_date(runs: Sequence[Run]) -> datetime | None:
+def recorded_date(runs: Sequence[Run]) -> datetime | None:
+    """Return when the first of the recordings was begun; None where they do not say it.
+
+    Raises
+    ------
+    InputError
+        For a text that is no date.
+    """
     begun = [_date(str(run.info["started"]), f"{run.name}: started") for run in runs if run.info.get("started")]
     return min(begun, default=None)
 

@@ -4,13 +4,18 @@ import csv
 import json
 import math
 import sys
+from dataclasses import replace
+from datetime import datetime
 
 import numpy as np
 import openpyxl
 import pytest
 
 from mrd_base import InputError
+from mrd_base.json_file import read_json
 from mrd_characterisation import View, characterise, read_characterisation, write_characterisation
+from mrd_characterisation.batch import read_batch
+from mrd_characterisation.characterisation_file import SCHEMA
 from mrd_characterisation.cli.characterise import main
 from mrd_characterisation.listing import shown
 from mrd_characterisation.page import write_page
@@ -28,6 +33,22 @@ def write(run: Run, folder) -> str:
     table = np.stack([run.time, run.position, run.current, run.force], axis=1)
     np.savetxt(path, table, delimiter=",", header="time_s,position_m,current_A,force_N", comments="")
     return str(path)
+
+
+@pytest.mark.parametrize(
+    ("started", "date"),
+    [
+        (["2026-01-03T10:00:00+00:00", "2026-01-02"], "2026-01-02T00:00:00+00:00"),
+        (["", ""], None),
+        (["31.1.2026", ""], None),
+    ],
+)
+def test_the_date_is_that_of_the_first_recording(found, tmp_path, started, date):
+    runs = tuple(replace(found.runs[0], info={"started": text}) for text in started)
+    path = write_characterisation(replace(found, runs=runs), tmp_path)[0]
+    content = read_json(path, "mrd_characterisation", "characterisation", SCHEMA)
+    assert content["date"] == date
+    assert read_batch(tmp_path).entries[0].date == (datetime.fromisoformat(date) if date else None)
 
 
 def test_what_is_written_reads_back(found, tmp_path):

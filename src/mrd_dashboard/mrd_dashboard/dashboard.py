@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from mrd_control.experiment import ControlExperiment, parse_control_experiment
 from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight
+from mrd_dashboard.dampers import Dampers
 from mrd_dashboard.hybrid_view import LiveMetrics, live_metrics
 from mrd_dashboard.jobs import Jobs
 from mrd_dashboard.live_frame import LivePrediction, compile_prediction, live_frame, try_prediction
@@ -108,6 +110,8 @@ class Dashboard:
         Parameter files of the bench and of its simulated plant, or "".
     looks : dict of str to Look
         Looks at recordings, by id.
+    dampers : Dampers
+        The dampers whose tests are among the recordings.
     tasks : set of asyncio.Task
         What goes on beside the queue: looks at what it has recorded.
     """
@@ -126,10 +130,14 @@ class Dashboard:
     bench_file: str = ""
     plant: str = ""
     looks: dict[str, Look] = field(default_factory=dict)
+    dampers: Dampers = field(init=False)
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _frame: tuple[float, dict[str, list[float]]] = (float("-inf"), {})
     _metrics: tuple[float, LiveMetrics] = (float("-inf"), LiveMetrics())
     _hybrid_test: tuple[int, ControlExperiment | None] = (0, None)
+
+    def __post_init__(self) -> None:
+        self.dampers = Dampers(self.recordings.folder)
 
     async def act(
         self, who: Visitor, action: str, work: Callable[[], Awaitable[str]], detail: str = "", *, watching: bool = False
@@ -279,7 +287,7 @@ async def run_next(dashboard: Dashboard) -> bool:
     queue.end(run.number, "done" if outcome.success else "failed", outcome.message, outcome.bag)
     dashboard.audit.write("page", "run", f"{run.number} {run.name}", outcome.message)
     if outcome.bag:
-        task = asyncio.create_task(_look_at_bag(dashboard, Path(outcome.bag)))
+        task = asyncio.create_task(_look_at_bag(dashboard, Path(outcome.bag), run.damper))
         dashboard.tasks.add(task)
         task.add_done_callback(dashboard.tasks.discard)
     return True
@@ -306,10 +314,13 @@ async def _record(dashboard: Dashboard, run: QueuedRun) -> RunOutcome:
     return RunOutcome(False, message, str(bag) if bag is not None and bag.exists() else "")
 
 
-async def _look_at_bag(dashboard: Dashboard, bag: Path) -> None:
+async def _look_at_bag(dashboard: Dashboard, bag: Path, damper: str) -> None:
     # Somebody may have moved it; the list shows what is there.
     with contextlib.suppress(InputError, ValueError, OSError):
-        await dashboard.look(dashboard.recordings.find(bag.relative_to(dashboard.recordings.folder).as_posix()))
+        recording = dashboard.recordings.find(bag.relative_to(dashboard.recordings.folder).as_posix())
+        if damper:
+            dashboard.recordings.write_notes(recording.id, dataclasses.replace(recording.notes, damper=damper))
+        await dashboard.look(recording)
 
 
 async def work_through_queue(dashboard: Dashboard, period: float = 0.2) -> None:

@@ -9,17 +9,19 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import yaml
 
 from mrd_base import InputError, from_mapping, quantity, read_yaml, to_mapping
 from mrd_runs.recovery import recover_bag, recovered_path
 from mrd_runs.storage import SUFFIXES
+
+T = TypeVar("T")
 
 NOTES_FILE = "notes.yaml"
 CACHE_FOLDER = ".page"
@@ -80,6 +82,33 @@ class Recording:
         return all(word in text for word in search.casefold().split())
 
 
+class Scan(Generic[T]):
+    """What a scan of folders finds, for all pages together.
+
+    Parameters
+    ----------
+    scan : callable
+        Scans; it is called in the thread that asks.
+    """
+
+    def __init__(self, scan: Callable[[], T]) -> None:
+        self._scan, self._lock, self._next = scan, threading.Lock(), -float("inf")
+
+    def found(self) -> T:
+        """Return what is found, as of `SCAN_PERIOD` ago at most, or longer ago where a scan takes long."""
+        with self._lock:
+            began = time.monotonic()
+            if began >= self._next:
+                self._found = self._scan()
+                ended = time.monotonic()
+                self._next = ended + max(SCAN_PERIOD, (ended - began) / _SCAN_SHARE)
+            return self._found
+
+    def expire(self) -> None:
+        """Let the next one who asks scan the folders: something has changed."""
+        self._next = -float("inf")
+
+
 def new_name(name: str) -> str:
     """Return the name of a run, or refuse it.
 
@@ -104,29 +133,17 @@ class Recordings:
 
     folder: Path
     _notes: dict[Path, tuple[int, Notes, str]] = field(default_factory=dict, repr=False)
-    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-    _scanned: list[Recording] = field(default_factory=list, repr=False)
-    _next_scan: float = -float("inf")
+    _all: Scan[list[Recording]] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.folder = self.folder.expanduser().resolve()
         self.folder.mkdir(parents=True, exist_ok=True)
+        self._all = Scan(lambda: sorted(self._scan(self.folder, 2), key=lambda found: (-found.modified, found.id)))
 
     def search(self, search: str = "") -> list[Recording]:
         """Return the recordings that match a search, the latest first, as of `SCAN_PERIOD` ago at most."""
-        with self._lock:
-            began = time.monotonic()
-            if began >= self._next_scan:
-                found = self._scan(self.folder, 2)
-                self._scanned = sorted(found, key=lambda recording: (-recording.modified, recording.id))
-                ended = time.monotonic()
-                self._next_scan = ended + max(SCAN_PERIOD, (ended - began) / _SCAN_SHARE)
-            found = self._scanned
+        found = self._all.found()
         return [recording for recording in found if recording.matches(search)] if search.split() else found
-
-    def rescan(self) -> None:
-        """Let the next search scan the folders: something has changed."""
-        self._next_scan = -float("inf")
 
     def _scan(self, folder: Path, depth: int) -> list[Recording]:
         found = []
@@ -211,20 +228,20 @@ class Recordings:
         part.replace(file)
         # The order of the list is that of the recordings, not of their notes.
         os.utime(found.path, ns=(modified.st_atime_ns, modified.st_mtime_ns))
-        self.rescan()
+        self._all.expire()
 
     def recover(self, recording: str) -> str:
         """Make a readable recording of one whose recorder was killed, beside it; return what came of it in one line."""
         found = self.find(recording)
         recovery = recover_bag(found.path, recovered_path(found.path))
-        self.rescan()
+        self._all.expire()
         lost = "; ".join(recovery.losses) or "nothing"
         return f"{recovery.path.name}: recovered {sum(recovery.counts.values())} messages; lost: {lost}"
 
     def delete(self, recording: str) -> None:
         """Delete a recording for ever."""
         shutil.rmtree(self.find(recording).path)
-        self.rescan()
+        self._all.expire()
 
 
 def make_notes(mapping: Mapping[str, Any]) -> Notes:

@@ -41,6 +41,8 @@ class QueuedRun:
         Folder of its recording, once it has one.
     kind : {"identification", "control"}
         Mode of the bench that it needs: ``control`` for a hybrid test.
+    damper : str
+        Serial number for the notes of its recording, or "".
     """
 
     number: int
@@ -54,6 +56,7 @@ class QueuedRun:
     message: str = ""
     bag: str = ""
     kind: Kind = "identification"
+    damper: str = ""
 
 
 @dataclass
@@ -116,9 +119,11 @@ class RunQueue:
                 # A full disk must not keep a run from being seen to end.
                 self.problem = f"{self.file}: {error.strerror}; the queue will be lost with the page"
 
-    def add(self, name: str, experiment: str, duration: float, seed: int = 0, kind: Kind = "identification") -> QueuedRun:
+    def add(
+        self, name: str, experiment: str, duration: float, seed: int = 0, kind: Kind = "identification", damper: str = ""
+    ) -> QueuedRun:
         """Append a run."""
-        self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed, kind=kind))
+        self.runs.append(QueuedRun(next(self._numbers), name, experiment, duration, seed, kind=kind, damper=damper))
         self._keep()
         return self.runs[-1]
 
@@ -135,7 +140,7 @@ class RunQueue:
     def retry(self, number: int) -> QueuedRun:
         """Append a run that has ended once more."""
         run = self._replace(number)
-        return self.add(run.name, run.experiment, run.duration, run.seed, run.kind)
+        return self.add(run.name, run.experiment, run.duration, run.seed, run.kind, run.damper)
 
     def remove(self, number: int) -> None:
         """Take a run out that does not run."""

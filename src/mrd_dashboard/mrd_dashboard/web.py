@@ -4,6 +4,7 @@ import asyncio
 import html
 import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
@@ -128,8 +129,20 @@ def make_app(dashboard: Dashboard, sessions: Sessions) -> FastAPI:
         if job is None or not job.report.is_file():
             return PlainTextResponse(f"job {number} has no report", 404)
         dashboard.audit.write(visitor(request.scope).name, "report", str(job.report), "sent")
-        # Names and notes in it are of strangers; in a sandbox, no script of it reaches the page.
-        return FileResponse(job.report, media_type="text/html", headers={"content-security-policy": "sandbox allow-scripts"})
+        return _sandboxed(job.report)
+
+    @app.get("/test/{name}/{test:path}")
+    def test_file(name: str, test: str, request: Request) -> Response:
+        who = visitor(request.scope)
+        try:
+            file = dashboard.dampers.file(test, name)
+        except InputError as error:
+            dashboard.audit.write(who.name, "report", f"{name} {test}"[:200], f"refused: {error}")
+            return PlainTextResponse(str(error), 404)
+        dashboard.audit.write(who.name, "report", str(file), "sent")
+        if file.suffix == ".html":
+            return _sandboxed(file)
+        return FileResponse(file, filename=f"{test.replace('/', '-')}-{name}")
 
     return app
 
@@ -138,6 +151,11 @@ def guarded(app: FastAPI, sessions: Sessions, host: str, port: int, audit: Audit
     """Return the application behind its guard, which logs what it refuses."""
     app.state.guard = Guard(app, sessions, host, port, audit.write_refusal, names)
     return app.state.guard  # type: ignore[no-any-return]
+
+
+def _sandboxed(page: Path) -> Response:
+    # Names and notes in it are of strangers; in a sandbox, no script of it reaches the operator's page.
+    return FileResponse(page, media_type="text/html", headers={"content-security-policy": "sandbox allow-scripts"})
 
 
 def _login_page(message: str) -> str:

@@ -1,17 +1,20 @@
 """A dashboard without a bench: what it asks for is noted, and a run writes a small bag."""
 
-from collections.abc import Callable, Iterator
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from nicegui.testing import User, user_simulation
 
 from mrd_base import InputError
 from mrd_dashboard.audit import AuditLog
 from mrd_dashboard.bench_view import BenchView
 from mrd_dashboard.control_right import ControlRight
-from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome
+from mrd_dashboard.dashboard import Dashboard, Progress, RunOutcome, Visitor
 from mrd_dashboard.jobs import Jobs
+from mrd_dashboard.pages.shell import page
 from mrd_dashboard.recordings import Recordings
 from mrd_dashboard.run_queue import Kind, RunQueue
 from mrd_identification.fit_file import write_fit
@@ -20,6 +23,9 @@ from mrd_identification.method import Method
 from mrd_runs import read_runs
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "config/experiments"
+
+
+ANN = Visitor("a", "Ann")
 
 
 class NotedCommands:
@@ -92,3 +98,18 @@ def stored_fit(dashboard: Dashboard, recorded: list[str]) -> Path:
 @pytest.fixture
 def new_bag() -> Callable[[Path], Path]:
     return make_bag
+
+
+@pytest.fixture
+def visit(dashboard: Dashboard) -> Callable[[Callable[[User], Awaitable[None]]], None]:
+    """Open the page as Ann, and do what the test wants."""
+
+    def run(work: Callable[[User], Awaitable[None]]) -> None:
+        async def simulate() -> None:
+            async with user_simulation(root=lambda: page(dashboard, ANN)) as user:
+                await user.open("/")
+                await work(user)
+
+        asyncio.run(simulate())
+
+    return run

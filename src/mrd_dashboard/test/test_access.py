@@ -453,6 +453,47 @@ def test_a_recording_is_downloaded(dashboard, new_bag) -> None:
     assert (entry["action"], entry["detail"], entry["result"]) == ("download", "bag sine-1", "sent")
 
 
+def test_a_sheet_is_shown_in_a_sandbox_and_downloaded(dashboard) -> None:
+    folder = dashboard.dampers.folder / "SN-1/reports"
+    folder.mkdir(parents=True)
+    (folder / "sheet.html").write_text("<!doctype html><p>sheet")
+    (folder / "sheet.pdf").write_bytes(b"%PDF")
+    client = Browser(dashboard, Sessions(None))
+    page = client.get("/test/sheet.html/SN-1/reports")
+    assert (page.status_code, page.headers["content-security-policy"]) == (200, "sandbox allow-scripts")
+    pdf = client.get("/test/sheet.pdf/SN-1/reports")
+    assert pdf.content == b"%PDF"
+    assert 'filename="SN-1-reports-sheet.pdf"' in pdf.headers["content-disposition"]
+    entries = [json.loads(line) for line in dashboard.audit.path.read_text().splitlines()]
+    assert [(entry["action"], entry["result"]) for entry in entries] == [("report", "sent")] * 2
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "sheet.pdf/SN-1/..%2f..%2f..%2foutside",
+        "sheet.pdf/%2e%2e/outside",
+        "sheet.pdf/link",
+        "sheet.pdf/x%00y",
+        "audit.jsonl/SN-1",
+        "sheet.html/SN-1",
+    ],
+)
+def test_nothing_but_the_files_of_tests_is_served(dashboard, path: str) -> None:
+    runs = dashboard.dampers.folder
+    for folder in (runs, runs / "SN-1", runs.parent / "outside"):
+        folder.mkdir(exist_ok=True)
+        (folder / "sheet.pdf").write_bytes(b"%PDF")
+    (runs / "SN-1/audit.jsonl").touch()
+    (runs / "link").symlink_to(runs.parent / "outside")
+    client = Browser(dashboard, Sessions(None))
+    assert client.get("/test/sheet.pdf/SN-1").status_code == 200
+    assert client.get(f"/test/{path}").status_code == 404
+    name, _, test = path.partition("/")
+    with pytest.raises(InputError, match="no test below"):
+        dashboard.dampers.file(unquote(test), name)
+
+
 # Control
 
 

@@ -5,14 +5,13 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from nicegui import ui
-from nicegui.testing import User, user_simulation
+from nicegui.testing import User
 
 from mrd_base.lease import Mode
 from mrd_bench_driver.servo.status import ServoStatus
@@ -20,27 +19,10 @@ from mrd_dashboard.bench_view import NODE_SILENT_AFTER, SILENT_AFTER, NodeHealth
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.jobs import Job, JobRequest
 from mrd_dashboard.pages.analysis import MOST_JOBS, MOST_OFFERED, offered, request_of
-from mrd_dashboard.pages.shell import page
 from mrd_dashboard.recordings import Notes, Recording
 
-ANN = Visitor("a", "Ann")
 CURVES = 5
 """Curves of the live plots without a prediction."""
-
-
-@pytest.fixture
-def visit(dashboard: Dashboard) -> Callable[[Callable[[User], Awaitable[None]]], None]:
-    """Open the page as Ann, and do what the test wants."""
-
-    def run(work: Callable[[User], Awaitable[None]]) -> None:
-        async def simulate() -> None:
-            async with user_simulation(root=lambda: page(dashboard, ANN)) as user:
-                await user.open("/")
-                await work(user)
-
-        asyncio.run(simulate())
-
-    return run
 
 
 def hear(dashboard: Dashboard, mode: Mode = Mode.IDLE, reason: str = "started", force: float = 20.0) -> None:
@@ -177,7 +159,7 @@ def test_a_run_whose_check_was_slow_is_not_added_after_a_stop(visit, dashboard, 
 
     async def slow(*arguments: Any) -> Any:
         found = await compute(*arguments)
-        dashboard.emergency_stop(ANN)
+        dashboard.emergency_stop(Visitor("b", "Bob"))
         return found
 
     monkeypatch.setattr(dashboard, "compute", slow)
@@ -505,12 +487,16 @@ def test_a_whole_set_goes_into_the_queue_or_none_of_it(visit, dashboard, tmp_pat
         await user.should_see("10_repeat.yaml: ", retries=300)
         assert dashboard.queue.runs == []
         last.write_text(good)
+        user.find(marker="set-damper").type("a/b")
+        user.find(marker="add set").click()
+        await user.should_see("serial number is 'a/b', expected the serial number of a damper", retries=50)
+        user.find(marker="set-damper").clear().type("SN-1")
         user.find(marker="add set").click()
         await user.should_see("the 10 runs of characterise wait in the queue", retries=300)
 
     visit(work)
     assert [run.name for run in dashboard.queue.runs] == [file.stem for file in sorted(last.parent.glob("*.yaml"))]
-    assert all(run.duration > 10 for run in dashboard.queue.runs)
+    assert all(run.duration > 10 and run.damper == "SN-1" for run in dashboard.queue.runs)
 
 
 def test_the_advised_command_is_shown_and_the_advised_experiment_recorded(visit, dashboard) -> None:

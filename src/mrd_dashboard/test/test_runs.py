@@ -327,6 +327,14 @@ def test_runs_are_recorded_in_their_order(dashboard, commands) -> None:
     assert len(dashboard.looks) == 2
 
 
+def test_the_serial_number_of_a_run_goes_into_the_notes_of_its_recording(dashboard) -> None:
+    run = dashboard.queue.add("sine", SINE, 5.0, damper="SN-1")
+    asyncio.run(_work_off(dashboard))
+    assert [recording.notes.damper for recording in dashboard.recordings.search()] == ["SN-1"]
+    assert dashboard.queue.retry(run.number).damper == "SN-1"
+    assert [again.damper for again in RunQueue(dashboard.queue.file).runs] == ["SN-1", "SN-1"]
+
+
 async def _work_off(dashboard) -> None:
     while await run_next(dashboard):
         pass

@@ -8,6 +8,7 @@ from nicegui import ui
 
 from mrd_base import InputError
 from mrd_base.lease import Mode
+from mrd_characterisation.damper_test import checked_serial
 from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.experiment_form import (
     Preview,
@@ -72,6 +73,7 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
             .classes("w-64")
             .props("dense")
         )
+        damper = ui.input("serial number, for the notes").props("dense clearable").classes("w-64").mark("set-damper")
         set_button = ui.button("Add the set to the queue", on_click=lambda: add_set()).props("outline no-caps")
         set_button.mark("add set")
     answer = ui.label().classes("text-sm text-negative whitespace-pre-line").mark("preview answer")
@@ -124,17 +126,19 @@ def _form(dashboard: Dashboard, who: Visitor) -> None:
         tell(await dashboard.act(who, "queue a run", work, found.experiment.name))
 
     async def add_set() -> None:
-        name, stops = chosen_set.value, dashboard.queue.stops
+        name, serial, stops = chosen_set.value, damper.value or "", dashboard.queue.stops
 
         async def work() -> str:
             if name not in sets:
                 raise InputError("no set is chosen; choose a folder of experiments")
+            if serial:
+                checked_serial(serial, "serial number")
             # As `bench` does, all are checked before the first one waits.
             with busy(set_button):
                 found = await dashboard.compute(preview_set, sets[name], dashboard.bench.generator)
             dashboard.queue.require_no_stop_since(stops)
             for one in found:
-                dashboard.queue.add(one.experiment.name, one.text, one.duration)
+                dashboard.queue.add(one.experiment.name, one.text, one.duration, damper=serial)
             return f"the {len(found)} runs of {name} wait in the queue"
 
         tell(await dashboard.act(who, "queue a set", work, str(name)))

@@ -11,13 +11,20 @@ from mrd_dashboard.dashboard import Dashboard, Visitor
 from mrd_dashboard.guard import LOGIN
 from mrd_dashboard.pages.analysis import analysis_page
 from mrd_dashboard.pages.control import control_page
+from mrd_dashboard.pages.dampers import dampers_page
 from mrd_dashboard.pages.live import REFRESH, live_page
 from mrd_dashboard.pages.notes import tell
 from mrd_dashboard.pages.runs import runs_page
 from mrd_dashboard.web import LOGOUT, SESSION_OPEN, visitor
 
 # The tabs in their order.
-PAGES = {"Live": live_page, "Runs": runs_page, "Control": control_page, "Identify and diagnose": analysis_page}
+PAGES = {
+    "Live": live_page,
+    "Runs": runs_page,
+    "Control": control_page,
+    "Identify and diagnose": analysis_page,
+    "Dampers": dampers_page,
+}
 
 _COLOURS = {Mode.IDLE: "grey-7", Mode.FAULT: "negative"}
 # An emergency stop is told by the node that hears it first.
