@@ -67,6 +67,10 @@ class FakeBench:
     def require_prepared(self) -> None:
         pass
 
+    def require_start_temperature(self) -> None:
+        if error := self.fail.get("start temperature"):
+            raise error
+
     def centre(self, require: Callable[[], None]) -> None:
         assert require == self.require_prepared
         self._do("centre")
@@ -183,6 +187,14 @@ def test_a_recorder_that_refuses_to_begin_is_told_once() -> None:
         recorded=BagSummary(problem="not recording; nothing to stop"),
     )
     assert run_experiment(bench, REQUEST, lambda *_report: None).message == "recorder: bag exists"
+
+
+def test_a_damper_that_is_too_hot_is_not_moved() -> None:
+    bench = FakeBench({"start temperature": RefusedError("not started, the damper is too hot")})
+    outcome = run_experiment(bench, REQUEST, lambda *_report: None)
+    assert not outcome.success
+    assert "too hot" in outcome.message
+    assert not {"centre", "enable", "start_recording"} & set(bench.done)
 
 
 def test_lost_samples_are_no_success() -> None:

@@ -90,7 +90,7 @@ def known_models():
         ("mrd i", {"import", "info", "identify"}),
         ("mrd models --mark", {"--markdown"}),
         ("mrd diagnose --model quasi", {"quasi_static"}),
-        ("mrd identify a.csv --effect gas", {"gas_spring"}),
+        ("mrd identify a.csv --effect gas", {"gas_loss", "gas_spring"}),
         ("mrd compare a.csv --models bingham,quasi", {"bingham,quasi_static"}),
     ],
 )

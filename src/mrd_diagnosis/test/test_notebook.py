@@ -80,7 +80,7 @@ def test_a_run_shows_itself(runs):
 
 def test_a_fit_shows_itself_and_is_judged_on_new_runs(runs):
     fit = identify(runs[3], "bingham", **BRIEF)
-    assert repr(fit).startswith("<Fit of <DamperModel bingham> to 1 runs: NRMSE 0.")
+    assert repr(fit).startswith("<Fit of <DamperModel bingham> to 1 runs: NRMSE ")
     assert "<td>yield_force</td>" in fit._repr_html_()
     assert fit.validate(runs[:1]).nrmse > fit.pooled.nrmse
 

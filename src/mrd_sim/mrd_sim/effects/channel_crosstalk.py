@@ -30,6 +30,7 @@ EFFECT = Effect(
     source="NI USB-621x: 100 pF behind 32 kOhm keep 1 % after 14 µs; 1 % of 200 V/m over 5.1 mV/N are 390 N/m",
     parameters=PARAMETERS,
     typical={"from_position": 1000.0, "from_current": 20.0},
+    symptom="the force follows the position in another way",
     signature="copies of position and current on the force, at any speed",
     confused_with=("gas_spring", "flow_asymmetry", "load_cell_drift", "lvdt_nonlinearity"),
     separated_by="a run with the load cell off the damper; a grounded channel that is read before the force",
