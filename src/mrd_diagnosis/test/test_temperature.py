@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mrd_diagnosis import diagnose
-from mrd_diagnosis.recordings.limitations import LEAST_TEMPERATURE_CHANGE, temperature_changes
+from mrd_identification.needs import LEAST_TEMPERATURE_CHANGE, temperature_changes
 from mrd_sim.damper import Damper
 from mrd_sim.heating import Heating
 from mrd_sim.simulate import measure_plans

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mrd_base import InputError
 from mrd_base.progress import ignore
 from mrd_identification.least_squares import bounded_step, levenberg_marquardt
+from mrd_identification.needs import needs_met
 from mrd_identification.parallel import in_threads
 from mrd_identification.problem import Problem
 from mrd_sim.effects import EFFECTS, Effect
@@ -319,10 +320,14 @@ def _starts(pose: Pose, present: Candidate) -> list[tuple[str, Problem]]:
                 least, base = expected, vector(problem, own, trial)
         return (least, effect.id, replace(problem, base=base)) if np.isfinite(least) else None
 
+    has = needs_met(present.problem.recordings)
     effects = [
         effect
         for name, effect in EFFECTS.items()
-        if name not in present.effects and not effect.outlasts_run and not effect.only_as_change
+        if name not in present.effects
+        and not effect.outlasts_run
+        and not effect.only_as_change
+        and all(has[need] for need in effect.needs)
     ]
     starts = [found for found in in_threads(start, effects) if found is not None]
     return [(effect, problem) for _, effect, problem in sorted(starts, key=lambda found: found[0])[:MOST_FITTED]]

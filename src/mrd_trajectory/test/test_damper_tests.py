@@ -128,9 +128,9 @@ def test_a_sweep_has_all_currents_at_each_speed(tmp_path: Path, motion: str) -> 
         assert np.abs(setpoints.velocity).max() == pytest.approx(1e-3 * speed, rel=1e-3)
         for current in currents:
             velocity = setpoints.velocity[np.isclose(setpoints.current, 1e-3 * current)]
-            # Four whole cycles have eight strokes, each half in both directions.
+            # Four whole cycles and that of the step have ten strokes, each half in both directions.
             assert np.mean(velocity > 0) == pytest.approx(0.5, abs=0.01)
-            assert 7 <= np.count_nonzero(np.diff(np.sign(velocity))) <= 9
+            assert 9 <= np.count_nonzero(np.diff(np.sign(velocity))) <= 11
 
 
 def test_the_current_is_switched_while_the_rod_moves_at_constant_speed(tmp_path: Path) -> None:

@@ -111,7 +111,8 @@ def run_baseline_methods(runs: Sequence[Run], model_id: str, seed: int = 0) -> B
     alone, theta = _refit(_scatter_free(problem, scatter), theta)
     residual = alone.residuals(theta)
     nuisance = orthonormal_basis(alone.jacobian(alone.unit(theta)))
-    names = list(EFFECTS)
+    # The plants of a trial have no thermometer.
+    names = [name for name, effect in EFFECTS.items() if "changing temperature" not in effect.needs]
     fits = dict(zip(names, in_threads(lambda name: _fit_effect(alone, theta, nuisance, EFFECTS[name]), names), strict=True))
     total, samples = float(residual @ residual), len(residual)
     bic = {

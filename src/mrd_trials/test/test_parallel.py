@@ -45,9 +45,11 @@ if __name__ == "__main__":
 def test_workers_end_with_the_process_that_they_compute_for(tmp_path, number):
     script = tmp_path / "trial.py"
     script.write_text(PROGRAM.format(folder=os.path.dirname(__file__)))
-    parent = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    workers = [psutil.Process(int(parent.stdout.readline())) for _ in range(2)]
-    parent.send_signal(number)
-    parent.wait(timeout=60)
-    _, alive = psutil.wait_procs(workers, timeout=60)
+    command = [sys.executable, script]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as parent:
+        assert parent.stdout is not None
+        workers = [psutil.Process(int(parent.stdout.readline())) for _ in range(2)]
+        parent.send_signal(number)
+        parent.wait(timeout=60)
+        _, alive = psutil.wait_procs(workers, timeout=60)
     assert alive == []

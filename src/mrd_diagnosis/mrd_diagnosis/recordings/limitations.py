@@ -9,9 +9,8 @@ from mrd_base import InputError
 from mrd_diagnosis.diagnosis import RunNoise, UntestableEffect
 from mrd_diagnosis.recordings.multisine import distortion
 from mrd_diagnosis.recordings.repetition import repeating_period
+from mrd_identification.needs import needs_met
 from mrd_identification.recording import Recording, current_levels
-from mrd_runs import Run
-from mrd_runs.signals.mains import MAINS_LINES, shows_line
 from mrd_sim.effects import EFFECTS, NEEDS
 from mrd_sim.models import DamperModel
 
@@ -19,10 +18,6 @@ Array = NDArray[np.float64]
 
 SLOW_RATE = 100.0
 """Sampling rate in Hz below which time constants of coil and fluid fall between the samples."""
-
-LEAST_TEMPERATURE_CHANGE = 2.0
-"""K. Whatever the damper, a smaller change is that of the thermometer: thermocouples and their amplifiers are off by as
-much, and vary with the room. No fluid changes by more than some per cent over it."""
 
 
 def untestable_effects(
@@ -39,14 +34,7 @@ def untestable_effects(
     recordings : sequence of Recording
     """
     reasons: dict[str, str] = {}
-    rate = min(recording.run.rate for recording in recordings)
-    levels, varies = current_levels([recording.run for recording in recordings])
-    has = {
-        "changing current": varies,
-        "several currents": levels > 1,
-        "changing temperature": temperature_changes([recording.run for recording in recordings]),
-        "mains frequency": any(shows_line(frequency, rate) for frequency in MAINS_LINES),
-    }
+    has = needs_met(recordings)
     for effect in candidates:
         if contains(model, effect):
             reasons[effect] = "the model contains it already"
@@ -56,14 +44,6 @@ def untestable_effects(
             if not has[need]:
                 reasons[effect] = NEEDS[need]
     return tuple(UntestableEffect(effect, why) for effect, why in reasons.items())
-
-
-def temperature_changes(runs: Sequence[Run]) -> bool:
-    """Whether every run has a temperature, and these differ by more than `LEAST_TEMPERATURE_CHANGE` over all of them."""
-    temperatures = [run.temperature for run in runs if run.temperature is not None]
-    if len(temperatures) < len(runs):
-        return False
-    return float(np.ptp(np.quantile(np.concatenate(temperatures), [0.01, 0.99]))) > LEAST_TEMPERATURE_CHANGE
 
 
 def contains(model: DamperModel, effect: str) -> bool:
