@@ -25,9 +25,11 @@ settings.register_profile("fixed", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=1000)
 settings.load_profile("fixed")
 claim_domain()
-# Every process that a suite in the background (nohup, &) starts would ignore Ctrl-C, too, and some tests send it.
+# Every process that a suite in the background (nohup, &) starts would ignore these signals, too, and some tests send them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, lambda _number, _frame: None)  # the suite itself outlives its terminal
 stale_kernels.delete_stale_kernels(Path(__file__).parent / "src")
 
 

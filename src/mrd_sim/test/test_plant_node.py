@@ -81,17 +81,17 @@ def test_serial_port_to_analog_volts(graph, tmp_path):
         port.write(b"RPA ")
         assert int(port.read_until(b"\r")) == pytest.approx(3000, abs=60)
     first, last = graph.blocks[0], graph.blocks[-1]
-    assert list(last.channels) == ["ai0", "ai1", "ai2", "ai3", "ai4"]
+    assert list(last.channels) == ["ai0", "ai1", "ai2", "ai3", "ai4", "ai5"]
     assert last.sample_period == 1 / 2000
     # No sample is left out: each block starts where the one before ended, in number and in time.
     expected = first.sequence
     for block in graph.blocks:
         assert block.sequence == expected
-        expected += len(block.voltage) // 5
+        expected += len(block.voltage) // 6
         elapsed = seconds(block.header.stamp) - seconds(first.header.stamp)
         assert elapsed == pytest.approx((block.sequence - first.sequence) / 2000, abs=1e-5)
     assert seconds(last.header.stamp) == pytest.approx(time.time(), abs=10.0)
-    volts = np.array(last.voltage).reshape(5, -1)
+    volts = np.array(last.voltage).reshape(6, -1)
     position = -0.005 + 3000 * np.pi * 0.064 / 320000
     assert volts[0].mean() == pytest.approx(0.002 + 200 * position, abs=0.02)
     assert volts[2].mean() == pytest.approx(2.508 + 0.5 * 0.185, abs=0.01)
