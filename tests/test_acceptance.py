@@ -43,12 +43,19 @@ def test_an_acceptance_test_is_recorded_and_its_warm_up_ends_once_the_force_has_
     ended = record(steps, output)
     assert ended.returncode == 0, ended.stderr
     assert not without_progress(ended.stderr)
-    first, *lines, last = ended.stdout.splitlines()
+    first, *lines = ended.stdout.splitlines()
+    place = next(number for number, line in enumerate(lines) if " recordings of damper tests: " in line)
+    lines, (count, sentence, *reports) = lines[:place], lines[place:]
     bench = read_settings(BENCH)
     experiments = [one for file in sorted(steps.glob("*.yaml")) for one in read_experiments(file, bench)]
     assert first.startswith(f"short: {len(experiments)} experiments, ")
     assert [Path(line.partition(": ")[0]).name for line in lines] == [one.name for one in experiments]
-    assert last == f"{len(experiments)} recordings of damper tests: {output}"
+    assert count == f"{len(experiments) - 1} recordings of damper tests: {output}"  # the warm-up is none
+
+    # The reports come by themselves.
+    assert sentence.startswith("recorded: ")
+    assert {"characterisation.json", "characterisation.html", "sheet.html", "sheet.pdf"} <= {Path(r).name for r in reports}
+    assert all(Path(report).is_file() for report in reports)
 
     warm_up, *others = experiments
     run = read_run(output / warm_up.name)
@@ -67,7 +74,7 @@ def test_an_acceptance_test_is_recorded_and_its_warm_up_ends_once_the_force_has_
 
     # What ended early is complete: nothing of it is missing.
     again = record(steps, output, "--resume")
-    assert again.stdout == f"{output}: nothing is missing\n{last}\n"
+    assert again.stdout.splitlines()[:2] == [f"{output}: nothing is missing", count]
 
 
 def test_an_endurance_test_ends_at_its_limit_and_can_be_completed(tmp_path: Path) -> None:
