@@ -277,26 +277,6 @@ def test_the_page_loads_nothing_from_elsewhere(bench: PageBench) -> None:
     assert "cdn" not in text.lower()
 
 
-def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page: Any) -> None:
-    start_run(page, "30")
-    page.get_by_text("identification", exact=True).wait_for(timeout=60_000)  # homing is over
-    page.wait_for_function("document.body.innerText.includes('experiment: running')", timeout=60_000)
-    bag = max(bench.runs.glob("sine-*"))
-    page.reload()
-    page.get_by_text("identification", exact=True).wait_for()
-    page.get_by_role("button", name="Release control").wait_for(timeout=ANSWER_TIMEOUT)
-    os.kill(bench.page_process(), signal.SIGKILL)
-    deadline = time.monotonic() + 120
-    run = read_run(bag)
-    assert run.duration < 30.0, "the run had ended before the page was killed"
-    while run.duration < 30.0 and time.monotonic() < deadline:
-        time.sleep(0.5)
-        run = read_run(bag)
-    assert run.duration > 30.0
-    assert run.info["lost"] == 0
-    assert bench.process.poll() is None
-
-
 def test_a_damper_is_found_with_its_sheet_and_its_numbers(bench: PageBench, page: Any) -> None:
     import_examples(bench)
     recordings = [bench.runs / name for name in EXAMPLES]
@@ -315,6 +295,26 @@ def test_a_damper_is_found_with_its_sheet_and_its_numbers(bench: PageBench, page
     with page.context.expect_page() as opened:
         page.get_by_role("link", name="sheet.html").click()
     opened.value.get_by_text("SN-7").first.wait_for(timeout=ANSWER_TIMEOUT)
+
+
+def test_a_run_goes_on_when_the_page_is_closed_or_killed(bench: PageBench, page: Any) -> None:
+    start_run(page, "30")
+    page.get_by_text("identification", exact=True).wait_for(timeout=60_000)  # homing is over
+    page.wait_for_function("document.body.innerText.includes('experiment: running')", timeout=60_000)
+    bag = max(bench.runs.glob("sine-*"))
+    page.reload()
+    page.get_by_text("identification", exact=True).wait_for()
+    page.get_by_role("button", name="Release control").wait_for(timeout=ANSWER_TIMEOUT)
+    os.kill(bench.page_process(), signal.SIGKILL)
+    deadline = time.monotonic() + 120
+    run = read_run(bag)
+    assert run.duration < 30.0, "the run had ended before the page was killed"
+    while run.duration < 30.0 and time.monotonic() < deadline:
+        time.sleep(0.5)
+        run = read_run(bag)
+    assert run.duration > 30.0
+    assert run.info["lost"] == 0
+    assert bench.process.poll() is None
 
 
 def test_ten_thousand_recordings_are_listed_searched_and_turned(tmp_path: Path) -> None:
