@@ -191,15 +191,7 @@ def accept(
 
 
 def _values(characterisation: Characterisation, limit: Limit) -> list[Value]:
-    found = characterisation.select(
-        limit.quantity,
-        current=limit.current,
-        direction=limit.direction,
-        speed=limit.speed,
-        stroke=limit.stroke,
-        current_before=limit.current_before,
-    )
-    return [resisting(value) for value in found]
+    return [resisting(value) for value in characterisation.alike(limit)]
 
 
 def _extent(items: Sequence[Value] | Sequence[Limit]) -> str:

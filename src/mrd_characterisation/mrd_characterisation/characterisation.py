@@ -15,6 +15,8 @@ from mrd_runs import Run
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
+    from mrd_characterisation.limits import Limit
+
 Array = NDArray[np.float64]
 
 Direction = Literal["rebound", "compression"]
@@ -279,6 +281,17 @@ class Characterisation:
             )
 
         return [value for value in self.values if holds(value)]
+
+    def alike(self, other: "Value | Limit") -> list[Value]:
+        """Return the values of the quantity, and under the conditions, of another value or of a limit."""
+        return self.select(
+            other.quantity,
+            current=other.current,
+            direction=other.direction,
+            speed=other.speed,
+            stroke=other.stroke,
+            current_before=other.current_before,
+        )
 
     def __repr__(self) -> str:
         return f"<Characterisation of {self.name}: {len(self.values)} values>"

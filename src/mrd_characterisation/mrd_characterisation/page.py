@@ -108,12 +108,5 @@ def other_table(first: Characterisation, other: Characterisation, view: View) ->
 
 def _same(value: Value, other: Characterisation) -> Value | None:
     """Return the value of another characterisation under the same conditions; None where there is none."""
-    found = other.select(
-        value.quantity,
-        current=value.current,
-        direction=value.direction,
-        speed=value.speed,
-        stroke=value.stroke,
-        current_before=value.current_before,
-    )
+    found = other.alike(value)
     return found[0] if found else None

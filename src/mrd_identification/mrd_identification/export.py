@@ -38,10 +38,11 @@ def load_damper(file: str | Path, *, anyway: bool = False) -> Damper:
             raise InputError(f"{file}: {error}") from None
     report = _gap_report(file)
     if report is not None:
+        found = correction_of_report(report, str(file), anyway=anyway)
         try:
-            return correction_of_report(report, str(file), anyway=anyway).build()
+            return found.build()
         except InputError as error:
-            raise InputError(str(error) if str(error).startswith(str(file)) else f"{file}: {error}") from None
+            raise InputError(f"{file}: {error}") from None
     stored = read_fit(file)
     try:
         return Damper(stored.model, stored.values, stored.laws, {effect: {} for effect in stored.effects})
